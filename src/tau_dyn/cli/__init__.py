@@ -1,0 +1,38 @@
+"""The command line: one thin file a command; each parses, calls the library, and hands back what to print and write."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from tau_dyn.cli import check, demo, excite, identify, simulate
+from tau_dyn.cli.common import Parser, execute
+from tau_dyn.exceptions import TauDynError
+from tau_dyn.version import __version__
+
+COMMANDS = {"demo": demo, "check": check, "simulate": simulate, "excite": excite, "identify": identify}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    try:
+        args = build_parser().parse_args(argv)
+        return execute(args.command, COMMANDS[args.command].run, args)
+    except TauDynError as fault:
+        print(f"error: {' '.join(str(fault).split())}", file=sys.stderr)
+        return fault.exit_status
+    except KeyboardInterrupt:
+        print("interrupted; nothing was written", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 0
+
+
+def build_parser() -> Parser:
+    """Return the parser of all commands."""
+    parser = Parser(prog="tau-dyn", description="Identify robot dynamics from torque logs, closed loops included.")
+    parser.add_argument("--version", action="version", version=f"tau-dyn {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+    for name, module in COMMANDS.items():
+        module.add(commands.add_parser(name, help=module.HELP, description=module.__doc__))
+    return parser

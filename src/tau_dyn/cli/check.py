@@ -1,0 +1,37 @@
+"""Is this log fit for use: sampling, gaps, quantisation, saturation, synchronisation, excitation; and what to mend."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tau_dyn.cli.common import Outcome, add_common, add_robot_options, load_robot_from, progress, robot_file
+
+HELP = "is a log fit for use, and what to mend"
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("log", metavar="LOG", help="CSV or Parquet")
+    parser.add_argument("robot", metavar="ROBOT", nargs="?", help="the robot it is of; tells units and limits")
+    add_robot_options(parser)
+    parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Check a log."""
+    with progress(args.quiet) as step:
+        step("reading")
+        from tau_dyn.log import check_log, read_log
+        from tau_dyn.report import print_check
+
+        robot = load_robot_from(args) if args.robot else None
+        log = read_log(args.log, args.columns)
+        checked = check_log(log, robot)
+    return Outcome(
+        result=checked.to_dict(),
+        warnings=log.warnings,
+        inputs=[Path(args.log), *([args.columns] if args.columns else []), *(robot_file(args) if args.robot else [])],
+        show=lambda console: print_check(console, log, checked),
+    )

@@ -1,0 +1,81 @@
+"""A log from the model, its controller and its sensors; `check`, `identify` and the rest read it like a recorded one."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, progress, robot_file
+
+HELP = "a log from the model, its controller and sensors"
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_robot(parser)
+    parser.add_argument(
+        "--motion",
+        metavar="M",
+        default="fourier",
+        help="fourier (default), slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT",
+    )
+    parser.add_argument("--duration", metavar="S", type=float, default=60.0, help="length of a named motion (default 60 s)")
+    parser.add_argument("--out", metavar="LOG.csv", type=Path, required=True, help="write the log here")
+    truth = parser.add_mutually_exclusive_group()
+    truth.add_argument("--effects", metavar="E.yaml", type=Path, help="effects and parameter values of the true robot")
+    truth.add_argument("--model", metavar="FILE", type=Path, help="simulate this model file instead of the nominal robot")
+    sensors = parser.add_argument_group("controller and sensors")
+    sensors.add_argument("--rate", metavar="HZ", type=float, default=1000.0, help="control rate (default 1000)")
+    sensors.add_argument("--log-rate", metavar="HZ", type=float, help="log rate, the control rate over a whole number")
+    sensors.add_argument("--force-noise", metavar="N", type=float, default=5.0, help="standard deviation [N or N m] (default 5)")
+    sensors.add_argument("--force-colour", metavar="PHI", type=float, default=0.0, help="AR(1) coefficient of the force noise")
+    sensors.add_argument("--encoder-noise", metavar="M", type=float, default=5e-6, help="[m or rad] (default 5e-6)")
+    sensors.add_argument("--encoder-resolution", metavar="M", type=float, default=0.0, help="[m or rad] (default none)")
+    sensors.add_argument("--tool-noise", metavar="M", type=float, default=0.0, help="tool position noise [m]")
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Simulate."""
+    with progress(args.quiet) as step:
+        step("loading")
+        from tau_dyn.identify import build_model
+        from tau_dyn.model import Model
+        from tau_dyn.simulate import Sensors, Trajectory, named_motion, read_effects_file, simulate
+
+        robot = load_robot_from(args)
+        if args.effects:
+            model = read_effects_file(args.effects, robot)
+        else:
+            model = build_model(robot, args.model) if args.model else Model.of(robot)
+        if Path(args.motion).suffix:
+            motion = Trajectory.from_csv(args.motion, robot.actuated)
+        else:
+            motion = named_motion(args.motion, model, args.duration, args.seed)
+        sensors = Sensors(
+            encoder_noise=args.encoder_noise,
+            encoder_resolution=args.encoder_resolution,
+            force_noise=args.force_noise,
+            force_ar=(args.force_colour,) if args.force_colour else (),
+            tool_noise=args.tool_noise,
+            log_rate_hz=args.log_rate,
+        )
+        log = simulate(
+            model,
+            motion,
+            sensors=sensors,
+            seed=args.seed,
+            rate_hz=args.rate,
+            name=args.out.name,
+            progress=lambda share: step(f"simulating {100 * share:.0f} %"),
+        )
+    given = [args.effects, args.model, Path(args.motion)]
+    return Outcome(
+        result={"n_samples": log.n_samples, "duration_s": log.duration, "rate_hz": log.rate_hz, "out": str(args.out)},
+        warnings=[*robot.warnings, *log.warnings],
+        inputs=[*robot_file(args), *(p for p in given if p is not None and p.is_file())],
+        show=lambda console: console.print(
+            f"{log.duration:.4g} s of {robot.name} at {log.rate_hz:g} Hz -> {args.out}", markup=False
+        ),
+        files={args.out: log.to_csv},
+    )

@@ -1,0 +1,78 @@
+"""Feedforward forces from a model: `tau = f(q, v, a)`, with a sign of velocity that no drive chatters on.
+
+A friction law jumps at zero velocity; a drive fed with that jump shakes. Two smooth signs are offered, both over a width
+`w` [m/s or rad/s]: `tanh`, `s(v) = tanh(2 v / w)`, and the piecewise-linear `ramp`, `s(v) = v / w` clipped to [-1, 1] (Dressler
+2012, Figure 3.6). Outside the width the ramp is the identified law exactly; inside, friction is under-compensated, never
+over-compensated, so the feedback is not asked to fight it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.model import Model
+
+SHAPES = ("ramp", "tanh")
+
+
+class Feedforward:
+    """Actuator forces of a model for a controller.
+
+    Attributes:
+        model: The model.
+        width: Speed over which the sign changes, one a joint (na,) [m/s or rad/s].
+        shape: 'ramp' or 'tanh'.
+    """
+
+    def __init__(self, model: Model, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> None:
+        """Prepare a model for use.
+
+        Args:
+            model: The identified model.
+            width: Half-width of the transition around zero velocity [m/s or rad/s]: a number or one a joint (na,).
+            shape: 'ramp' (piecewise linear) or 'tanh'.
+
+        Raises:
+            UnknownName: The shape is neither.
+            InputError: A width that is not positive.
+        """
+        if shape not in SHAPES:
+            raise UnknownName("shape of the smoothed sign", shape, SHAPES)
+        widths = np.broadcast_to(np.asarray(width, float), (model.robot.na,)).copy()
+        if not np.all(np.isfinite(widths) & (widths > 0)):
+            raise InputError(f"the width of the smoothed sign must be a positive speed, not {width}")
+        self.model, self.width, self.shape = model, widths, shape
+
+    @classmethod
+    def load(cls, path: str | Path, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> Feedforward:
+        """Load from a model file that `identify` wrote; see `__init__` for the rest."""
+        return cls(Model.load(path), width=width, shape=shape)
+
+    def __call__(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return actuator forces [N or N m].
+
+        Args:
+            q: Actuated positions (na,) or (N, na) [m or rad].
+            v: Velocities, the same shape.
+            a: Accelerations, the same shape.
+
+        Returns:
+            Forces in the shape of `q`.
+
+        Raises:
+            InputError: Shapes that do not fit the robot, or a position it cannot reach.
+        """
+        q, v, a = (np.asarray(x, float) for x in (q, v, a))
+        if q.shape != v.shape or q.shape != a.shape or q.ndim not in (1, 2) or q.shape[-1] != self.model.robot.na:
+            joints = ", ".join(self.model.robot.actuated)
+            raise InputError(f"q, v and a must have one shape, ({self.model.robot.na},) or (N, {self.model.robot.na}) for {joints}")
+        many = [np.atleast_2d(x) for x in (q, v, a)]
+        return self.model.torque(*many, sign=self.smooth_sign(many[1])).reshape(q.shape)
+
+    def smooth_sign(self, v: np.ndarray) -> np.ndarray:
+        """Return the smoothed direction of motion (N, na), in [-1, 1]."""
+        share = np.asarray(v, float) / self.width
+        return np.clip(share, -1, 1) if self.shape == "ramp" else np.tanh(2 * share)

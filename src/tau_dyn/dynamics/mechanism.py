@@ -1,0 +1,81 @@
+"""What every mechanism answers, in actuated coordinates: `tau_a = M(q) a + h(q, v) = Y(q, v, a) theta`.
+
+All later rooms talk to this interface and never ask whether there are loops. `theta` are `robot.parameters`, inertial
+numbers first, then drive inertia, then gravity-only mass; none of it contains friction, which is an effect.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.robot import Robot
+
+SINGULAR = 1e4
+"""Conditioning of the closure above which a warning is due; double precision loses half its digits at 1e8."""
+
+
+class Mechanism(ABC):
+    """Rigid-body dynamics of one robot with its `robot.parameters`, in actuated coordinates."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Prepare for a robot and the values of its parameters."""
+        self.robot = robot
+
+    @abstractmethod
+    def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return `Y` (N, na, p): actuated forces per unit of each parameter.
+
+        Args:
+            q: Actuated positions (N, na) [m or rad].
+            v: Actuated velocities (N, na).
+            a: Actuated accelerations (N, na).
+
+        Raises:
+            LoopClosureError: The robot cannot reach a position.
+        """
+
+    @abstractmethod
+    def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `M` (na, na) and `h` (na,) of one sample, so that `tau = M a + h` without friction."""
+
+    @abstractmethod
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's position in the base frame (N, 3) [m] for actuated positions (N, na)."""
+
+    @abstractmethod
+    def condition(self, q: np.ndarray) -> np.ndarray:
+        """Return the closure's conditioning (N,) for actuated positions (N, na); 1 without loops."""
+
+    def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the actuated forces (N, na) [N or N m] of the rigid robot at its parameters' values."""
+        return self.regressor(q, v, a) @ self.robot.parameters.values
+
+    def forward_dynamics(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Return the actuated accelerations (na,) of one sample under forces `tau` (na,)."""
+        M, h = self.mass_and_bias(q, v)
+        return np.linalg.solve(M, tau - h)
+
+    def singularity_warnings(self, q: np.ndarray) -> tuple[str, ...]:
+        """Return a sentence if some of these positions (N, na) are near a singularity of the loops."""
+        condition = self.condition(q)
+        worst = int(np.argmax(condition))
+        if not condition[worst] > SINGULAR:
+            return ()
+        share = 100 * np.mean(condition > SINGULAR)
+        place = ", ".join(f"{j} = {x:.4g}" for j, x in zip(self.robot.actuated, np.atleast_2d(q)[worst], strict=True))
+        return (
+            f"the mechanism is near a singularity at {place} (condition number {condition[worst]:.3g}, "
+            f"{share:.2g} % of the samples above {SINGULAR:g}); forces there are not trustworthy",
+        )
+
+    def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return arrays as (N, na) floats, or say which shape was expected."""
+        checked = tuple(np.atleast_2d(np.asarray(x, float)) for x in arrays)
+        for x in checked:
+            if x.shape != checked[0].shape or x.shape[1] != self.robot.na:
+                joints = ", ".join(self.robot.actuated)
+                raise InputError(f"expected arrays of shape (N, {self.robot.na}) for {joints}, not {x.shape}")
+        return checked

@@ -1,0 +1,52 @@
+"""Coulomb and viscous friction of the drives, symmetric or with coefficients of its own in each direction.
+
+    symmetric    tau = Fc sign(v) + Fv v
+    asymmetric   tau = +Fc_pos + Fv_pos v for v > 0,   -Fc_neg + Fv_neg v for v < 0
+
+Asymmetric Coulomb friction with one viscous coefficient equals symmetric friction with a constant offset:
+`Fc_pos = Fc + offset`, `Fc_neg = Fc - offset`. Data cannot tell the two apart. Where the sign is smoothed, the two
+directions' laws are mixed in proportion. Reference: Dressler 2012, (6.8)-(6.9) and Table 6.1; Khalil & Dombre 2002, 9.6.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.effects.effect import JointwiseEffect
+
+
+class SymmetricFriction(JointwiseEffect):
+    """Coulomb and viscous friction, the same in both directions."""
+
+    name = "symmetric_friction"
+    equation = "tau = coulomb sign(v) + viscous v"
+    quantities = (("coulomb", "F"), ("viscous", "F/(V)"))
+
+    def per_joint(self, v: np.ndarray, sign: np.ndarray) -> list[np.ndarray]:
+        """Return `sign(v)` and `v`."""
+        return [sign, v]
+
+
+class AsymmetricFriction(JointwiseEffect):
+    """Coulomb and viscous friction with coefficients of its own in each direction."""
+
+    name = "asymmetric_friction"
+    equation = "tau = coulomb_pos + viscous_pos v (v > 0), -coulomb_neg + viscous_neg v (v < 0)"
+    quantities = (("coulomb_pos", "F"), ("coulomb_neg", "F"), ("viscous_pos", "F/(V)"), ("viscous_neg", "F/(V)"))
+
+    def per_joint(self, v: np.ndarray, sign: np.ndarray) -> list[np.ndarray]:
+        """Return each direction's law, weighted by how much the joint moves that way."""
+        forward, backward = (1 + sign) / 2, (1 - sign) / 2
+        return [forward, -backward, v * forward, v * backward]
+
+
+class TorqueOffset(JointwiseEffect):
+    """A constant force, such as an amplifier's or a balancer's."""
+
+    name = "torque_offset"
+    equation = "tau = offset"
+    quantities = (("offset", "F"),)
+
+    def per_joint(self, v: np.ndarray, sign: np.ndarray) -> list[np.ndarray]:
+        """Return one."""
+        return [np.ones_like(v)]

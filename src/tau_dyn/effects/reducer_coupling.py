@@ -1,0 +1,55 @@
+"""Two joints that share a reducer: a motor turns with the sum of two joints' motion and loads both.
+
+    tau_i += F,  tau_j += F,   F = inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)
+
+Robot wrists are often built so (joints 5 and 6 of the Staubli TX40). Reference: Gautier & Venture 2013; the motor's own
+drive terms stand beside each joint's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from tau_dyn.effects.effect import Effect, Motion
+from tau_dyn.exceptions import InputError
+from tau_dyn.parameters import Parameter, Parameters
+
+
+class ReducerCoupling(Effect):
+    """Drive inertia and friction of a motor that turns with the sum of two joints."""
+
+    name = "reducer_coupling"
+    equation = "tau_i, tau_j += inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)"
+
+    def __init__(self, joints: Iterable[str], units: Iterable[str]) -> None:
+        """Couple exactly two joints, whose forces are in these units."""
+        super().__init__(joints, units)
+        if len(self.joints) != 2:
+            raise InputError(f"reducer_coupling joins two joints, not {len(self.joints)}")
+
+    @property
+    def parameters(self) -> Parameters:
+        """Return inertia, viscous and Coulomb friction of the shared motor, named after both joints."""
+        owner = "+".join(self.joints)
+        unit = self.units[self.joints[0]]
+        return Parameters(
+            Parameter(f"{owner}.{quantity}", 0.0, text, 0.0, origin=self.name)
+            for quantity, text in (("inertia", f"{unit} s^2/rad"), ("viscous", f"{unit}/(rad/s)"), ("coulomb", unit))
+        )
+
+    def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
+        """Return the shared motor's speed, whose sign its friction follows."""
+        i, j = self._indices(motion)
+        return [(motion.v[:, i] + motion.v[:, j], [i, j])]
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, 3)."""
+        i, j = self._indices(motion)
+        v = motion.v[:, i] + motion.v[:, j]
+        # a given (smoothed) sign is each joint's own; the motor's is that of the summed speed
+        force = np.stack([motion.a[:, i] + motion.a[:, j], v, np.sign(v)], axis=1)
+        out = np.zeros((*motion.v.shape, 3))
+        out[:, i], out[:, j] = force, force
+        return out

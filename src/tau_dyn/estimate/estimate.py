@@ -1,0 +1,77 @@
+"""What an estimation knows about its answer: values, uncertainty, what could not be seen, and where physics held it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.estimate.base import BaseParameters
+from tau_dyn.estimate.noise import Autoregression
+from tau_dyn.estimate.regression import Regression
+from tau_dyn.parameters import Parameters
+
+DETERMINED = 0.30
+"""Relative standard error below which a parameter counts as determined."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A solved `Regression`.
+
+    Attributes:
+        regression: The problem.
+        parameters: Values that predict best within physics, with `stderr` where the data identify a parameter alone.
+        base: Base parameters of the data.
+        beta: Their estimates (r,), after any constraint.
+        beta_plain: Their least-squares estimates without constraints (r,).
+        cov: Covariance of `beta_plain` (r, r).
+        structural: Base parameters any motion could show; None where no such study was given.
+        cond: Condition number of the base columns at unit norm.
+        noise: Noise model of each output's residual.
+        sigma: Residual deviation of each output (m,), the weights.
+        moved: Names of what a constraint holds away from the plain estimate, with the plain value.
+    """
+
+    regression: Regression
+    parameters: Parameters
+    base: BaseParameters
+    beta: np.ndarray
+    beta_plain: np.ndarray
+    cov: np.ndarray
+    structural: BaseParameters | None
+    cond: float
+    noise: tuple[Autoregression, ...]
+    sigma: np.ndarray
+    moved: Mapping[str, float]
+
+    @property
+    def theta(self) -> np.ndarray:
+        """All parameters (p,), in the regression's column order."""
+        return self.parameters.values
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors of the base parameters (r,)."""
+        return np.sqrt(np.diag(self.cov))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation of the base parameters (r, r)."""
+        scale = np.outer(self.stderr, self.stderr)
+        return self.cov / np.where(scale > 0, scale, 1.0)
+
+    def residuals(self) -> list[np.ndarray]:
+        """Return measured minus predicted for each run (n, m)."""
+        return self.regression.residuals(self.theta)
+
+    def identifiable(self, name: str) -> bool:
+        """Return whether some motion could show this parameter by itself."""
+        base = self.structural or self.base
+        return name in base.names and bool(base.alone[base.names.index(name)])
+
+    def determined(self, name: str) -> bool:
+        """Return whether these data tell the parameter to within 30 % of its value."""
+        p = self.parameters[name]
+        return p.stderr is not None and p.stderr < DETERMINED * abs(p.value)

@@ -1,0 +1,163 @@
+r"""Weighted least squares on base parameters, each output weighted by its own noise.
+
+    minimise  sum_j || (y_j - W_j theta) / sigma_j ||^2
+
+`sigma_j` is output j's residual deviation; estimate and weights take turns until they agree. A parameter known beforehand
+with an uncertainty is one more row. Covariances hold under coloured noise (`noise.py`), bounds and physics come after
+(`consistent.py`). Reference: Gautier & Poignet 2001, Extended Kalman filtering and weighted least squares dynamic
+identification of robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.estimate.base import BaseParameters, find_base
+from tau_dyn.estimate.consistent import solve_consistent
+from tau_dyn.estimate.estimate import Estimate
+from tau_dyn.estimate.noise import robust_covariance
+from tau_dyn.estimate.physics import Physics
+from tau_dyn.estimate.regression import Regression
+from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.parameters import Parameters
+
+_ROUNDS = 20
+
+
+def solve_least_squares(
+    regression: Regression,
+    *,
+    physics: Physics | None = None,
+    structural: BaseParameters | None = None,
+    gains: Mapping[str, float] | None = None,
+) -> Estimate:
+    """Estimate the free parameters of a regression.
+
+    Args:
+        regression: The problem; fixed parameters keep their values, those with `prior_stderr` are measured beforehand.
+        physics: What makes a parameter vector physical; None for bounds alone.
+        structural: Base parameters that any motion could show, for telling a dull motion from a blind robot.
+        gains: Relative standard deviation of an output's scale (a motor constant), by output name; carried through.
+
+    Raises:
+        CannotAnswer: Fewer usable samples than parameters.
+    """
+    rows = _rows(regression)
+    base = find_base(np.concatenate([rows.W, rows.prior_W]), rows.names)
+    if base.rank == 0 or len(rows.y) <= base.rank:
+        raise CannotAnswer(
+            f"only {len(rows.y)} usable samples for {max(base.rank, 1)} parameters",
+            "record a longer motion that moves every joint in both directions",
+        )
+    beta, sigma = _iterate(rows, base, len(regression.outputs))
+    weighted, y = rows.weighted(sigma, base)
+    R = np.linalg.qr(weighted, mode="r")
+    C = np.linalg.inv(R.T @ R)
+    W_runs = [run.W[:, :, rows.free][:, :, base.kept] / sigma[None, :, None] for run in regression.runs]
+    e_runs = [(run.y - run.W @ _full(regression.parameters, rows, base, beta)) / sigma for run in regression.runs]
+    cov, noise = robust_covariance(regression, W_runs, e_runs, C)
+    cov = cov + C @ (rows.prior_W[:, base.kept].T @ rows.prior_W[:, base.kept]) @ C
+    for k, output in enumerate(regression.outputs):
+        if gains and gains.get(output):
+            mine = np.concatenate([rows.index == k, np.zeros(len(rows.prior_y), bool)])
+            shift = C @ (weighted[mine].T @ y[mine])
+            cov = cov + gains[output] ** 2 * np.outer(shift, shift)
+    constrained = solve_consistent(regression.parameters, base, beta, _root_information(cov), physics)
+    return Estimate(
+        regression=regression,
+        parameters=_with_stderr(constrained.parameters, base, np.sqrt(np.diag(cov))),
+        base=base,
+        beta=base.combine(constrained.parameters.select(base.names).values),
+        beta_plain=beta,
+        cov=cov,
+        structural=structural,
+        cond=float(np.linalg.cond(weighted / np.linalg.norm(weighted, axis=0))),
+        noise=tuple(noise),
+        sigma=sigma,
+        moved=constrained.moved,
+    )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Usable rows of the free columns, fixed ones subtracted, and prior knowledge as rows of unit noise."""
+
+    names: tuple[str, ...]
+    free: np.ndarray
+    W: np.ndarray
+    y: np.ndarray
+    index: np.ndarray
+    prior_W: np.ndarray
+    prior_y: np.ndarray
+
+    def weighted(self, sigma: np.ndarray, base: BaseParameters) -> tuple[np.ndarray, np.ndarray]:
+        """Return all rows at unit noise, base columns only: (N, r) and (N,)."""
+        scale = sigma[self.index]
+        return (
+            np.concatenate([self.W[:, base.kept] / scale[:, None], self.prior_W[:, base.kept]]),
+            np.concatenate([self.y / scale, self.prior_y]),
+        )
+
+
+def _rows(regression: Regression) -> _Rows:
+    parameters = regression.parameters
+    free = parameters.free
+    names = tuple(n for n, f in zip(parameters.names, free, strict=True) if f)
+    W, y, index = regression.stacked()
+    y = y - W[:, ~free] @ parameters.values[~free]
+    known = [(k, p) for k, p in enumerate(parameters.select(names)) if p.prior_stderr]
+    prior_W = np.zeros((len(known), len(names)))
+    for row, (column, p) in zip(prior_W, known, strict=True):
+        row[column] = 1 / float(p.prior_stderr or 1.0)
+    prior_y = np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
+    return _Rows(names, free, W[:, free], y, index, prior_W, prior_y)
+
+
+def _iterate(rows: _Rows, base: BaseParameters, n_outputs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Alternate between estimate and weights; return base estimates (r,) and each output's residual deviation."""
+    sigma = np.array([np.std(rows.y[rows.index == k]) if np.any(rows.index == k) else 1.0 for k in range(n_outputs)])
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    floor = 1e-9 * sigma
+    beta = np.zeros(base.rank)
+    for _ in range(_ROUNDS):
+        before = sigma
+        W, y = rows.weighted(sigma, base)
+        norm = np.linalg.norm(W, axis=0)
+        beta = np.linalg.lstsq(W / norm, y, rcond=None)[0] / norm
+        e = rows.y - rows.W[:, base.kept] @ beta
+        share = base.rank / max(len(rows.y), 1)
+        spread = [
+            np.sqrt(np.mean(e[rows.index == k] ** 2) / (1 - share)) if np.any(rows.index == k) else 1.0
+            for k in range(n_outputs)
+        ]
+        sigma = np.maximum(spread, floor)
+        if np.allclose(sigma, before, rtol=1e-6):
+            break
+    return beta, sigma
+
+
+def _full(parameters: Parameters, rows: _Rows, base: BaseParameters, beta: np.ndarray) -> np.ndarray:
+    """Return a full vector that predicts as the base estimates do (the dropped columns at zero)."""
+    theta = parameters.values
+    free = np.zeros(len(rows.names))
+    free[base.kept] = beta
+    theta[rows.free] = free
+    return theta
+
+
+def _root_information(cov: np.ndarray) -> np.ndarray:
+    """Return R (r, r) with `R' R = cov^-1`, through unit scales as coefficients differ by orders of magnitude."""
+    scale = np.sqrt(np.diag(cov))
+    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+    return (vectors / np.sqrt(np.maximum(values, 1e-14 * values.max()))).T / scale
+
+
+def _with_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:
+    """Attach standard errors to the parameters that are base parameters by themselves."""
+    alone = base.alone[base.kept]
+    changes = {base.names[c]: {"stderr": float(s)} for c, s, a in zip(base.kept, stderr, alone, strict=True) if a}
+    changes.update({p.name: {"stderr": None} for p in parameters if p.name not in changes})
+    return parameters.update(changes)

@@ -1,0 +1,50 @@
+"""Faults as sentences: every error a user can cause says what is wrong and what would be right.
+
+The command line prints the sentence and leaves with the class' `exit_status`: 2 for faulty input, 3 for data that
+cannot answer, 1 for a defect of ours.
+"""
+
+from __future__ import annotations
+
+
+class TauDynError(Exception):
+    """Base of every error this package raises on purpose."""
+
+    exit_status = 1
+
+    def __str__(self) -> str:
+        """Return the sentence itself (a KeyError would quote it)."""
+        return str(self.args[0]) if self.args else ""
+
+
+class InputError(TauDynError, ValueError):
+    """The input is at fault; the message names the place and what would be right."""
+
+    exit_status = 2
+
+
+class UnknownName(InputError, KeyError):
+    """A name that does not exist; the message lists those that do."""
+
+    def __init__(self, kind: str, name: str, known: object, where: str = "") -> None:
+        """Build the sentence from the kind of thing, the name asked for, and the names that exist."""
+        names = [str(k) for k in known]  # type: ignore[attr-defined]
+        listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+        there_are = f"there are {listed}" if names else "there are none"
+        super().__init__(f"{where + ': ' if where else ''}no {kind} named '{name}'; {there_are}")
+
+
+class LoopClosureError(InputError):
+    """A kinematic loop cannot be closed at the given actuated positions."""
+
+
+class CannotAnswer(TauDynError):
+    """The data are sound but cannot answer the question; carries what is missing and the experiment that would tell."""
+
+    exit_status = 3
+
+    def __init__(self, missing: str, experiment: str) -> None:
+        """Keep both halves of the sentence: what is missing, and the experiment that would give it."""
+        self.missing = missing
+        self.experiment = experiment
+        super().__init__(f"{missing}; {experiment}")

@@ -1,0 +1,20 @@
+"""Torque logs -> masses and friction."""
+
+from tau_dyn.identify.choices import Choices
+from tau_dyn.identify.errors import ForceErrors, force_errors
+from tau_dyn.identify.identify import build_model, identify
+from tau_dyn.identify.preparation import Preparation, choose_preparation
+from tau_dyn.identify.regression import build_regression
+from tau_dyn.identify.result import Identification
+
+__all__ = [
+    "Choices",
+    "ForceErrors",
+    "Identification",
+    "Preparation",
+    "build_model",
+    "build_regression",
+    "choose_preparation",
+    "force_errors",
+    "identify",
+]

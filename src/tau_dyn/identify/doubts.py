@@ -1,0 +1,113 @@
+"""What an estimate should not be believed about, in sentences, and which descriptions the data cannot tell apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.estimate import Estimate
+
+_ILL_CONDITIONED = 200.0
+_CORRELATED = 0.99
+
+
+def doubts(estimate: Estimate) -> list[str]:
+    """Return a sentence for each thing about the estimate that a reader must know before using it."""
+    return [
+        *_moved(estimate),
+        *_at_bound(estimate),
+        *_unseen(estimate),
+        *_undetermined(estimate),
+        *_conditioning(estimate),
+    ]
+
+
+def equivalences(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the descriptions that fit exactly as well as the one reported."""
+    found = []
+    for joint in joints:
+        names = [f"{joint}.{q}" for q in ("coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg")]
+        if not all(n in estimate.parameters for n in names):
+            continue
+        fc_pos, fc_neg, fv_pos, fv_neg = (estimate.parameters[n] for n in names)
+        both = np.hypot(fv_pos.stderr or 0.0, fv_neg.stderr or 0.0)
+        one_viscous = both > 0 and abs(fv_pos.value - fv_neg.value) < 2 * both
+        mean, half = (fc_pos.value + fc_neg.value) / 2, (fc_pos.value - fc_neg.value) / 2
+        unit = fc_pos.unit
+        text = f"{joint}: Coulomb friction {fc_pos.value:.4g} / {fc_neg.value:.4g} {unit} is the same as {mean:.4g} {unit} in "
+        text += f"both directions with a constant offset of {half:+.3g} {unit}; no force log can tell which it is"
+        if one_viscous:
+            text += "; one viscous coefficient would do"
+        found.append(text)
+    return tuple(found)
+
+
+def _moved(estimate: Estimate) -> list[str]:
+    bodies = [name.removesuffix(" inertia") for name in estimate.moved if name.endswith(" inertia")]
+    found = [_held_by_physics(estimate, bodies)] if bodies else []
+    for name, plain in estimate.moved.items():
+        if name.endswith(" inertia"):
+            continue
+        p = estimate.parameters[name]
+        found.append(
+            f"{name}: plain least squares gives {plain:.4g} {p.unit}, outside what is admissible; the constraint holds it at "
+            f"{p.value:.4g} {p.unit} and moves the other parameters with it (some force is not in the model, or the motion is dull)"
+        )
+    return found
+
+
+def _held_by_physics(estimate: Estimate, bodies: list[str]) -> str:
+    """Say which bodies had to be made physical, and whether the data mind."""
+    shift = np.abs(estimate.beta - estimate.beta_plain) / np.where(estimate.stderr > 0, estimate.stderr, np.inf)
+    worst = int(np.argmax(shift))
+    text = f"no mass distribution has the plain least-squares inertia of {', '.join(bodies)}; the estimate is the nearest that "
+    text += f"exists, which moves {estimate.base.names[estimate.base.kept[worst]]} most, by {shift[worst]:.2g} standard errors"
+    return text if shift[worst] < 3 else text + " (some force is not in the model, or the noise is underrated)"
+
+
+def _at_bound(estimate: Estimate) -> list[str]:
+    at = [
+        p.name
+        for p in estimate.parameters
+        if p.free and p.at_bound and p.stderr is not None and p.name not in estimate.moved
+    ]
+    return [f"at a bound: {', '.join(at)}"] if at else []
+
+
+def _unseen(estimate: Estimate) -> list[str]:
+    """Say what the robot could show but this motion does not, and what would."""
+    structural = estimate.structural
+    if structural is None:
+        return []
+    lost = [n for n in estimate.base.names if estimate.identifiable(n) and estimate.parameters[n].stderr is None]
+    if not lost:
+        return []
+    joints = sorted({n.rsplit(".", 1)[0] for n in lost if n.rsplit(".", 1)[0] in estimate.regression.outputs})
+    remedy = f"move {', '.join(joints)}" if joints else "accelerate all joints independently of each other"
+    return [f"this motion does not show {', '.join(lost)} at all; to see them, {remedy}"]
+
+
+def _undetermined(estimate: Estimate) -> list[str]:
+    weak = [n for n in estimate.base.names if estimate.parameters[n].stderr is not None and not estimate.determined(n)]
+    if not weak:
+        return []
+    listed = ", ".join(
+        f"{n} = {estimate.parameters[n].value:.3g} +- {estimate.parameters[n].stderr:.2g} {estimate.parameters[n].unit}"
+        for n in weak[:8]
+    )
+    more = f" and {len(weak) - 8} more" if len(weak) > 8 else ""
+    return [f"not determined by these data (standard error above 30 %): {listed}{more}"]
+
+
+def _conditioning(estimate: Estimate) -> list[str]:
+    found = []
+    if estimate.cond > _ILL_CONDITIONED:
+        found.append(
+            f"the regression is ill-conditioned (condition number {estimate.cond:.3g}); single values lean on small differences"
+        )
+    correlation = np.abs(np.triu(estimate.correlation, 1))
+    for i, j in np.argwhere(correlation > _CORRELATED)[:5]:
+        a, b = estimate.base.expression(int(i)), estimate.base.expression(int(j))
+        found.append(
+            f"{a} and {b} are correlated by {estimate.correlation[i, j]:+.3f}; trust their combination, not each"
+        )
+    return found

@@ -1,0 +1,76 @@
+"""How far a model is from measured forces, by joint: rms and relative error, over the samples a fit uses and over all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.estimate import Regression
+
+
+@dataclass(frozen=True)
+class ForceErrors:
+    """Errors of predicted forces on some logs.
+
+    Attributes:
+        joints: Actuated joints.
+        rms: Residual rms of each joint over the used samples (na,) [N or N m].
+        relative_error_percent: `100 norm(residual) / norm(tau)` over the used samples of all joints.
+        per_joint_percent: The same for each joint (na,).
+        all_samples: The same three numbers without masks; None inside itself.
+        used_share: Share of the samples that the masks leave.
+    """
+
+    joints: tuple[str, ...]
+    rms: np.ndarray
+    relative_error_percent: float
+    per_joint_percent: np.ndarray
+    used_share: float
+    all_samples: ForceErrors | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        rows = zip(self.joints, self.rms, self.per_joint_percent, strict=True)
+        out: dict[str, Any] = {
+            "relative_error_percent": self.relative_error_percent,
+            "per_joint": {j: {"rms": float(r), "relative_error_percent": float(p)} for j, r, p in rows},
+        }
+        if self.all_samples is not None:
+            out |= {"used_share": self.used_share, "all_samples": self.all_samples.to_dict()}
+        return out
+
+
+def force_errors(regression: Regression, theta: np.ndarray) -> ForceErrors:
+    """Return the errors of a full parameter vector (p,) on a regression's data."""
+    residuals = regression.residuals(theta)
+    everything = [np.ones_like(run.usable) for run in regression.runs]
+    whole = _errors(regression, residuals, everything, 1.0, None)
+    return _errors(regression, residuals, [run.usable for run in regression.runs], regression.used_share, whole)
+
+
+def _errors(
+    regression: Regression,
+    residuals: list[np.ndarray],
+    masks: list[np.ndarray],
+    share: float,
+    whole: ForceErrors | None,
+) -> ForceErrors:
+    squares = np.sum([np.sum(np.where(m, e, 0.0) ** 2, axis=0) for e, m in zip(residuals, masks, strict=True)], axis=0)
+    power = np.sum(
+        [np.sum(np.where(m, r.y, 0.0) ** 2, axis=0) for r, m in zip(regression.runs, masks, strict=True)], axis=0
+    )
+    count = np.sum([m.sum(axis=0) for m in masks], axis=0)
+    return ForceErrors(
+        regression.outputs,
+        np.sqrt(squares / np.maximum(count, 1)),
+        _percent(squares.sum(), power.sum()),
+        np.array([_percent(s, p) for s, p in zip(squares, power, strict=True)]),
+        share,
+        whole,
+    )
+
+
+def _percent(squares: float, power: float) -> float:
+    return float(100 * np.sqrt(squares / power)) if power > 0 else 0.0

@@ -1,0 +1,123 @@
+"""From a model and torque logs to a `Regression`: differentiate, evaluate every column, filter both sides alike, mask.
+
+The order matters. Positions are low-passed only enough to be differentiated, and forces alike; the columns, signs
+included, are evaluated at the full rate. A gate `g` then takes out the samples at which a sign is not known (reversals,
+speeds within the noise) or that the user excludes, *before* the low-pass `F` that both sides share:
+
+    y = F(g tau) / F(g),   W = F(g Y) / F(g)
+
+so that `y = W theta` stays exact and nothing leaks out of a reversal into its neighbourhood (normalised convolution,
+Knutsson & Westin 1993). Samples where less than half of the filter's weight is left are masked; the rest are decimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from tau_dyn.effects import Motion
+from tau_dyn.estimate import Regression, Run
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify.preparation import Preparation, choose_preparation
+from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, segments
+from tau_dyn.model import Model
+
+MIN_SHARE = 0.5
+"""Share of the filter's weight that must lie on usable samples."""
+
+
+def build_regression(
+    model: Model, logs: Iterable[Log], *, preparation: Preparation | None = None, exclude: tuple[str, ...] = ()
+) -> Regression:
+    """Build the regression of a model on torque logs.
+
+    Args:
+        model: Gives the columns: its robot's parameters, then its effects'.
+        logs: Logs with `q_J` and `tau_J` for every actuated joint; never joined across their ends.
+        preparation: Filters and masks; by default chosen from the logs themselves.
+        exclude: Columns whose nonzero samples are left out, where no preparation is given.
+
+    Raises:
+        InputError: A log lacks a column, or the robot cannot reach a logged position.
+        CannotAnswer: The masks leave nothing.
+    """
+    pieces = [piece for log in logs for piece in even_pieces(log)]
+    if not pieces:
+        raise InputError("no log was given")
+    preparation = preparation or choose_preparation(model.robot, pieces, exclude)
+    runs = tuple(_run(model, piece, preparation) for piece in pieces)
+    regression = Regression(
+        model.parameters, model.robot.actuated, model.robot.force_units, runs, {"preparation": preparation}
+    )
+    if regression.n_samples == 0:
+        raise CannotAnswer(
+            f"no joint moves steadily faster than its velocity noise ({_thresholds(preparation, model)})",
+            f"move {', '.join(regression.outputs)} in both directions, over several speeds, for a minute or more",
+        )
+    return regression
+
+
+def even_pieces(log: Log) -> list[Log]:
+    """Return a log's stretches without gaps, each on an even clock."""
+    return [ensure_even(piece) for piece in segments(log)]
+
+
+def _run(model: Model, log: Log, preparation: Preparation) -> Run:
+    joints = model.robot.actuated
+    rate, dt = log.rate_hz, log.dt
+    q, force = (lowpass(log.joint(x, joints), preparation.position_cutoff_hz, rate) for x in ("q", "tau"))
+    v = differentiate(q, dt, accuracy=4)
+    a = differentiate(v, dt, accuracy=4)
+    gate = _gate(log, Motion.of(joints, q, v, a), model, preparation)
+    factor = preparation.factor(rate)
+
+    def passed(x: np.ndarray) -> np.ndarray:
+        return decimate(lowpass(x, preparation.force_cutoff_hz, rate), factor)
+
+    share = passed(gate)
+    usable = share > MIN_SHARE
+    edge = int(np.ceil(edge_samples(preparation.force_cutoff_hz, rate) / factor))
+    usable[:edge] = usable[len(usable) - edge :] = False
+    weight = np.where(usable, share, 1.0)
+    y = passed(gate * force) / weight
+    W = passed(gate[:, :, None] * model.regressor(q, v, a)) / weight[:, :, None]
+    signals = {"q": decimate(q, factor), "v": decimate(v, factor), "a": decimate(a, factor)}
+    return Run(log.name, decimate(log.t, factor), W, y, usable, signals)
+
+
+def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> np.ndarray:
+    """Return 1 where each joint's sample may be used and 0 where not (N, na), at the log's own rate."""
+    threshold = preparation.speed_threshold
+    shut = np.column_stack([_unsure(motion.v[:, k], threshold[k]) for k in range(len(threshold))])
+    for effect in model.effects:
+        for speed, indices in effect.other_speeds(motion):
+            shut[:, indices] |= _unsure(speed, float(np.hypot.reduce(threshold[indices])))[:, None]
+    shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
+    half = int(np.ceil(preparation.window_s * log.rate_hz))
+    return 1.0 - binary_dilation(shut, np.ones((2 * half + 1, 1), bool))
+
+
+def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:
+    """Return where a speed (N,) has no sure sign: too slow, or just reversed."""
+    unsure = np.abs(speed) < threshold
+    unsure[1:] |= np.sign(speed[1:]) != np.sign(speed[:-1])
+    return unsure
+
+
+def excluded(log: Log, joints: tuple[str, ...], effort_limit: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
+    """Return saturated samples and those a column flags with anything but zero (N, na)."""
+    bad = np.abs(log.joint("tau", joints)) >= 0.999 * effort_limit
+    for column in columns:
+        if column not in log.channels:
+            raise InputError(f"{log.name} has no column {column} to exclude samples by")
+        bad |= (log.channels[column] != 0)[:, None]
+    return bad
+
+
+def _thresholds(preparation: Preparation, model: Model) -> str:
+    units = model.robot.position_units
+    return ", ".join(
+        f"{j} {x:.2g} {u}/s" for j, x, u in zip(model.robot.actuated, preparation.speed_threshold, units, strict=True)
+    )

@@ -1,0 +1,127 @@
+"""What `identify` answers, and its JSON form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tau_dyn.estimate import Estimate, Regression
+from tau_dyn.identify.errors import ForceErrors
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
+
+_Z95 = 1.959964
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Identified parameters and how far to trust them.
+
+    Attributes:
+        model: The model at its identified values; save it, simulate it, feed it forward.
+        estimate: The solved regression.
+        train: Errors on the training logs.
+        holdout: Errors on data used for nothing else; None where there were none.
+        holdout_how: How the held-out errors were had, in words.
+        held: The held-out regression, for plots.
+        nominal: All parameters before the fit.
+        friction: Name of the friction model; empty for a model file.
+        warnings: What is doubtful, one sentence each.
+        equivalent: Descriptions the data cannot tell apart.
+        seed: Seed of whatever was random.
+    """
+
+    model: Model
+    estimate: Estimate
+    train: ForceErrors
+    holdout: ForceErrors | None
+    holdout_how: str
+    held: Regression | None
+    nominal: Parameters
+    friction: str
+    warnings: tuple[str, ...]
+    equivalent: tuple[str, ...]
+    seed: int
+
+    @property
+    def parameters(self) -> Parameters:
+        """Identified parameters."""
+        return self.estimate.parameters
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the parameter table in the contract's form; what cannot be identified alone shows its nominal value."""
+        return [self._row(p) for p in self.estimate.parameters if p.free]
+
+    def base_rows(self) -> list[dict[str, Any]]:
+        """Return the base parameters with their expressions."""
+        base, rows = self.estimate.base, []
+        for k, (column, value, sigma) in enumerate(
+            zip(base.kept, self.estimate.beta, self.estimate.stderr, strict=True)
+        ):
+            p = self.estimate.parameters[base.names[column]]
+            nominal = float(base.combine(self.nominal.select(base.names).values)[k])
+            row = {"name": p.name, "expression": base.expression(k), "value": float(value), "unit": p.unit}
+            rows.append(row | _uncertainty(float(value), float(sigma)) | {"identifiable": True, "nominal": nominal})
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's JSON result, without what the command adds (version, inputs, status)."""
+        fixed = [p for p in self.estimate.parameters if not p.free]
+        return {
+            "seed": self.seed,
+            "warnings": list(self.warnings),
+            "model": self.friction or "file",
+            "parameters": self.rows(),
+            "fixed_parameters": [{"name": p.name, "value": p.value, "unit": p.unit, "origin": p.origin} for p in fixed],
+            "base_parameters": self.base_rows(),
+            "correlation": self.estimate.correlation.tolist(),
+            "equivalent_descriptions": list(self.equivalent),
+            "train": self.train.to_dict(),
+            "holdout": None if self.holdout is None else self.holdout.to_dict(),
+            "holdout_how": self.holdout_how,
+            "condition_number": self.estimate.cond,
+            "rank": self.estimate.base.rank,
+            "n_samples": self.estimate.regression.n_samples,
+            "preparation": self.estimate.regression.settings["preparation"].to_dict(),
+        }
+
+    def _row(self, p: Parameter) -> dict[str, Any]:
+        before = self.nominal[p.name]
+        seen = p.stderr is not None
+        value = p.value if seen else before.value
+        trusted = not self._is_friction(p.name)
+        row: dict[str, Any] = {"name": p.name, "value": value, "unit": p.unit}
+        row |= _uncertainty(value, p.stderr)
+        row |= {
+            "identifiable": self.estimate.identifiable(p.name),
+            "nominal": before.value if trusted else None,
+            "nominal_stderr": _nominal_stderr(before) if trusted else None,
+            "at_bound": seen and p.at_bound,
+        }
+        if not seen:
+            row["depends_on"] = list(self._depends_on(p.name))
+        return row
+
+    def _depends_on(self, name: str) -> tuple[str, ...]:
+        base = self.estimate.base
+        return base.depends_on(base.names.index(name)) if name in base.names else ()
+
+    def _is_friction(self, name: str) -> bool:
+        return name in self.model.effect_parameters and bool(self.friction)
+
+
+def _uncertainty(value: float, stderr: float | None) -> dict[str, Any]:
+    if stderr is None:
+        return {"stderr": None, "ci95": None, "determined": False}
+    return {
+        "stderr": stderr,
+        "ci95": [value - _Z95 * stderr, value + _Z95 * stderr],
+        "determined": bool(stderr < 0.3 * abs(value)),
+    }
+
+
+def _nominal_stderr(p: Parameter) -> float | None:
+    if p.prior_stderr is not None:
+        return p.prior_stderr
+    return NOMINAL_MASS_STDERR * abs(p.value) if p.name.endswith(".mass") else None

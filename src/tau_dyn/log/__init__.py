@@ -1,0 +1,40 @@
+"""Recordings: files and column maps in, `Log` out; an even clock, filters, and a judgement of what was recorded."""
+
+from tau_dyn.log.band import MotionBand, motion_band
+from tau_dyn.log.check import check_log
+from tau_dyn.log.column_map import ColumnMap
+from tau_dyn.log.filtering import decimate, differentiate, edge_samples, lowpass, reversals, speed_mask
+from tau_dyn.log.findings import Finding, LogCheck
+from tau_dyn.log.log import Log
+from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
+from tau_dyn.log.read import read_log
+from tau_dyn.log.resample import ensure_even, examine_clock, segments
+from tau_dyn.log.table import Table, read_table
+from tau_dyn.log.units import unit_warnings
+
+__all__ = [
+    "ColumnMap",
+    "Finding",
+    "Log",
+    "LogCheck",
+    "MotionBand",
+    "Table",
+    "check_log",
+    "decimate",
+    "differentiate",
+    "edge_samples",
+    "encoder_noise",
+    "ensure_even",
+    "examine_clock",
+    "lowpass",
+    "motion_band",
+    "noise_gain",
+    "quantisation_step",
+    "read_log",
+    "read_table",
+    "reversals",
+    "segments",
+    "speed_mask",
+    "unit_warnings",
+    "velocity_noise",
+]

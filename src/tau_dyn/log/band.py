@@ -1,0 +1,71 @@
+"""Where the motion of a log lives in frequency, against the encoder's own noise.
+
+The spectrum is taken of second differences of q (Welch, Blackman-Harris windows of 8 s), which keeps the motion's large slow part
+from leaking over everything else, and divided by their gain. The noise floor is the median over the upper band (0.25 to 0.49 of the
+sampling rate), where motion through a mass has died out. The motion band reaches from the spectral peak as far as the signal stays
+ten times above that floor; its edge is where 99.9 % of the *velocity's* power is reached. Acceleration would count vibration.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+
+_WINDOW_S = 8.0
+_SMOOTHING_HZ = 2.0
+_MIN_SNR = 10.0
+_POWER_SHARE = 0.999
+_NOISE_SHARE = 1e-4
+
+
+@dataclass(frozen=True)
+class MotionBand:
+    """The band of the motion of each joint.
+
+    Attributes:
+        edge_hz: Below it lies 99.9 % of the velocity's power (n,) [Hz].
+        noise_edge_hz: Below it, the acceleration's noise power is less than 1e-4 of the acceleration's power (n,) [Hz]; a
+            regressor low-passed there is not biased by its own noise.
+        encoder_noise: White-noise level of the encoder (n,), in the unit of q.
+    """
+
+    edge_hz: NDArray[np.float64]
+    noise_edge_hz: NDArray[np.float64]
+    encoder_noise: NDArray[np.float64]
+
+
+def motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
+    """Find the band of the motion in measured positions (N, n), evenly spaced and not filtered."""
+    q = np.asarray(q, dtype=np.float64)
+    acceleration = np.diff(q, 2, axis=0) * rate_hz**2
+    n = min(len(acceleration), int(_WINDOW_S * rate_hz))
+    f, power = signal.welch(acceleration, rate_hz, "blackmanharris", nperseg=n, detrend=False, axis=0)
+    gain = (2 * np.sin(np.pi * f / rate_hz)) ** 4 * rate_hz**4
+    upper = (f > 0.25 * rate_hz) & (f < 0.49 * rate_hz)
+    sigma = np.sqrt(np.median(power[upper] / gain[upper, None], axis=0) * rate_hz / 2)
+    noise = gain[:, None] * 2 * sigma**2 / rate_hz
+    columns = [_edges(f, power[:, k], noise[:, k], rate_hz / len(q)) for k in range(q.shape[1])]
+    edges = np.array(columns, dtype=np.float64).reshape(-1, 2)
+    return MotionBand(edges[:, 0], edges[:, 1], sigma)
+
+
+def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tuple[float, float]:
+    """Return the motion's edge and the noise edge of one joint."""
+    width = max(3, int(round(_SMOOTHING_HZ / f[1])))
+    ratio = _smooth(power, width) / np.maximum(_smooth(noise, width), 1e-300)
+    clean = np.clip(power - noise, 0, None)
+    velocity = np.divide(clean, (2 * np.pi * f) ** 2, out=np.zeros_like(clean), where=f > 0.5 * resolution)
+    peak = int(np.argmax(velocity))
+    below = np.flatnonzero(ratio[peak:] < _MIN_SNR)
+    top = peak + int(below[0]) if below.size else len(f)
+    if top == 0 or velocity[:top].sum() <= 0:
+        return 0.0, 0.0
+    share = np.cumsum(velocity[:top])
+    edge = f[np.searchsorted(share, _POWER_SHARE * share[-1])]
+    within = np.searchsorted(np.cumsum(noise), _NOISE_SHARE * clean[:top].sum())
+    return float(edge), float(f[min(len(f) - 1, int(within))])
+
+
+def _smooth(x: NDArray, width: int) -> NDArray:
+    return np.asarray(signal.convolve(x, np.full(width, 1 / width), "same"))

@@ -1,0 +1,84 @@
+"""Is a log fit for use? Its clock, its channels, its motion and its units, judged before anything is estimated.
+
+`check_log` asks the three siblings `check_clock.py`, `check_signals.py` and `check_motion.py`, and the robot if there
+is one. A lag between force and acceleration is not tested: it shifts estimated masses (20 ms are worth several kg) and
+friction in the same way as wrong parameters do, so only a model can tell them apart, and `diagnose` does.
+"""
+
+from typing import Any
+
+from tau_dyn.log.check_clock import check_clock
+from tau_dyn.log.check_motion import check_motion, moving_mask
+from tau_dyn.log.check_signals import check_signals
+from tau_dyn.log.findings import Finding, LogCheck
+from tau_dyn.log.log import Log
+from tau_dyn.log.names import listed
+from tau_dyn.log.resample import ensure_even, segments
+from tau_dyn.log.units import JointLimits, unit_warnings
+
+
+def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
+    """Judge whether a log is fit for identification.
+
+    Args:
+        log: A log as read. Where it has gaps, channels and motion are judged on its longest part.
+        robot: The robot it belongs to, for joints and limits; None leaves those out.
+
+    Returns:
+        Findings in the order clock, reading, columns, units, channels, motion, and the numbers behind them.
+    """
+    findings, numbers = check_clock(log)
+    findings += [
+        Finding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
+    ]
+    findings += _columns(log, robot) + _units(log, robot)
+    parts = segments(log)
+    if not parts:
+        lost = f"{log.name}: no stretch of it is without a gap."
+        return LogCheck(log.name, (*findings, Finding("fault", "gaps", lost, "Record it again.")), numbers)
+    part = ensure_even(max(parts, key=lambda p: p.n_samples))
+    joints = log.joints("q")
+    raw = max(parts, key=lambda p: p.n_samples)
+    moving = {joint: moving_mask(part, joint) for joint in joints} if part.n_samples == raw.n_samples else {}
+    for more, figures in (check_signals(raw, moving), check_motion(part)):
+        findings += more
+        numbers.update(figures)
+    findings.append(_force_lag(log))
+    return LogCheck(log.name, tuple(findings), numbers)
+
+
+def _columns(log: Log, robot: JointLimits | None) -> list[Finding]:
+    """Compare the log's columns with what identification needs."""
+    joints: Any = log.joints("q") if robot is None else tuple(robot.actuated)
+    if not joints:
+        return [
+            Finding(
+                "fault",
+                "columns",
+                f"{log.name} has no q_ column; it has {listed(log.channels)}.",
+                "Log joint positions.",
+            )
+        ]
+    findings = []
+    for signal, severity, why in (("q", "fault", "position"), ("tau", "warning", "force, and identification needs it")):
+        missing = [f"{signal}_{joint}" for joint in joints if not log.has(signal, [joint])]
+        if missing:
+            sentence = f"{log.name} has no {listed(missing)}: the joint's {why}."
+            findings.append(
+                Finding(
+                    "fault" if severity == "fault" else "warning", "columns", sentence, "Log it, or name it in a map."
+                )
+            )
+    return findings or [Finding("ok", "columns", f"{log.name} has positions and forces of {listed(joints)}.")]
+
+
+def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
+    doubts = [
+        Finding("warning", "units", sentence, "Scale it in a column map.") for sentence in unit_warnings(log, robot)
+    ]
+    return doubts or [Finding("ok", "units", f"{log.name}: positions look like m and rad.")]
+
+
+def _force_lag(log: Log) -> Finding:
+    sentence = f"{log.name}: a lag between force and motion was not tested; it takes a model, and `diagnose` tests it."
+    return Finding("ok", "synchronisation", sentence)

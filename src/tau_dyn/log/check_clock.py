@@ -1,0 +1,76 @@
+"""The clock of a log: rate, jitter, lost samples, gaps, rounded stamps, wrong units.
+
+Part of `check.py`. The measuring is in `resample.py`; here its numbers become sentences.
+"""
+
+from typing import Any
+
+from tau_dyn.log.findings import Finding
+from tau_dyn.log.log import Log
+from tau_dyn.log.resample import JITTER_LIMIT, Clock, examine_clock, gap_sentence
+
+SLOWEST_RATE = 50.0
+"""Below this rate [Hz] accelerations of a machine can hardly be had from positions."""
+
+SHORTEST = 5.0
+"""Shorter logs [s] rarely hold enough independent motion."""
+
+
+def check_clock(log: Log) -> tuple[list[Finding], dict[str, Any]]:
+    """Judge the clock of a log.
+
+    Returns:
+        Findings, and the numbers `n_samples`, `duration` [s], `rate_hz`, `jitter` (share of a step), `n_missing` and
+        `gaps` [s].
+    """
+    clock = examine_clock(log)
+    numbers = {
+        "n_samples": log.n_samples,
+        "duration": log.duration,
+        "rate_hz": 1.0 / clock.dt,
+        "jitter": clock.jitter,
+        "n_missing": clock.n_missing,
+        "gaps": [[float(log.t[i]), float(log.t[i + 1])] for i in clock.gaps],
+        "times_rounded": clock.rounded,
+    }
+    return [_rate(log, clock), _evenness(log, clock), *_gaps(log, clock)], numbers
+
+
+def _rate(log: Log, clock: Clock) -> Finding:
+    rate = 1.0 / clock.dt
+    what = f"{log.name} has {log.n_samples} samples at {rate:.6g} Hz, {log.duration:.4g} s."
+    if clock.dt >= 0.5:
+        return Finding(
+            "fault", "sampling", f"{what} Such a step reads like milliseconds.", "Give t in s (scale 0.001 in a map)."
+        )
+    if rate < SLOWEST_RATE:
+        return Finding("warning", "sampling", f"{what} That is slow for accelerations.", "Log at 250 Hz or more.")
+    if log.duration < SHORTEST:
+        return Finding("warning", "sampling", f"{what} That is short.", "Record 10 s or more of varied motion.")
+    return Finding("ok", "sampling", what)
+
+
+def _evenness(log: Log, clock: Clock) -> Finding:
+    if clock.rounded:
+        sentence = f"{log.name}: its times are an even clock written with too few digits."
+        return Finding("warning", "jitter", sentence, "Write more digits; an even clock will be used.")
+    sentence = f"{log.name}: steps differ from {clock.dt:.6g} s by up to {100 * clock.jitter:.2g} %."
+    if clock.jitter > JITTER_LIMIT:
+        return Finding("warning", "jitter", sentence, "Stamp samples in the real-time loop; the log will be resampled.")
+    return Finding("ok", "jitter", sentence)
+
+
+def _gaps(log: Log, clock: Clock) -> list[Finding]:
+    if clock.gaps:
+        return [
+            Finding(
+                "warning",
+                "gaps",
+                gap_sentence(log, clock),
+                "Record without interruption; the parts are used separately.",
+            )
+        ]
+    if clock.n_missing:
+        sentence = f"{log.name}: {clock.n_missing} sample(s) are missing, never three in a row."
+        return [Finding("warning", "gaps", sentence, "Give the logger more priority; they will be interpolated.")]
+    return [Finding("ok", "gaps", f"{log.name}: no sample is missing.")]

@@ -1,0 +1,170 @@
+"""The motion of each joint: encoder, range, speeds, reversals, acceleration above noise, lag behind the reference.
+
+Part of `check.py`. Velocities are those an identification would use: zero-phase low-pass, then central differences.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+
+from tau_dyn.log.filtering import differentiate, edge_samples, lowpass, reversals
+from tau_dyn.log.findings import Finding
+from tau_dyn.log.log import Log
+from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step
+
+CUTOFF_SHARE = 0.06
+"""Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""
+
+MIN_REVERSALS = 4
+"""Fewer changes of direction hardly separate friction from inertia."""
+
+
+def motion_cutoff(log: Log) -> float:
+    """Return the cutoff [Hz] of the low-pass used for judging a motion: 60 Hz, less for slow clocks."""
+    return min(60.0, CUTOFF_SHARE * log.rate_hz) if log.rate_hz >= 250.0 else 0.2 * log.rate_hz
+
+
+def velocities(log: Log, signal: str, joint: str) -> NDArray[np.float64]:
+    """Return the filtered velocity (N,) of one joint's `q` or `q_ref`, from an even log."""
+    q = log.channels[f"{signal}_{joint}"]
+    cutoff = motion_cutoff(log)
+    filtered = lowpass(q, cutoff, log.rate_hz) if len(q) > edge_samples(cutoff, log.rate_hz) else q
+    return differentiate(filtered, log.dt)
+
+
+def moving_mask(log: Log, joint: str) -> NDArray[np.bool_]:
+    """Return the samples (N,) in which a joint moves, by its reference where there is one, else by its position."""
+    signal = "q_ref" if log.has("q_ref", [joint]) else "q"
+    v = velocities(log, signal, joint)
+    return np.abs(v) > max(_noise_speed(log, signal, joint), 0.02 * float(np.abs(v).max()))
+
+
+def check_motion(log: Log) -> tuple[list[Finding], dict[str, Any]]:
+    """Judge the motion of every joint with a `q`.
+
+    Args:
+        log: A log with an even clock.
+
+    Returns:
+        Findings, and by joint: `quantisation`, `encoder_noise` [m or rad], `velocity_noise` [per s], `range`, `speed`
+        (smallest and largest), `n_reversals`, `forward_share`, `acceleration_rms`, `acceleration_noise` [per s^2] and
+        `lag` behind `q_ref` [s].
+    """
+    findings: list[Finding] = []
+    numbers: dict[str, dict[str, Any]] = {}
+    for joint in log.joints("q"):
+        figures = _figures(log, joint)
+        numbers[joint] = figures
+        findings += [_encoder(log, joint, figures), _excitation(log, joint, figures), _lag(log, joint, figures)]
+    if numbers and not any(figures["moves"] for figures in numbers.values()):
+        findings.append(
+            Finding(
+                "fault",
+                "excitation",
+                f"{log.name}: no joint moves.",
+                "Record a motion, such as `tau-dyn excite` makes.",
+            )
+        )
+    return findings, {"joints": numbers}
+
+
+def reference_lag(log: Log, joint: str) -> float:
+    """Return the time [s] by which a joint's position follows its reference; negative where it runs ahead.
+
+    The shift, within 0.25 s, that leaves the least squared difference between both velocities, refined by a parabola.
+    """
+    reference, actual = (velocities(log, kind, joint) for kind in ("q_ref", "q"))
+    reach = min(max(int(0.25 * log.rate_hz), 2), log.n_samples // 3)
+    inner = actual[reach : log.n_samples - reach]
+    products = correlate(reference, inner, mode="valid", method="fft")
+    energy = np.concatenate(([0.0], np.cumsum(reference**2)))
+    misfit = (energy[len(inner) :] - energy[: -len(inner)] - 2 * products)[::-1]
+    k = int(np.argmin(misfit))
+    if k in (0, len(misfit) - 1):
+        return float((k - reach) * log.dt)
+    left, low, right = misfit[k - 1 : k + 2]
+    return float((k - reach + 0.5 * (left - right) / (left - 2 * low + right)) * log.dt)
+
+
+def _figures(log: Log, joint: str) -> dict[str, Any]:
+    q = log.channels[f"q_{joint}"]
+    v = velocities(log, "q", joint)
+    a = differentiate(v, log.dt)
+    cut = min(edge_samples(motion_cutoff(log), log.rate_hz), log.n_samples // 4)
+    inner = slice(cut, log.n_samples - cut)
+    noise = float(encoder_noise(q))
+    gains = [noise_gain(log.rate_hz, motion_cutoff(log), derivatives=d) for d in (1, 2)]
+    fast = np.abs(v[inner]) > max(5 * noise * gains[0], 0.02 * float(np.abs(v[inner]).max()), 1e-12)
+    speeds = np.abs(v[inner])[fast]
+    return {
+        "moves": bool(np.ptp(q) > max(20 * noise, 3 * float(quantisation_step(q)), 1e-9) and speeds.size > 0),
+        "quantisation": float(quantisation_step(q)),
+        "encoder_noise": noise,
+        "velocity_noise": noise * gains[0],
+        "range": [float(q.min()), float(q.max())],
+        "speed": [float(np.median(speeds)), float(speeds.max())] if speeds.size else [0.0, 0.0],
+        "n_reversals": len(reversals(v[inner], max(5 * noise * gains[0], 0.02 * float(np.abs(v[inner]).max())))),
+        "forward_share": float(np.mean(v[inner][fast] > 0)) if speeds.size else 0.0,
+        "acceleration_rms": float(np.sqrt(np.mean(a[inner] ** 2))),
+        "acceleration_noise": noise * gains[1],
+        "lag": reference_lag(log, joint) if log.has("q_ref", [joint]) and speeds.size else None,
+    }
+
+
+def _noise_speed(log: Log, signal: str, joint: str) -> float:
+    noise = float(encoder_noise(log.channels[f"{signal}_{joint}"]))
+    return 5 * noise * noise_gain(log.rate_hz, motion_cutoff(log))
+
+
+def _encoder(log: Log, joint: str, f: dict[str, Any]) -> Finding:
+    step = f"steps of {f['quantisation']:.3g}" if f["quantisation"] else "no visible step"
+    sentence = (
+        f"{log.name}: q_{joint} has {step} and noise of {f['encoder_noise']:.2g}, "
+        f"which leaves {f['velocity_noise']:.2g} a second in the velocity below {motion_cutoff(log):.3g} Hz."
+    )
+    if f["moves"] and f["velocity_noise"] > 0.05 * f["speed"][0]:
+        return Finding(
+            "warning", "encoder", sentence + " That is much for this motion.", "Move faster, or use a finer encoder."
+        )
+    return Finding("ok", "encoder", sentence)
+
+
+def _excitation(log: Log, joint: str, f: dict[str, Any]) -> Finding:
+    what = f"{log.name}: joint {joint}"
+    if not f["moves"]:
+        return Finding(
+            "warning",
+            "excitation",
+            f"{what} does not move.",
+            "Its friction and what it alone moves stay unknown; move it.",
+        )
+    share, ratio = f["forward_share"], f["acceleration_rms"] / max(f["acceleration_noise"], 1e-300)
+    low, high = f["range"]
+    moved = f"{what} covers {low:.4g} to {high:.4g} at up to {f['speed'][1]:.3g} a second, {f['n_reversals']} reversals"
+    if not 0.02 < share < 0.98:
+        way = "forwards" if share > 0.5 else "backwards"
+        return Finding(
+            "warning", "excitation", f"{moved}, but only {way}.", "Move both ways, else friction is a torque offset."
+        )
+    if f["n_reversals"] < MIN_REVERSALS:
+        return Finding("warning", "excitation", f"{moved}, which is few.", "Reverse more often, at several speeds.")
+    if ratio < 3.0:
+        sentence = f"{moved}, but its acceleration is only {ratio:.2g} times its noise."
+        return Finding("warning", "excitation", sentence, "Accelerate harder, else masses stay uncertain.")
+    return Finding("ok", "excitation", f"{moved}, acceleration {ratio:.3g} times its noise.")
+
+
+def _lag(log: Log, joint: str, f: dict[str, Any]) -> Finding:
+    if f["lag"] is None:
+        why = "does not move" if log.has("q_ref", [joint]) else f"has no q_ref_{joint}"
+        return Finding("ok", "synchronisation", f"{log.name}: {joint} {why}, so its lag was not tested.")
+    sentence = f"{log.name}: q_{joint} follows its reference after {1e3 * f['lag']:.3g} ms."
+    if f["lag"] < -1.5 * log.dt:
+        return Finding(
+            "warning", "synchronisation", f"{sentence} It cannot run ahead.", "Give both channels the same clock."
+        )
+    if f["lag"] > 0.1:
+        return Finding("warning", "synchronisation", f"{sentence} That is long.", "Check for a delay in one channel.")
+    return Finding("ok", "synchronisation", sentence)

@@ -1,0 +1,227 @@
+"""How the columns of a foreign log become ours: names, units, clocks, coupled transmissions, several files.
+
+A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column`, and,
+where wanted, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
+further files of the same recording, sampled together, relative to the folder of the log; `couplings` holds matrices for
+coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
+in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing in a map is evaluated. The map is applied
+in `read.py`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PureWindowsPath
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log.names import SIGNALS, is_contract_name, listed, map_joints
+
+SOURCE_KEYS = ("column", "scale", "offset", "file")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where one of our columns comes from: ours = scale * theirs + offset."""
+
+    column: str
+    scale: float = 1.0
+    offset: float = 0.0
+    file: str | None = None
+    """Key in the map's `files`; None for the log given on the command line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """A coupled transmission: ours = matrix @ theirs + offset, after each column's own scale and offset."""
+
+    joints: tuple[str, ...]
+    matrix: NDArray[np.float64]
+    """(n, n), rows and columns in the order of `joints`."""
+    offset: NDArray[np.float64]
+    """(n,) in our unit."""
+
+    def apply(self, theirs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return our samples (N, n) from theirs (N, n)."""
+        return theirs @ self.matrix.T + self.offset
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnMap:
+    """A map of columns, checked on loading.
+
+    Attributes:
+        sources: Foreign column of each of ours, in the map's order.
+        rate_hz: Sampling rate [Hz] of a log without a clock, else None.
+        couplings: Coupled transmissions by signal.
+        files: Names of further files, relative to the log's folder.
+        name: The map's file name, for messages.
+    """
+
+    sources: Mapping[str, Source]
+    rate_hz: float | None = None
+    couplings: Mapping[str, Coupling] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    name: str = "column map"
+
+    @classmethod
+    def load(cls, path: str | Path) -> "ColumnMap":
+        """Read a map from a YAML file.
+
+        Raises:
+            InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that means nothing here.
+        """
+        path = Path(path)
+        return cls.from_dict(_load_yaml(path), name=path.name)
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[Any, Any], name: str = "column map") -> "ColumnMap":
+        """Check a map's entries, as YAML gives them, and return the map."""
+        entries = dict(entries)
+        files = _files(name, entries.pop("files", {}))
+        couplings = entries.pop("couplings", {})
+        rate_hz = _rate(name, entries)
+        sources = {_our_name(name, key): _source(name, key, value, files) for key, value in entries.items()}
+        if not sources:
+            raise InputError(f"{name} maps no column; give at least one line such as 'q_axis: position'.")
+        unused = set(files) - {source.file for source in sources.values()}
+        if unused:
+            raise InputError(f"{name}: no column is taken from file '{min(unused)}'; use it or leave it out of files.")
+        return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name)
+
+
+class _UniqueLoader(yaml.SafeLoader):
+    """YAML's safe loader, which would let the second of two equal keys win without a word."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for key in seen:
+            if seen.count(key) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def _load_yaml(path: Path) -> dict[Any, Any]:
+    try:
+        entries = yaml.load(
+            path.read_text(encoding="utf-8"), Loader=_UniqueLoader
+        )  # a SafeLoader: it builds plain data only
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; give the path of a column map.") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}; give a readable column map.") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path.name} is not UTF-8; save the column map as UTF-8.") from None
+    except (yaml.YAMLError, RecursionError) as error:
+        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+        line = f", line {mark.line + 1}" if mark is not None else ""
+        raise InputError(
+            f"{path.name}{line}: this is not YAML as a map needs it ({problem or 'unreadable'})."
+        ) from None
+    if not isinstance(entries, dict):
+        raise InputError(f"{path.name} has to hold one 'our_column: their_column' a line, not {_kind(entries)}.")
+    return entries
+
+
+def _our_name(name: str, key: Any) -> str:
+    if not isinstance(key, str) or not is_contract_name(key):
+        known = "t, files, couplings, temp_room, x_tool.. and " + ", ".join(f"{signal}_JOINT" for signal in SIGNALS)
+        raise InputError(f"{name}: key {key} is none of our column names, which are {known}.")
+    return key
+
+
+def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source:
+    if isinstance(value, str):
+        return Source(value)
+    if not isinstance(value, dict):
+        raise InputError(
+            f"{name}: {key} has to be a column's name or {{column: .., scale: .., offset: ..}}, not {_kind(value)}."
+        )
+    unknown = [k for k in value if k not in SOURCE_KEYS]
+    if unknown:
+        raise InputError(f"{name}: {key} has a key {unknown[0]}; it may have {listed(SOURCE_KEYS)}.")
+    if not isinstance(value.get("column"), str):
+        raise InputError(f"{name}: {key} needs a 'column', the foreign column's name as text (in quotes if need be).")
+    file = value.get("file")
+    if file is not None and (not isinstance(file, str) or file not in files):
+        raise InputError(f"{name}: {key} names file {file}, and 'files' has {listed(files)}.")
+    scale, offset = (_number(f"{name}: {key}.{k}", value.get(k, d)) for k, d in (("scale", 1.0), ("offset", 0.0)))
+    if scale == 0.0:
+        raise InputError(f"{name}: {key}.scale is 0, which would erase the column; give a number other than 0.")
+    return Source(value["column"], scale, offset, file)
+
+
+def _rate(name: str, entries: dict[Any, Any]) -> float | None:
+    """Take `t: {rate_hz: F}` out of the entries and return F, or None where `t` is a column."""
+    clock = entries.get("t")
+    if not isinstance(clock, dict) or "rate_hz" not in clock:
+        return None
+    if len(clock) > 1:
+        raise InputError(
+            f"{name}: t has rate_hz and {listed(set(clock) - {'rate_hz'})}; a log without a clock has rate_hz only."
+        )
+    rate = _number(f"{name}: t.rate_hz", entries.pop("t")["rate_hz"])
+    if rate <= 0.0:
+        raise InputError(f"{name}: t.rate_hz is {rate:g}; it has to be a positive number of samples a second.")
+    return rate
+
+
+def _files(name: str, value: Any) -> dict[str, str]:
+    if not isinstance(value, dict) or not all(isinstance(x, str) for pair in value.items() for x in pair):
+        raise InputError(f"{name}: files has to be a mapping such as {{pos: positions.csv, cur: currents.csv}}.")
+    for key, path in value.items():
+        windows = PureWindowsPath(path)  # understands both kinds of separators
+        if not path.strip() or windows.drive or windows.root or ".." in windows.parts or path.startswith("~"):
+            raise InputError(f"{name}: files.{key} is '{path}'; name a file in the log's own folder or below it.")
+    return dict(value)
+
+
+def _couplings(name: str, value: Any, columns: tuple[str, ...]) -> dict[str, Coupling]:
+    """Check the matrices against the joints that the map gives to each signal."""
+    allowed = [key for signal in SIGNALS for key in (signal, f"{signal}_offset")]
+    if not isinstance(value, dict) or any(key not in allowed for key in value):
+        wrong = listed(k for k in value if k not in allowed) if isinstance(value, dict) else _kind(value)
+        raise InputError(
+            f"{name}: couplings holds {wrong}; it may hold matrices q, tau, v, a, q_ref and lists such as q_offset."
+        )
+    couplings = {}
+    for signal in dict.fromkeys(key.removesuffix("_offset") for key in value):
+        joints = tuple(joint for kind, joint in map_joints(columns) if kind == signal)
+        n = len(joints)
+        matrix = _array(f"{name}: couplings.{signal}", value.get(signal, np.eye(n).tolist()), (n, n), signal)
+        offset = _array(f"{name}: couplings.{signal}_offset", value.get(f"{signal}_offset", [0.0] * n), (n,), signal)
+        couplings[signal] = Coupling(joints, matrix, offset)
+    return couplings
+
+
+def _array(where: str, value: Any, shape: tuple[int, ...], signal: str) -> NDArray[np.float64]:
+    rows = value if isinstance(value, list) else [value]
+    cells = [cell for row in rows for cell in (row if isinstance(row, list) else [row])]
+    numbers = [_number(where, cell) for cell in cells]
+    flat = len(shape) == 1
+    fits = len(rows) == shape[0] and all(
+        isinstance(row, list) != flat and (flat or len(row) == shape[1]) for row in rows
+    )
+    if not fits or not cells:
+        wanted = " by ".join(map(str, shape))
+        raise InputError(f"{where} has to hold {wanted} numbers, for the {shape[0]} joints with a key {signal}_JOINT.")
+    return np.asarray(numbers, dtype=np.float64).reshape(shape)
+
+
+def _number(where: str, value: Any) -> float:
+    """Return a number; YAML reads `1e-3` as text, which is accepted, but nothing is computed."""
+    try:
+        number = float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else np.nan
+    except (ValueError, OverflowError):
+        number = np.nan
+    if not np.isfinite(number):
+        raise InputError(f"{where} is {value!r}, and has to be a finite number written out, such as 0.0174532925.")
+    return number
+
+
+def _kind(value: Any) -> str:
+    words = {dict: "a mapping", list: "a list", bool: "yes or no", type(None): "nothing", str: "one text"}
+    return words.get(type(value), "a number")

@@ -1,0 +1,180 @@
+"""Delimited text (comma, semicolon or tab) split into columns, with the line number of every row.
+
+The layout is checked here, line by line, before pandas turns cells into numbers: pandas alone pads short rows and
+forgets where they stood. Byte order marks and all line ends are accepted. Meaning and units are no concern of this
+file.
+"""
+
+import csv
+import io
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tau_dyn.exceptions import InputError
+
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+
+
+class _Layout(NamedTuple):
+    name: str
+    separator: str
+    header: list[str]
+    lines: list[str]  # the rows
+    numbers: list[int]  # the line each row stands on
+    ends_with_newline: bool
+
+
+def parse_delimited(name: str, data: bytes) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64], tuple[str, ...]]:
+    """Split a text file into columns.
+
+    Args:
+        name: File name, for messages.
+        data: The file's bytes.
+
+    Returns:
+        Columns by name, each (N,) as numbers where all its cells are, else as text; the line number (N,) of each row;
+        warnings.
+
+    Raises:
+        InputError: The bytes are not UTF-8, a header or rows are missing, a name stands twice, or a row has another
+            length.
+    """
+    layout = _lay_out(name, _decode(name, data))
+    layout, warnings = _check_lengths(layout)
+    if _last_cell_is_cut(layout):
+        warnings = (*warnings, _dropped(layout))
+        layout = _without_last(layout)
+    frame = _parse(layout)
+    cells = {column: frame[position].to_numpy() for position, column in enumerate(layout.header)}
+    return cells, np.asarray(layout.numbers, dtype=np.int64), warnings
+
+
+def _decode(name: str, data: bytes) -> str:
+    """Return the text with Unix line ends and without a byte order mark."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(f"{name}, line 1: the file is UTF-16; save it as UTF-8.")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        wrong = f"byte 0x{data[error.start]:02x} is not UTF-8"
+        raise InputError(f"{name}, line {line}: {wrong}; save the log as CSV in UTF-8.") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _lay_out(name: str, text: str) -> _Layout:
+    """Find the header, the separator and the lines that hold rows."""
+    lines = text.split("\n")
+    at = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
+    if at is None:
+        raise InputError(f"{name} has no header; a log needs a line naming its columns and one line a sample.")
+    separator = max(SEPARATORS, key=lambda s: (lines[at].count(s), s == ","))
+    header = [cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator))]
+    _check_header(name, at + 1, header)
+    kept = [i for i in range(at + 1, len(lines)) if lines[i].strip()]
+    if not kept:
+        raise InputError(f"{name} ends after its header in line {at + 1}; a log needs one line a sample below it.")
+    rows = [lines[i] for i in kept]
+    return _Layout(name, separator, header, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip())
+
+
+def _check_header(name: str, line: int, header: list[str]) -> None:
+    for position, column in enumerate(header, start=1):
+        if not column:
+            raise InputError(f"{name}, line {line}: column {position} has no name; the header must name every column.")
+        if column in header[: position - 1]:
+            raise InputError(
+                f"{name}, line {line}: column {column} stands twice; every column needs a name of its own."
+            )
+    if all(_is_number(column) for column in header):
+        first = ", ".join(header[:3])
+        raise InputError(
+            f"{name}, line {line}: the header is missing ({first} are numbers); name the columns: t,q_axis,tau_axis."
+        )
+
+
+def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
+    """Refuse a row with another number of cells than the header; let an unfinished last one go with a warning."""
+    wanted = len(layout.header)
+    counts = _count_cells(layout)
+    wrong = np.flatnonzero(counts != wanted)
+    if not wrong.size:
+        return layout, ()
+    first = int(wrong[0])
+    if first == len(counts) - 1 and counts[first] < wanted and first > 0:
+        return _without_last(layout), (_dropped(layout),)
+    if wanted == 1:
+        raise InputError(
+            f"{layout.name}: the header names one column, line {layout.numbers[first]} has {counts[first]} cells; "
+            "separate both with commas."
+        )
+    raise InputError(
+        f"{layout.name}, line {layout.numbers[first]} has {counts[first]} cells, the header names {wanted} columns; "
+        f"every line needs {wanted}, separated by {SEPARATORS[layout.separator]}."
+    )
+
+
+def _count_cells(layout: _Layout) -> NDArray[np.int64]:
+    """Return the number of cells of each row; quoted cells are counted by the csv module, which is slower."""
+    if any('"' in line for line in layout.lines):
+        counts = [len(next(csv.reader([line], delimiter=layout.separator))) for line in layout.lines]
+    else:
+        counts = [line.count(layout.separator) + 1 for line in layout.lines]
+    return np.asarray(counts, dtype=np.int64)
+
+
+def _parse(layout: _Layout) -> pd.DataFrame:
+    """Let pandas turn rows into numbers, column by column; a column with anything else in it stays text."""
+    try:
+        frame = pd.read_csv(
+            io.StringIO("\n".join(layout.lines)),
+            sep=layout.separator,
+            header=None,
+            names=list(range(len(layout.header))),
+            index_col=False,
+            keep_default_na=False,
+            na_values=[],
+            skipinitialspace=True,
+            float_precision="round_trip",
+            low_memory=False,
+        )
+    except (pd.errors.ParserError, ValueError) as error:
+        raise InputError(
+            f"{layout.name} is not a table of cells: {str(error).splitlines()[0]}; write plain CSV."
+        ) from None
+    if len(frame) != len(layout.lines):
+        raise InputError(f"{layout.name} has a quoted cell that runs over its line; close every quote on its own line.")
+    return frame
+
+
+def _last_cell_is_cut(layout: _Layout) -> bool:
+    """Tell whether the file stops inside its last number.
+
+    Only a file without a final newline can. Its last cell is taken as cut when it is no number in a column of numbers,
+    or when it has fewer characters than each of the 50 cells above it (`1.5` of `1.52e-05` would pass for a number).
+    """
+    if layout.ends_with_newline or len(layout.lines) < 3:
+        return False
+    *above, last = (line.rpartition(layout.separator)[2].strip().strip('"') for line in layout.lines[-51:])
+    if not all(_is_number(cell) for cell in above):
+        return False
+    return not _is_number(last) or len(above) >= 10 and len(last) < min(map(len, above))
+
+
+def _without_last(layout: _Layout) -> _Layout:
+    return layout._replace(lines=layout.lines[:-1], numbers=layout.numbers[:-1], ends_with_newline=True)
+
+
+def _dropped(layout: _Layout) -> str:
+    return f"{layout.name}, line {layout.numbers[-1]}: the last line is incomplete and was left out."
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,162 @@
+"""A recording, measured or simulated: one clock and named channels.
+
+`t` [s] increases strictly; each channel is a column of the file under the contract's name (`q_J`, `tau_J`, ... in SI
+units). All arrays are read-only, so a log can be shared, split and windowed without copies. Nothing that takes a `Log`
+knows whether its numbers were recorded or simulated. Reading lives in `read.py`, an even clock in `resample.py`,
+filters in `filtering.py`.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import writing_whole
+from tau_dyn.log.names import listed, map_joints
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Time and named channels of one recording.
+
+    Attributes:
+        t: Time (N,) [s], finite and strictly increasing, read-only.
+        channels: Every other column by its name, each (N,) float64 and read-only; foreign columns may hold NaN.
+        name: File name for messages, or what the simulator called the log.
+        sha256: Hash of the bytes of the file or files; empty for a simulated log.
+        warnings: What was doubtful on the way in, one sentence each.
+    """
+
+    t: NDArray[np.float64]
+    channels: Mapping[str, NDArray[np.float64]]
+    name: str = "log"
+    sha256: str = ""
+    warnings: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays and refuse a clock that stands still or channels of another length."""
+        t = _frozen(self.t)
+        channels = {key: _frozen(value) for key, value in self.channels.items()}
+        if t.ndim != 1 or t.size < 2:
+            raise InputError(f"{self.name} has {t.size} sample(s); a log needs at least two.")
+        if not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0.0):
+            raise InputError(f"{self.name}: t must be finite and increase from sample to sample.")
+        for key, value in channels.items():
+            if value.shape != t.shape:
+                raise InputError(f"{self.name}: {key} has shape {value.shape} where t has {t.size} samples.")
+        object.__setattr__(self, "t", t)
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let a log travel between processes; a mapping proxy cannot."""
+        return Log, (self.t, dict(self.channels), self.name, self.sha256, self.warnings)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples N."""
+        return int(self.t.size)
+
+    @property
+    def dt(self) -> float:
+        """Median time between samples [s], which single lost samples do not move."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate [Hz], the inverse of the median step."""
+        return 1.0 / self.dt
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    def joints(self, signal: str) -> tuple[str, ...]:
+        """Return the joints that have a column `signal_J`, in the file's order."""
+        return tuple(joint for kind, joint in map_joints(self.channels) if kind == signal)
+
+    def has(self, signal: str, names: Iterable[str]) -> bool:
+        """Tell whether every joint named has a column of this signal."""
+        return all(f"{signal}_{name}" in self.channels for name in names)
+
+    def joint(self, signal: str, names: Iterable[str]) -> NDArray[np.float64]:
+        """Return one signal of several joints.
+
+        Args:
+            signal: `q`, `v`, `a`, `tau`, `q_ref` or `temp`.
+            names: Joints, in the order wanted for the columns.
+
+        Returns:
+            Samples (N, n), one column a joint, in the log's SI units.
+
+        Raises:
+            InputError: A joint has no such column.
+        """
+        columns = [f"{signal}_{name}" for name in names]
+        for column in columns:
+            if column not in self.channels:
+                raise InputError(f"{self.name} has no column {column}; it has {listed(('t', *self.channels))}.")
+        return np.column_stack([self.channels[c] for c in columns]) if columns else np.empty((self.n_samples, 0))
+
+    def split(self, fraction: float) -> tuple["Log", "Log"]:
+        """Cut the log in two in time: the first `fraction` of its samples, and the rest.
+
+        Raises:
+            InputError: A part would hold fewer than two samples.
+        """
+        cut = int(np.floor(fraction * self.n_samples + 1e-9))
+        if not 2 <= cut <= self.n_samples - 2:
+            raise InputError(f"{self.name}: {fraction:g} of {self.n_samples} samples leaves a part with less than two.")
+        return self.window(0, cut), self.window(cut, self.n_samples)
+
+    def window(self, start: int, stop: int) -> "Log":
+        """Return the samples `start` to `stop - 1`, counted as Python slices count."""
+        part = slice(start, stop)
+        return replace(self, t=self.t[part], channels={key: value[part] for key, value in self.channels.items()})
+
+    def select_time(self, t0: float, t1: float) -> "Log":
+        """Return the samples with t0 <= t <= t1 [s]."""
+        start, stop = np.searchsorted(self.t, t0, "left"), np.searchsorted(self.t, t1, "right")
+        if stop - start < 2:
+            raise InputError(
+                f"{self.name} has fewer than two samples from {t0:g} to {t1:g} s; "
+                f"it runs from {self.t[0]:g} to {self.t[-1]:g} s."
+            )
+        return self.window(int(start), int(stop))
+
+    def with_channels(self, **channels: ArrayLike) -> "Log":
+        """Return the same log with channels (N,) added or replaced."""
+        return replace(self, channels={**self.channels, **channels})
+
+    def with_warnings(self, *warnings: str) -> "Log":
+        """Return the same log with further warning sentences, each once."""
+        return replace(self, warnings=tuple(dict.fromkeys((*self.warnings, *warnings))))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the log as a table with `t` first, one row a sample."""
+        return pd.DataFrame({"t": self.t, **self.channels})
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the log as CSV with 12 significant digits, the whole file or none.
+
+        Raises:
+            InputError: The folder does not exist or cannot be written.
+        """
+        with writing_whole(path) as temporary:
+            self.to_frame().to_csv(temporary, index=False, float_format="%.12g", lineterminator="\n")
+
+
+def _frozen(values: ArrayLike) -> NDArray[np.float64]:
+    """Return the values as read-only float64, copied only where somebody could still write to them."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.flags.writeable or array.base is not None and getattr(array.base, "flags", array.flags).writeable:
+        array = array.copy()
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,163 @@
+"""A CSV or Parquet file, ours or foreign, becomes a `Log` in SI units; everything is converted here, once.
+
+Our own files name their columns as the contract says. A foreign file comes with a `ColumnMap`; its columns that the map
+does not mention keep their names. Every cell that the library will use is checked, and a fault is one sentence with
+file, line and column.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log.column_map import ColumnMap
+from tau_dyn.log.log import Log
+from tau_dyn.log.names import listed, used_columns
+from tau_dyn.log.table import Table, read_table
+
+MIN_SAMPLES = 10
+"""A log with fewer samples answers nothing and is taken for a mistake."""
+
+
+def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) -> Log:
+    """Read a recording.
+
+    Args:
+        path: CSV with one header line (comma, semicolon or tab), or Parquet. With a map that has `files`, their folder
+            will do.
+        columns: Map for a foreign log, or the path of one.
+
+    Returns:
+        The log in SI units. An incomplete last line is left out and stands in its `warnings`.
+
+    Raises:
+        InputError: The file cannot be used; the message names file, line and column.
+    """
+    if columns is None:
+        table = read_table(path)
+        return _build({None: table}, table, _own_columns(table, tuple(table.cells)), warnings=table.warnings)
+    map_ = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
+    return _read_foreign(Path(path), map_)
+
+
+def _read_foreign(path: Path, map_: ColumnMap) -> Log:
+    """Read the log's files, and give their columns our names and units."""
+    tables, warnings = _same_length(_tables(path, map_))
+    main = tables.get(None) or next(iter(tables.values()))
+    channels = {
+        ours: source.scale * _theirs(tables, map_, ours) + source.offset for ours, source in map_.sources.items()
+    }
+    for signal, coupling in map_.couplings.items():
+        names = [f"{signal}_{joint}" for joint in coupling.joints]
+        mixed = coupling.apply(np.column_stack([channels[name] for name in names]))
+        channels.update(zip(names, mixed.T, strict=True))
+    if map_.rate_hz is not None:
+        channels["t"] = np.arange(main.n_rows) / map_.rate_hz
+    if None in tables:
+        taken = {s.column for s in map_.sources.values() if s.file is None} | set(channels)
+        kept = tuple(column for column in main.cells if column not in taken)
+        channels = {**_own_columns(main, kept, beside=tuple(channels)), **channels}
+    return _build(tables, main, channels, warnings)
+
+
+def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
+    """Read every file that the map takes a column from: its `files` by their keys, the log given by None."""
+    folder = path if path.is_dir() else path.parent
+    wanted = dict.fromkeys(source.file for source in map_.sources.values())
+    if path.is_dir() and None in wanted:
+        raise InputError(
+            f"{path} is a folder, and {map_.name} does not say which file every column is from; give the log's file."
+        )
+    paths = {key: path if key is None else folder / map_.files[key] for key in wanted}
+    if not path.is_dir() and not any(_same_file(path, other) for other in paths.values()):
+        raise InputError(
+            f"{path.name} is none of the files that {map_.name} reads ({listed(map_.files.values())}); give one."
+        )
+    return {key: read_table(file) for key, file in paths.items()}
+
+
+def _same_file(one: Path, other: Path) -> bool:
+    return one.resolve() == other.resolve()
+
+
+def _same_length(tables: dict[str | None, Table]) -> tuple[dict[str | None, Table], tuple[str, ...]]:
+    """Cut files to the shortest where only an incomplete last line made the difference, else refuse."""
+    shortest = min(tables.values(), key=lambda table: table.n_rows)
+    for key, table in tables.items():
+        extra = table.n_rows - shortest.n_rows
+        if extra > 1 or extra == 1 and not shortest.warnings:
+            raise InputError(
+                f"{table.name} has {table.n_rows} samples and {shortest.name} has {shortest.n_rows}; "
+                "files of one log have to be sampled together and be of equal length."
+            )
+        if extra:
+            tables[key] = table.first_rows(
+                shortest.n_rows, f"{table.name}: its last sample was left out, as in {shortest.name}."
+            )
+    return tables, tuple(sentence for table in tables.values() for sentence in table.warnings)
+
+
+def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str) -> NDArray[np.float64]:
+    source = map_.sources[ours]
+    table = tables[source.file]
+    if source.column not in table.cells:
+        raise InputError(
+            f"{table.name} has no column {source.column}, which {map_.name} takes for {ours}; "
+            f"it has {listed(table.cells)}."
+        )
+    return table.numbers(source.column)
+
+
+def _own_columns(
+    table: Table, columns: tuple[str, ...], beside: tuple[str, ...] = ()
+) -> dict[str, NDArray[np.float64]]:
+    """Return columns under their own names: ours checked cell by cell, foreign ones if they are numbers at all."""
+    used = set(used_columns((*beside, *columns)))
+    channels = {
+        column: table.numbers(column) if column in used else table.numbers_or_none(column) for column in columns
+    }
+    return {column: values for column, values in channels.items() if values is not None}
+
+
+def _build(
+    tables: Mapping[str | None, Table], main: Table, channels: dict[str, NDArray[np.float64]], warnings: tuple[str, ...]
+) -> Log:
+    """Check the clock and the length, and freeze everything into a log."""
+    if main.n_rows < MIN_SAMPLES:
+        raise InputError(
+            f"{main.name} has {main.n_rows} sample(s); a log needs at least {MIN_SAMPLES} to say anything."
+        )
+    if "t" not in channels:
+        raise InputError(
+            f"{main.name} has no column t; it has {listed(main.cells)}; name the clock t [s], or give a column map "
+            "(with t: {rate_hz: F} if there is no clock)."
+        )
+    t = channels.pop("t")
+    _check_clock(main, t)
+    digests = [table.sha256 for table in tables.values()]
+    digest = digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+    return Log(t, channels, name=main.name, sha256=digest, warnings=tuple(dict.fromkeys(warnings)))
+
+
+def _check_clock(table: Table, t: NDArray[np.float64]) -> None:
+    backwards = np.flatnonzero(np.diff(t) <= 0.0)
+    if not backwards.size:
+        return
+    row = int(backwards[0]) + 1
+    if t[row] == t[row - 1]:
+        what = f"t = {_seconds(t[row])} s stands twice; every sample needs a later time. Rounded? Write more digits."
+    else:
+        what = (
+            f"t = {_seconds(t[row])} s comes after {_seconds(t[row - 1])} s; logs must run forward in time. "
+            "Two recordings joined? Pass them as two files."
+        )
+    raise InputError(f"{table.where(row)}: {what}")
+
+
+def _seconds(t: float) -> str:
+    """Return a time with at least three decimals and no more than it needs."""
+    whole, _, decimals = f"{t:.9f}".rstrip("0").partition(".")
+    return f"{whole}.{decimals:0<3}"

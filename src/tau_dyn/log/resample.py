@@ -1,0 +1,130 @@
+"""An even clock for filters that need one: uneven samples are interpolated, gaps are never bridged.
+
+Stamps that are even but rounded to few digits are recognised and replaced by the even clock without touching the
+channels. Truly uneven stamps (more than 1 % of a step off, or one or two samples lost) are resampled with one cubic
+spline a channel: its error falls with dt^4, where a straight line would cut the peaks of an acceleration by up to `a
+dt^2 / 8` and halve the noise between samples but not at them. All channels go through the same linear operation, so no
+fit sees `q` and `tau` treated differently. Three or more lost samples in a row are a gap, and `segments` cuts the log
+there.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log.log import Log
+
+JITTER_LIMIT = 0.01
+"""Steps may differ by this share of their mean before a clock counts as uneven."""
+
+GAP_STEPS = 3.5
+"""A step longer than this many usual ones (three samples lost, or more) is a gap."""
+
+MIN_SEGMENT = 10
+"""Segments with fewer samples are left out."""
+
+
+class Clock(NamedTuple):
+    """What a log's clock looks like."""
+
+    dt: float
+    """Mean of the usual steps [s], those within half of their median."""
+    jitter: float
+    """Largest deviation of a step from `dt`, gaps and lost samples left out, as a share of it."""
+    n_missing: int
+    """Samples lost, in gaps and one by one."""
+    gaps: tuple[int, ...]
+    """Samples after which a gap follows."""
+    rounded: bool
+    """True where the stamps are an even clock written with few digits."""
+
+    @property
+    def even(self) -> bool:
+        """True where filters may take the samples as they are."""
+        return not self.gaps and self.n_missing == 0 and self.jitter <= JITTER_LIMIT
+
+
+def examine_clock(log: Log) -> Clock:
+    """Measure the steps of a log's clock."""
+    if _is_rounded(log.t):
+        return Clock(log.duration / (log.n_samples - 1), 0.0, 0, (), rounded=True)
+    steps = np.diff(log.t)
+    dt = float(np.mean(steps[np.abs(steps / log.dt - 1) < 0.5]))
+    ratio = steps / dt
+    missing = np.maximum(np.round(ratio) - 1, 0)
+    usual = np.abs(ratio[missing == 0] - 1)
+    jitter = float(usual.max()) if usual.size else 0.0
+    return Clock(dt, jitter, int(missing.sum()), tuple(np.flatnonzero(ratio > GAP_STEPS).tolist()), rounded=False)
+
+
+def segments(log: Log) -> list[Log]:
+    """Cut a log at its gaps; each part says so in its warnings, and parts with fewer than 10 samples are left out."""
+    clock = examine_clock(log)
+    if not clock.gaps:
+        return [log]
+    ends = [0, *(i + 1 for i in clock.gaps), log.n_samples]
+    spans = [(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b - a >= MIN_SEGMENT]
+    return [log.window(a, b).with_warnings(gap_sentence(log, clock)) for a, b in spans]
+
+
+def ensure_even(log: Log) -> Log:
+    """Return the log on an even clock, untouched where it has one already.
+
+    Args:
+        log: A log without gaps, such as one of its `segments`.
+
+    Returns:
+        The log, or its samples on a grid of as many steps between its first and last time, with a warning sentence.
+
+    Raises:
+        InputError: The log has a gap, over which interpolation would invent motion.
+    """
+    clock = examine_clock(log)
+    if clock.gaps:
+        raise InputError(gap_sentence(log, clock) + " Pass the parts as separate logs.")
+    if clock.even and not clock.rounded:
+        return log
+    n_steps = log.n_samples - 1 if clock.rounded else round(log.duration / clock.dt)
+    grid = np.linspace(log.t[0], log.t[-1], n_steps + 1)
+    if clock.rounded:
+        sentence = (
+            f"{log.name}: its times are rounded; an even clock of {n_steps / log.duration:.6g} Hz was used instead."
+        )
+        return Log(grid, log.channels, log.name, log.sha256, log.warnings).with_warnings(sentence)
+    channels = {key: _interpolate(log.t, values, grid) for key, values in log.channels.items()}
+    return Log(grid, channels, log.name, log.sha256, log.warnings).with_warnings(_uneven_sentence(log, clock))
+
+
+def gap_sentence(log: Log, clock: Clock) -> str:
+    """Return a sentence naming a log's gaps."""
+    places = [f"{log.t[i + 1] - log.t[i]:.3g} s after t = {log.t[i]:.6g} s" for i in clock.gaps[:3]]
+    more = f" and {len(clock.gaps) - 3} more" if len(clock.gaps) > 3 else ""
+    return f"{log.name} has {len(clock.gaps)} gap(s) in time: {', '.join(places)}{more}; it is cut there, not bridged."
+
+
+def _uneven_sentence(log: Log, clock: Clock) -> str:
+    lost = f" and {clock.n_missing} sample(s) are missing" if clock.n_missing else ""
+    return (
+        f"{log.name}: its steps vary by up to {100 * clock.jitter:.2g} % of {clock.dt:.4g} s{lost}; "
+        "all channels were interpolated onto an even clock."
+    )
+
+
+def _interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    if np.all(np.isfinite(values)) and len(t) >= 4:
+        return CubicSpline(t, values)(grid)
+    return np.interp(grid, t, values)  # a foreign channel with holes keeps them
+
+
+def _is_rounded(t: NDArray[np.float64]) -> bool:
+    """Tell whether uneven stamps are an even clock rounded to a decimal place coarser than 1 % of its step."""
+    dt = (t[-1] - t[0]) / (len(t) - 1)
+    decimals = next((d for d in range(10) if np.allclose(np.round(t, d), t, rtol=0.0, atol=1e-10)), None)
+    if decimals is None or 10.0**-decimals <= JITTER_LIMIT * dt:
+        return False
+    line = np.polynomial.Polynomial.fit(np.arange(len(t)), t, 1)(np.arange(len(t)))
+    uneven = np.ptp(np.diff(t)) > JITTER_LIMIT * dt
+    return bool(uneven and np.max(np.abs(t - line)) <= 0.75 * 10.0**-decimals)

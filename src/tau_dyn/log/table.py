@@ -1,0 +1,165 @@
+"""A file of columns, with the place of every cell, before anything is known about their meaning.
+
+`read_table` turns CSV or Parquet into a `Table`; cells become numbers only when a column is asked for, so that a fault
+is named with its line and column, while columns that nobody uses may hold anything. Lines are counted as an editor
+counts them: comments and header included, from 1. The splitting of text lives in `delimited.py`; what the columns mean,
+in `read.py`.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log.delimited import parse_delimited
+from tau_dyn.log.names import listed
+
+PARQUET_SUFFIXES = (".parquet", ".pq")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of a file as they stand there.
+
+    Attributes:
+        name: File name, for messages.
+        path: Where it was read from.
+        sha256: Hash of the file's bytes.
+        cells: Columns by name, each (N,), as numbers or as text.
+        places: Where each row stands, for messages: line numbers (N,) of a text file, row numbers from 1 of a Parquet
+            file.
+        place: The word for it, `line` or `row`.
+        warnings: What was left out while reading.
+    """
+
+    name: str
+    path: Path
+    sha256: str
+    cells: dict[str, NDArray[Any]]
+    places: NDArray[np.int64]
+    place: str = "line"
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows N."""
+        return int(self.places.size)
+
+    def where(self, row: int) -> str:
+        """Return the file and the line of a row, to open a message."""
+        return f"{self.name}, {self.place} {self.places[row]}"
+
+    def numbers(self, column: str) -> NDArray[np.float64]:
+        """Return a column (N,) in which every cell has to be a finite number.
+
+        Raises:
+            InputError: The column does not exist, or a cell is empty, text, NaN or infinite.
+        """
+        if column not in self.cells:
+            raise InputError(f"{self.name} has no column {column}; it has {listed(self.cells)}.")
+        values = _to_float(self.cells[column])
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size:
+            row = int(wrong[0])
+            raise InputError(f"{self.where(row)}, column {column}: {_complaint(self.cells[column][row])}.")
+        return values
+
+    def numbers_or_none(self, column: str) -> NDArray[np.float64] | None:
+        """Return a column (N,) that nobody relies on, empty cells as NaN, or None where it holds text."""
+        cells = self.cells[column]
+        values = _to_float(cells)
+        missing = np.flatnonzero(np.isnan(values))
+        return values if all(_is_blank(cells[row]) for row in missing) else None
+
+    def first_rows(self, n: int, warning: str) -> "Table":
+        """Return the first `n` rows, with a sentence about the rest."""
+        cells = {key: value[:n] for key, value in self.cells.items()}
+        return Table(self.name, self.path, self.sha256, cells, self.places[:n], self.place, (*self.warnings, warning))
+
+
+def read_table(path: str | Path) -> Table:
+    """Read a CSV or Parquet file as a table of columns, without asking what they mean.
+
+    A comma, a semicolon or a tab separates the cells; the header line decides which. `#` lines before the header are
+    comments. An incomplete last line is left out with a warning.
+
+    Args:
+        path: The file; `.parquet` and `.pq` are read as Parquet, everything else as text.
+
+    Raises:
+        InputError: The file cannot be read, is empty, is not UTF-8, has no rows, names a column twice or has a row of
+            another length.
+    """
+    path = Path(path)
+    data = _read_bytes(path)
+    digest = hashlib.sha256(data).hexdigest()
+    if path.suffix.lower() in PARQUET_SUFFIXES:
+        cells = _parquet_columns(path.name, data)
+        rows = np.arange(1, len(next(iter(cells.values()), ())) + 1)
+        return Table(path.name, path, digest, cells, rows, place="row")
+    if path.suffix.lower() == ".mcap":
+        raise InputError(f"{path.name} is an MCAP file, which cannot be read here; export it as CSV or Parquet.")
+    cells, lines, warnings = parse_delimited(path.name, data)
+    return Table(path.name, path, digest, cells, lines, warnings=warnings)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; give the path of a CSV or Parquet log.") from None
+    except IsADirectoryError:
+        raise InputError(f"{path} is a folder; give the path of a CSV or Parquet log in it.") from None
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read: {error.strerror or error}; give a readable CSV or Parquet log."
+        ) from None
+    if not data:
+        raise InputError(f"{path.name} is empty; a log needs a header line and one line a sample.")
+    return data
+
+
+def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
+    """Return the columns of a Parquet file; no Python object is ever restored from it."""
+    try:
+        table = pq.read_table(pa.BufferReader(data))
+    except (pa.ArrowException, OSError):
+        raise InputError(f"{name} is not a Parquet file; give CSV another suffix than .parquet.") from None
+    twice = [c for c in dict.fromkeys(table.column_names) if table.column_names.count(c) > 1]
+    if twice:
+        raise InputError(f"{name} names column {twice[0]} twice; every column needs a name of its own.")
+    if table.num_rows == 0:
+        raise InputError(f"{name} has columns but no rows; a log needs one row a sample.")
+    return {column: table.column(column).to_pandas().to_numpy() for column in table.column_names}
+
+
+def _to_float(cells: NDArray[Any]) -> NDArray[np.float64]:
+    """Return cells as float64, with NaN where one is not a number."""
+    if cells.dtype.kind in "fiu":
+        return cells.astype(np.float64)
+    if cells.dtype.kind in "bmM":
+        return np.full(cells.shape, np.nan)
+    return np.asarray(pd.to_numeric(pd.Series(cells), errors="coerce"), dtype=np.float64)
+
+
+def _is_blank(cell: object) -> bool:
+    return cell is None or str(cell).strip().lower() in ("", "nan", "na", "null", "<na>", "none")
+
+
+def _complaint(cell: object) -> str:
+    """Say in half a sentence why a cell is not a usable number, and what would be right."""
+    text = "" if cell is None else str(cell).strip()
+    if not text:
+        return "the cell is empty; every sample needs a number here"
+    if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "na", "null", "<na>"):
+        return f"{text} is not a finite number; every sample needs one here"
+    if text.count(",") == 1 and text.replace(",", "").lstrip("+-").isdigit():
+        return f"{text!r} has a decimal comma; write numbers with a decimal point"
+    return f"{text[:40]!r} is not a number; write it as 0.125 or 1.25e-1"

@@ -1,0 +1,162 @@
+"""A model predicts actuated forces: a robot, the effects it is extended by, and a value for every parameter.
+
+It is what identification writes, what diagnosis extends, and what simulation and feedforward use. A model file is YAML
+that carries its own robot (the expanded URDF), so it needs neither the xacro nor its includes, and no code runs on loading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from tau_dyn.dynamics import Mechanism, build_mechanism
+from tau_dyn.effects import EFFECTS, Effect, Motion
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.files import read_yaml, write_whole
+from tau_dyn.parameters import Parameters
+from tau_dyn.robot import Robot, robot_from_urdf
+
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Model:
+    """A robot with effects and values.
+
+    Attributes:
+        robot: The robot; its `parameters` hold the rigid-body values.
+        effects: The effects beyond the rigid body.
+        effect_parameters: Values of the effects' parameters, in the effects' order.
+        provenance: Where the values came from: logs and hashes, versions, seed.
+    """
+
+    robot: Robot
+    effects: tuple[Effect, ...]
+    effect_parameters: Parameters
+    provenance: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, robot: Robot, effects: Iterable[Effect] = (), provenance: Mapping[str, Any] | None = None) -> Model:
+        """Build a model with every effect at zero."""
+        effects = tuple(effects)
+        parameters = Parameters([p for effect in effects for p in effect.parameters])
+        return cls(robot, effects, parameters, dict(provenance or {}))
+
+    @property
+    def parameters(self) -> Parameters:
+        """All parameters: the robot's, then the effects'; the regressor's column order."""
+        return self.robot.parameters + self.effect_parameters
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The rigid-body dynamics at the robot's values."""
+        return build_mechanism(self.robot)
+
+    def with_parameters(self, parameters: Parameters) -> Model:
+        """Return the model with other values; names must be the same."""
+        n = len(self.robot.parameters)
+        items = list(parameters)
+        robot = self.robot.with_parameters(Parameters(items[:n]))
+        effect_parameters = Parameters(items[n:])
+        if effect_parameters.names != self.effect_parameters.names:
+            raise UnknownName("parameter", str(effect_parameters.names), self.effect_parameters.names)
+        return replace(self, robot=robot, effect_parameters=effect_parameters)
+
+    def with_values(self, values: Mapping[str, float]) -> Model:
+        """Return the model with some values replaced, by name."""
+        return self.with_parameters(self.parameters.with_values(values))
+
+    def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
+        """Return all columns (N, na, p) along a motion (N, na); `sign` replaces `sign(v)` in friction."""
+        rigid = self.mechanism.regressor(q, v, a)
+        motion = Motion.of(self.robot.actuated, np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), sign)
+        return np.concatenate([rigid, *(effect.columns(motion) for effect in self.effects)], axis=2)
+
+    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
+        """Return actuated forces (N, na) [N or N m] along a motion (N, na)."""
+        rigid = self.mechanism.inverse_dynamics(q, v, a)
+        motion = Motion.of(self.robot.actuated, np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), sign)
+        return rigid + self.effect_force(motion)
+
+    def effect_force(self, motion: Motion) -> np.ndarray:
+        """Return the effects' share of the force (N, na) [N or N m]."""
+        force = np.zeros(motion.v.shape)
+        for effect in self.effects:
+            force += effect.force(motion, self.effect_parameters)
+        return force
+
+    def save(self, path: str | Path) -> None:
+        """Write the model file; it appears whole or not at all."""
+        content = {
+            "tau_dyn_model": _FORMAT,
+            "provenance": dict(self.provenance),
+            "robot": {
+                "source": self.robot.source,
+                "arguments": dict(self.robot.arguments),
+                "actuated": list(self.robot.actuated),
+                "sha256": self.robot.sha256,
+            },
+            "effects": [effect.to_dict() for effect in self.effects],
+            "untied": [n for n in self.robot.parameters.names if n not in _tied_names(self.robot)],
+            "parameters": self.parameters.to_list(),
+            "urdf": self.robot.urdf,
+        }
+        write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Model:
+        """Read a model file.
+
+        Raises:
+            InputError: The file is missing, not YAML, or not a model of ours; the message names the entry.
+        """
+        content = read_yaml(path)
+        if not isinstance(content, dict) or content.get("tau_dyn_model") != _FORMAT:
+            raise InputError(f"{path}: not a tau_dyn model file (its first key is 'tau_dyn_model: {_FORMAT}')")
+        for key, kind in (("robot", dict), ("effects", list), ("parameters", list), ("urdf", str)):
+            if not isinstance(content.get(key), kind):
+                raise InputError(f"{path}: '{key}' is missing or not a {kind.__name__}")
+        about = content["robot"]
+        robot = robot_from_urdf(
+            content["urdf"],
+            str(about.get("source", path)),
+            actuated=about.get("actuated"),
+            arguments=about.get("arguments"),
+            sha256=str(about.get("sha256", "")),
+        ).untied(content.get("untied", []))
+        model = cls.of(robot, read_effects(content["effects"], robot, str(path)), content.get("provenance"))
+        saved = Parameters.from_list(content["parameters"], str(path))
+        if set(saved.names) != set(model.parameters.names):
+            odd = min(set(saved.names) ^ set(model.parameters.names))
+            raise InputError(f"{path}: parameter '{odd}' does not belong to this robot and these effects")
+        return model.with_parameters(saved.select(model.parameters.names))
+
+
+def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
+    """Build effects from a file's list of `{effect: NAME, joints: [...]}`; joints default to all actuated ones."""
+    if not isinstance(rows, list):
+        raise InputError(f"{where}: 'effects' must be a list")
+    units = dict(zip(robot.actuated, robot.force_units, strict=True))
+    found = []
+    for row in rows:
+        if not isinstance(row, dict) or str(row.get("effect")) not in EFFECTS:
+            name = row.get("effect") if isinstance(row, dict) else row
+            raise UnknownName("effect", str(name), EFFECTS, where)
+        joints = row.get("joints", list(robot.actuated))
+        for joint in joints:
+            if joint not in units:
+                raise UnknownName("actuated joint", str(joint), units, where)
+        found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints]))
+    return tuple(found)
+
+
+def _tied_names(robot: Robot) -> set[str]:
+    """Return the parameter names that the robot has without untying anything."""
+    plain = robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated)
+    return set(plain.parameters.names)

@@ -1,0 +1,165 @@
+"""Named parameters: names <-> vector, with unit, bounds, fixed or free, uncertainty and origin.
+
+A `Parameter` is more than a number; `Parameters` is an ordered, immutable collection that turns names into vectors and
+back. A fixed parameter still reaches the model, it only leaves the solver's vector. Names follow the contract:
+`<link>.mass`, `<joint>.coulomb_pos`, ... Patterns are shell patterns (`*.armature`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from fnmatch import fnmatchcase
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError, UnknownName
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model and all that is known about it.
+
+    Attributes:
+        name: Contract name, `<owner>.<quantity>`.
+        value: Current value [unit].
+        unit: SI unit as text.
+        lower: Smallest admissible value [unit].
+        upper: Largest admissible value [unit].
+        free: Whether a solver may change it.
+        prior_stderr: Standard deviation of `value` as prior knowledge [unit]; None for no knowledge (free) or
+            for a value taken as exact (fixed).
+        stderr: Standard error of an estimate [unit], None if it was not estimated.
+        origin: Where the value came from, in words.
+    """
+
+    name: str
+    value: float
+    unit: str
+    lower: float = -inf
+    upper: float = inf
+    free: bool = True
+    prior_stderr: float | None = None
+    stderr: float | None = None
+    origin: str = "robot file"
+
+    def __post_init__(self) -> None:
+        """Refuse numbers no solver could start from."""
+        if not isfinite(self.value):
+            raise InputError(f"parameter {self.name} must be a finite number, not {self.value}")
+        if self.lower > self.upper:
+            raise InputError(f"parameter {self.name}: lower bound {self.lower} is above upper bound {self.upper}")
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the value sits on one of its bounds."""
+        scale = max(abs(self.value), 1e-12)
+        return bool(abs(self.value - self.lower) < 1e-6 * scale or abs(self.value - self.upper) < 1e-6 * scale)
+
+
+class Parameters:
+    """An ordered, immutable collection of `Parameter`, addressed by name or by shell pattern."""
+
+    def __init__(self, items: Iterable[Parameter] = ()) -> None:
+        """Collect parameters; names must be unique."""
+        self._items: dict[str, Parameter] = {}
+        for item in items:
+            if item.name in self._items:
+                raise InputError(f"parameter {item.name} is defined twice")
+            self._items[item.name] = item
+
+    def __iter__(self) -> Iterator[Parameter]:
+        """Iterate over parameters in order."""
+        return iter(self._items.values())
+
+    def __len__(self) -> int:
+        """Return the number of parameters."""
+        return len(self._items)
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether a parameter of that name exists."""
+        return name in self._items
+
+    def __getitem__(self, name: str) -> Parameter:
+        """Return the parameter of that name, or raise `UnknownName` listing what exists."""
+        if name not in self._items:
+            raise UnknownName("parameter", name, self._items)
+        return self._items[name]
+
+    def __add__(self, other: Parameters) -> Parameters:
+        """Concatenate two collections."""
+        return Parameters([*self, *other])
+
+    def __repr__(self) -> str:
+        """Show names and values."""
+        return "Parameters(" + ", ".join(f"{p.name}={p.value:.6g} {p.unit}" for p in self) + ")"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(self._items)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values in order (p,)."""
+        return np.array([p.value for p in self])
+
+    @property
+    def free(self) -> np.ndarray:
+        """Mask of free parameters (p,)."""
+        return np.array([p.free for p in self], dtype=bool)
+
+    def match(self, pattern: str) -> tuple[str, ...]:
+        """Return the names matching a shell pattern; an unmatched pattern is an error."""
+        found = tuple(n for n in self._items if fnmatchcase(n, pattern))
+        if not found:
+            raise UnknownName("parameter", pattern, self._items)
+        return found
+
+    def select(self, names: Iterable[str]) -> Parameters:
+        """Return those parameters, in the order given."""
+        return Parameters([self[n] for n in names])
+
+    def with_values(self, values: Mapping[str, float] | np.ndarray) -> Parameters:
+        """Return a copy with other values: by name, or a whole vector (p,) in order."""
+        if isinstance(values, np.ndarray):
+            if values.shape != (len(self),):
+                raise InputError(f"expected {len(self)} values, one a parameter, not an array of shape {values.shape}")
+            values = dict(zip(self.names, values.tolist(), strict=True))
+        return self.update({name: {"value": float(value)} for name, value in values.items()})
+
+    def update(self, changes: Mapping[str, Mapping[str, Any]]) -> Parameters:
+        """Return a copy in which the named parameters have some attributes replaced."""
+        for name in changes:
+            self[name]
+        return Parameters([replace(p, **changes[p.name]) if p.name in changes else p for p in self])
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """Return plain dictionaries for YAML or JSON; infinite bounds are left out."""
+        rows = []
+        for p in self:
+            row = {k: v for k, v in asdict(p).items() if v is not None}
+            row = {k: v for k, v in row.items() if not (isinstance(v, float) and not isfinite(v))}
+            rows.append(row)
+        return rows
+
+    @classmethod
+    def from_list(cls, rows: object, where: str = "parameters") -> Parameters:
+        """Read what `to_list` wrote; anything else is an `InputError` naming the entry."""
+        if not isinstance(rows, list):
+            raise InputError(f"{where}: expected a list of parameters")
+        known = set(Parameter.__dataclass_fields__)
+        items = []
+        for k, row in enumerate(rows):
+            if not isinstance(row, dict) or not {"name", "value", "unit"} <= set(row) or not set(row) <= known:
+                raise InputError(
+                    f"{where}: entry {k + 1} must have name, value, unit and only {', '.join(sorted(known))}"
+                )
+            numbers = {k: row[k] for k in ("value", "lower", "upper", "prior_stderr", "stderr") if k in row}
+            bad = [k for k, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
+            if bad:
+                raise InputError(f"{where}: {row['name']}.{bad[0]} must be a number, not {numbers[bad[0]]!r}")
+            items.append(Parameter(**{**row, **{k: float(v) for k, v in numbers.items()}}))
+        return cls(items)

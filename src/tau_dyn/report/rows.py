@@ -1,0 +1,148 @@
+"""The parameter table as a person reads it: one line a parameter, shared by the page and the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from tau_dyn.identify import Identification
+from tau_dyn.report.words import Z95, listed, number, percent, pretty_unit, rounded, with_uncertainty
+
+State = Literal["known", "weak", "unseen"]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """Where estimate and interval sit relative to the nominal value, as shares of the scale from -1 to 1.
+
+    Attributes:
+        low: Lower end of the 95 % interval, cut at -1.
+        high: Upper end, cut at 1.
+        at: The estimate; None where it lies off the scale.
+        trust: Half-width of what the nominal value is trusted to; 0 where there is no nominal.
+    """
+
+    low: float
+    high: float
+    at: float | None
+    trust: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """A parameter in words.
+
+    Attributes:
+        name: Contract name.
+        group: Heading it stands under.
+        state: `known` to 30 %, `weak`, or `unseen` by itself.
+        estimate: Value ± standard error; the nominal value where it is unseen.
+        interval: 95 % interval.
+        unit: Its unit.
+        nominal: Nominal value, empty where there is no trusted one.
+        note: What a reader must know, empty where all is well.
+        bar: Picture of the interval; None where there is nothing to draw.
+        true: The true value of a simulation, empty where it is not known.
+        distance: Estimate minus true value in standard errors.
+    """
+
+    name: str
+    group: str
+    state: State
+    estimate: str
+    interval: str
+    unit: str
+    nominal: str
+    note: str
+    bar: Bar | None
+    true: str
+    distance: str
+
+
+def parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[Row]:
+    """Return the table's lines, in the order of `found.rows()`."""
+    raw = found.rows()
+    scale = bar_scale(raw)
+    return [_row(found, r, scale, truth or {}) for r in raw]
+
+
+def bar_scale(rows: list[dict[str, Any]]) -> float:
+    """Return the bars' common half-width as a share of the reference value, wide enough for what is determined."""
+    extents = [0.05]
+    for r in rows:
+        reference = r["nominal"] or r["value"]
+        if r["determined"] and reference:
+            extents.append(max(abs(x - reference) for x in r["ci95"]) / abs(reference))
+    return float(min(1.0, _round_up(1.05 * float(np.quantile(extents, 0.95)))))
+
+
+def _round_up(x: float) -> float:
+    steps = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 1.0])
+    return float(steps[min(np.searchsorted(steps, x), len(steps) - 1)])
+
+
+def _row(found: Identification, r: dict[str, Any], scale: float, truth: Mapping[str, float]) -> Row:
+    seen, sigma, true = r["stderr"] is not None, r["stderr"], truth.get(r["name"])
+    decimals = sigma / 10 if seen else 1.0
+    return Row(
+        name=r["name"],
+        group=_group(found, r["name"]),
+        state="known" if r["determined"] else "weak" if seen else "unseen",
+        estimate=with_uncertainty(r["value"], sigma) if seen else number(r["value"]),
+        interval=f"{rounded(r['ci95'][0], sigma)} … {rounded(r['ci95'][1], sigma)}" if seen else "",
+        unit=pretty_unit(r["unit"]),
+        nominal="" if r["nominal"] is None else number(r["nominal"]),
+        note=_note(found, r),
+        bar=_bar(r, scale) if seen else None,
+        true="" if true is None else (rounded(true, decimals) if seen else number(true)),
+        distance=f"{abs(r['value'] - true) / sigma:.1f}" if seen and sigma > 0 and true is not None else "",
+    )
+
+
+def _group(found: Identification, name: str) -> str:
+    owner = name.rsplit(".", 1)[0]
+    return "Rigid body" if name in found.model.robot.parameters and owner not in found.model.robot.actuated else owner
+
+
+def _note(found: Identification, r: dict[str, Any]) -> str:
+    if r["stderr"] is None:
+        return _unseen(r)
+    plain = found.estimate.moved.get(r["name"])
+    if plain is not None:
+        return f"held where physics allows; unconstrained it would be {rounded(plain, r['stderr'])}"
+    if r["at_bound"]:
+        return "at its bound"
+    if not r["determined"]:
+        relative = 100 * r["stderr"] / max(abs(r["value"]), 1e-300)
+        return f"not determined: standard error {percent(relative)}" if relative < 100 else "not told from zero"
+    return _against_nominal(r)
+
+
+def _unseen(r: dict[str, Any]) -> str:
+    shares = r.get("depends_on") or []
+    if not shares:
+        return "nominal value; this motion does not show it" if r["identifiable"] else "nominal value; no motion shows it"
+    return f"nominal value; seen only together with {listed(shares, 3)}"
+
+
+def _against_nominal(r: dict[str, Any]) -> str:
+    nominal, trust = r["nominal"], r["nominal_stderr"]
+    if not nominal:
+        return ""
+    change = (r["value"] - nominal) / abs(nominal)
+    if trust is None or abs(r["value"] - nominal) < Z95 * np.hypot(r["stderr"], trust):
+        return "agrees with nominal" if trust is not None else ""
+    return f"{percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, beyond both uncertainties"
+
+
+def _bar(r: dict[str, Any], scale: float) -> Bar | None:
+    reference = r["nominal"] or r["value"]
+    if not reference or abs(reference) < 1e-3 * r["stderr"]:
+        return None
+    low, high, at = ((x - reference) / abs(reference) / scale for x in (*r["ci95"], r["value"]))
+    trust = Z95 * r["nominal_stderr"] / abs(reference) / scale if r["nominal_stderr"] else 0.0
+    cut = [float(np.clip(x, -1, 1)) for x in (low, high)]
+    return Bar(cut[0], cut[1], float(at) if abs(at) <= 1 else None, min(1.0, trust))

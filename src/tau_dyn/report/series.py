@@ -1,0 +1,133 @@
+"""Long series for a page: what each panel of the time view shows, thinned so that peaks survive, packed as 16-bit numbers.
+
+Thinning keeps the smallest and the largest sample of each bin, in the order they came; an even clock stays even.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.estimate import Regression, Run
+from tau_dyn.identify import Identification
+
+TOTAL_POINTS = 120_000
+PANEL_POINTS = 8_000
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One joint's force in one stretch of a log.
+
+    Attributes:
+        log: The log's name.
+        joint: The joint.
+        unit: Unit of the force.
+        held_out: Whether the fit never saw the log.
+        t: Time (n,) [s].
+        measured: Measured force (n,), filtered as for the fit.
+        predicted: Predicted force (n,).
+        usable: Samples that the fit and the errors use (n,).
+        shaded: From when to when the stretch serves as held-out data [s]; None where it does not or all of it does.
+    """
+
+    log: str
+    joint: str
+    unit: str
+    held_out: bool
+    t: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    usable: np.ndarray
+    shaded: tuple[float, float] | None
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Measured minus predicted (n,)."""
+        return self.measured - self.predicted
+
+
+def panels(found: Identification) -> list[Panel]:
+    """Return every stretch and joint there is to look at: logs the fit never saw first."""
+    own_logs = bool(found.model.provenance.get("held_out"))
+    train = found.estimate.regression
+    shown = _panels(found, found.held, True, None) if own_logs and found.held is not None else []
+    return shown + _panels(found, train, False, None if own_logs else found.held)
+
+
+def _panels(found: Identification, regression: Regression, held_out: bool, part: Regression | None) -> list[Panel]:
+    rows = []
+    for i, run in enumerate(regression.runs):
+        predicted = run.W @ found.estimate.theta
+        shaded = None if part is None else (float(part.runs[i].t[0]), float(part.runs[i].t[-1]))
+        for k, joint in enumerate(regression.outputs):
+            rows.append(_panel(run, k, joint, regression.units[k], predicted, held_out, shaded))
+    return rows
+
+
+def _panel(
+    run: Run, k: int, joint: str, unit: str, predicted: np.ndarray, held_out: bool, shaded: tuple[float, float] | None
+) -> Panel:
+    return Panel(run.name, joint, unit, held_out, run.t, run.y[:, k], predicted[:, k], run.usable[:, k], shaded)
+
+
+def thin(t: np.ndarray, columns: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return at most about `most` rows of time (n,) and columns (n, m): two a bin, its extremes in their order."""
+    size = int(np.ceil(2 * len(t) / most))
+    if len(t) <= most or size < 2:
+        return t, columns
+    bins = int(np.ceil(len(t) / size))
+    padded = np.concatenate([columns, np.repeat(columns[-1:], bins * size - len(t), axis=0)])
+    blocks = padded.reshape(bins, size, -1)
+    low, high = blocks.min(axis=1), blocks.max(axis=1)
+    rising = blocks.argmin(axis=1) <= blocks.argmax(axis=1)
+    out = np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1).reshape(2 * bins, -1)
+    return t[0] + np.arange(2 * bins) * (t[1] - t[0]) * size / 2, out
+
+
+def gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[tuple[float, float]]:
+    """Return the intervals [s] that are not usable, those closer together than `shortest` joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (~usable).astype(int), [0]])))
+    found: list[tuple[float, float]] = []
+    for start, stop in zip(t[edges[::2]], t[edges[1::2] - 1], strict=True):
+        if found and start - found[-1][1] < shortest:
+            found[-1] = (found[-1][0], float(stop))
+        else:
+            found.append((float(start), float(stop)))
+    return found
+
+
+def payload(shown: list[Panel]) -> list[dict[str, Any]]:
+    """Return what the page's script draws, as plain data for JSON."""
+    most = int(np.clip(TOTAL_POINTS / max(1, 3 * len(shown)), 400, PANEL_POINTS))
+    return [_payload(panel, most) for panel in shown]
+
+
+def _payload(panel: Panel, most: int) -> dict[str, Any]:
+    columns = np.column_stack([panel.measured, panel.predicted, panel.residual])
+    t, thinned = thin(panel.t, columns, most)
+    step = float(t[1] - t[0]) if len(t) > 1 else 1.0
+    masked = gaps(panel.t, panel.usable, 2 * step)
+    return {
+        "log": panel.log,
+        "joint": panel.joint,
+        "unit": panel.unit,
+        "heldOut": panel.held_out,
+        "t0": float(t[0]),
+        "step": step,
+        "n": len(t),
+        "series": [pack(thinned[:, k]) for k in range(3)],
+        "masked": [[round(a, 4), round(b, 4)] for a, b in masked],
+        "shaded": panel.shaded,
+    }
+
+
+def pack(values: np.ndarray) -> dict[str, Any]:
+    """Return values as base64 of little-endian 16-bit numbers, `value = middle + scale * number`."""
+    low, high = float(np.min(values)), float(np.max(values))
+    middle, scale = (low + high) / 2, (high - low) / 65000 or 1.0
+    numbers = np.round((values - middle) / scale).astype("<i2")
+    return {"middle": middle, "scale": scale, "data": base64.b64encode(numbers.tobytes()).decode("ascii")}

@@ -1,0 +1,163 @@
+"""What a colleague would say about a result: numbers with their uncertainty, the headline, the verdict.
+
+`±` is a standard error in tables (`95.14 ± 0.20 kg`); in the headline's `known to ±0.4 %` it is the 95 % interval.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from math import floor, isfinite, log10
+from typing import Any, Literal, NamedTuple
+
+from tau_dyn.identify import Identification
+
+Z95 = 1.959964
+POOR_PERCENT = 20.0
+"""Held-out error above which a model is called unfit: one fifth of the force is missed."""
+OVERFIT = 1.5
+"""Held-out error over training error above which the fit does not carry over to other data."""
+
+Level = Literal["good", "care", "poor"]
+
+
+class Verdict(NamedTuple):
+    """How far a result may be used, in one word and one sentence."""
+
+    level: Level
+    sentence: str
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return a number with so many significant digits and a true minus sign."""
+    text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+    return _minus(text if not _tiny_or_huge(value) else f"{value:.{digits - 1}e}")
+
+
+def percent(value: float) -> str:
+    """Return a percentage with two significant digits, such as `3.0 %`."""
+    if not isfinite(value):
+        return "more than 100 %"
+    return f"{value:.0f} %" if value >= 9.95 else f"{value:.1f} %" if value >= 0.995 else f"{value:.2g} %"
+
+
+def decimals_for(stderr: float) -> int:
+    """Return how many decimals show two significant digits of an uncertainty; negative above 100."""
+    if not stderr > 0 or not isfinite(stderr):
+        return 3
+    decimals = 1 - floor(log10(stderr))
+    return decimals - 1 if round(stderr, decimals) >= 10.0 ** (2 - decimals) else decimals
+
+
+def rounded(value: float, stderr: float) -> str:
+    """Return a value to the digits that its uncertainty leaves."""
+    decimals = decimals_for(stderr)
+    if decimals > 7 or _tiny_or_huge(max(abs(value), stderr)):
+        return number(value)
+    shown = round(value, decimals)
+    return _minus(f"{shown if shown else 0.0:.{max(decimals, 0)}f}")
+
+
+def with_uncertainty(value: float, stderr: float | None, unit: str = "") -> str:
+    """Return `95.14 ± 0.20 kg`: two digits of the standard error, the value to the same decimal."""
+    tail = f" {pretty_unit(unit)}" if unit else ""
+    if stderr is None or not stderr > 0:
+        return number(value) + tail
+    return f"{rounded(value, stderr)} ± {rounded(stderr, stderr)}{tail}"
+
+
+def pretty_unit(unit: str) -> str:
+    """Return a unit with raised exponents."""
+    return unit.replace("^2", "²").replace("^3", "³")
+
+
+def listed(items: Iterable[str], most: int = 6) -> str:
+    """Return `a, b and c`, or the first few and how many more."""
+    items = list(items)
+    if len(items) > most:
+        return f"{', '.join(items[:most])} and {len(items) - most} more"
+    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else "".join(items)
+
+
+def count(n: int, noun: str) -> str:
+    """Return `1 log`, `3 logs`."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def headline(found: Identification) -> str:
+    """Return the one sentence above everything."""
+    if found.holdout is not None:
+        start = f"The model predicts held-out force to {percent(found.holdout.relative_error_percent)}"
+    else:
+        start = f"The model fits the force to {percent(found.train.relative_error_percent)}; nothing was held out to judge it"
+    return "; ".join([start, *_clauses(found.rows())]) + "."
+
+
+def verdict(found: Identification) -> Verdict:
+    """Return how far the result may be used."""
+    judged = found.holdout or found.train
+    error, weak = judged.relative_error_percent, [r for r in found.rows() if not r["determined"]]
+    if error > POOR_PERCENT:
+        return Verdict("poor", f"Do not use it yet: {percent(error)} of the force is unexplained.")
+    if found.holdout is None:
+        return Verdict("care", "Judge it on another log before use: these errors are those of the fit itself.")
+    if error > OVERFIT * found.train.relative_error_percent:
+        own = percent(found.train.relative_error_percent)
+        return Verdict("care", f"It fits its own log to {own} but others less well; record a richer motion before use.")
+    if weak:
+        few = count(len(weak), "single value")
+        return Verdict(
+            "care", f"Good for predicting force on motion like this; do not read {few} of {len(found.rows())} as physics."
+        )
+    if found.warnings:
+        return Verdict("care", f"Good for predicting force; {count(len(found.warnings), 'warning')} to read first.")
+    return Verdict("good", "Use it for feedforward and simulation; each value also stands by itself.")
+
+
+def mass_group(name: str) -> str:
+    """Return what a mass is a mass of, without its number: `rod2a_link.mass` -> `rod`."""
+    owner = name.rsplit(".", 1)[0].removesuffix("_link")
+    return re.sub(r"_?\d+[a-z]?$", "", owner) or owner
+
+
+def _clauses(rows: Sequence[dict[str, Any]]) -> list[str]:
+    masses = [r for r in rows if r["name"].endswith(".mass")]
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in masses:
+        groups.setdefault(mass_group(row["name"]), []).append(row)
+    if len(groups) > 3 or not masses:
+        known = sum(r["determined"] for r in rows)
+        return [f"{known} of {count(len(rows), 'parameter')} are known to better than 30 % each"]
+    clauses = [_known(name, members) for name, members in groups.items() if any(r["determined"] for r in members)]
+    weak = [n for n, g in groups.items() if not any(r["determined"] for r in g) and any(r["stderr"] for r in g)]
+    unseen = [n for n, g in groups.items() if all(r["stderr"] is None for r in g)]
+    if weak:
+        clauses.append(f"{_masses(weak, groups)} not determined by this motion")
+    if unseen:
+        apart = all(not r["identifiable"] for n in unseen for r in groups[n])
+        clauses.append(f"{_masses(unseen, groups)} {'seen only in combination' if apart else 'not shown by this motion'}")
+    return clauses
+
+
+def _known(name: str, members: Sequence[dict[str, Any]]) -> str:
+    known = [r for r in members if r["determined"]]
+    worst = max(100 * Z95 * r["stderr"] / abs(r["value"]) for r in known)
+    if len(members) == 1:
+        return f"{name} mass is known to ±{percent(worst)}"
+    if len(known) == len(members):
+        return f"{name} masses are known to ±{percent(worst)}"
+    is_are = "is" if len(known) == 1 else "are"
+    return f"{len(known)} of {len(members)} {name} masses {is_are} known to ±{percent(worst)}"
+
+
+def _masses(names: Sequence[str], groups: dict[str, list[dict[str, Any]]]) -> str:
+    several = len(names) > 1 or len(groups[names[0]]) > 1
+    return f"{listed(names)} {'masses are' if several else 'mass is'}"
+
+
+def _tiny_or_huge(value: float) -> bool:
+    return value != 0 and not 1e-4 <= abs(value) < 1e7
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", "−")

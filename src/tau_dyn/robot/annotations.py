@@ -1,0 +1,175 @@
+"""What a robot file says beyond the plain tree: transmissions, loops, and our own hints.
+
+Read from the expanded URDF. `<drake:ball_constraint>` closes loops (the same element Drake reads). `<tau_dyn:...>`
+elements are hints no other program needs: which parameters a link has, a home position, a known closed form, mass that
+only gravity feels, and what in the file is assumed rather than measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+from defusedxml.ElementTree import fromstring
+
+from tau_dyn.exceptions import InputError
+
+_DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
+_OURS = "urn:tau_dyn"
+
+
+@dataclass(frozen=True)
+class BallConstraint:
+    """A point of one link that coincides with a point of another; points in link frames (3,) [m]."""
+
+    link_a: str
+    link_b: str
+    point_a: tuple[float, float, float]
+    point_b: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """An actuated joint and its drive's inertia seen at the joint [kg or kg m^2]."""
+
+    joint: str
+    armature: float
+
+
+@dataclass(frozen=True)
+class ArmNames:
+    """One arm of a simplified Gantry-Tau: its cart joint, cart link and rod link."""
+
+    cart_joint: str
+    cart_link: str
+    rod_link: str
+
+
+@dataclass(frozen=True)
+class Annotations:
+    """All that the file says beyond the plain tree."""
+
+    joints: dict[str, str]  # movable joint -> child link
+    links: tuple[str, ...]
+    loops: tuple[BallConstraint, ...]
+    transmissions: tuple[Transmission, ...]
+    mass_only: frozenset[str]
+    home: dict[str, float]
+    gantry_tau_arms: tuple[ArmNames, ...]
+    gantry_tau_plate: str
+    gravity_masses: dict[str, float]
+    assumed: tuple[str, ...]
+
+
+def read_annotations(urdf: str, where: str) -> Annotations:
+    """Read transmissions, loops and hints from URDF text.
+
+    Raises:
+        InputError: An element lacks an attribute, names a link or joint that does not exist, or is not a number.
+    """
+    root = fromstring(urdf, forbid_dtd=True)
+    if root.tag != "robot":
+        raise InputError(f"{where}: the root element is <{root.tag}>, a robot file's is <robot>")
+    reader = _Reader(root, where)
+    mechanism = reader.ours("mechanism")
+    return Annotations(
+        joints=reader.joints,
+        links=tuple(reader.links),
+        loops=reader.loops(),
+        transmissions=reader.transmissions(),
+        mass_only=frozenset(reader.link_of(e, "name") for e in reader.ours("link") if e.get("parameters") == "mass"),
+        home={reader.joint_of(e, "joint"): reader.number(e, "value") for e in reader.ours("home")},
+        gantry_tau_arms=tuple(reader.arm(a) for m in mechanism for a in m.findall(f"{{{_OURS}}}arm")),
+        gantry_tau_plate=mechanism[0].get("plate", "") if mechanism else "",
+        gravity_masses={reader.link_of(e, "link"): reader.number(e, "value") for e in reader.ours("gravity_mass")},
+        assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
+    )
+
+
+class _Reader:
+    """Finds elements and turns their attributes into names that exist and numbers that are finite."""
+
+    def __init__(self, root: Element, where: str) -> None:
+        self.root, self.where = root, where
+        self.links = [e.get("name", "") for e in root.findall("link")]
+        movable = [e for e in root.findall("joint") if e.get("type") != "fixed"]
+        self.joints = {e.get("name", ""): self._child(e) for e in movable}
+        both = set(self.links) & {e.get("name", "") for e in root.findall("joint")}
+        if both:
+            raise InputError(f"{where}: '{min(both)}' names both a link and a joint; end link names in _link")
+
+    def _child(self, joint: Element) -> str:
+        child = joint.find("child")
+        return child.get("link", "") if child is not None else ""
+
+    def ours(self, tag: str) -> list[Element]:
+        return self.root.findall(f"{{{_OURS}}}{tag}")
+
+    def joint_of(self, element: Element, attribute: str) -> str:
+        return self._existing(element, attribute, list(self.joints), "joint")
+
+    def link_of(self, element: Element, attribute: str) -> str:
+        return self._existing(element, attribute, self.links, "link")
+
+    def _existing(self, element: Element, attribute: str, known: list[str], kind: str) -> str:
+        name = element.get(attribute, "")
+        if name not in known:
+            tag = element.tag.split("}")[-1]
+            raise InputError(f"{self.where}: <{tag}> names {kind} '{name}'; there are {', '.join(known)}")
+        return name
+
+    def number(self, element: Element, attribute: str) -> float:
+        return self._numbers(element, attribute, 1)[0]
+
+    def _numbers(self, element: Element, attribute: str, count: int) -> tuple[float, ...]:
+        text = element.get(attribute, "")
+        try:
+            values = tuple(float(word) for word in text.split())
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(abs(v) < 1e12 for v in values):
+            tag = element.tag.split("}")[-1]
+            raise InputError(f"{self.where}: <{tag} {attribute}='{text}'> must hold {count} finite number(s)")
+        return values
+
+    def loops(self) -> tuple[BallConstraint, ...]:
+        found = []
+        for namespace in _DRAKE:
+            for element in self.root.findall(f"{{{namespace}}}ball_constraint"):
+                part = {
+                    p: element.find(f"{{{namespace}}}ball_constraint_{p}") for p in ("body_A", "body_B", "p_AP", "p_BQ")
+                }
+                missing = [p for p, e in part.items() if e is None]
+                if missing:
+                    raise InputError(
+                        f"{self.where}: a <drake:ball_constraint> lacks <drake:ball_constraint_{missing[0]}>"
+                    )
+                a, b, p_a, p_b = (e for e in part.values() if e is not None)
+                point_a, point_b = self._numbers(p_a, "value", 3), self._numbers(p_b, "value", 3)
+                found.append(BallConstraint(self.link_of(a, "name"), self.link_of(b, "name"), point_a, point_b))  # type: ignore[arg-type]
+        return tuple(found)
+
+    def transmissions(self) -> tuple[Transmission, ...]:
+        found = []
+        for element in self.root.findall("transmission"):
+            for joint in element.findall("joint"):
+                armature = 0.0
+                for actuator in element.findall("actuator"):
+                    armature += (
+                        self._drake_value(actuator, "rotor_inertia")
+                        * self._drake_value(actuator, "gear_ratio", 1.0) ** 2
+                    )
+                found.append(Transmission(self.joint_of(joint, "name"), armature))
+        return tuple(found)
+
+    def _drake_value(self, actuator: Element, tag: str, default: float = 0.0) -> float:
+        for namespace in _DRAKE:
+            element = actuator.find(f"{{{namespace}}}{tag}")
+            if element is not None:
+                return self.number(element, "value")
+        return default
+
+    def arm(self, element: Element) -> ArmNames:
+        return ArmNames(
+            self.joint_of(element, "cart"), self.joints[element.get("cart", "")], self.link_of(element, "rod")
+        )

@@ -1,0 +1,129 @@
+"""From a robot file to plain URDF text: short names, xacro arguments, and XML that cannot expand entities.
+
+A xacro file is code: it evaluates Python expressions. xacro itself hides the builtins and refuses names with double
+underscores; we add that neither the file nor anything it includes may declare a document type or entities. Load robot
+files only from people whose scripts you would run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr
+from importlib.resources import files
+from pathlib import Path
+from xml.dom.minidom import Document
+from xml.parsers.expat import ExpatError
+
+import xacro
+from defusedxml.common import DefusedXmlException
+from defusedxml.minidom import parseString
+
+from tau_dyn.exceptions import InputError, UnknownName
+
+_LOCK = threading.Lock()  # xacro keeps its state in module globals
+
+
+def urdf_folder() -> Path:
+    """Return the folder of the robots that come with the package."""
+    installed = Path(str(files("tau_dyn"))) / "urdf"
+    return installed if installed.is_dir() else Path(__file__).resolve().parents[3] / "urdf"
+
+
+def short_names() -> dict[str, Path]:
+    """Return the robots that come with the package: short name -> file."""
+    return {path.name.split(".")[0]: path for path in sorted(urdf_folder().glob("*.urdf*"))}
+
+
+def find_robot(robot: str | Path) -> Path:
+    """Return the file that a path or a short name means.
+
+    Raises:
+        InputError: The file does not exist or is not a robot file.
+        UnknownName: A bare word that is no short name.
+    """
+    path = Path(robot)
+    if path.is_file():
+        if not path.name.endswith((".urdf", ".urdf.xacro", ".xacro", ".xml")):
+            raise InputError(f"{path}: a robot file ends in .urdf or .urdf.xacro")
+        return path
+    if path.suffix or len(path.parts) > 1:
+        raise InputError(f"{path}: no such robot file")
+    known = short_names()
+    if str(robot) not in known:
+        raise UnknownName("robot", str(robot), known)
+    return known[str(robot)]
+
+
+def expand(path: Path, arguments: Mapping[str, object] | None = None) -> str:
+    """Expand a robot file to URDF text.
+
+    Args:
+        path: A `.urdf` or `.urdf.xacro` file.
+        arguments: xacro arguments by name.
+
+    Raises:
+        InputError: The file is not well-formed, declares entities, or xacro cannot expand it.
+        UnknownName: An argument that the file does not declare.
+    """
+    given = {name: str(value) for name, value in (arguments or {}).items()}
+    with _LOCK, _defused_xacro():
+        try:
+            document = xacro.parse(None, str(path))
+            _check_arguments(path, document, given)
+            xacro.init_stacks(str(path))
+            with redirect_stderr(io.StringIO()):
+                xacro.process_doc(document, mappings=given)
+        except (InputError, RecursionError, MemoryError) as fault:
+            if isinstance(fault, InputError):
+                raise
+            raise InputError(f"{path}: expands without end") from fault
+        except Exception as fault:  # xacro raises whatever the expression inside raised
+            reason = " ".join(str(fault).split()) or type(fault).__name__
+            raise InputError(f"{path}: xacro cannot expand it: {reason}") from fault
+    return document.toprettyxml(indent="  ")
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hex."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _check_arguments(path: Path, document: Document, given: Mapping[str, str]) -> None:
+    declared = [tag.getAttribute("name") for tag in document.getElementsByTagName("xacro:arg")]
+    for name in given:
+        if name not in declared:
+            raise UnknownName("xacro argument", name, declared, str(path))
+
+
+def _parse(inp: object, filename: str | None = None) -> Document:
+    """Parse like `xacro.parse`, but without entities, and naming file and line of a fault."""
+    if isinstance(inp, Document):
+        return inp
+    name = filename or "robot text"
+    try:
+        text = Path(str(filename)).read_bytes() if inp is None else str(inp).encode()
+        return parseString(text, forbid_dtd=True)
+    except OSError as fault:
+        raise InputError(f"{name}: cannot be read ({fault.strerror})") from fault
+    except DefusedXmlException as fault:
+        raise InputError(f"{name}: a robot file may not declare a document type or entities") from fault
+    except ExpatError as fault:
+        hint = _prefix_hint(str(fault))
+        raise InputError(f"{name}, line {fault.lineno}: not well-formed XML ({fault}){hint}") from fault
+
+
+def _prefix_hint(message: str) -> str:
+    return "; declare xmlns:xacro and xmlns:drake on <robot>" if "unbound prefix" in message else ""
+
+
+@contextmanager
+def _defused_xacro() -> Iterator[None]:
+    """Let xacro, which parses included files by itself, parse them our way."""
+    original, xacro.parse = xacro.parse, _parse
+    try:
+        yield
+    finally:
+        xacro.parse = original

@@ -1,0 +1,154 @@
+"""From a robot file to a `Robot`: expand, read, hand the tree to Pinocchio, add frames at the loops' ends.
+
+The file stays the single source for Pinocchio (which ignores the loop elements), Drake (which reads them) and us.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotations
+from tau_dyn.robot.expand import expand, find_robot, sha256_of
+from tau_dyn.robot.robot import LinkInertia, Loop, Robot, inertial_parameters
+
+
+def load_robot(robot: str | Path, *, actuated: Iterable[str] | None = None, **arguments: object) -> Robot:
+    """Load a robot from a file or by its short name.
+
+    Args:
+        robot: Path to a `.urdf` or `.urdf.xacro`, or the short name of a robot that comes with the package.
+        actuated: Names of the actuated joints; by default those with a `<transmission>`.
+        **arguments: xacro arguments, such as `prototype="l1"`.
+
+    Raises:
+        InputError: The file cannot be read, expanded or understood; a looped robot names no actuated joints.
+        UnknownName: An unknown robot, xacro argument or joint.
+    """
+    path = find_robot(robot)
+    urdf = expand(path, arguments)
+    given = {k: str(v) for k, v in arguments.items()}
+    return robot_from_urdf(urdf, str(robot), actuated=actuated, arguments=given, sha256=sha256_of(path))
+
+
+def robot_from_urdf(
+    urdf: str,
+    source: str,
+    *,
+    actuated: Iterable[str] | None = None,
+    arguments: Mapping[str, str] | None = None,
+    sha256: str = "",
+) -> Robot:
+    """Build a robot from URDF text; `source` is how messages and saved models call it. See `load_robot`."""
+    notes = read_annotations(urdf, source)
+    model = _build_model(urdf, source)
+    warnings: list[str] = []
+    names = _actuated(model, notes, actuated, source, warnings)
+    loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
+    links = _links(model, notes, warnings)
+    kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}
+    units = {j: "kg" if kind.startswith("JointModelP") else "kg m^2" for j, kind in kinds.items()}
+    return Robot(
+        name=model.name,
+        source=source,
+        arguments=dict(arguments or {}),
+        sha256=sha256,
+        urdf=urdf,
+        model=model,
+        loops=loops,
+        actuated=names,
+        home=np.array([notes.home.get(j, _middle(model, j)) for j in names]),
+        links=links,
+        parameters=_parameters(links, units, notes),
+        arms=notes.gantry_tau_arms,
+        plate=notes.gantry_tau_plate,
+        assumed=notes.assumed,
+        warnings=tuple(warnings),
+    )
+
+
+def _build_model(urdf: str, where: str) -> pin.Model:
+    text = re.sub(r"<\?xml[^>]*\?>", "", urdf, count=1)
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as fault:
+        raise InputError(f"{where}: Pinocchio cannot build the tree: {' '.join(str(fault).split())}") from fault
+    if model.nv == 0:
+        raise InputError(f"{where}: the robot has no movable joint")
+    return model
+
+
+def _actuated(
+    model: pin.Model, notes: Annotations, wanted: Iterable[str] | None, where: str, warnings: list[str]
+) -> tuple[str, ...]:
+    movable = [n for n in model.names[1:]]
+    names = list(wanted) if wanted is not None else [t.joint for t in notes.transmissions]
+    for name in names:
+        if name not in movable:
+            raise UnknownName("movable joint", name, movable, where)
+    if not names and notes.loops:
+        raise InputError(
+            f"{where}: the robot has kinematic loops but no <transmission>; "
+            "name its actuated joints with --actuated (load_robot(..., actuated=[...]))"
+        )
+    if not names:
+        names = movable
+        warnings.append(
+            f"{where} has no <transmission>; all its movable joints are taken as actuated: {', '.join(names)}"
+        )
+    for name in names:
+        if model.joints[model.getJointId(name)].nv != 1:
+            raise InputError(f"{where}: actuated joint '{name}' must have one degree of freedom")
+    return tuple(n for n in movable if n in names)
+
+
+def _add_loop(model: pin.Model, k: int, ball: BallConstraint, where: str) -> Loop:
+    ids = [_anchor(model, f"loop{k + 1}_{side}", link, np.array(point), where) for side, link, point in
+           (("a", ball.link_a, ball.point_a), ("b", ball.link_b, ball.point_b))]  # fmt: skip
+    return Loop(f"{ball.link_a}-{ball.link_b}", *ids)
+
+
+def _anchor(model: pin.Model, name: str, link: str, point: np.ndarray, where: str) -> int:
+    if not model.existFrame(link, pin.FrameType.BODY):
+        raise InputError(f"{where}: <drake:ball_constraint> names link '{link}', which is not in the tree")
+    body = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    placement = body.placement * pin.SE3(np.eye(3), point)
+    return model.addFrame(pin.Frame(name, body.parentJoint, 0, placement, pin.FrameType.OP_FRAME))
+
+
+def _links(model: pin.Model, notes: Annotations, warnings: list[str]) -> tuple[LinkInertia, ...]:
+    """Return the links that carry mass; of a file without any inertia all links, starting from zero."""
+    with_mass = [i for i in range(1, model.njoints) if model.inertias[i].mass > 0]
+    if not with_mass:
+        with_mass = list(range(1, model.njoints))
+        warnings.append("the robot file gives no mass at all; all inertial parameters start from zero")
+    found = []
+    for i in with_mass:
+        link = notes.joints[model.names[i]]
+        own = (0,) if link in notes.mass_only else tuple(range(10))
+        found.append(LinkInertia(link, i, np.array(model.inertias[i].toDynamicParameters()), own))
+    return tuple(found)
+
+
+def _parameters(links: tuple[LinkInertia, ...], armature_units: dict[str, str], notes: Annotations) -> Parameters:
+    armature = {t.joint: t.armature for t in notes.transmissions}
+    rows = [p for link in links for p in inertial_parameters(link)]
+    for joint, unit in armature_units.items():
+        rows.append(Parameter(f"{joint}.armature", armature.get(joint, 0.0), unit, 0.0, free=False))
+    for link, value in notes.gravity_masses.items():
+        rows.append(Parameter(f"{link}.gravity_mass", value, "kg", free=False))
+    return Parameters(rows)
+
+
+def _middle(model: pin.Model, joint: str) -> float:
+    item = model.joints[model.getJointId(joint)]
+    if item.nq != 1:
+        return 0.0
+    lower, upper = model.lowerPositionLimit[item.idx_q], model.upperPositionLimit[item.idx_q]
+    return float((lower + upper) / 2) if np.isfinite(lower + upper) and abs(lower) + abs(upper) < 1e10 else 0.0

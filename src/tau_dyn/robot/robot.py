@@ -1,0 +1,220 @@
+"""A robot: Pinocchio's tree, the loops that close it, its actuated joints and its nominal parameters.
+
+Inertial parameters follow Pinocchio: `m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz` about the *joint frame's origin*, a
+set of ten for each movable joint's link; links fixed to it are merged in. A link may carry fewer: with
+`parameters="mass"` its centre and inertia follow its mass. Drive inertia (`<joint>.armature`) and mass that only gravity
+feels (`<link>.gravity_mass`) stand behind them. We wrap `pin.Model` and never decorate it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from tau_dyn.exceptions import UnknownName
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot.annotations import ArmNames
+
+INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+_UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+NOMINAL_MASS_STDERR = 0.02  # relative; what a nominal mass is trusted to unless a file says otherwise
+
+
+@dataclass(frozen=True)
+class LinkInertia:
+    """A link's ten inertial numbers, and which of them are parameters of their own.
+
+    Attributes:
+        link: Link name.
+        joint_id: Pinocchio's joint index.
+        nominal: The ten numbers of the robot file (10,) [kg, kg m, kg m^2].
+        own: Indices into the ten that are parameters; the others scale with the mass.
+    """
+
+    link: str
+    joint_id: int
+    nominal: np.ndarray
+    own: tuple[int, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its own parameters."""
+        return tuple(f"{self.link}.{INERTIAL[k]}" for k in self.own)
+
+    @property
+    def map(self) -> np.ndarray:
+        """`d pi / d own parameters` (10, n_own)."""
+        matrix = np.zeros((10, len(self.own)))
+        matrix[list(self.own), range(len(self.own))] = 1.0
+        tied = [k for k in range(10) if k not in self.own]
+        matrix[tied, 0] = self.nominal[tied] / self.nominal[0] if self.nominal[0] > 0 else 0.0
+        return matrix
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Two frames of the tree whose origins coincide when the loop is closed."""
+
+    name: str
+    frame_a: int
+    frame_b: int
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A mechanism and its nominal parameters; build it with `load_robot`.
+
+    Attributes:
+        name: The file's robot name.
+        source: Path or short name it was loaded from.
+        arguments: xacro arguments it was loaded with.
+        sha256: Hash of the robot file.
+        urdf: The expanded URDF text.
+        model: Pinocchio model of the tree, with a frame at each loop's two ends.
+        loops: Loop closures; empty for a serial arm or a tree.
+        actuated: Names of the actuated joints, in the tree's order; all vectors `q`, `v`, `a`, `tau` follow it.
+        home: Actuated positions in the middle of the workspace (na,) [m or rad].
+        links: The links that carry mass.
+        parameters: Nominal parameters, in the regressor's column order.
+        arms: For a simplified Gantry-Tau its three arms, else empty.
+        plate: For a simplified Gantry-Tau its plate link, else ''.
+        assumed: What the file says is assumed.
+        warnings: Sentences about doubtful input.
+    """
+
+    name: str
+    source: str
+    arguments: Mapping[str, str]
+    sha256: str
+    urdf: str
+    model: pin.Model
+    loops: tuple[Loop, ...]
+    actuated: tuple[str, ...]
+    home: np.ndarray
+    links: tuple[LinkInertia, ...]
+    parameters: Parameters
+    arms: tuple[ArmNames, ...] = ()
+    plate: str = ""
+    assumed: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def na(self) -> int:
+        """Number of actuated joints."""
+        return len(self.actuated)
+
+    @property
+    def active_v(self) -> np.ndarray:
+        """Indices of the actuated joints in the tree's velocity (na,)."""
+        return np.array([self.model.joints[self.model.getJointId(j)].idx_v for j in self.actuated])
+
+    @property
+    def active_q(self) -> np.ndarray:
+        """Indices of the actuated joints in the tree's configuration (na,)."""
+        return np.array([self.model.joints[self.model.getJointId(j)].idx_q for j in self.actuated])
+
+    @property
+    def joint_kinds(self) -> tuple[str, ...]:
+        """'prismatic' or 'revolute' for each actuated joint."""
+        names = [self.model.joints[self.model.getJointId(j)].shortname() for j in self.actuated]
+        return tuple("prismatic" if "JointModelP" in n and "Planar" not in n else "revolute" for n in names)
+
+    @property
+    def position_units(self) -> tuple[str, ...]:
+        """'m' or 'rad' for each actuated joint."""
+        return tuple("m" if kind == "prismatic" else "rad" for kind in self.joint_kinds)
+
+    @property
+    def force_units(self) -> tuple[str, ...]:
+        """'N' or 'N m' for each actuated joint."""
+        return tuple("N" if kind == "prismatic" else "N m" for kind in self.joint_kinds)
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower position limits (na,) [m or rad], -inf for none."""
+        return self._position_limit(self.model.lowerPositionLimit, -np.inf)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper position limits (na,) [m or rad], inf for none."""
+        return self._position_limit(self.model.upperPositionLimit, np.inf)
+
+    @property
+    def velocity_limit(self) -> np.ndarray:
+        """Speed limits (na,) [m/s or rad/s], inf for none."""
+        return _or_none(self.model.upperVelocityLimit[self.active_v])
+
+    @property
+    def effort_limit(self) -> np.ndarray:
+        """Force limits (na,) [N or N m], inf for none."""
+        return _or_none(self.model.upperEffortLimit[self.active_v])
+
+    @property
+    def tool_frame(self) -> int | None:
+        """Index of the frame `tool`, or None."""
+        return self.model.getFrameId("tool") if self.model.existFrame("tool") else None
+
+    def with_parameters(self, parameters: Parameters) -> Robot:
+        """Return the robot with other values, bounds or freedoms for its parameters; names must be the same."""
+        if parameters.names != self.parameters.names:
+            unknown = next((n for n in parameters.names if n not in self.parameters), "")
+            raise UnknownName("parameter", unknown, self.parameters.names)
+        return replace(self, parameters=parameters)
+
+    def untied(self, names: Iterable[str]) -> Robot:
+        """Return the robot with these inertial numbers as parameters of their own instead of following the mass."""
+        wanted = {n for n in names if n not in self.parameters}
+        possible = {f"{li.link}.{quantity}" for li in self.links for quantity in INERTIAL}
+        for name in wanted - possible:
+            raise UnknownName(
+                "parameter", name, [*self.parameters.names, *sorted(possible - set(self.parameters.names))]
+            )
+        links = []
+        for link in self.links:
+            extra = {k for k in range(10) if f"{link.link}.{INERTIAL[k]}" in wanted}
+            links.append(replace(link, own=tuple(sorted({*link.own, *extra}))))
+        old = {p.name: p for p in self.parameters}
+        inertial = [old.get(p.name, p) for link in links for p in inertial_parameters(link)]
+        taken = {p.name for p in inertial}
+        rest = [p for p in self.parameters if p.name not in taken]
+        return replace(self, links=tuple(links), parameters=Parameters([*inertial, *rest]))
+
+    def model_with(self, parameters: Parameters) -> pin.Model:
+        """Return a Pinocchio model that carries these parameters' masses, inertias and drive inertias."""
+        model = self.model.copy()
+        for link in self.links:
+            pi = link.map @ parameters.select(link.names).values
+            model.inertias[link.joint_id] = pin.Inertia.FromDynamicParameters(pi)
+        armature = np.zeros(model.nv)
+        for joint, index in zip(self.actuated, self.active_v, strict=True):
+            armature[index] = parameters[f"{joint}.armature"].value
+        model.armature = armature
+        return model
+
+    def _position_limit(self, limit: np.ndarray, default: float) -> np.ndarray:
+        one_number = np.array([self.model.joints[self.model.getJointId(j)].nq == 1 for j in self.actuated])
+        return np.where(one_number, _finite_or(limit[self.active_q], default), default)
+
+
+def inertial_parameters(link: LinkInertia) -> list[Parameter]:
+    """Return a link's own parameters at their nominal values."""
+    rows = []
+    for k in link.own:
+        lower = 0.0 if INERTIAL[k] in ("mass", "ixx", "iyy", "izz") else -np.inf
+        rows.append(Parameter(f"{link.link}.{INERTIAL[k]}", float(link.nominal[k]), _UNITS[k], lower))
+    return rows
+
+
+def _finite_or(values: np.ndarray, default: float) -> np.ndarray:
+    """Replace the huge numbers by which Pinocchio says 'no limit'."""
+    values = np.asarray(values, float)
+    return np.where(np.isfinite(values) & (np.abs(values) < 1e10), values, default)
+
+
+def _or_none(values: np.ndarray) -> np.ndarray:
+    """Return a speed or force limit; zero means that the file gives none."""
+    values = _finite_or(values, np.inf)
+    return np.where(values > 0, values, np.inf)

@@ -1,0 +1,47 @@
+"""A model, a motion, a controller and sensors become a `Log`."""
+
+from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller, EmpsController
+from tau_dyn.simulate.effects_file import read_effects_file
+from tau_dyn.simulate.fourier import base_condition, exciting_motion, fourier_motion
+from tau_dyn.simulate.limits import broken_limit, condition_bound
+from tau_dyn.simulate.motions import (
+    MOTIONS,
+    multisine_on_stroke,
+    named_motion,
+    random_binary_motion,
+    slow_motion,
+    stroke_motion,
+)
+from tau_dyn.simulate.plant import PlantRun, free_motion, run_plant
+from tau_dyn.simulate.sensors import Sensors, measure
+from tau_dyn.simulate.simulate import drive, simulate
+from tau_dyn.simulate.trajectory import Trajectory, concatenate, move
+
+__all__ = [
+    "MOTIONS",
+    "CascadeController",
+    "CascadeLaw",
+    "Controller",
+    "EmpsController",
+    "PlantRun",
+    "Sensors",
+    "Trajectory",
+    "base_condition",
+    "broken_limit",
+    "concatenate",
+    "condition_bound",
+    "drive",
+    "exciting_motion",
+    "fourier_motion",
+    "free_motion",
+    "measure",
+    "move",
+    "multisine_on_stroke",
+    "named_motion",
+    "random_binary_motion",
+    "read_effects_file",
+    "run_plant",
+    "simulate",
+    "slow_motion",
+    "stroke_motion",
+]

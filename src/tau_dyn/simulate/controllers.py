@@ -1,0 +1,161 @@
+"""Feedback that follows a reference: a position loop around a velocity loop, as drives have it.
+
+    command = speed_feedforward v_ref + kp (q_ref - q),   u = kv (command - dq + integral_rate * int(command - dq)) + u_ff,
+    tau = force_per_unit * clip(u, -limit, limit),   dq_k = (q_k - q_{k-2}) / (2 dt).
+
+The speed is what a drive knows: the difference of positions averaged over two samples. The integral stops where the limit
+holds (anti-windup). `CascadeLaw.emps` gives the law of the EMPS drive: `vir = kp kv (qg - q) - kv dq` within 10 V (Janot,
+Gautier & Brunot 2019). A controller sees references and measured positions, never the plant's state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.model import Model
+from tau_dyn.simulate.trajectory import Trajectory
+
+FEEDFORWARD_SPEED = 0.01
+"""Speed over which the force feedforward turns friction's sign [m/s or rad/s]."""
+
+
+class Controller(Protocol):
+    """Turns a reference and measured positions into forces, sample by sample."""
+
+    def reset(self, reference: Trajectory) -> None:
+        """Forget the past and get ready for this reference, which is sampled at the control rate."""
+        ...
+
+    def force(
+        self, k: int, t: float, q_ref: np.ndarray, v_ref: np.ndarray, a_ref: np.ndarray, q_measured: np.ndarray
+    ) -> np.ndarray:
+        """Return the forces (na,) [N or N m] of sample k at time t [s], from references and positions (na,)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class CascadeLaw:
+    """Gains of a cascade, one number a joint (na,).
+
+    Attributes:
+        position_gain: `kp` [1/s].
+        velocity_gain: `kv` [unit per m/s or rad/s]; the unit is the drive's own, volts for EMPS.
+        integral_rate: How fast the velocity loop integrates [1/s]; 0 for none.
+        speed_feedforward: Share of the reference speed that is added to the command.
+        force_per_unit: What one unit of the drive gives [N or N m per unit]; 1 where the unit is the force.
+        limit: Largest output [unit].
+    """
+
+    position_gain: np.ndarray
+    velocity_gain: np.ndarray
+    integral_rate: np.ndarray
+    speed_feedforward: np.ndarray
+    force_per_unit: np.ndarray
+    limit: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Refuse gains of different lengths or of the wrong sign."""
+        n = np.size(self.position_gain)
+        for key in self.__dataclass_fields__:
+            values = np.array(np.atleast_1d(getattr(self, key)), dtype=float)
+            if values.shape != (n,) or np.any(np.isnan(values)) or np.any(values < 0):
+                raise InputError(f"a controller's {key} must be {n} number(s) not below zero, one a joint")
+            values.setflags(write=False)
+            object.__setattr__(self, key, values)
+
+    @classmethod
+    def of(
+        cls,
+        position_gain: float | Sequence[float],
+        velocity_gain: float | Sequence[float],
+        *,
+        na: int,
+        integral_rate: float | Sequence[float] = 0.0,
+        speed_feedforward: float | Sequence[float] = 0.0,
+        force_per_unit: float | Sequence[float] = 1.0,
+        limit: float | Sequence[float] = np.inf,
+    ) -> CascadeLaw:
+        """Build a law for `na` joints; a single number holds for all of them. See the attributes."""
+        given = (position_gain, velocity_gain, integral_rate, speed_feedforward, force_per_unit, limit)
+        return cls(*(np.full(na, x, float) if np.ndim(x) == 0 else np.asarray(x, float) for x in given))
+
+    @classmethod
+    def for_model(cls, model: Model, *, velocity_hz: float = 40.0, position_hz: float = 8.0) -> CascadeLaw:
+        """Return gains for a robot: loop bandwidths [Hz] and the mass matrix' diagonal at home.
+
+        The velocity loop also integrates, at a fifth of its bandwidth, and the output stays within the drives' limits.
+        """
+        M, _ = model.mechanism.mass_and_bias(model.robot.home, np.zeros(model.robot.na))
+        fast, slow = 2 * np.pi * velocity_hz, 2 * np.pi * position_hz
+        limit = model.robot.effort_limit
+        return cls.of(slow, (fast * np.diag(M)).tolist(), na=len(M), integral_rate=fast / 5, speed_feedforward=1.0,
+                      limit=limit.tolist())  # fmt: skip
+
+    @classmethod
+    def emps(cls) -> CascadeLaw:
+        """Return the published law of the EMPS drive."""
+        return cls.of(160.18, 243.45, na=1, force_per_unit=35.150652, limit=10.0)
+
+
+class CascadeController:
+    """A cascade of a position and a velocity loop for all joints, with force feedforward where a model is given."""
+
+    def __init__(self, law: CascadeLaw, *, start: Model | None = None, feedforward: Model | None = None) -> None:
+        """Prepare a controller.
+
+        Args:
+            law: Its gains.
+            start: A model whose holding force the integral starts with, as drives do when they release their brakes.
+            feedforward: A model whose forces along the whole reference are added; friction turns over +-0.01 m/s.
+        """
+        self.law, self._start, self._model = law, start, feedforward
+        self._forces = np.zeros((0, 0))
+        self._integral = np.zeros(0)
+        self._dt, self._before = 1.0, (np.zeros(0), np.zeros(0))
+
+    def reset(self, reference: Trajectory) -> None:
+        """Forget the past and compute the feedforward along the whole reference."""
+        na = len(reference.joints)
+        if len(self.law.position_gain) != na:
+            raise InputError(
+                f"the controller is for {len(self.law.position_gain)} joint(s), {reference.name} moves {na}"
+            )
+        self._dt = reference.duration / (reference.n_samples - 1)
+        self._before = (np.array(reference.q[0]), np.array(reference.q[0]))
+        self._integral = np.zeros(na)
+        self._forces = np.zeros_like(reference.q)
+        if self._model is not None:
+            sign = np.tanh(reference.v / FEEDFORWARD_SPEED)
+            self._forces = self._model.torque(reference.q, reference.v, reference.a, sign) / self.law.force_per_unit
+        elif self._start is not None:
+            rest = np.zeros((1, na))
+            self._integral = self._start.torque(reference.q[:1], rest, rest, rest)[0] / self.law.force_per_unit
+
+    def force(
+        self, k: int, t: float, q_ref: np.ndarray, v_ref: np.ndarray, a_ref: np.ndarray, q_measured: np.ndarray
+    ) -> np.ndarray:
+        """Return the forces (na,) of sample k; see `Controller.force`."""
+        law = self.law
+        speed = (q_measured - self._before[0]) * (0.5 / self._dt)
+        self._before = (self._before[1], q_measured)
+        error = law.position_gain * (q_ref - q_measured) + law.speed_feedforward * v_ref - speed
+        wanted = law.velocity_gain * error + self._integral + self._forces[k]
+        output = np.minimum(np.maximum(wanted, -law.limit), law.limit)
+        winding_up = (wanted != output) & (wanted * error > 0)
+        self._integral = self._integral + np.where(
+            winding_up, 0.0, law.integral_rate * law.velocity_gain * error * self._dt
+        )
+        return law.force_per_unit * output
+
+
+class EmpsController(CascadeController):
+    """The published controller of the EMPS drive, for one prismatic joint."""
+
+    def __init__(self) -> None:
+        """Take the published gains."""
+        super().__init__(CascadeLaw.emps())

@@ -1,0 +1,187 @@
+r"""The robot in motion: actuated coordinates, a fixed step, friction that stops sharply.
+
+Velocities `w` live at half steps, positions at full steps (leapfrog). With the velocity extrapolated to the sample,
+`v_k = w_{k-1/2} + dt/2 a_{k-1}`,
+
+    M(q_k) a_k = tau_k - h(q_k, v_k) - f_k,   w_{k+1/2} = w_{k-1/2} + dt a_k,   q_{k+1} = q_k + dt w_{k+1/2}.
+
+So `tau_k` acts from half a step before its sample to half a step after it: a log of (q_k, tau_k) has no delay, and central
+differences of its positions satisfy the equation of motion to second order (`f` and `h` see an extrapolated velocity, which
+errs by `dt/2 (a_k - a_{k-1})`). Friction obeys the sign of `w_{k+1/2}` and holds a joint exactly still (`slip.py`); the one
+sample in which a joint reverses or stops mixes both directions. Passive joints are closed by the mechanism at every
+position, so loops cannot drift. Reference: Hairer, Lubich & Wanner 2003 (leapfrog); Moreau 1988 (sharp friction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.model import Model
+from tau_dyn.simulate.controllers import Controller
+from tau_dyn.simulate.forces import SampledForces
+from tau_dyn.simulate.slip import solve_slip
+from tau_dyn.simulate.trajectory import Trajectory
+
+Progress = Callable[[float], None]
+"""Called with the share of the work that is done, from 0 to 1, about a hundred times."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantRun:
+    """What really happened, before any sensor saw it.
+
+    Attributes:
+        model: The plant.
+        t: Time (N,) [s].
+        q: True positions (N, na) [m or rad].
+        v: True velocities (N, na), the mean of the half steps around each sample, which central differences reproduce.
+        a: True accelerations (N, na).
+        tau: Forces applied (N, na) [N or N m].
+        stuck: Where friction held a joint (N, na).
+        reference: What the controller was asked for, on the same clock; None for a free motion.
+        q_read: What the encoders told the controller (N, na); None where it knew the true positions.
+    """
+
+    model: Model
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    stuck: np.ndarray
+    reference: Trajectory | None = None
+    q_read: np.ndarray | None = None
+
+    @property
+    def sticking_share(self) -> np.ndarray:
+        """Share of the samples in which friction held each joint (na,)."""
+        return self.stuck.mean(axis=0)
+
+    @cached_property
+    def tool(self) -> np.ndarray:
+        """True tool positions (N, 3) [m]."""
+        return self.model.mechanism.tool_position(self.q)
+
+    def every(self, step: int) -> PlantRun:
+        """Return every `step`-th sample."""
+        keep = slice(None, None, step)
+        arrays = {key: getattr(self, key)[keep] for key in ("t", "q", "v", "a", "tau", "stuck")}
+        reference = self.reference.every(step) if self.reference is not None else None
+        return replace(self, **arrays, reference=reference, q_read=None if self.q_read is None else self.q_read[keep])
+
+
+class Plant:
+    """One robot with its effects, stepped in time."""
+
+    def __init__(self, model: Model, q0: np.ndarray, v0: np.ndarray, dt: float) -> None:
+        """Start at positions and velocities (na,) with a step of `dt` [s]."""
+        self.mechanism, self.forces, self.dt = model.mechanism, SampledForces(model), dt
+        self.q, self.w = np.array(q0, float), np.array(v0, float)
+        self._a, self._friction = np.zeros(len(self.q)), np.zeros(len(self.q))
+        self._started = False
+
+    def step(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Apply forces (na,) around the current sample; return its velocity, acceleration and who is stuck, then move on."""
+        if not self._started:  # w still is the velocity at the sample: go back by half a step
+            self._started = True
+            u, _ = self._after(tau)
+            self._a = (u - self.w) / self.dt
+            self.w = self.w - 0.5 * self.dt * self._a
+        u, stuck = self._after(tau)
+        v, self._a = 0.5 * (self.w + u), (u - self.w) / self.dt
+        self.w, self.q = u, self.q + self.dt * u
+        return v, self._a, stuck
+
+    def _after(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the velocity half a step after the sample, and who is stuck."""
+        v = self.w + 0.5 * self.dt * self._a
+        M, h = self.mechanism.mass_and_bias(self.q, v)
+        if not self.forces.any:
+            return self.w + self.dt * np.linalg.solve(M, tau - h), np.zeros(len(v), dtype=bool)
+        added = self.forces.mass(self.q, v)
+        A = self.dt * np.linalg.inv(M if added is None else M + added)
+        lower, upper = self.forces.bounds(self.q, v)
+        guess = np.where(self.w > 0, upper, np.where(self.w < 0, lower, np.clip(self._friction, lower, upper)))
+        slip = solve_slip(A, self.w + A @ (tau - h), lower, upper, guess)
+        self._friction = slip.force
+        return slip.u, slip.stuck
+
+
+def run_plant(
+    model: Model,
+    reference: Trajectory,
+    controller: Controller,
+    *,
+    encoder: Callable[[int, np.ndarray], np.ndarray] | None = None,
+    progress: Progress | None = None,
+) -> PlantRun:
+    """Let a controller drive the robot along a reference, from rest at the reference's start.
+
+    Args:
+        model: The plant.
+        reference: Motion sampled evenly at the control rate.
+        controller: Is given the measured positions of each sample and answers with the forces around it.
+        encoder: What is read of positions (na,) in sample k; by default the true ones.
+        progress: Is told the share that is done.
+
+    Raises:
+        InputError: The feedback is unstable.
+        LoopClosureError: The robot was driven where its loops cannot be closed.
+    """
+    dt = reference.duration / (reference.n_samples - 1)
+    plant = Plant(model, reference.q[0], np.zeros(model.robot.na), dt)
+    record = _Recorder(model, reference.n_samples)
+    controller.reset(reference)
+    read = np.empty_like(reference.q)
+    for k in range(reference.n_samples):
+        read[k] = plant.q if encoder is None else encoder(k, plant.q)
+        tau = controller.force(k, reference.t[k], reference.q[k], reference.v[k], reference.a[k], read[k])
+        record.step(k, plant, tau)
+        if k % max(1, reference.n_samples // 100) == 0:
+            _check_finite(plant, reference, k)
+            if progress is not None:
+                progress(k / reference.n_samples)
+    return record.run(np.array(reference.t), reference, None if encoder is None else read)
+
+
+def free_motion(
+    model: Model, q0: np.ndarray, v0: np.ndarray, duration: float, dt: float = 1e-3, tau: np.ndarray | None = None
+) -> PlantRun:
+    """Let the robot move from a state (na,), (na,) for a time [s], under a constant force (na,) or none."""
+    n = round(duration / dt) + 1
+    plant = Plant(model, q0, v0, dt)
+    force = np.zeros(model.robot.na) if tau is None else np.asarray(tau, float)
+    record = _Recorder(model, n)
+    for k in range(n):
+        record.step(k, plant, force)
+    return record.run(np.arange(n) * dt, None, None)
+
+
+class _Recorder:
+    """Keeps what the plant does, sample by sample."""
+
+    def __init__(self, model: Model, n: int) -> None:
+        self.model = model
+        self.q, self.v, self.a, self.tau = np.empty((4, n, model.robot.na))
+        self.stuck = np.zeros((n, model.robot.na), dtype=bool)
+
+    def step(self, k: int, plant: Plant, tau: np.ndarray) -> None:
+        self.q[k], self.tau[k] = plant.q, tau
+        self.v[k], self.a[k], self.stuck[k] = plant.step(tau)
+
+    def run(self, t: np.ndarray, reference: Trajectory | None, read: np.ndarray | None) -> PlantRun:
+        return PlantRun(self.model, t, self.q, self.v, self.a, self.tau, self.stuck, reference, read)
+
+
+def _check_finite(plant: Plant, reference: Trajectory, k: int) -> None:
+    far = 100 * (1 + float(np.max(np.abs(reference.q))))
+    if not np.all(np.abs(plant.q) < far):
+        raise InputError(
+            f"{reference.name}: the simulated robot ran away before t = {reference.t[k]:.4g} s; the controller's gains are "
+            "too high for this robot and control rate, or its forces too small"
+        )

@@ -1,0 +1,161 @@
+"""What a recording shows of what happened: encoders that round, forces with coloured noise, a log rate.
+
+    q_read = resolution * round((q + noise) / resolution),   tau_log = tau + coloured noise
+
+A log is *sampled*, not averaged: drives write their registers at each log tick. So noise above half the log rate folds
+down, as it does in recordings, and positions and forces keep one clock; a mean over the ticks would delay them. Force noise
+has the spectrum asked for at the log rate. Encoder noise is white at the control rate, where it also enters the feedback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import Log
+from tau_dyn.robot import Robot
+from tau_dyn.simulate.plant import PlantRun
+
+PerJoint = float | Sequence[float]
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Sensors of a simulated robot; a single number holds for all joints, and zero means perfect.
+
+    Attributes:
+        encoder_noise: Standard deviation of the positions' noise [m or rad].
+        encoder_resolution: Step that positions are rounded to [m or rad].
+        force_noise: Standard deviation of the forces' noise [N or N m].
+        force_noise_relative: The same as a share of each force's rms over the run; the two add in quadrature.
+        force_ar: Coefficients of `x_k = sum_i c_i x_{k-i} + e_k` that colour the force noise.
+        force_power_law: Exponent b of a spectral density `1 / f^b` instead; 0 is white, 1 pink.
+        tool_noise: Standard deviation of the tool position's noise, each axis [m].
+        tool: Whether the log has the tool's position, where the robot has a `tool` frame.
+        log_rate_hz: Rate of the log [Hz], an integer part of the control rate; None for the control rate.
+    """
+
+    encoder_noise: PerJoint = 0.0
+    encoder_resolution: PerJoint = 0.0
+    force_noise: PerJoint = 0.0
+    force_noise_relative: PerJoint = 0.0
+    force_ar: tuple[float, ...] = ()
+    force_power_law: float = 0.0
+    tool_noise: float = 0.0
+    tool: bool = True
+    log_rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse negative noise, colours that contradict each other, and noise that would grow without end."""
+        for key in ("encoder_noise", "encoder_resolution", "force_noise", "force_noise_relative", "tool_noise"):
+            if not np.all(np.asarray(getattr(self, key)) >= 0):
+                raise InputError(f"a sensor's {key} must not be below zero")
+        if self.force_ar and self.force_power_law:
+            raise InputError("force noise is coloured by force_ar or by force_power_law, not by both")
+        if not 0 <= self.force_power_law <= 2:
+            raise InputError("force_power_law must lie between 0 (white) and 2 (a random walk's)")
+        if self.force_ar and np.max(np.abs(np.roots([1.0, *(-c for c in self.force_ar)]))) >= 1:
+            raise InputError(f"force_ar {self.force_ar} has a root on or outside the unit circle; its noise would grow")
+
+    @classmethod
+    def typical(cls, robot: Robot, *, log_rate_hz: float | None = None) -> Sensors:
+        """Return good industrial sensors: 1 um or 10 urad resolution, half of it as noise, 1 % force noise of AR(1) 0.5."""
+        step = [1e-6 if unit == "m" else 1e-5 for unit in robot.position_units]
+        noise = [x / 2 for x in step]
+        return cls(noise, step, force_noise_relative=0.01, force_ar=(0.5,), tool_noise=5e-5, log_rate_hz=log_rate_hz)
+
+    def read_positions(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return what encoders show of positions (N, na) [m or rad]."""
+        noise = per_joint(self.encoder_noise, q.shape[1], "encoder_noise") * rng.standard_normal(q.shape)
+        return self.rounded(q + noise)
+
+    def rounded(self, q: np.ndarray) -> np.ndarray:
+        """Return positions (..., na) rounded to the encoders' resolution."""
+        step = per_joint(self.encoder_resolution, q.shape[-1], "encoder_resolution")
+        return np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
+
+    def read_forces(self, tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return what the drives report of forces (N, na) [N or N m]."""
+        absolute = per_joint(self.force_noise, tau.shape[1], "force_noise")
+        relative = per_joint(self.force_noise_relative, tau.shape[1], "force_noise_relative")
+        sd = np.hypot(absolute, relative * np.sqrt(np.mean(tau**2, axis=0)))
+        return tau + sd * self._coloured(tau.shape, rng)
+
+    def step(self, dt: float) -> int:
+        """Return how many control periods of `dt` [s] pass between two log samples.
+
+        Raises:
+            InputError: The log rate is not an integer part of the control rate.
+        """
+        if self.log_rate_hz is None:
+            return 1
+        ratio = 1 / (dt * self.log_rate_hz) if self.log_rate_hz > 0 else 0.0
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise InputError(
+                f"a log rate of {self.log_rate_hz:g} Hz is not the control rate of {1 / dt:g} Hz divided by a whole number"
+            )
+        return round(ratio)
+
+    def _coloured(self, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+        """Return noise (N, na) of standard deviation one."""
+        if self.force_ar:
+            return _autoregressive(np.array(self.force_ar), shape, rng)
+        if self.force_power_law:
+            return _power_law(self.force_power_law, shape, rng)
+        return rng.standard_normal(shape)
+
+
+def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str = "simulated") -> Log:
+    """Turn a run into a log with `q_J`, `tau_J`, `q_ref_J` and, with a tool frame, `x_tool y_tool z_tool`.
+
+    Positions are those the controller read where its feedback went through the encoders; else they are read here, so
+    that one run can be measured with many seeds.
+
+    Raises:
+        InputError: The log rate does not divide the control rate, or a sensor's numbers do not fit the joints.
+    """
+    run = run.every(sensors.step(float(run.t[1] - run.t[0])))
+    q = sensors.read_positions(run.q, rng) if run.q_read is None else run.q_read
+    signals = {"q": q, "tau": sensors.read_forces(run.tau, rng)}
+    if run.reference is not None:
+        signals["q_ref"] = run.reference.q
+    joints = run.model.robot.actuated
+    channels = {f"{key}_{j}": values[:, k] for key, values in signals.items() for k, j in enumerate(joints)}
+    if sensors.tool and run.model.robot.tool_frame is not None:
+        tool = run.tool + sensors.tool_noise * rng.standard_normal(run.tool.shape)
+        channels |= dict(zip(("x_tool", "y_tool", "z_tool"), tool.T, strict=True))
+    notes = run.reference.notes if run.reference is not None else ()
+    return Log(run.t, channels, name, warnings=notes)
+
+
+def per_joint(value: PerJoint, na: int, what: str) -> np.ndarray:
+    """Return one number a joint (na,)."""
+    array = np.asarray(value, dtype=float)
+    if array.shape not in ((), (na,)):
+        raise InputError(f"a sensor's {what} has {array.size} numbers for {na} joint(s); give one, or one a joint")
+    return np.broadcast_to(array, (na,))
+
+
+def _autoregressive(c: np.ndarray, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """Return stationary noise of `x_k = sum_i c_i x_{k-i} + e_k` with standard deviation one."""
+    denominator = np.concatenate([[1.0], -c])
+    slowest = float(np.max(np.abs(np.roots(denominator)), initial=0.0))
+    settle = min(100_000, 10 + int(np.ceil(-20 / np.log(slowest)))) if slowest > 0 else 10
+    response = np.asarray(lfilter([1.0], denominator, np.eye(1, settle)[0]))
+    gain = np.sqrt(np.sum(response**2))
+    return lfilter([1.0], denominator, rng.standard_normal((shape[0] + settle, shape[1])), axis=0)[settle:] / gain
+
+
+def _power_law(exponent: float, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """Return noise of spectral density `1 / f^exponent`, without mean, with expected standard deviation one."""
+    n = 2 * shape[0]  # made twice as long and cut, so that its ends do not meet
+    f = np.fft.rfftfreq(n)
+    amplitude = np.zeros(len(f))
+    amplitude[1:] = f[1:] ** (-exponent / 2)
+    gain = np.sqrt(np.sum(amplitude**2) * 2 / n)
+    spectrum = np.fft.rfft(rng.standard_normal((n, shape[1])), axis=0) * amplitude[:, None]
+    return np.fft.irfft(spectrum, n, axis=0)[: shape[0]] / gain

@@ -1,0 +1,185 @@
+"""Reference motion of the actuated joints: what a controller is asked to follow.
+
+Positions, speeds and accelerations stand on one clock. They come from a generator (`motions.py`), from a recorded log or
+from a CSV file; between samples a quintic spline through the positions is the motion. Pieces are joined by minimum-jerk
+moves, `q(s) = q0 + (q1 - q0) (10 s^3 - 15 s^4 + 6 s^5)` (Flash & Hogan 1985), which start and end at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import make_interp_spline
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import write_whole
+from tau_dyn.log import Log, lowpass, read_table
+
+MEASURED_CUTOFF_HZ = 20.0
+"""Low-pass on measured positions before they serve as a reference [Hz]; a reference should not repeat encoder noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A reference motion.
+
+    Attributes:
+        joints: Names of the actuated joints, in the order of the columns.
+        t: Time (N,) [s], strictly increasing.
+        q: Positions (N, na) [m or rad].
+        v: Speeds (N, na) [m/s or rad/s].
+        a: Accelerations (N, na) [m/s^2 or rad/s^2].
+        name: What messages call it.
+        notes: Sentences about how it was made, such as a scaling that limits enforced.
+    """
+
+    joints: tuple[str, ...]
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    name: str = "motion"
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays and refuse shapes that do not belong together, gaps in numbers, or a clock that stands still."""
+        object.__setattr__(self, "joints", tuple(self.joints))
+        for key in ("t", "q", "v", "a"):
+            array = np.array(getattr(self, key), dtype=float)
+            array.setflags(write=False)
+            object.__setattr__(self, key, array)
+        shape = (len(self.t), len(self.joints))
+        if len(self.t) < 2 or any(x.shape != shape for x in (self.q, self.v, self.a)):
+            raise InputError(f"{self.name}: q, v and a must have shape {shape} with at least two samples")
+        if not all(np.isfinite(x).all() for x in (self.t, self.q, self.v, self.a)) or np.any(np.diff(self.t) <= 0):
+            raise InputError(f"{self.name}: all numbers must be finite and t must increase from sample to sample")
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples N."""
+        return len(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    @classmethod
+    def through(cls, joints: Iterable[str], t: np.ndarray, q: np.ndarray, name: str = "motion") -> Trajectory:
+        """Return the quintic spline through positions (N, na) at times (N,) [s], with its speeds and accelerations."""
+        if len(t) < 6:
+            raise InputError(f"{name} has {len(t)} sample(s); a reference motion needs at least six")
+        spline = make_interp_spline(t, q, k=5)
+        return cls(tuple(joints), t, q, spline.derivative(1)(t), spline.derivative(2)(t), name)
+
+    @classmethod
+    def from_log(cls, log: Log, joints: Sequence[str]) -> Trajectory:
+        """Return the reference that a log contains, or, without `q_ref_J`, its measured positions low-passed at 20 Hz.
+
+        Raises:
+            InputError: A joint has neither column, or the log is too short.
+        """
+        if log.has("q_ref", joints):
+            return cls.through(joints, log.t, log.joint("q_ref", joints), log.name)
+        q = log.joint("q", joints)
+        cutoff = MEASURED_CUTOFF_HZ
+        if log.rate_hz > 2.5 * cutoff:
+            q = lowpass(q, cutoff, log.rate_hz)
+        note = (
+            f"{log.name} has no q_ref columns; its measured positions, low-passed at {cutoff:g} Hz, are the reference"
+        )
+        return replace(cls.through(joints, log.t, q, log.name), notes=(note,))
+
+    @classmethod
+    def from_csv(cls, path: str | Path, joints: Sequence[str]) -> Trajectory:
+        """Read a motion file: `t` and, for each joint, `q_ref_J` (with or without `v_ref_J` and `a_ref_J`) or `q_J`.
+
+        Raises:
+            InputError: The file cannot be read or a column is missing; the message names file, line and column.
+        """
+        table = read_table(path)
+        t = table.numbers("t")
+        if all(f"{signal}_{j}" in table.cells for signal in ("q_ref", "v_ref", "a_ref") for j in joints):
+            q, v, a = (
+                np.column_stack([table.numbers(f"{s}_{j}") for j in joints]) for s in ("q_ref", "v_ref", "a_ref")
+            )
+            return cls(tuple(joints), t, q, v, a, table.name)
+        signal = "q_ref" if any(f"q_ref_{j}" in table.cells for j in joints) else "q"
+        channels = {f"{signal}_{j}": table.numbers(f"{signal}_{j}") for j in joints}
+        return cls.from_log(Log(t, channels, table.name), joints)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `t`, `q_ref_J`, `v_ref_J`, `a_ref_J` with 12 significant digits, the whole file or none."""
+        columns = {"t": self.t}
+        for signal, values in (("q_ref", self.q), ("v_ref", self.v), ("a_ref", self.a)):
+            columns |= {f"{signal}_{j}": values[:, k] for k, j in enumerate(self.joints)}
+        write_whole(path, pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n"))
+
+    def resampled(self, rate_hz: float) -> Trajectory:
+        """Return the motion on a clock of this rate [Hz] that starts at zero, untouched where it stands there already."""
+        n = int(np.floor(self.duration * rate_hz * (1 + 1e-9) + 1e-6)) + 1
+        clock = np.arange(n) / rate_hz
+        if n == self.n_samples and np.max(np.abs(self.t - self.t[0] - clock)) < 1e-6 / rate_hz:
+            return replace(self, t=clock)
+        if n < 2 or self.n_samples < 6:
+            raise InputError(f"{self.name} lasts {self.duration:g} s, too short to be followed at {rate_hz:g} Hz")
+        spline = make_interp_spline(self.t - self.t[0], self.q, k=5)
+        return replace(self, t=clock, q=spline(clock), v=spline.derivative(1)(clock), a=spline.derivative(2)(clock))
+
+    def every(self, step: int) -> Trajectory:
+        """Return every `step`-th sample, for checks that need not see them all."""
+        keep = slice(None, None, max(1, step))
+        return replace(self, t=self.t[keep], q=self.q[keep], v=self.v[keep], a=self.a[keep])
+
+
+def move(
+    joints: Sequence[str], start: np.ndarray, end: np.ndarray, duration: float, rate_hz: float = 1000.0
+) -> Trajectory:
+    """Return a minimum-jerk move (na,) -> (na,) that starts and ends at rest, of about this duration [s]."""
+    n = max(2, round(duration * rate_hz))
+    s, rate = (np.arange(n + 1) / n)[:, None], rate_hz / n
+    change = np.asarray(end, float) - np.asarray(start, float)
+    q = start + change * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    v = change * rate * (30 * s**2 - 60 * s**3 + 30 * s**4)
+    a = change * rate**2 * (60 * s - 180 * s**2 + 120 * s**3)
+    return Trajectory(tuple(joints), np.arange(n + 1) / rate_hz, q, v, a, "move")
+
+
+def concatenate(
+    pieces: Sequence[Trajectory],
+    *,
+    rest: float = 0.5,
+    speed: float = 0.2,
+    rate_hz: float = 1000.0,
+    name: str = "motion",
+) -> Trajectory:
+    """Join motions that start and end at rest: a rest, and a minimum-jerk move to where the next one starts.
+
+    Args:
+        pieces: Motions of the same joints, each starting and ending with speed zero.
+        rest: Time to stand still before each move [s].
+        speed: Highest speed of a move [m/s or rad/s].
+        rate_hz: Sampling rate of the result [Hz].
+        name: What messages call the result.
+
+    Raises:
+        InputError: There are no pieces, their joints differ, or one does not start and end at rest.
+    """
+    if not pieces or any(p.joints != pieces[0].joints for p in pieces):
+        raise InputError(f"{name}: the pieces of a motion must be of the same joints, in the same order")
+    joints, parts = pieces[0].joints, []
+    for k, piece in enumerate(pieces):
+        if max(np.max(np.abs(piece.v[0])), np.max(np.abs(piece.v[-1]))) > 1e-3:
+            raise InputError(f"{name}: '{piece.name}' must start and end at rest to be joined with others")
+        if k:
+            gap = float(np.max(np.abs(piece.q[0] - pieces[k - 1].q[-1])))
+            stand = move(joints, pieces[k - 1].q[-1], pieces[k - 1].q[-1], rest, rate_hz)
+            parts += [stand, move(joints, pieces[k - 1].q[-1], piece.q[0], max(0.1, 1.875 * gap / speed), rate_hz)]
+        parts.append(piece.resampled(rate_hz))
+    q, v, a = (np.concatenate([getattr(p, x)[:-1] for p in parts] + [getattr(parts[-1], x)[-1:]]) for x in "qva")
+    notes = tuple(dict.fromkeys(note for p in pieces for note in p.notes))
+    return Trajectory(joints, np.arange(len(q)) / rate_hz, q, v, a, name, notes)

@@ -1,0 +1,115 @@
+"""Filters shift nothing in time, derivatives are those of calculus, and masks keep away from reversals."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import decimate, differentiate, edge_samples, lowpass, reversals, speed_mask
+
+RATE = 1000.0
+T = np.arange(4000) / RATE
+INNER = slice(300, -300)
+
+
+def test_a_slow_wave_passes_unshifted():
+    """A 2 Hz wave under a 60 Hz low-pass keeps amplitude and phase to 1e-6, in every column."""
+    x = np.column_stack([np.sin(4 * np.pi * T), np.cos(4 * np.pi * T)])
+    assert_allclose(lowpass(x, 60, RATE)[INNER], x[INNER], atol=1e-6)
+
+
+def test_half_the_amplitude_passes_at_the_cutoff():
+    """Two runs of a Butterworth filter let (1 / sqrt 2)^2 pass; four times higher 4^-8 is left."""
+    for frequency, gain in ((60, 0.5), (240, 0.0)):
+        y = lowpass(np.sin(2 * np.pi * frequency * T), 60, RATE)[INNER]
+        assert_allclose(np.sqrt(2) * y.std(), gain, atol=2e-3)
+
+
+def test_a_ramp_keeps_its_slope_at_both_ends():
+    """Point-symmetric continuation keeps a straight line: 2 um of 8 m are left of the start-up at its far end."""
+    assert_allclose(lowpass(3 + 2 * T, 20, RATE), 3 + 2 * T, atol=2e-6)
+
+
+def test_edge_samples_cover_the_transient():
+    """The filter's answer to a knock has decayed to 1 % of its peak beyond them, and not long before."""
+    for cutoff in (5, 20, 100):
+        knock = np.zeros(4000)
+        knock[2000] = 1.0
+        answer = np.abs(lowpass(knock, cutoff, RATE))
+        edge = edge_samples(cutoff, RATE)
+        assert answer[2000 + edge :].max() < 0.01 * answer.max()
+        assert answer[2000 + edge // 2 :].max() > 0.01 * answer.max()
+
+
+@pytest.mark.parametrize("cutoff", [500, 600, 0, -1])
+def test_a_cutoff_outside_the_band_is_refused(cutoff):
+    """Half the sampling rate is the limit, and the sentence names it."""
+    with pytest.raises(InputError, match="below 500 Hz"):
+        lowpass(T, cutoff, RATE)
+
+
+def test_a_log_shorter_than_the_transient_is_refused():
+    """The sentence says how many samples it takes."""
+    with pytest.raises(InputError, match=f"give more than {edge_samples(20, RATE)}"):
+        lowpass(T[:50], 20, RATE)
+
+
+def test_the_derivative_of_a_parabola_is_exact_even_at_the_ends():
+    """Central differences inside and second-order ones at the ends differentiate t^2 without error."""
+    assert_allclose(
+        differentiate(np.column_stack([T**2, 3 * T]), 1 / RATE), np.column_stack([2 * T, 0 * T + 3]), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(("accuracy", "error"), [(2, 1.65e-2), (4, 3.3e-4)])
+def test_central_differences_fall_short_by_the_known_share(accuracy, error):
+    """At 50 Hz and 1 kHz, w dt = 0.314: (w dt)^2 / 6 = 1.6 % is missing, or (w dt)^4 / 30 = 0.03 %."""
+    w = 2 * np.pi * 50
+    derivative = differentiate(np.sin(w * T), 1 / RATE, accuracy)[2:-2] / w
+    missing = 1 - derivative @ np.cos(w * T)[2:-2] / (np.cos(w * T)[2:-2] @ np.cos(w * T)[2:-2])
+    assert missing == pytest.approx(error, rel=0.05)
+
+
+def test_an_unknown_accuracy_is_refused():
+    """Two and four exist."""
+    with pytest.raises(InputError):
+        differentiate(T, 0.001, 3)
+
+
+def test_decimation_keeps_the_first_sample():
+    """Every 4th of 10 samples: 0, 4, 8."""
+    assert_array_equal(decimate(np.arange(10), 4), [0, 4, 8])
+    with pytest.raises(InputError):
+        decimate(T, 0)
+
+
+def test_the_mask_drops_low_speeds_and_the_time_around_reversals():
+    """For v = cos(2 pi t), sign changes at 0.25, 0.75, ..: 80 ms to both sides are out, and |v| < 0.2 besides."""
+    t = T + 0.0005
+    v = np.cos(2 * np.pi * t)
+    distance = np.abs(t[:, None] - 0.25 - 0.5 * np.arange(8)).min(axis=1)
+    assert_array_equal(speed_mask(v, 1 / RATE, 0.0, 0.08), distance > 0.08)
+    assert_array_equal(speed_mask(v, 1 / RATE, 0.2, 0.0), np.abs(v) >= 0.2)
+
+
+def test_each_joint_has_its_own_mask_and_threshold():
+    """The reversal of one joint does not mask another that runs on."""
+    v = np.column_stack([np.where(T < 2, 1.0, -1.0), np.full(T.size, 0.5)])
+    mask = speed_mask(v, 1 / RATE, [0.1, 0.4], 0.1)
+    assert mask.shape == v.shape and mask[:, 1].all()
+    assert_array_equal(np.flatnonzero(~mask[:, 0]), np.arange(1900, 2100))
+    assert not speed_mask(v, 1 / RATE, [0.1, 0.6], 0.1)[:, 1].any()
+
+
+def test_a_rest_between_two_signs_is_masked_to_its_ends():
+    """Forwards, rest, backwards: the window lies outside the rest; a rest between equal signs is no reversal."""
+    v = np.concatenate([np.ones(100), np.zeros(50), -np.ones(100), np.zeros(50), -np.ones(100)])
+    out = np.flatnonzero(~speed_mask(v, 0.01, 0.0, 0.1))
+    assert_array_equal(out, np.arange(90, 160))
+    assert_array_equal(reversals(v), [150])
+
+
+def test_reversals_ignore_noise_below_the_threshold(rng):
+    """One stroke back and forth has one reversal, whatever trembles at rest."""
+    v = np.concatenate([np.ones(100), 0.01 * rng.standard_normal(50), -np.ones(100)])
+    assert_array_equal(reversals(v, 0.1), [150])
