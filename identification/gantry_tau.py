@@ -40,7 +40,8 @@ def main(log_paths: list[Path], out_dir: Path, holdout: list[Path] = ()) -> None
     print(f"relative error {found.train.relative_error_percent:.2f} % in training")
     if found.holdout is not None:
         print(f"relative error {found.holdout.relative_error_percent:.2f} % on {found.holdout_how}")
-    print(*(f"warning: {sentence}" for sentence in found.warnings), sep="\n", file=sys.stderr)
+    for sentence in found.warnings:
+        print(f"warning: {sentence}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -47,4 +47,5 @@ class CannotAnswer(TauDynError):
         """Keep both halves of the sentence: what is missing, and the experiment that would give it."""
         self.missing = missing
         self.experiment = experiment
+        self.warnings: tuple[str, ...] = ()  # what was doubtful on the way here; often the reason
         super().__init__(f"{missing}; {experiment}")

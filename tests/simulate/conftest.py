@@ -52,17 +52,17 @@ def block_robot(mass: float = 95.0, effort: float = 400.0) -> Robot:
     return robot_from_urdf(urdf + _drive("axis") + "</robot>", "block")
 
 
-def gantry_robot(closed_form: bool = True) -> Robot:
+def gantry_robot(closed_form: bool = True, travel: float = 0.9) -> Robot:
     """Return a simplified Gantry-Tau of the size of L1 (Dressler 2012, Tables 5.7 and 6.3), uniform rods.
 
-    Without `closed_form` its dynamics go through Pinocchio and the loop solver.
+    Without `closed_form` its dynamics go through Pinocchio and the loop solver. Carts travel by `travel` to both sides.
     """
     origins = np.array([[0.04, 0, 1.44], [0.25, -1.31, 1.46], [0, 0, 0]])
     lengths, rods, carts = (2.05, 1.82, 1.81), (0.8, 1.6, 2.4), (13.58, 13.64, 38.23)
     tool = np.array([2.2, -0.5, 0.7])
     urdf = _HEAD.format(name="gantry")
     for i in range(3):
-        urdf += _arm(i + 1, origins[i], lengths[i], rods[i], carts[i], tool - origins[i])
+        urdf += _arm(i + 1, origins[i], lengths[i], rods[i], carts[i], tool - origins[i], travel)
     urdf += _link("plate_link", 9.13) + '<link name="px_link"/><link name="py_link"/>'
     free = _limit(-5, 5, 20, 1e5)
     place = 'xyz="{} {} {}"'.format(*tool)
@@ -77,13 +77,13 @@ def gantry_robot(closed_form: bool = True) -> Robot:
     return robot_from_urdf(urdf + "</robot>", "gantry")
 
 
-def _arm(i: int, origin: np.ndarray, length: float, rod: float, cart: float, reach: np.ndarray) -> str:
+def _arm(i: int, origin: np.ndarray, length: float, rod: float, cart: float, reach: np.ndarray, travel: float) -> str:
     home = reach[0] - np.sqrt(length**2 - reach[1] ** 2 - reach[2] ** 2)
     direction = (reach - [home, 0, 0]) / length
     names = f"cart{i}", f"cart{i}_link", f"knuckle{i}_link", f"rod{i}_link"
     inertia = rod * length**2 / 12
     start = np.array([origin[0] + home, *origin[1:]])
-    limit = _limit(-0.9, 0.9, 2.0, 2000)
+    limit = _limit(-travel, travel, 2.0, 2000)
     free = _limit(-3, 3, 100, 1e5)
     text = _link(names[1], cart) + f'<link name="{names[2]}"/>'
     text += _link(names[3], rod, f"{length / 2} 0 0", f"0 {inertia} {inertia}")

@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.model import Model
 from tau_dyn.simulate import (
     CascadeController,
     CascadeLaw,
@@ -32,7 +31,7 @@ def test_emps_lag_at_constant_speed_is_what_its_law_says(block):
     run = run_plant(block, reference, EmpsController())
     kp, stiffness = 160.18, 243.45 * 35.150652
     for sign in (1.0, -1.0):
-        steady = (np.abs(reference.v[:, 0] - 0.18 * sign * 1.0) < 0.02) & (np.abs(reference.a[:, 0]) < 1e-9)
+        steady = (sign * reference.v[:, 0] > 0.1) & (np.abs(reference.a[:, 0]) < 1e-9)
         steady &= np.convolve(steady, np.ones(150), "full")[: len(steady)] > 149.5
         v = reference.v[steady, 0]
         expected = (stiffness * v + 20.0 * sign + 200.0 * v) / (kp * stiffness)
@@ -59,7 +58,7 @@ def test_emps_drive_follows_its_recording(block):
     assert position_error < 2e-4 and force_error < 0.06
 
 
-@pytest.mark.parametrize("name", ["exciting", "fourier", "multisine", "prbs", "slow", "strokes"])
+@pytest.mark.parametrize("name", ["fourier", "multisine", "prbs", "slow", "strokes"])
 def test_default_cascade_follows_every_motion(gantry, name):
     """The default gains keep the gantry's carts within 1 mm of each motion, with friction and without feedforward."""
     reference = named_motion(name, gantry, 8.0, seed=3)
@@ -79,16 +78,14 @@ def test_feedforward_of_the_true_model_shrinks_the_error(gantry):
 
 
 def test_integral_does_not_wind_up_at_the_force_limit(make):
-    """A move that needs twice the force there is: the drive saturates, and overshoots no more than a few millimetres."""
-    model = Model.of(make.block(95.0, effort=400.0))
-    reference = move(("axis",), np.array([-0.4]), np.array([0.4]), 0.8)
-    rest = move(("axis",), np.array([0.4]), np.array([0.4]), 1.5)
-    q = np.vstack([reference.q, rest.q[1:]])
-    t = np.arange(len(q)) / 1000
-    both = Trajectory(("axis",), t, q, np.gradient(q, 1e-3, axis=0), np.zeros_like(q))
-    run = run_plant(model, both, CascadeController(CascadeLaw.for_model(model)))
-    assert np.mean(np.abs(run.tau) == 400.0) > 0.1
-    assert np.max(run.q) < 0.4 + 0.2 and abs(run.q[-1, 0] - 0.4) < 1e-4
+    """A jammed block, asked for 1 mm during a second: the force turns within 20 ms of the reference's return."""
+    model = make.friction(make.block(95.0, effort=400.0), 500.0, 0.0)
+    t = np.arange(2001) / 1000
+    q = np.where((t > 0.2) & (t < 1.2), 1e-3, np.where(t >= 1.2, -1e-3, 0.0))[:, None]
+    reference = Trajectory(("axis",), t, q, np.zeros_like(q), np.zeros_like(q))
+    run = run_plant(model, reference, CascadeController(CascadeLaw.for_model(model)))
+    assert np.all(run.q == 0.0) and np.all(run.tau[t == 1.1] == 400.0)
+    assert np.all(run.tau[(t > 1.22)] < 0.0)
 
 
 def test_gantry_does_not_sag_when_released(gantry):

@@ -118,7 +118,8 @@ def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: argparse.Namespace) -> int:
     """Run a command, print, write, and return the exit status."""
-    destinations = [p for p in (args.json, args.report) if p is not None]
+    out = getattr(args, "out", None) if command != "demo" else None  # the demo makes its folder
+    destinations = [p for p in (args.json, args.report, out) if p is not None]
     for path in destinations:
         if not path.resolve().parent.is_dir():
             raise InputError(f"{path}: the folder {path.parent} does not exist")
@@ -153,12 +154,15 @@ def _write(command: str, args: argparse.Namespace, outcome: Outcome, report: str
 
 
 def _cannot_answer(command: str, args: argparse.Namespace, fault: CannotAnswer) -> None:
-    Console(stderr=True, soft_wrap=True, highlight=False).print(
+    errors = Console(stderr=True, soft_wrap=True, highlight=False)
+    for sentence in fault.warnings:
+        errors.print(f"warning: {sentence}", markup=False)
+    errors.print(
         f"cannot answer: {fault.missing}. The experiment that would: {fault.experiment}.", markup=False
     )
     if args.json is not None:
         inputs = [Path(p) for p in getattr(args, "logs", [])]
-        result = envelope(command, args, inputs, "cannot_answer", ())
+        result = envelope(command, args, inputs, "cannot_answer", fault.warnings)
         write_whole(args.json, to_json(result | {"missing": fault.missing, "experiment": fault.experiment}))
 
 

@@ -68,7 +68,8 @@ class Feedforward:
         q, v, a = (np.asarray(x, float) for x in (q, v, a))
         if q.shape != v.shape or q.shape != a.shape or q.ndim not in (1, 2) or q.shape[-1] != self.model.robot.na:
             joints = ", ".join(self.model.robot.actuated)
-            raise InputError(f"q, v and a must have one shape, ({self.model.robot.na},) or (N, {self.model.robot.na}) for {joints}")
+            na = self.model.robot.na
+            raise InputError(f"q, v and a must have one shape, ({na},) or (N, {na}) for {joints}")
         many = [np.atleast_2d(x) for x in (q, v, a)]
         return self.model.torque(*many, sign=self.smooth_sign(many[1])).reshape(q.shape)
 

@@ -24,6 +24,7 @@ class TreeMechanism(Mechanism):
         self.solver = LoopSolver(robot, self.model)
         self.data = self.solver.data
         self._map = self._parameter_map()
+        self._upper = np.triu(np.ones((self.model.nv, self.model.nv))) - 0.5 * np.eye(self.model.nv)  # crba's half
         self._gravity_only = [p.name for p in robot.parameters if p.name.endswith(".gravity_mass")]
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -56,11 +57,10 @@ class TreeMechanism(Mechanism):
     def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `M` and `h` of one sample; see `Mechanism.mass_and_bias`."""
         state = self.solver.state(q, v, np.zeros(self.robot.na))
-        M = pin.crba(self.model, self.data, state.q)
-        M = M.reshape(self.model.nv, -1)
-        M = np.triu(M) + np.triu(M, 1).T
+        upper = self._upper * pin.crba(self.model, self.data, state.q).reshape(self.model.nv, -1)
+        half = state.G.T @ upper @ state.G
         h = pin.rnea(self.model, self.data, state.q, state.v, state.g0) + self._extra(state.q)
-        return state.G.T @ M @ state.G, state.G.T @ h
+        return half + half.T, state.G.T @ h
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (N, 3) [m]; the last frame's where the file has no `tool`."""
@@ -75,10 +75,7 @@ class TreeMechanism(Mechanism):
     def condition(self, q: np.ndarray) -> np.ndarray:
         """Return the closure's conditioning (N,)."""
         (q,) = self._checked(q)
-        if not self.robot.loops:
-            return np.ones(len(q))
-        zero = np.zeros(self.robot.na)
-        return np.array([self.solver.state(x, zero, zero).condition for x in q])
+        return np.array([self.solver.condition(x) for x in q])
 
     def _parameter_map(self) -> np.ndarray:
         """Return the map from inertial parameters to Pinocchio's stacked `pi` (10 * (njoints - 1), n_inertial)."""

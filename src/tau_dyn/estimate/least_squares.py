@@ -156,8 +156,11 @@ def _root_information(cov: np.ndarray) -> np.ndarray:
 
 
 def _with_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:
-    """Attach standard errors to the parameters that are base parameters by themselves."""
+    """Attach standard errors to the parameters that are base parameters by themselves, and say where each value came from."""
     alone = base.alone[base.kept]
-    changes = {base.names[c]: {"stderr": float(s)} for c, s, a in zip(base.kept, stderr, alone, strict=True) if a}
-    changes.update({p.name: {"stderr": None} for p in parameters if p.name not in changes})
-    return parameters.update(changes)
+    known = {base.names[c]: float(s) for c, s, a in zip(base.kept, stderr, alone, strict=True) if a}
+    shared = {name for k, name in enumerate(base.names) if name not in known and base.depends_on(k)}
+    origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one choice of many that fit")
+    return parameters.update(
+        {p.name: {"stderr": known.get(p.name), "origin": origin.get(p.name, p.origin)} for p in parameters}
+    )

@@ -25,6 +25,8 @@ class Run:
         W: Columns (n, m, p), filtered like `y`.
         y: Measured outputs (n, m).
         usable: Which samples of which output the fit may use (n, m).
+        W_all: The columns without any sample left out (n, m, p), for judging a model where the fit does not look.
+        y_all: The outputs alike (n, m).
         signals: What else a report may want to draw, each (n, m): `q`, `v`, `a`, ...
     """
 
@@ -33,7 +35,15 @@ class Run:
     W: np.ndarray
     y: np.ndarray
     usable: np.ndarray
+    W_all: np.ndarray
+    y_all: np.ndarray
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def window(self, part: slice) -> Run:
+        """Return a stretch of it."""
+        signals = {name: x[part] for name, x in self.signals.items()}
+        W, y, usable, W_all, y_all = (x[part] for x in (self.W, self.y, self.usable, self.W_all, self.y_all))
+        return Run(self.name, self.t[part], W, y, usable, W_all, y_all, signals)
 
     def segments(self, output: int) -> Iterator[slice]:
         """Yield the unbroken stretches of usable samples of one output."""
@@ -80,6 +90,10 @@ class Regression:
     def residuals(self, theta: np.ndarray) -> list[np.ndarray]:
         """Return measured minus predicted for each run (n, m), at a full parameter vector (p,)."""
         return [run.y - run.W @ theta for run in self.runs]
+
+    def residuals_all(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return measured minus predicted with no sample left out (n, m), of each run."""
+        return [run.y_all - run.W_all @ theta for run in self.runs]
 
     def with_parameters(self, parameters: Parameters) -> Regression:
         """Return the same data with other values, bounds or freedoms."""

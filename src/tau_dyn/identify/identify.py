@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.effects import FRICTION_MODELS, friction_model
-from tau_dyn.estimate import Estimate, Regression, Run, solve_least_squares
+from tau_dyn.estimate import BaseParameters, Estimate, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices, scale_outputs
 from tau_dyn.identify.doubts import doubts, equivalences
@@ -61,12 +61,33 @@ def identify(
         InputError: A log, the model or a choice is at fault.
         CannotAnswer: The logs determine nothing.
     """
-    choices = choices or Choices()
-    train_logs, held_logs = _listed(logs), _listed(holdout)
+    warnings: list[str] = []
+    try:
+        return _identify(
+            robot, _listed(logs), _listed(holdout), model, choices or Choices(), preparation, exclude, seed, progress, warnings
+        )
+    except CannotAnswer as fault:
+        fault.warnings = tuple(dict.fromkeys(warnings))
+        raise
+
+
+def _identify(
+    robot: Robot,
+    train_logs: list[Log],
+    asked_logs: list[Log],
+    model: str | Path | Model,
+    choices: Choices,
+    preparation: Preparation | None,
+    exclude: tuple[str, ...],
+    seed: int,
+    progress: Callable[[str], None],
+    warnings: list[str],
+) -> Identification:
+    """Do what `identify` says, leaving in `warnings` what was doubtful even if no answer comes."""
     prepared = choices.apply(build_model(robot, model))
     robot = prepared.robot
-    warnings = [*robot.warnings, *_log_warnings(robot, [*train_logs, *held_logs])]
-    held_logs = _without_trained(train_logs, held_logs, warnings)
+    warnings += [*robot.warnings, *_log_warnings(robot, [*train_logs, *asked_logs])]
+    held_logs = _without_trained(train_logs, asked_logs, warnings)
     gains = choices.gains(robot.actuated)
 
     progress("columns")
@@ -83,7 +104,7 @@ def identify(
         judged = force_errors(held, estimate.theta)
         how = "held-out logs: " + ", ".join(log.name for log in held_logs)
     else:
-        held, judged, how = _judge_last_part(training, solve, bool(_listed(holdout)), warnings)
+        held, judged, how = _judge_last_part(training, solve, bool(asked_logs), warnings)
     _refuse_if_nothing_determined(estimate)
     return Identification(
         model=replace(
@@ -125,7 +146,7 @@ class _Solver:
     """The estimation of one model, whatever the data."""
 
     model: Model
-    structural: object
+    structural: BaseParameters
     gains: dict[str, float]
 
     def __call__(self, regression: Regression) -> Estimate:
@@ -133,7 +154,7 @@ class _Solver:
             regression,
             physics=physics_of(self.model),
             structural=self.structural,
-            gains=self.gains,  # type: ignore[arg-type]
+            gains=self.gains,
         )
 
 
@@ -193,14 +214,9 @@ def _split(regression: Regression) -> tuple[Regression, Regression]:
     for run in regression.runs:
         cut = int(TRAIN_SHARE * len(run.t))
         gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz)) if len(run.t) > 1 else 0
-        first.append(_window(run, slice(0, cut)))
-        last.append(_window(run, slice(min(cut + gap, len(run.t) - 1), len(run.t))))
+        first.append(run.window(slice(0, cut)))
+        last.append(run.window(slice(min(cut + gap, len(run.t) - 1), len(run.t))))
     return replace(regression, runs=tuple(first)), replace(regression, runs=tuple(last))
-
-
-def _window(run: Run, part: slice) -> Run:
-    signals = {name: x[part] for name, x in run.signals.items()}
-    return Run(run.name, run.t[part], run.W[part], run.y[part], run.usable[part], signals)
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:

@@ -52,10 +52,7 @@ def build_regression(
         model.parameters, model.robot.actuated, model.robot.force_units, runs, {"preparation": preparation}
     )
     if regression.n_samples == 0:
-        raise CannotAnswer(
-            f"no joint moves steadily faster than its velocity noise ({_thresholds(preparation, model)})",
-            f"move {', '.join(regression.outputs)} in both directions, over several speeds, for a minute or more",
-        )
+        raise _nothing_left(model, pieces, preparation)
     return regression
 
 
@@ -76,15 +73,25 @@ def _run(model: Model, log: Log, preparation: Preparation) -> Run:
     def passed(x: np.ndarray) -> np.ndarray:
         return decimate(lowpass(x, preparation.force_cutoff_hz, rate), factor)
 
+    def columns(weights: np.ndarray) -> np.ndarray:
+        """Return every weighted column, filtered joint by joint, which saves memory; many columns do not touch a joint."""
+        out = np.zeros((-(-len(Y) // factor), *Y.shape[1:]))
+        for k in range(Y.shape[1]):
+            touching = np.any(Y[:, k], axis=0)
+            out[:, k, touching] = passed(weights[:, k, None] * Y[:, k][:, touching])
+        return out
+
     share = passed(gate)
     usable = share > MIN_SHARE
     edge = int(np.ceil(edge_samples(preparation.force_cutoff_hz, rate) / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
     weight = np.where(usable, share, 1.0)
+    Y = model.regressor(q, v, a)
+    y_all, W_all = passed(force), columns(np.ones_like(gate))
     y = passed(gate * force) / weight
-    W = passed(gate[:, :, None] * model.regressor(q, v, a)) / weight[:, :, None]
+    W = columns(gate) / weight[:, :, None]
     signals = {"q": decimate(q, factor), "v": decimate(v, factor), "a": decimate(a, factor)}
-    return Run(log.name, decimate(log.t, factor), W, y, usable, signals)
+    return Run(log.name, decimate(log.t, factor), W, y, usable, W_all, y_all, signals)
 
 
 def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> np.ndarray:
@@ -114,6 +121,22 @@ def excluded(log: Log, joints: tuple[str, ...], effort_limit: np.ndarray, column
             raise InputError(f"{log.name} has no column {column} to exclude samples by")
         bad |= (log.channels[column] != 0)[:, None]
     return bad
+
+
+def _nothing_left(model: Model, logs: list[Log], preparation: Preparation) -> CannotAnswer:
+    """Return why the gates leave nothing: saturated or flagged forces, or no steady motion."""
+    robot = model.robot
+    bad = np.concatenate([excluded(log, robot.actuated, robot.effort_limit, preparation.exclude) for log in logs])
+    if bad.mean() > 0.5:
+        return CannotAnswer(
+            f"{100 * bad.mean():.0f} % of the forces are flagged or at the drives' limits "
+            f"({', '.join(f'{x:g}' for x in robot.effort_limit)})",
+            "check the units of tau and the effort limits in the robot file, or record a gentler motion",
+        )
+    return CannotAnswer(
+        f"no joint moves steadily faster than its velocity noise ({_thresholds(preparation, model)})",
+        f"move {', '.join(robot.actuated)} in both directions, over several speeds, for a minute or more",
+    )
 
 
 def _thresholds(preparation: Preparation, model: Model) -> str:

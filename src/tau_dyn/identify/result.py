@@ -56,11 +56,12 @@ class Identification:
     def base_rows(self) -> list[dict[str, Any]]:
         """Return the base parameters with their expressions."""
         base, rows = self.estimate.base, []
+        before = self.nominal.select(base.names).values
         for k, (column, value, sigma) in enumerate(
             zip(base.kept, self.estimate.beta, self.estimate.stderr, strict=True)
         ):
             p = self.estimate.parameters[base.names[column]]
-            nominal = float(base.combine(self.nominal.select(base.names).values)[k])
+            nominal = None if self._is_friction(p.name) else float(base.combine(before)[k])
             row = {"name": p.name, "expression": base.expression(k), "value": float(value), "unit": p.unit}
             rows.append(row | _uncertainty(float(value), float(sigma)) | {"identifiable": True, "nominal": nominal})
         return rows

@@ -5,9 +5,10 @@ actuated and passive columns,
 
     v_tree = G v_a,   G = [1; -J_p^+ J_a],   a_tree = G a_a + g_0,   g_0 = [0; -J_p^+ gamma],
 
-where `gamma` is the constraint's acceleration at zero joint acceleration. Closure is by Newton on the passive joints,
-warm-started; the first configuration is reached by continuation from the robot's home, which selects the assembly mode.
-Reference: Khalil & Dombre 2002, ch. 7; Featherstone 2008, ch. 8. Pinocchio does the tree.
+where `gamma` is the constraint's acceleration at zero joint acceleration. Closure is by Newton on the passive joints, started
+where `G` points from the last configuration; the inverse of `J_p` is kept while it converges well. The first configuration is
+reached by continuation from the robot's home, which selects the assembly mode. `constraints.py` has `c`, `J_c` and `gamma`.
+Reference: Khalil & Dombre 2002, ch. 7; Featherstone 2008, ch. 8.
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dgetrf, dgetri
 
 from tau_dyn.exceptions import LoopClosureError
+from tau_dyn.kinematics.constraints import Constraints
 from tau_dyn.robot import Robot
 
-_TOLERANCE = 1e-9  # [m] before the last step, which squares it
-_WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+_TOLERANCE = 1e-13  # [m] a step is the last one when it should leave no more than this
+_ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
 _STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
+_ILL = 1e8  # conditioning above which the inverse comes from singular values
 
 
 @dataclass
@@ -35,7 +39,6 @@ class TreeState:
         a: Acceleration (nv,).
         G: Tree velocity per actuated velocity (nv, na).
         g0: Tree acceleration at zero actuated acceleration (nv,).
-        condition: Conditioning of the passive constraint Jacobian with unit columns; 1 without loops.
     """
 
     q: np.ndarray
@@ -43,7 +46,6 @@ class TreeState:
     a: np.ndarray
     G: np.ndarray
     g0: np.ndarray
-    condition: float
 
 
 class LoopSolver:
@@ -56,9 +58,12 @@ class LoopSolver:
         self.data = self.model.createData()
         self.active_v, self._active_q = robot.active_v, robot.active_q
         self.passive_v = np.setdiff1d(np.arange(self.model.nv), self.active_v)
-        self._one_number = np.array([self.model.joints[self.model.getJointId(j)].nq == 1 for j in robot.actuated])
+        self._turning = np.array([self.model.joints[self.model.getJointId(j)].nq == 2 for j in robot.actuated])
         self._identity = np.zeros((self.model.nv, robot.na))
         self._identity[self.active_v, range(robot.na)] = 1.0
+        self._neutral = pin.neutral(self.model)
+        self._constraints = Constraints(self.model, self.data, robot.loops)
+        self._inverse, self._G = np.zeros((0, 0)), self._identity
         self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def close(self, q_a: np.ndarray) -> np.ndarray:
@@ -69,107 +74,117 @@ class LoopSolver:
         """
         q_a = np.asarray(q_a, float)
         if not self.robot.loops:
-            return self._with_active(pin.neutral(self.model), q_a)
-        if self._last is not None and np.max(np.abs(q_a - self._last[0])) <= _STEP:
-            q = self._newton(self._with_active(self._last[1], q_a))
-            if q is not None:
-                self._last = (q_a.copy(), q)
-                return q
-        q = self._from_home(q_a)
+            return self._with_active(self._neutral, q_a)
+        q = None
+        if self._last is not None and np.abs(q_a - self._last[0]).max() <= _STEP:
+            q = self._step_to(q_a, *self._last)
+        if q is None:
+            q = self._from_home(q_a)
         self._last = (q_a.copy(), q)
         return q
 
     def state(self, q_a: np.ndarray, v_a: np.ndarray, a_a: np.ndarray) -> TreeState:
         """Return the tree's motion at one sample of actuated motion, each (na,)."""
         q = self.close(q_a)
-        v_a, a_a = np.asarray(v_a, float), np.asarray(a_a, float)
+        G, g0 = self._identity, np.zeros(self.model.nv)
+        if self.robot.loops:
+            self._linearise(q)
+            G = self._G
+            g0[self.passive_v] = -self._inverse @ self._constraints.acceleration_at_rest(q, G @ v_a)
+        return TreeState(q, G @ v_a, G @ a_a + g0, G, g0)
+
+    def condition(self, q_a: np.ndarray) -> float:
+        """Return the conditioning of the passive constraint Jacobian with unit columns; 1 without loops."""
         if not self.robot.loops:
-            G, g0, condition = self._identity, np.zeros(self.model.nv), 1.0
-            return TreeState(q, G @ v_a, G @ a_a, G, g0, condition)
-        pin.computeJointJacobians(self.model, self.data, q)
-        pin.updateFramePlacements(self.model, self.data)
-        jacobian = self._jacobian()
-        J_p = jacobian[:, self.passive_v]
-        scale = np.linalg.norm(J_p, axis=0)
-        scale[scale == 0] = 1.0
-        u, s, vt = np.linalg.svd(J_p / scale, full_matrices=False)
-        keep = s > 1e-10 * s[0]  # a rod's free spin has no influence on anything we report: least norm
-        inverse = (vt[keep].T / s[keep]) @ u[:, keep].T / scale[:, None]
-        G = self._identity.copy()
-        G[self.passive_v] = -inverse @ jacobian[:, self.active_v]
-        v = G @ v_a
-        g0 = np.zeros(self.model.nv)
-        g0[self.passive_v] = -inverse @ self._acceleration_at_rest(q, v)
-        condition = float(s[0] / s[-1]) if keep.all() else np.inf
-        return TreeState(q, v, G @ a_a + g0, G, g0, condition)
+            return 1.0
+        J_p = self._constraints.jacobian(self.close(q_a))[:, self.passive_v]
+        s = np.linalg.svd(J_p / _lengths(J_p), compute_uv=False)
+        return float(s[0] / s[-1]) if s[-1] > 1e-10 * s[0] else np.inf
 
     def closure_error(self, q: np.ndarray) -> float:
         """Return the largest distance between two points that should coincide [m]."""
-        pin.framesForwardKinematics(self.model, self.data, q)
-        return float(np.max(np.abs(self._gap()))) if self.robot.loops else 0.0
+        return float(np.max(np.abs(self._constraints.gap(q)), initial=0.0))
 
     def _with_active(self, q: np.ndarray, q_a: np.ndarray) -> np.ndarray:
-        q = q.copy()
-        index, single = self._active_q, self._one_number
-        q[index[single]] = q_a[single]
-        q[index[~single]], q[index[~single] + 1] = np.cos(q_a[~single]), np.sin(q_a[~single])
+        q, index = q.copy(), self._active_q
+        q[index] = q_a
+        if self._turning.any():  # a continuous joint's configuration is a cosine and a sine
+            index, angle = index[self._turning], q_a[self._turning]
+            q[index], q[index + 1] = np.cos(angle), np.sin(angle)
         return q
 
     def _from_home(self, q_a: np.ndarray) -> np.ndarray:
         """Walk from home to `q_a` in small steps, so that the assembly mode is home's."""
         home = self.robot.home
-        q = self._newton(self._with_active(pin.neutral(self.model), home))
-        if q is None:
-            raise LoopClosureError(f"{self.robot.source}: the loops cannot be closed at home {self._listed(home)}")
-        steps = int(np.ceil(np.max(np.abs(q_a - home)) / _STEP))
-        if steps > 2000:
+        steps = np.ceil(np.max(np.abs(q_a - home)) / _STEP)
+        if not steps <= 2000:
             raise LoopClosureError(
                 f"{self.robot.source}: {self._listed(q_a)} is far outside the robot; positions must be in m and rad"
             )
-        for share in np.linspace(0, 1, steps + 1)[1:]:
-            q = self._newton(self._with_active(q, home + share * (q_a - home)))
+        start = self._with_active(self._neutral, home)
+        self._linearise(start)
+        q = self._newton(start)
+        if q is None:
+            raise LoopClosureError(f"{self.robot.source}: the loops cannot be closed at home {self._listed(home)}")
+        at = home
+        for share in np.linspace(0, 1, int(steps) + 1)[1:]:
+            there = home + share * (q_a - home)
+            q = self._step_to(there, at, q)
             if q is None:
                 raise LoopClosureError(
                     f"{self.robot.source}: the loops cannot be closed at {self._listed(q_a)}: out of reach"
                 )
+            at = there
         return q
 
+    def _step_to(self, q_a: np.ndarray, last_a: np.ndarray, last: np.ndarray) -> np.ndarray | None:
+        """Return the closure at `q_a`, started where `G` points from the last one."""
+        return self._newton(self._with_active(pin.integrate(self.model, last, self._G @ (q_a - last_a)), q_a))
+
     def _newton(self, q: np.ndarray) -> np.ndarray | None:
-        step = np.zeros(self.model.nv)
+        step, before, error = np.zeros(self.model.nv), np.inf, np.inf
         for _ in range(30):
-            pin.computeJointJacobians(self.model, self.data, q)
-            pin.updateFramePlacements(self.model, self.data)
-            gap = self._gap()
-            J_p = self._jacobian()[:, self.passive_v]
-            change = -np.linalg.lstsq(J_p, gap, rcond=1e-10)[0]
-            largest = np.max(np.abs(change), initial=0.0)
-            if not np.isfinite(largest):
+            gap = self._constraints.gap(q)
+            error = np.abs(gap).max()
+            if not np.isfinite(error):
                 return None
-            step[self.passive_v] = change * min(1.0, 0.5 / max(largest, 1e-300))
+            if not error < 0.1 * before:
+                self._linearise(q)
+            change = -self._inverse @ gap
+            step[self.passive_v] = change * min(1.0, 0.5 / max(np.abs(change).max(initial=0.0), 1e-300))
             q = pin.integrate(self.model, q, step)
-            if np.max(np.abs(gap)) < _TOLERANCE:
+            rate = min(1.0, error / before) if np.isfinite(before) else 1.0
+            if error * rate < _TOLERANCE:
                 return q
-        return q if np.max(np.abs(gap)) < 1e-10 else None
+            before = error
+        return q if error < _ROUNDED else None
 
-    def _gap(self) -> np.ndarray:
-        oMf = self.data.oMf
-        return np.concatenate([oMf[k.frame_a].translation - oMf[k.frame_b].translation for k in self.robot.loops])
-
-    def _jacobian(self) -> np.ndarray:
-        get = pin.getFrameJacobian
-        m, d = self.model, self.data
-        return np.concatenate(
-            [get(m, d, k.frame_a, _WORLD)[:3] - get(m, d, k.frame_b, _WORLD)[:3] for k in self.robot.loops]
-        )
-
-    def _acceleration_at_rest(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        pin.forwardKinematics(self.model, self.data, q, v, np.zeros(self.model.nv))
-        get = pin.getFrameClassicalAcceleration
-        m, d = self.model, self.data
-        return np.concatenate(
-            [(get(m, d, k.frame_a, _WORLD) - get(m, d, k.frame_b, _WORLD)).linear for k in self.robot.loops]
-        )
+    def _linearise(self, q: np.ndarray) -> None:
+        """Keep the inverse of `J_p` and `G` at this configuration."""
+        jacobian = self._constraints.jacobian(q)
+        self._inverse = _inverse(jacobian[:, self.passive_v])
+        self._G = self._identity.copy()
+        self._G[self.passive_v] = -self._inverse @ jacobian[:, self.active_v]
 
     def _listed(self, q_a: np.ndarray) -> str:
         pairs = zip(self.robot.actuated, q_a, self.robot.position_units, strict=True)
         return ", ".join(f"{j} = {x:.4g} {unit}" for j, x, unit in pairs)
+
+
+def _inverse(J: np.ndarray) -> np.ndarray:
+    """Return the inverse by LU; of a matrix that is singular or not square, the pseudo-inverse with unit columns."""
+    if J.shape[0] == J.shape[1]:
+        lu, pivots, fault = dgetrf(J)
+        if fault == 0:
+            inverse = dgetri(lu, pivots)[0]
+            if np.abs(J).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max() < _ILL:
+                return inverse
+    lengths = _lengths(J)
+    u, s, vt = np.linalg.svd(J / lengths, full_matrices=False)
+    keep = s > 1e-10 * s[0]  # a rod's free spin has no influence on anything we report: least norm
+    return (vt[keep].T / s[keep]) @ u[:, keep].T / lengths[:, None]
+
+
+def _lengths(J: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(J, axis=0)
+    return np.where(lengths > 0, lengths, 1.0)

@@ -1,12 +1,14 @@
 """Where the motion of a log lives in frequency, against the encoder's own noise.
 
-The spectrum is taken of second differences of q (Welch, Blackman-Harris windows of 8 s), which keeps the motion's large slow part
-from leaking over everything else, and divided by their gain. The noise floor is the median over the upper band (0.25 to 0.49 of the
-sampling rate), where motion through a mass has died out. The motion band reaches from the spectral peak as far as the signal stays
-ten times above that floor; its edge is where 99.9 % of the *velocity's* power is reached. Acceleration would count vibration.
+The spectrum is taken of second differences of q (Welch, Blackman-Harris windows of 8 s), which keeps the motion's large
+slow part from leaking over everything else, and divided by their gain. The noise floor is the median over the upper band
+(0.25 to 0.49 of the sampling rate), where motion through a mass has died out. The motion band reaches from the spectral peak
+as far as the signal stays ten times above that floor; its edge is where 99.9 % of the *velocity's* power is reached.
+Acceleration would count vibration.
 """
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,7 +42,7 @@ def motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
     q = np.asarray(q, dtype=np.float64)
     acceleration = np.diff(q, 2, axis=0) * rate_hz**2
     n = min(len(acceleration), int(_WINDOW_S * rate_hz))
-    f, power = signal.welch(acceleration, rate_hz, "blackmanharris", nperseg=n, detrend=False, axis=0)
+    f, power = signal.welch(acceleration, rate_hz, "blackmanharris", nperseg=n, detrend=cast(Any, False), axis=0)
     gain = (2 * np.sin(np.pi * f / rate_hz)) ** 4 * rate_hz**4
     upper = (f > 0.25 * rate_hz) & (f < 0.49 * rate_hz)
     sigma = np.sqrt(np.median(power[upper] / gain[upper, None], axis=0) * rate_hz / 2)

@@ -86,7 +86,6 @@ def _round_up(x: float) -> float:
 
 def _row(found: Identification, r: dict[str, Any], scale: float, truth: Mapping[str, float]) -> Row:
     seen, sigma, true = r["stderr"] is not None, r["stderr"], truth.get(r["name"])
-    decimals = sigma / 10 if seen else 1.0
     return Row(
         name=r["name"],
         group=_group(found, r["name"]),
@@ -97,7 +96,7 @@ def _row(found: Identification, r: dict[str, Any], scale: float, truth: Mapping[
         nominal="" if r["nominal"] is None else number(r["nominal"]),
         note=_note(found, r),
         bar=_bar(r, scale) if seen else None,
-        true="" if true is None else (rounded(true, decimals) if seen else number(true)),
+        true="" if true is None else (rounded(true, sigma) if seen else number(true)),
         distance=f"{abs(r['value'] - true) / sigma:.1f}" if seen and sigma > 0 and true is not None else "",
     )
 
@@ -112,7 +111,7 @@ def _note(found: Identification, r: dict[str, Any]) -> str:
         return _unseen(r)
     plain = found.estimate.moved.get(r["name"])
     if plain is not None:
-        return f"held where physics allows; unconstrained it would be {rounded(plain, r['stderr'])}"
+        return f"held where physics allows; unconstrained it would be {number(plain, 3)}"
     if r["at_bound"]:
         return "at its bound"
     if not r["determined"]:
@@ -134,7 +133,7 @@ def _against_nominal(r: dict[str, Any]) -> str:
         return ""
     change = (r["value"] - nominal) / abs(nominal)
     if trust is None or abs(r["value"] - nominal) < Z95 * np.hypot(r["stderr"], trust):
-        return "agrees with nominal" if trust is not None else ""
+        return ""
     return f"{percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, beyond both uncertainties"
 
 

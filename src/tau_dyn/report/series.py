@@ -45,6 +45,17 @@ class Panel:
     shaded: tuple[float, float] | None
 
     @property
+    def force_limits(self) -> tuple[float, float]:
+        """Range of the forces over the used samples, with air; filter ends and reversals do not widen it."""
+        return _limits(np.concatenate([self.measured[self.usable], self.predicted[self.usable]]))
+
+    @property
+    def residual_limits(self) -> tuple[float, float]:
+        """Range of the residual over the used samples, equal on both sides of zero, with air."""
+        used = np.abs(self.residual[self.usable])
+        return _limits(np.concatenate([used, -used]), 0.25)
+
+    @property
     def residual(self) -> np.ndarray:
         """Measured minus predicted (n,)."""
         return self.measured - self.predicted
@@ -56,6 +67,14 @@ def panels(found: Identification) -> list[Panel]:
     train = found.estimate.regression
     shown = _panels(found, found.held, True, None) if own_logs and found.held is not None else []
     return shown + _panels(found, train, False, None if own_logs else found.held)
+
+
+def _limits(values: np.ndarray, air: float = 0.08) -> tuple[float, float]:
+    if not values.size:
+        return -1.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    more = air * (high - low) or abs(high) or 1.0
+    return low - more, high + more
 
 
 def _panels(found: Identification, regression: Regression, held_out: bool, part: Regression | None) -> list[Panel]:
@@ -120,6 +139,7 @@ def _payload(panel: Panel, most: int) -> dict[str, Any]:
         "step": step,
         "n": len(t),
         "series": [pack(thinned[:, k]) for k in range(3)],
+        "limits": [panel.force_limits, panel.residual_limits],
         "masked": [[round(a, 4), round(b, 4)] for a, b in masked],
         "shaded": panel.shaded,
     }

@@ -71,7 +71,7 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None) -> str:
     given = {name: str(value) for name, value in (arguments or {}).items()}
     with _LOCK, _defused_xacro():
         try:
-            document = xacro.parse(None, str(path))
+            document = _parse(None, str(path))
             _check_arguments(path, document, given)
             xacro.init_stacks(str(path))
             with redirect_stderr(io.StringIO()):
@@ -105,7 +105,7 @@ def _parse(inp: object, filename: str | None = None) -> Document:
     name = filename or "robot text"
     try:
         text = Path(str(filename)).read_bytes() if inp is None else str(inp).encode()
-        return parseString(text, forbid_dtd=True)
+        return parseString(text, forbid_dtd=True)  # type: ignore[arg-type]
     except OSError as fault:
         raise InputError(f"{name}: cannot be read ({fault.strerror})") from fault
     except DefusedXmlException as fault:

@@ -1,9 +1,10 @@
 """Feedback that follows a reference: a position loop around a velocity loop, as drives have it.
 
-    command = speed_feedforward v_ref + kp (q_ref - q),   u = kv (command - dq + integral_rate * int(command - dq)) + u_ff,
-    tau = force_per_unit * clip(u, -limit, limit),   dq_k = (q_k - q_{k-2}) / (2 dt).
+    e_k = kp (q_ref - q)_k + speed_feedforward v_ref_{k-1} - (q_k - q_{k-2}) / (2 dt),
+    u_k = kv (e_k + integral_rate * int e dt) + u_ff,   tau_k = force_per_unit * clip(u_k, -limit, limit).
 
-The speed is what a drive knows: the difference of positions averaged over two samples. The integral stops where the limit
+The speed is what a drive knows: the difference of positions averaged over two samples. It is one sample old, so the
+reference speed is taken of the sample before. The integral stops where the limit
 holds (anti-windup). `CascadeLaw.emps` gives the law of the EMPS drive: `vir = kp kv (qg - q) - kv dq` within 10 V (Janot,
 Gautier & Brunot 2019). A controller sees references and measured positions, never the plant's state.
 """
@@ -116,7 +117,7 @@ class CascadeController:
         self.law, self._start, self._model = law, start, feedforward
         self._forces = np.zeros((0, 0))
         self._integral = np.zeros(0)
-        self._dt, self._before = 1.0, (np.zeros(0), np.zeros(0))
+        self._dt, self._before, self._v_ref = 1.0, (np.zeros(0), np.zeros(0)), np.zeros(0)
 
     def reset(self, reference: Trajectory) -> None:
         """Forget the past and compute the feedforward along the whole reference."""
@@ -127,6 +128,7 @@ class CascadeController:
             )
         self._dt = reference.duration / (reference.n_samples - 1)
         self._before = (np.array(reference.q[0]), np.array(reference.q[0]))
+        self._v_ref = np.array(reference.v[0])
         self._integral = np.zeros(na)
         self._forces = np.zeros_like(reference.q)
         if self._model is not None:
@@ -142,8 +144,8 @@ class CascadeController:
         """Return the forces (na,) of sample k; see `Controller.force`."""
         law = self.law
         speed = (q_measured - self._before[0]) * (0.5 / self._dt)
-        self._before = (self._before[1], q_measured)
-        error = law.position_gain * (q_ref - q_measured) + law.speed_feedforward * v_ref - speed
+        error = law.position_gain * (q_ref - q_measured) + law.speed_feedforward * self._v_ref - speed
+        self._before, self._v_ref = (self._before[1], q_measured), v_ref
         wanted = law.velocity_gain * error + self._integral + self._forces[k]
         output = np.minimum(np.maximum(wanted, -law.limit), law.limit)
         winding_up = (wanted != output) & (wanted * error > 0)

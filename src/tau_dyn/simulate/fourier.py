@@ -103,7 +103,8 @@ def exciting_motion(
     """
     if trials < 1:
         raise InputError(f"a search needs at least one trial, not {trials}")
-    motions = [fourier_motion(model, duration, seed + k, harmonics=harmonics) for k in range(trials)]
+    seeds = np.random.default_rng(seed).integers(2**31, size=trials)  # neighbouring seeds must not share trials
+    motions = [fourier_motion(model, duration, int(k), harmonics=harmonics) for k in seeds]
     conditions = [base_condition(model, motion) for motion in motions]
     best = motions[int(np.argmin(conditions))]
     note = (

@@ -92,7 +92,10 @@ def multisine_on_stroke(
     gain = 0.6 * STROKE_SHARE * fastest / np.max(np.abs(ripple.v), axis=0)
 
     def build(share: float) -> Trajectory:
-        stroke, end = _strokes(model, t, np.array([STROKE_SHARE]), share, 3.0)
+        longest = (
+            duration / (4 * np.ceil(duration / 6)) - 0.06 / share
+        )  # of trips that fill the time; ramps take the rest
+        stroke, end = _strokes(model, t, np.array([STROKE_SHARE]), share, max(longest, 0.2))
         riding = windowed(Path(*(share * gain * x for x in ripple)), window(t, end, 1.0))
         return about_home(model, t, Path(*(x + y for x, y in zip(stroke, riding, strict=True))), "multisine")
 
@@ -146,14 +149,15 @@ def named_motion(name: str, model: Model, duration: float = 20.0, seed: int = 0)
 
 
 def _strokes(model: Model, t: np.ndarray, shares: np.ndarray, scale: float, longest: float) -> tuple[Path, float]:
-    """Return round trips (N, na) through all patterns and speeds, and when the last one ends [s].
+    """Return round trips (N, na) through all speeds and patterns, and when the last one ends [s].
 
+    Joints move together, then neighbours against each other, then (with several speeds) each joint alone.
     Along each trip the coordinate is time at the highest speed; `scale` shortens ways and softens ramps, speeds stay; half a way
     takes at most `longest` [s].
     """
     na, fastest = model.robot.na, top_speed(model)
     together, against = np.ones(na), (-1.0) ** np.arange(na)
-    patterns = [together] if na == 1 else [together, against, *np.eye(na)]
+    patterns = [together] if na == 1 else [together, against, *(np.eye(na) if len(shares) > 1 else [])]
     room = scale * reach(model) / fastest
     q, v, a = np.zeros((3, len(t), na))
     start = 0.0

@@ -6,8 +6,8 @@ Velocities `w` live at half steps, positions at full steps (leapfrog). With the 
     M(q_k) a_k = tau_k - h(q_k, v_k) - f_k,   w_{k+1/2} = w_{k-1/2} + dt a_k,   q_{k+1} = q_k + dt w_{k+1/2}.
 
 So `tau_k` acts from half a step before its sample to half a step after it: a log of (q_k, tau_k) has no delay, and central
-differences of its positions satisfy the equation of motion to second order (`f` and `h` see an extrapolated velocity, which
-errs by `dt/2 (a_k - a_{k-1})`). Friction obeys the sign of `w_{k+1/2}` and holds a joint exactly still (`slip.py`); the one
+differences of its positions satisfy the equation of motion to second order. `h` sees the extrapolated velocity, which errs by
+`dt/2 (a_k - a_{k-1})`; friction, which feels it more, is taken again at the velocity that results. Friction obeys the sign of `w_{k+1/2}` and holds a joint exactly still (`slip.py`); the one
 sample in which a joint reverses or stops mixes both directions. Passive joints are closed by the mechanism at every
 position, so loops cannot drift. Reference: Hairer, Lubich & Wanner 2003 (leapfrog); Moreau 1988 (sharp friction).
 """
@@ -24,7 +24,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import Controller
 from tau_dyn.simulate.forces import SampledForces
-from tau_dyn.simulate.slip import solve_slip
+from tau_dyn.simulate.slip import Slip, solve_slip
 from tau_dyn.simulate.trajectory import Trajectory
 
 Progress = Callable[[float], None]
@@ -84,6 +84,7 @@ class Plant:
         self.q, self.w = np.array(q0, float), np.array(v0, float)
         self._a, self._friction = np.zeros(len(self.q)), np.zeros(len(self.q))
         self._started = False
+        self._check_inertia(model)
 
     def step(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Apply forces (na,) around the current sample; return its velocity, acceleration and who is stuck, then move on."""
@@ -97,6 +98,16 @@ class Plant:
         self.w, self.q = u, self.q + self.dt * u
         return v, self._a, stuck
 
+    def _check_inertia(self, model: Model) -> None:
+        """Refuse a robot whose joints would accelerate without any force."""
+        M, _ = self.mechanism.mass_and_bias(self.q, np.zeros(len(self.q)))
+        added = self.forces.mass(self.q, np.zeros(len(self.q)))
+        if np.linalg.eigvalsh(M if added is None else M + added)[0] <= 1e-12 * np.trace(M):
+            raise InputError(
+                f"{model.robot.source}: the mass matrix is singular, so the robot cannot be simulated; give every joint a "
+                "mass or a drive inertia (parameters <link>.mass, <joint>.armature)"
+            )
+
     def _after(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the velocity half a step after the sample, and who is stuck."""
         v = self.w + 0.5 * self.dt * self._a
@@ -105,11 +116,17 @@ class Plant:
             return self.w + self.dt * np.linalg.solve(M, tau - h), np.zeros(len(v), dtype=bool)
         added = self.forces.mass(self.q, v)
         A = self.dt * np.linalg.inv(M if added is None else M + added)
-        lower, upper = self.forces.bounds(self.q, v)
-        guess = np.where(self.w > 0, upper, np.where(self.w < 0, lower, np.clip(self._friction, lower, upper)))
-        slip = solve_slip(A, self.w + A @ (tau - h), lower, upper, guess)
+        free = self.w + A @ (tau - h)
+        u = self._slip(A, free, v).u
+        slip = self._slip(A, free, 0.5 * (self.w + u))
         self._friction = slip.force
         return slip.u, slip.stuck
+
+    def _slip(self, A: np.ndarray, free: np.ndarray, v: np.ndarray) -> Slip:
+        """Solve the step with friction as it is at velocities (na,)."""
+        lower, upper = self.forces.bounds(self.q, v)
+        held = np.minimum(np.maximum(self._friction, lower), upper)
+        return solve_slip(A, free, lower, upper, np.where(self.w > 0, upper, np.where(self.w < 0, lower, held)))
 
 
 def run_plant(

@@ -1,0 +1,132 @@
+"""The robot at home as a line drawing: guideways, carts, rods, plate, or the chain of an arm; from its tree alone.
+
+A link is drawn through the points where it meets others: its own joint, its children's joints and its loops' ends. Two
+points make a rod, more make a plate. The view is orthographic, from the front right and above; z is up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from markupsafe import Markup
+from scipy.spatial import ConvexHull, QhullError
+
+from tau_dyn.exceptions import TauDynError
+from tau_dyn.kinematics import LoopSolver
+from tau_dyn.report.svg import tag
+from tau_dyn.robot import Robot
+
+AZIMUTH, ELEVATION = np.deg2rad(-62.0), np.deg2rad(18.0)
+WIDTH, HEIGHT, MARGIN = 380, 290, 34
+
+
+def robot_picture(robot: Robot) -> Markup:
+    """Return the drawing, or nothing where the robot cannot be put at home."""
+    try:
+        solver = LoopSolver(robot)
+        q = solver.close(robot.home)
+    except TauDynError:
+        return Markup("")
+    data = solver.data
+    pin.computeJointJacobians(robot.model, data, q)
+    pin.updateFramePlacements(robot.model, data)
+    return _drawing(robot, data, _shapes(robot, data), _guideways(robot, data))
+
+
+def _shapes(robot: Robot, data: pin.Data) -> list[np.ndarray]:
+    """Return the points (n, 3) of every link that reaches from somewhere to somewhere else."""
+    model = robot.model
+    shapes = []
+    for joint in range(1, model.njoints):
+        points = [data.oMi[joint].translation]
+        points += [data.oMi[c].translation for c in range(1, model.njoints) if model.parents[c] == joint]
+        ends = [end for loop in robot.loops for end in (loop.frame_a, loop.frame_b)]
+        ends += [] if robot.tool_frame is None else [robot.tool_frame]
+        points += [data.oMf[f].translation for f in ends if model.frames[f].parentJoint == joint]
+        points = np.unique(np.round(points, 6), axis=0)
+        if len(points) > 1:
+            shapes.append(points)
+    roots = [j for j in map(model.getJointId, robot.actuated) if model.parents[j] == 0]
+    chain = [j for j, kind in zip(roots, robot.joint_kinds, strict=False) if kind == "revolute" and not robot.loops]
+    return shapes + [np.array([np.zeros(3), data.oMi[j].translation]) for j in chain if np.any(data.oMi[j].translation)]
+
+
+def _guideways(robot: Robot, data: pin.Data) -> list[np.ndarray]:
+    """Return both ends (2, 3) of every actuated prismatic joint's travel."""
+    rails = []
+    for k, (name, kind) in enumerate(zip(robot.actuated, robot.joint_kinds, strict=True)):
+        joint = robot.model.getJointId(name)
+        if kind == "prismatic":
+            axis = np.reshape(data.J, (6, -1))[:3, robot.model.joints[joint].idx_v]
+            travel = np.array([robot.lower[k], robot.upper[k]]) - robot.home[k]
+            travel = np.where(np.isfinite(travel), travel, [-0.5, 0.5])
+            rails.append(data.oMi[joint].translation + travel[:, None] * axis)
+    return rails
+
+
+def _project(points: np.ndarray) -> np.ndarray:
+    """Return screen coordinates (n, 2) [m], right and down."""
+    ca, sa, ce, se = np.cos(AZIMUTH), np.sin(AZIMUTH), np.cos(ELEVATION), np.sin(ELEVATION)
+    screen = np.array([[-sa, ca, 0.0], [ca * se, sa * se, -ce]])
+    return np.atleast_2d(points) @ screen.T
+
+
+def _drawing(robot: Robot, data: pin.Data, shapes: list[np.ndarray], rails: list[np.ndarray]) -> Markup:
+    joints = [data.oMi[robot.model.getJointId(j)].translation for j in robot.actuated]
+    everything = _project(np.concatenate([*shapes, *rails, np.array(joints)]))
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
+    scale = float(np.min(room / np.maximum(high - low, 1e-3)))
+    shift = np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2
+
+    def place(points: np.ndarray) -> np.ndarray:
+        return scale * _project(points) + shift
+
+    pieces = [tag("path", d=_path(place(rail)), class_="rail") for rail in rails]
+    pieces += [_link(place(points)) for points in sorted(shapes, key=len, reverse=True)]
+    for name, kind, at in zip(robot.actuated, robot.joint_kinds, joints, strict=True):
+        near = [place(p)[:, 1].min() for p in shapes if len(p) > 2 and np.any(np.all(np.isclose(p, at, atol=1e-5), axis=1))]
+        pieces += _joint(name, kind, place(at)[0], float(min([place(at)[0, 1], *near])))
+    if robot.tool_frame is not None and robot.loops:
+        x, y = (float(c) for c in place(data.oMf[robot.tool_frame].translation)[0])
+        pieces.append(tag("path", d=f"M{x - 9:.1f} {y:.1f}l9 -8l9 8l-9 8Z", class_="plate"))
+        pieces.append(tag("text", "tool", x=x, y=y + 24, text_anchor="middle", class_="joint-name"))
+    text = f"{robot.name} at its home position"
+    return tag(
+        "svg", tag("title", text), *pieces, _triad(), viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", class_="robot"
+    )
+
+
+def _link(points: np.ndarray) -> Markup:
+    if len(points) == 2:
+        return tag("path", d=_path(points), class_="rod")
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):  # all on one line
+        return tag("path", d=_path(points), class_="rod")
+    return tag("path", d=_path(hull) + "Z", class_="plate")
+
+
+def _joint(name: str, kind: str, at: np.ndarray, top: float) -> list[Markup]:
+    x, y = float(at[0]), float(at[1])
+    shape = (
+        tag("rect", x=x - 8, y=y - 6, width=16, height=12, rx=2, class_="cart")
+        if kind == "prismatic"
+        else tag("circle", cx=x, cy=y, r=6, class_="cart")
+    )
+    return [shape, tag("text", name, x=x, y=top - 12, text_anchor="middle", class_="joint-name")]
+
+
+def _triad() -> Markup:
+    origin = np.array([26.0, HEIGHT - 22.0])
+    pieces = []
+    for axis, name in zip(np.eye(3), "xyz", strict=True):
+        tip = origin + 18 * _project(axis)[0]
+        pieces.append(tag("path", d=_path(np.array([origin, tip])), class_="triad"))
+        place = origin + 27 * _project(axis)[0]
+        pieces.append(tag("text", name, x=float(place[0]), y=float(place[1]) + 3, text_anchor="middle", class_="triad-name"))
+    return Markup("").join(pieces)
+
+
+def _path(points: np.ndarray) -> str:
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)

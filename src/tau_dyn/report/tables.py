@@ -1,0 +1,145 @@
+"""What the terminal shows: one sentence, error by joint, the parameters, what is uncertain, and where things are.
+
+Colour carries meaning only (weak values dim, the verdict's level), and disappears when the output is piped. Everything is
+plain text to the console, never markup, so that no name can style it. Tables fit 80 columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rich import box
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from tau_dyn.identify import Identification
+from tau_dyn.log import Log, LogCheck
+from tau_dyn.report.rows import Row, parameter_rows
+from tau_dyn.report.trust import combinations, summary_words
+from tau_dyn.report.words import count, headline, listed, number, percent, pretty_unit, verdict
+
+MARGIN = (0, 0, 0, 2)
+LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
+SEVERITY_STYLE = {"ok": "green", "warning": "yellow", "fault": "bold red"}
+BAR = 24
+_EIGHTHS = " ▏▎▍▌▋▊▉█"
+
+
+def print_identification(console: Console, found: Identification, written: Mapping[str, str] | None = None) -> None:
+    """Print an identification for a person.
+
+    Args:
+        console: Where to.
+        found: The result.
+        written: What was written, such as `{"model": "m.yaml"}`, for the last line.
+    """
+    judged = verdict(found)
+    _say(console, f"{found.model.robot.name} · {summary_words(found)}", "dim")
+    _say(console, headline(found), "bold")
+    _say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    _put(console, _error_table(found, _room(console)))
+    _put(console, _parameter_table(parameter_rows(found)))
+    for title, sentences in _uncertain(found):
+        _say(console, f"{title}: {'; '.join(sentences)}.")
+    if written:
+        _say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def print_check(console: Console, log: Log, checked: LogCheck) -> None:
+    """Print the check of a log for a person: the judgement, then what was found, worst first."""
+    joints = ", ".join(log.joints("q")) or "no joint"
+    _say(console, f"{log.name} · {number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz · {joints}", "dim")
+    faults = sum(f.severity == "fault" for f in checked.findings)
+    doubts = sum(f.severity == "warning" for f in checked.findings)
+    style = SEVERITY_STYLE["fault" if faults else "warning" if doubts else "ok"]
+    _say(console, _check_headline(checked.fit_for_use, faults, doubts), f"bold {style}")
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    order = {"fault": 0, "warning": 1, "ok": 2}
+    for finding in sorted(checked.findings, key=lambda f: order[f.severity]):
+        text = finding.sentence.removeprefix(f"{checked.name}: ")
+        text += f"\n→ {finding.remedy}" if finding.remedy and finding.severity != "ok" else ""
+        table.add_row(Text(finding.severity, SEVERITY_STYLE[finding.severity]), Text(finding.topic, "dim"), Text(text))
+    _put(console, table)
+
+
+def _check_headline(fit: bool, faults: int, doubts: int) -> str:
+    if not fit:
+        return f"Not fit for use as it is: {count(faults, 'fault')}" + (f", {count(doubts, 'warning')}." if doubts else ".")
+    return f"Fit for use, with {count(doubts, 'warning')}." if doubts else "Fit for use."
+
+
+def _error_table(found: Identification, room: int) -> Table:
+    judged, units = found.holdout or found.train, found.model.robot.force_units
+    table = _table()
+    table.add_column("error by joint", no_wrap=True)
+    table.add_column("")
+    for title in ("held out" if found.holdout else "of the fit", "rms", *(("training",) if found.holdout else ())):
+        table.add_column(title, justify="right", no_wrap=True)
+    worst = max(judged.per_joint_percent, default=1.0) or 1.0
+    width = BAR if room >= 90 else 16
+    for k, joint in enumerate(judged.joints):
+        share = float(judged.per_joint_percent[k])
+        cells = [joint, _meter(share / worst, width), percent(share), f"{number(float(judged.rms[k]), 3)} {pretty_unit(units[k])}"]
+        cells += [percent(float(found.train.per_joint_percent[k]))] if found.holdout else []
+        table.add_row(*map(Text, cells))
+    return table
+
+
+def _parameter_table(rows: list[Row]) -> Table:
+    table = _table()
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("estimate", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("95 % interval", justify="right", no_wrap=True)
+    if any(r.nominal for r in rows):
+        table.add_column("nominal", justify="right", no_wrap=True)
+    for r in rows:
+        cells = [r.name, r.estimate, r.unit, r.interval or "not seen alone", r.nominal]
+        style = "" if r.state == "known" else "dim"
+        table.add_row(*(Text(c, style) for c in cells[: len(table.columns)]))
+    return table
+
+
+def _uncertain(found: Identification) -> list[tuple[str, list[str]]]:
+    """Return headings and what stands under them, empty ones left out."""
+    rows = found.rows()
+    weak = [r["name"] for r in rows if r["stderr"] is not None and not r["determined"]]
+    unseen = [r["name"] for r in rows if r["stderr"] is None and not r.get("depends_on")]
+    groups = [
+        ("Not determined by these data", [listed(weak)] if weak else []),
+        ("Seen only together", combinations(found)[:4]),
+        ("Not shown at all (nominal values)", [listed(unseen)] if unseen else []),
+        ("Fits exactly as well", list(found.equivalent[:1]) + _more(found.equivalent)),
+    ]
+    return [(title, sentences) for title, sentences in groups if sentences]
+
+
+def _more(sentences: tuple[str, ...]) -> list[str]:
+    return [f"likewise for {len(sentences) - 1} more"] if len(sentences) > 1 else []
+
+
+def _table() -> Table:
+    return Table(box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0), pad_edge=False, show_edge=False, header_style="dim")
+
+
+def _meter(share: float, width: int) -> str:
+    eighths = max(1, round(8 * width * min(max(share, 0.0), 1.0)))
+    return "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
+
+
+def _room(console: Console) -> int:
+    return min(console.width, 100)
+
+
+def _say(console: Console, text: str, style: str = "") -> None:
+    _put(console, Text(text, style))
+
+
+def _put(console: Console, what: Text | Table) -> None:
+    console.print()
+    console.print(Padding(what, MARGIN, expand=False), width=_room(console))

@@ -1,0 +1,98 @@
+"""Why a result may be trusted, in words: what the fit used, what it left out, how well the motion tells parameters apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.identify import Identification
+from tau_dyn.report.residuals import Residual
+from tau_dyn.report.words import count, listed, number, percent, pretty_unit
+
+WELL, FAIR = 30.0, 200.0
+STRONG = 0.9
+
+
+def preparation_words(found: Identification) -> list[str]:
+    """Return how logs became a regression, one sentence a step."""
+    regression = found.estimate.regression
+    p, robot = regression.settings["preparation"], found.model.robot
+    rate = 1 / float(np.median(np.diff(regression.runs[0].t)))
+    slowest = [
+        f"{_speed(float(v), unit)} ({joint})"
+        for joint, v, unit in zip(regression.outputs, p.speed_threshold, robot.position_units, strict=True)
+    ]
+    sentences = [
+        f"Positions pass a zero-phase low-pass of {number(p.position_cutoff_hz, 3)} Hz before they are differentiated; "
+        f"forces and every column of the regression pass the same one of {number(p.force_cutoff_hz, 3)} Hz.",
+        f"Both are then thinned together to {number(rate, 3)} Hz.",
+        f"A joint is left out within {number(1000 * p.window_s, 2)} ms of a reversal and of speeds below "
+        f"{listed(slowest)}, where the sign of its friction is unsure; so are the ends of each log and saturated forces.",
+    ]
+    if p.exclude:
+        sentences.append(f"Samples flagged by {listed(p.exclude)} are left out.")
+    return sentences
+
+
+def _speed(v: float, unit: str) -> str:
+    return f"{number(1000 * v, 2)} mm/s" if unit == "m" and v < 0.1 else f"{number(v, 2)} {unit}/s"
+
+
+def used_words(found: Identification) -> str:
+    """Return how much of the data the fit uses, and what the rest looks like."""
+    train, n = found.train, found.estimate.regression.n_samples
+    text = f"The fit uses {percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
+    if train.all_samples is not None:
+        text += f" Over all samples, reversals included, its error is {percent(train.all_samples.relative_error_percent)}"
+        text += f" instead of {percent(train.relative_error_percent)}."
+    return text
+
+
+def conditioning_words(found: Identification) -> str:
+    """Return how well the motion separates the parameters."""
+    cond = found.estimate.cond
+    if cond < WELL:
+        judged = "the motion separates the parameters well"
+    elif cond < FAIR:
+        judged = "acceptable; a richer motion would sharpen single values"
+    else:
+        judged = "ill-conditioned; single values lean on small differences, their combinations do not"
+    return f"Condition number {number(cond, 3)} (below {WELL:g} is good, above {FAIR:g} is poor): {judged}."
+
+
+def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, str]]:
+    """Return the strongest correlations above 0.9: both parameters, and the number."""
+    base, matrix = found.estimate.base, np.triu(found.estimate.correlation, 1)
+    pairs = sorted(np.argwhere(np.abs(matrix) > STRONG), key=lambda ij: -abs(matrix[ij[0], ij[1]]))[:most]
+    return [(base.expression(int(i)), base.expression(int(j)), f"{matrix[i, j]:+.3f}".replace("-", "−")) for i, j in pairs]
+
+
+def combinations(found: Identification) -> list[str]:
+    """Return what the data do see of parameters that they cannot see alone."""
+    base = found.estimate.base
+    together = [k for k in range(base.rank) if np.any(base.K[k] != 0)]
+    return [base.expression(k).replace("*", " · ") for k in together]
+
+
+def whiteness_words(residuals: list[Residual]) -> str:
+    """Return what the autocorrelation says."""
+    left = [f"{r.joint} ({number(r.lasts_s, 2)} s)" for r in residuals if not r.white]
+    if not left:
+        return "Nothing systematic is left: each residual forgets itself as fast as the fit's own low-pass lets it."
+    return (
+        f"The residual of {listed(left)} stays correlated longer than the fit's low-pass explains: some force is not in the "
+        "model. The standard errors allow for it; `tau-dyn diagnose` looks for its cause."
+    )
+
+
+def fixed_words(found: Identification) -> list[str]:
+    """Return what was kept at a given value."""
+    return [f"{p.name} = {number(p.value)} {pretty_unit(p.unit)} ({p.origin})" for p in found.parameters if not p.free]
+
+
+def summary_words(found: Identification) -> str:
+    """Return what went in, in a line: robot, logs, seconds, rate, how it was judged."""
+    runs = found.estimate.regression.runs
+    logs = list(dict.fromkeys(run.name for run in runs))
+    seconds = sum(float(run.t[-1] - run.t[0]) for run in runs)
+    named = listed(logs, 3) if len(logs) <= 3 else count(len(logs), "log")
+    return f"{named}, {number(seconds, 3)} s; judged on {found.holdout_how}"
