@@ -5,7 +5,7 @@
 In: EMPS and TX40 from $TAU_DYN_DATA. Each factor of `tau_dyn.identify.preparation` is multiplied by 0.5 to 2, the others left
 alone. Out: `preparation_sensitivity.csv`, one row a robot, factor, multiple and parameter: deviation from the published value
 in % (for TX40 from the published weighted least squares), relative error, samples used. The answer is printed as a table;
-the factors stand on a plateau if its columns hardly change. About 2 minutes on one core.
+the factors stand on a plateau if its columns hardly change. About 1 minute on one core.
 """
 
 import os

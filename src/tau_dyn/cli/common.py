@@ -31,7 +31,7 @@ class Outcome:
     Attributes:
         result: The command's part of the JSON result.
         warnings: Sentences.
-        inputs: Files read.
+        inputs: Files read; or pairs of path and hash, where a reader knows the hash already.
         show: Prints the result for a person on a console.
         files: What to write: path -> text, or a function that writes to the path given.
         report: Makes the report page's text; None if the command has none.
@@ -39,7 +39,7 @@ class Outcome:
 
     result: dict[str, Any] = field(default_factory=dict)
     warnings: Sequence[str] = ()
-    inputs: Sequence[Path] = ()
+    inputs: Sequence[Path | tuple[str, str]] = ()
     show: Callable[[Console], None] = lambda console: None
     files: dict[Path, str | Callable[[Path], None]] = field(default_factory=dict)
     report: Callable[[], str] | None = None
@@ -167,19 +167,27 @@ def _cannot_answer(command: str, args: argparse.Namespace, fault: CannotAnswer) 
 
 
 def envelope(
-    command: str, args: argparse.Namespace, inputs: Sequence[Path], status: str, warnings: Sequence[str]
+    command: str,
+    args: argparse.Namespace,
+    inputs: Sequence[Path | tuple[str, str]],
+    status: str,
+    warnings: Sequence[str],
 ) -> dict[str, Any]:
     """Return what every result says of itself."""
     return {
         "tool_version": __version__,
         "command": command,
-        "inputs": [
-            {"path": str(p), "sha256": hashlib.sha256(p.read_bytes()).hexdigest()} for p in inputs if p.is_file()
-        ],
+        "inputs": [{"path": path, "sha256": sha256} for path, sha256 in map(_hashed, inputs) if sha256],
         "seed": args.seed,
         "status": status,
         "warnings": list(dict.fromkeys(warnings)),
     }
+
+
+def _hashed(item: Path | tuple[str, str]) -> tuple[str, str]:
+    if isinstance(item, tuple):
+        return item
+    return str(item), hashlib.sha256(item.read_bytes()).hexdigest() if item.is_file() else ""
 
 
 def to_json(value: Any) -> str:

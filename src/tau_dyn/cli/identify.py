@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import shlex
+import sys
 from pathlib import Path
 
 from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, progress, robot_file
@@ -65,18 +67,20 @@ def run(args: argparse.Namespace) -> Outcome:
         from tau_dyn.log import read_log
 
         robot = load_robot_from(args)
-        choices = Choices(tuple(args.fix), tuple(args.free), tuple(args.bound))
+        train, held = ([read_log(path, args.columns) for path in paths] for paths in (args.logs, args.holdout))
         found = identify(
             robot,
-            [read_log(path, args.columns) for path in args.logs],
-            holdout=[read_log(path, args.columns) for path in args.holdout],
+            train,
+            holdout=held,
             model=args.model,
-            choices=choices,
+            choices=Choices(tuple(args.fix), tuple(args.free), tuple(args.bound)),
             exclude=tuple(args.exclude),
             seed=args.seed,
             progress=step,
         )
-    files = [*robot_file(args), *map(Path, [*args.logs, *args.holdout]), *([args.columns] if args.columns else [])]
+    logs = [(str(path), log.sha256) for path, log in zip([*args.logs, *args.holdout], [*train, *held], strict=True)]
+    others = [args.columns, Path(args.model)]
+    files = [*robot_file(args), *logs, *(p for p in others if p is not None and p.is_file())]
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
@@ -97,4 +101,4 @@ def _show(console, found, args: argparse.Namespace) -> None:
 def _page(found) -> str:
     from tau_dyn.report import identification_page
 
-    return identification_page(found)
+    return identification_page(found, command_line=shlex.join(["tau-dyn", *sys.argv[1:]]))

@@ -179,7 +179,8 @@ class GantryTauMechanism(Mechanism):
         """Return alpha, beta, gamma and the centre's share of the length, from a rod's ten inertial numbers."""
         mass = pi[0] if pi[0] > 0 else 1.0
         c = float(np.linalg.norm(pi[1:4])) / (mass * length)
-        gamma = float(pi[4] + pi[6] + pi[9]) / 2 / (mass * length**2)  # half the trace: int s^2 dm of a line
+        about = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
+        gamma = float(np.linalg.eigvalsh(about)[-1]) / (mass * length**2)  # across the rod: int s^2 dm
         return 1 - 2 * c + gamma, c - gamma, gamma, c
 
     def _armature(self) -> np.ndarray:

@@ -72,10 +72,13 @@ class Mechanism(ABC):
         )
 
     def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return arrays as (N, na) floats, or say which shape was expected."""
+        """Return arrays as (N, na) floats, or say what was expected."""
         checked = tuple(np.atleast_2d(np.asarray(x, float)) for x in arrays)
         for x in checked:
             if x.shape != checked[0].shape or x.shape[1] != self.robot.na:
                 joints = ", ".join(self.robot.actuated)
                 raise InputError(f"expected arrays of shape (N, {self.robot.na}) for {joints}, not {x.shape}")
+            if not np.isfinite(x).all():
+                row = int(np.argmin(np.isfinite(x).all(axis=1)))
+                raise InputError(f"sample {row + 1} of the motion holds {x[row]}; all must be finite numbers")
         return checked

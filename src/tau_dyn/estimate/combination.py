@@ -52,5 +52,4 @@ def combination(estimate: Estimate, weights: Mapping[str, float]) -> Combination
             "ask for a base parameter's expression, or record a motion that tells these apart",
         )
     fixed = sum(x * parameters[name].value for name, x in weights.items() if name not in base.names)
-    variance = float(kept @ estimate.cov @ kept)
-    return Combination(float(kept @ estimate.beta_plain) + fixed, max(variance, 0.0) ** 0.5)
+    return Combination(float(kept @ estimate.beta_plain) + fixed, estimate.stderr_of(kept))

@@ -24,7 +24,9 @@ _EPS = (1e-4, 1e-2)
 """Pull towards the robot file: the smallest that leaves the program solvable is taken. On TX40 1e-4 moves no base parameter by
 0.03 of its standard error, while 1e-6 lets link masses wander off to 55 kg and the solver stop early."""
 _MOVED = 1e-2
-"""Rise of chi-square above which a constraint has moved the answer; solver accuracy stays below it."""
+"""Rise of chi-square above which physics has moved the answer, beyond what the data leave open; solver accuracy stays below it."""
+_EDGE = 1e-6
+"""Part of a parameter's typical size within which it counts as being on its bound."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def solve_consistent(
     theta = _program(parameters, base, beta, R, bodies)
     solved = parameters.with_values(dict(zip(base.names, theta, strict=True)))
     rise = float(np.sum((R @ (base.combine(theta) - beta)) ** 2))
-    return Constrained(solved, _moved(solved, plain, bodies, base) if rise > _MOVED else {})
+    return Constrained(solved, _out_of_bounds(plain, base) | (_made_physical(solved, plain, bodies) if rise > _MOVED else {}))
 
 
 def _plain_values(parameters: Parameters, base: BaseParameters, beta: np.ndarray) -> dict[str, float]:
@@ -108,7 +110,10 @@ def _program(
             break
     if x.value is None:
         raise TauDynError(f"the conic program for physical consistency ended as {problem.status}")
-    return np.clip(scale * x.value, lower, upper)
+    solution = np.clip(scale * x.value, lower, upper)
+    for edge in (lower, upper):  # an interior-point solver stops just short of an edge
+        solution = np.where(np.abs(solution - edge) < _EDGE * scale, edge, solution)
+    return solution
 
 
 def _pseudo_inertia_of(body: Body, parameters: Parameters, position: dict[str, int], theta):
@@ -131,15 +136,15 @@ def _scale(free: Parameters, base: BaseParameters, beta: np.ndarray) -> np.ndarr
     return np.where(size > 1e-3 * typical, size, 1e-3 * typical)
 
 
-def _moved(solved: Parameters, plain: Parameters, bodies: list[Body], base: BaseParameters) -> dict[str, float]:
-    """Return the parameters that sit on a bound, and the bodies on the edge of the physical, with plain values."""
-    alone = base.alone
+def _out_of_bounds(plain: Parameters, base: BaseParameters) -> dict[str, float]:
+    """Return the parameters that the data alone put outside their bounds, with plain values."""
+    seen = [plain[name] for name, alone in zip(base.names, base.alone, strict=True) if alone]
+    return {p.name: p.value for p in seen if not p.lower <= p.value <= p.upper}
+
+
+def _made_physical(solved: Parameters, plain: Parameters, bodies: list[Body]) -> dict[str, float]:
+    """Return the bodies on the edge of the physical that were beyond it, with their plain smallest eigenvalue."""
     moved = {}
-    for k, name in enumerate(base.names):
-        p, before = solved[name], plain[name].value
-        edge = p.lower if before < p.lower else p.upper if before > p.upper else None
-        if edge is not None and alone[k]:
-            moved[name] = before
     for body in bodies:
         J = pseudo_inertia(body.map @ solved.select(body.parameters).values)
         if np.linalg.eigvalsh(J)[0] < 1e-6 * max(np.trace(J), 1e-12) and not _is_physical(body, plain):

@@ -26,7 +26,8 @@ class Estimate:
         base: Base parameters of the data.
         beta: Their estimates (r,), after any constraint.
         beta_plain: Their least-squares estimates without constraints (r,).
-        cov: Covariance of `beta_plain` (r, r).
+        cov: Covariance of `beta_plain` (r, r), by autoregressive models of the residual.
+        scatter: The same from the scatter of blocks (r, r); of any number wanted, the larger error of the two counts.
         structural: Base parameters any motion could show; None where no such study was given.
         cond: Condition number of the base columns at unit norm.
         noise: Noise model of each output's residual.
@@ -40,6 +41,7 @@ class Estimate:
     beta: np.ndarray
     beta_plain: np.ndarray
     cov: np.ndarray
+    scatter: np.ndarray
     structural: BaseParameters | None
     cond: float
     noise: tuple[Autoregression, ...]
@@ -54,12 +56,16 @@ class Estimate:
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors of the base parameters (r,)."""
-        return np.sqrt(np.diag(self.cov))
+        return np.sqrt(np.maximum(np.diag(self.cov), np.diag(self.scatter)))
+
+    def stderr_of(self, weights: np.ndarray) -> float:
+        """Return the standard error of `weights @ beta_plain`, weights (r,)."""
+        return float(max(weights @ self.cov @ weights, weights @ self.scatter @ weights, 0.0) ** 0.5)
 
     @property
     def correlation(self) -> np.ndarray:
         """Correlation of the base parameters (r, r)."""
-        scale = np.outer(self.stderr, self.stderr)
+        scale = np.sqrt(np.outer(np.diag(self.cov), np.diag(self.cov)))
         return self.cov / np.where(scale > 0, scale, 1.0)
 
     def residuals(self) -> list[np.ndarray]:

@@ -55,27 +55,23 @@ def solve_least_squares(
     beta, sigma = _iterate(rows, base, len(regression.outputs))
     weighted, y = rows.weighted(sigma, base)
     R = np.linalg.qr(weighted, mode="r")
-    C = np.linalg.inv(R.T @ R)
     W_runs = [run.W[:, :, rows.free][:, :, base.kept] / sigma[None, :, None] for run in regression.runs]
     e_runs = [(run.y - run.W @ _full(regression.parameters, rows, base, beta)) / sigma for run in regression.runs]
-    cov, noise = robust_covariance(regression, W_runs, e_runs, C)
-    cov = cov + C @ (rows.prior_W[:, base.kept].T @ rows.prior_W[:, base.kept]) @ C
-    for k, output in enumerate(regression.outputs):
-        if gains and gains.get(output):
-            mine = np.concatenate([rows.index == k, np.zeros(len(rows.prior_y), bool)])
-            shift = C @ (weighted[mine].T @ y[mine])
-            cov = cov + gains[output] ** 2 * np.outer(shift, shift)
-    constrained = solve_consistent(regression.parameters, base, beta, _root_information(cov), physics)
+    known = np.concatenate([rows.prior_W[:, base.kept], _gain_rows(regression, rows, weighted, y, gains or {})])
+    certainty = robust_covariance(regression, W_runs, e_runs, R, known)
+    constrained = solve_consistent(regression.parameters, base, beta, certainty.root, physics)
+    stderr = np.sqrt(np.maximum(np.diag(certainty.coloured), np.diag(certainty.scattered)))
     return Estimate(
         regression=regression,
-        parameters=_with_stderr(constrained.parameters, base, np.sqrt(np.diag(cov))),
+        parameters=_with_stderr(constrained.parameters, base, stderr),
         base=base,
         beta=base.combine(constrained.parameters.select(base.names).values),
         beta_plain=beta,
-        cov=cov,
+        cov=certainty.coloured,
+        scatter=certainty.scattered,
         structural=structural,
         cond=float(np.linalg.cond(weighted / np.linalg.norm(weighted, axis=0))),
-        noise=tuple(noise),
+        noise=certainty.models,
         sigma=sigma,
         moved=constrained.moved,
     )
@@ -148,11 +144,15 @@ def _full(parameters: Parameters, rows: _Rows, base: BaseParameters, beta: np.nd
     return theta
 
 
-def _root_information(cov: np.ndarray) -> np.ndarray:
-    """Return R (r, r) with `R' R = cov^-1`, through unit scales as coefficients differ by orders of magnitude."""
-    scale = np.sqrt(np.diag(cov))
-    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
-    return (vectors / np.sqrt(np.maximum(values, 1e-14 * values.max()))).T / scale
+def _gain_rows(
+    regression: Regression, rows: _Rows, weighted: np.ndarray, y: np.ndarray, gains: Mapping[str, float]
+) -> np.ndarray:
+    """Return one row (r,) for each uncertain output scale: `W' y` of that output times the scale's relative deviation."""
+    found = [np.zeros((0, weighted.shape[1]))]
+    for k, output in enumerate(regression.outputs):
+        mine = np.flatnonzero(rows.index == k)
+        found.append(gains.get(output, 0.0) * (weighted[mine].T @ y[mine])[None])
+    return np.concatenate(found)
 
 
 def _with_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:

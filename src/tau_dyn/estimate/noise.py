@@ -1,8 +1,10 @@
 r"""How certain least squares is when its residual is coloured.
 
-With `C = (W'W)^-1` of the weighted rows, `cov = C (W' Omega W) C`. `W' Omega W` is found twice: with `Omega` the
-autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask included; and from
-the scatter of 2 s blocks' scores, which also sees colour that no such model has. The larger standard error counts.
+With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is found twice: with `Omega`
+the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask included; and
+from the scatter of 2 s blocks' scores, which also sees colour that no such model has. Of any number wanted the larger standard
+error counts; the matrices themselves stay apart, as inflating one parameter by parameter would destroy what correlations say
+about sums (and, in `consistent.py`, move an estimate in directions that the data forbid).
 The point estimate stays that of weighted least squares: whitening it would amplify what the model misses at high
 frequency (on EMPS it moves the viscous coefficient by 4 %). Reference: White 1980; Newey & West 1987; Ljung 1999, 9.
 """
@@ -10,6 +12,7 @@ frequency (on EMPS it moves the viscous coefficient by 4 %). Reference: White 19
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -42,6 +45,19 @@ class Autoregression:
         return covariance * (self.variance / covariance[0])
 
 
+class Covariance(NamedTuple):
+    """What least squares knows about its errors.
+
+    `coloured` (r, r) by the autoregressive models, `scattered` (r, r) from blocks, `root` (r, r) with `root' root =
+    coloured^-1`, and each output's noise model.
+    """
+
+    coloured: np.ndarray
+    scattered: np.ndarray
+    root: np.ndarray
+    models: tuple[Autoregression, ...]
+
+
 def fit_autoregression(stretches: list[np.ndarray], max_order: int = MAX_ORDER) -> Autoregression:
     """Fit an autoregressive model to unbroken stretches (n_i,) of a residual by least squares, its order by AIC."""
     everything = np.concatenate(stretches)
@@ -63,24 +79,29 @@ def fit_autoregression(stretches: list[np.ndarray], max_order: int = MAX_ORDER) 
 
 
 def robust_covariance(
-    regression: Regression, W: list[np.ndarray], residuals: list[np.ndarray], C: np.ndarray
-) -> tuple[np.ndarray, list[Autoregression]]:
-    """Return the covariance (r, r) of a weighted least-squares estimate, and each output's noise model.
+    regression: Regression, W: list[np.ndarray], residuals: list[np.ndarray], R: np.ndarray, known: np.ndarray
+) -> Covariance:
+    """Return how certain a weighted least-squares estimate is.
 
     Args:
         regression: Gives runs, masks and clocks.
         W: Weighted base columns of each run (n, m, r).
         residuals: Weighted residuals of each run (n, m).
-        C: `(W'W)^-1` over the usable rows, prior rows included (r, r).
+        R: Triangular factor (r, r) of all weighted rows, prior rows included.
+        known: Rows (k, r) whose outer products add to `W' Omega W`: prior rows, and what is uncertain beside the noise.
     """
-    middle, models = _autoregressive_middle(regression, W, residuals)
-    coloured = C @ middle @ C
-    blocks, count = _block_middle(regression, W, residuals)
-    if count < 2:
-        return coloured, models
-    scatter = C @ blocks @ C * count / (count - 1)
-    ratio = np.sqrt(np.maximum(np.diag(scatter) / np.maximum(np.diag(coloured), 1e-300), 1.0))
-    return coloured * np.outer(ratio, ratio), models
+    scale = np.linalg.norm(R, axis=0)
+    inverse = linalg.solve_triangular(R / scale, np.eye(len(R))) / scale[:, None]
+    U = [rows @ inverse for rows in W]
+    sure = (known @ inverse).T @ (known @ inverse)
+    coloured, models = _autoregressive_middle(regression, U, residuals)
+    blocks, count = _block_middle(regression, U, residuals)
+    coloured = coloured + sure
+    scattered = blocks * count / (count - 1) + sure if count > 1 else coloured
+    values, vectors = np.linalg.eigh(coloured)
+    values = np.maximum(values, 1e-14 * max(values[-1], 1e-300))
+    root = (vectors / np.sqrt(values)).T @ R
+    return Covariance(inverse @ coloured @ inverse.T, inverse @ scattered @ inverse.T, root, tuple(models))
 
 
 def _autoregressive_middle(

@@ -109,7 +109,7 @@ class Identification:
         return base.depends_on(base.names.index(name)) if name in base.names else ()
 
     def _is_friction(self, name: str) -> bool:
-        return name in self.model.effect_parameters and bool(self.friction)
+        return name in self.model.effect_parameters
 
 
 def _uncertainty(value: float, stderr: float | None) -> dict[str, Any]:

@@ -31,9 +31,8 @@ class Constraints:
         self._local = np.array([[*f.placement.translation, 1.0] for f in frames]).reshape(-1, 4, 1)
         self._carries = np.zeros((len(frames), model.nv))
         for row, frame in zip(self._carries, frames, strict=True):
-            for joint in model.supports[frame.parentJoint]:
-                item = model.joints[joint]
-                row[item.idx_v : item.idx_v + item.nv] = joint > 0
+            for joint in model.supports[frame.parentJoint].tolist()[1:]:
+                row[model.joints[joint].idx_v :][: model.joints[joint].nv] = 1.0
 
     def gap(self, q: np.ndarray) -> np.ndarray:
         """Return `p_A - p_B` of all loops (3 * loops,) [m]."""

@@ -23,7 +23,7 @@ from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.kinematics.constraints import Constraints
 from tau_dyn.robot import Robot
 
-_TOLERANCE = 1e-13  # [m] a step is the last one when it should leave no more than this
+_TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
 _ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
 _STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
 _ILL = 1e8  # conditioning above which the inverse comes from singular values
@@ -142,18 +142,21 @@ class LoopSolver:
         return self._newton(self._with_active(pin.integrate(self.model, last, self._G @ (q_a - last_a)), q_a))
 
     def _newton(self, q: np.ndarray) -> np.ndarray | None:
-        step, before, error = np.zeros(self.model.nv), np.inf, np.inf
+        step, before, error, fresh = np.zeros(self.model.nv), np.inf, np.inf, False
         for _ in range(30):
             gap = self._constraints.gap(q)
             error = np.abs(gap).max()
             if not np.isfinite(error):
                 return None
-            if not error < 0.1 * before:
+            rate = min(1.0, error / before) if np.isfinite(before) else 1.0
+            if fresh and rate > 0.5 and error < _ROUNDED:
+                return q
+            if rate > 0.1 and np.isfinite(before):
                 self._linearise(q)
+                fresh = True
             change = -self._inverse @ gap
             step[self.passive_v] = change * min(1.0, 0.5 / max(np.abs(change).max(initial=0.0), 1e-300))
             q = pin.integrate(self.model, q, step)
-            rate = min(1.0, error / before) if np.isfinite(before) else 1.0
             if error * rate < _TOLERANCE:
                 return q
             before = error

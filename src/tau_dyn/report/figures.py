@@ -162,9 +162,7 @@ def histogram_chart(residual: Residual) -> Markup:
 def correlation_chart(residual: Residual) -> Markup:
     """Return the residual's autocorrelation with what the filter alone would leave."""
     low = min(-0.3, float(residual.correlation.min()) - 0.05)
-    chart = Chart(
-        *SMALL, (0, float(residual.lags[-1])), (low, 1.05), residual.joint, "time lag [s]", "autocorrelation"
-    )
+    chart = Chart(*SMALL, (0, float(residual.lags[-1])), (low, 1.05), residual.joint, "time lag [s]", "autocorrelation")
     bound = np.full(2, residual.bound)
     ends = np.array([0, residual.lags[-1]])
     return chart.render(
@@ -184,7 +182,10 @@ def interval_bar(low: float, high: float, at: float | None, trust: float, state:
     if anchored:
         pieces.append(tag("path", d="M70 2V16", class_="bar-nominal"))
     pieces.append(tag("path", d=f"M{x(low):.1f} 9H{max(x(high), x(low) + 0.5):.1f}", class_="bar-interval"))
-    pieces += [tag("path", d=d, class_="bar-cut") for d, cut in (("M7 5L2 9L7 13", low <= -1), ("M133 5L138 9L133 13", high >= 1)) if cut]
+    if low <= -1:
+        pieces.append(tag("path", d="M7 5L2 9L7 13", class_="bar-cut"))
+    if high >= 1:
+        pieces.append(tag("path", d="M133 5L138 9L133 13", class_="bar-cut"))
     if at is not None:
         pieces.append(tag("circle", cx=x(at), cy=9, r=3.4, class_="bar-dot"))
     return tag("svg", *pieces, viewBox="0 0 140 18", width=140, height=18, class_=f"bar {state}", aria_hidden="true")

@@ -25,7 +25,7 @@ from tau_dyn.files import write_whole
 from tau_dyn.identify import ForceErrors, Identification
 from tau_dyn.report import figures, trust, words
 from tau_dyn.report.residuals import residuals_of
-from tau_dyn.report.robot_picture import robot_picture
+from tau_dyn.report.robot_picture import joint_labels, robot_picture
 from tau_dyn.report.rows import Row, bar_scale, parameter_rows
 from tau_dyn.report.series import Panel, panels, payload
 from tau_dyn.version import __version__
@@ -58,6 +58,7 @@ def identification_page(
         verdict=words.verdict(found),
         summary=trust.summary_words(found),
         picture=robot_picture(found.model.robot),
+        joints_drawn=_joints_drawn(found),
         errors=_errors(found),
         panels=payload(shown),
         printed=[(panel, figures.force_chart(panel)) for panel in _printed(shown)],
@@ -70,6 +71,7 @@ def identification_page(
         scale=words.percent(100 * bar_scale(found.rows())),
         bar=_bar,
         truth=truth is not None,
+        truth_words=trust.truth_words(rows),
         whiteness=trust.whiteness_words(residuals),
         residuals=[(figures.histogram_chart(r), figures.correlation_chart(r)) for r in residuals],
         trust=trust,
@@ -126,6 +128,12 @@ def _errors(found: Identification) -> list[dict[str, Any]]:
         }
         for k, joint in enumerate(judged.joints)
     ]
+
+
+def _joints_drawn(found: Identification) -> list[str]:
+    """Return what the numbers in the drawing stand for; nothing where it shows names."""
+    robot = found.model.robot
+    return [f"{n} {j}" for n, j in zip(joint_labels(robot), robot.actuated, strict=True) if n != j]
 
 
 def _joint_error(errors: ForceErrors, k: int, unit: str) -> dict[str, str]:

@@ -84,9 +84,11 @@ def _drawing(robot: Robot, data: pin.Data, shapes: list[np.ndarray], rails: list
 
     pieces = [tag("path", d=_path(place(rail)), class_="rail") for rail in rails]
     pieces += [_link(place(points)) for points in sorted(shapes, key=len, reverse=True)]
-    for name, kind, at in zip(robot.actuated, robot.joint_kinds, joints, strict=True):
-        near = [place(p)[:, 1].min() for p in shapes if len(p) > 2 and np.any(np.all(np.isclose(p, at, atol=1e-5), axis=1))]
-        pieces += _joint(name, kind, place(at)[0], float(min([place(at)[0, 1], *near])))
+    spots = np.array([place(at)[0] for at in joints])
+    pieces += [_joint(kind, *map(float, spot)) for kind, spot in zip(robot.joint_kinds, spots, strict=True)]
+    tops = [min([s[1], *(place(p)[:, 1].min() for p in shapes if len(p) > 2 and _touches(p, at))])
+            for s, at in zip(spots, joints, strict=True)]  # fmt: skip
+    pieces += _labels(joint_labels(robot), spots, np.array(tops))
     if robot.tool_frame is not None and robot.loops:
         x, y = (float(c) for c in place(data.oMf[robot.tool_frame].translation)[0])
         pieces.append(tag("path", d=f"M{x - 9:.1f} {y:.1f}l9 -8l9 8l-9 8Z", class_="plate"))
@@ -107,14 +109,33 @@ def _link(points: np.ndarray) -> Markup:
     return tag("path", d=_path(hull) + "Z", class_="plate")
 
 
-def _joint(name: str, kind: str, at: np.ndarray, top: float) -> list[Markup]:
-    x, y = float(at[0]), float(at[1])
-    shape = (
-        tag("rect", x=x - 8, y=y - 6, width=16, height=12, rx=2, class_="cart")
-        if kind == "prismatic"
-        else tag("circle", cx=x, cy=y, r=6, class_="cart")
-    )
-    return [shape, tag("text", name, x=x, y=top - 12, text_anchor="middle", class_="joint-name")]
+def joint_labels(robot: Robot) -> list[str]:
+    """Return what the drawing calls the actuated joints: short names as they are, numbers where they would not fit."""
+    fits = robot.na <= 4 and all(len(name) <= 8 for name in robot.actuated)
+    return list(robot.actuated) if fits else [str(k + 1) for k in range(robot.na)]
+
+
+def _touches(points: np.ndarray, at: np.ndarray) -> bool:
+    return bool(np.any(np.all(np.isclose(points, at, atol=1e-5), axis=1)))
+
+
+def _joint(kind: str, x: float, y: float) -> Markup:
+    if kind == "prismatic":
+        return tag("rect", x=x - 8, y=y - 6, width=16, height=12, rx=2, class_="cart")
+    return tag("circle", cx=x, cy=y, r=6, class_="cart")
+
+
+def _labels(names: list[str], spots: np.ndarray, tops: np.ndarray) -> list[Markup]:
+    """Return a label above each joint; joints drawn on top of each other share one."""
+    pieces, done = [], np.zeros(len(spots), bool)
+    for k, spot in enumerate(spots):
+        near = ~done & (np.linalg.norm(spots - spot, axis=1) < 15)
+        if not done[k]:
+            text = ", ".join(names[i] for i in np.flatnonzero(near))
+            y = float(tops[near].min()) - 11
+            pieces.append(tag("text", text, x=float(spot[0]), y=y, text_anchor="middle", class_="joint-name"))
+            done |= near
+    return pieces
 
 
 def _triad() -> Markup:
@@ -124,7 +145,9 @@ def _triad() -> Markup:
         tip = origin + 18 * _project(axis)[0]
         pieces.append(tag("path", d=_path(np.array([origin, tip])), class_="triad"))
         place = origin + 27 * _project(axis)[0]
-        pieces.append(tag("text", name, x=float(place[0]), y=float(place[1]) + 3, text_anchor="middle", class_="triad-name"))
+        pieces.append(
+            tag("text", name, x=float(place[0]), y=float(place[1]) + 3, text_anchor="middle", class_="triad-name")
+        )
     return Markup("").join(pieces)
 
 

@@ -123,7 +123,9 @@ def _note(found: Identification, r: dict[str, Any]) -> str:
 def _unseen(r: dict[str, Any]) -> str:
     shares = r.get("depends_on") or []
     if not shares:
-        return "nominal value; this motion does not show it" if r["identifiable"] else "nominal value; no motion shows it"
+        return (
+            "nominal value; this motion does not show it" if r["identifiable"] else "nominal value; no motion shows it"
+        )
     return f"nominal value; seen only together with {listed(shares, 3)}"
 
 

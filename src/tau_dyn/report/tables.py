@@ -27,20 +27,27 @@ BAR = 24
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
 
 
-def print_identification(console: Console, found: Identification, written: Mapping[str, str] | None = None) -> None:
+def print_identification(
+    console: Console,
+    found: Identification,
+    written: Mapping[str, str] | None = None,
+    *,
+    truth: Mapping[str, float] | None = None,
+) -> None:
     """Print an identification for a person.
 
     Args:
         console: Where to.
         found: The result.
         written: What was written, such as `{"model": "m.yaml"}`, for the last line.
+        truth: True values by name, where the data were made; they replace the nominal ones in the table.
     """
     judged = verdict(found)
     _say(console, f"{found.model.robot.name} · {summary_words(found)}", "dim")
     _say(console, headline(found), "bold")
     _say(console, judged.sentence, LEVEL_STYLE[judged.level])
     _put(console, _error_table(found, _room(console)))
-    _put(console, _parameter_table(parameter_rows(found)))
+    _put(console, _parameter_table(parameter_rows(found), truth or {}))
     for title, sentences in _uncertain(found):
         _say(console, f"{title}: {'; '.join(sentences)}.")
     if written:
@@ -63,13 +70,17 @@ def print_check(console: Console, log: Log, checked: LogCheck) -> None:
     for finding in sorted(checked.findings, key=lambda f: order[f.severity]):
         text = finding.sentence.removeprefix(f"{checked.name}: ")
         text += f"\n→ {finding.remedy}" if finding.remedy and finding.severity != "ok" else ""
-        table.add_row(Text(finding.severity, SEVERITY_STYLE[finding.severity]), Text(finding.topic, "dim"), Text(text))
+        table.add_row(
+            _plain(finding.severity, SEVERITY_STYLE[finding.severity]), _plain(finding.topic, "dim"), _plain(text)
+        )
     _put(console, table)
 
 
 def _check_headline(fit: bool, faults: int, doubts: int) -> str:
     if not fit:
-        return f"Not fit for use as it is: {count(faults, 'fault')}" + (f", {count(doubts, 'warning')}." if doubts else ".")
+        return f"Not fit for use as it is: {count(faults, 'fault')}" + (
+            f", {count(doubts, 'warning')}." if doubts else "."
+        )
     return f"Fit for use, with {count(doubts, 'warning')}." if doubts else "Fit for use."
 
 
@@ -84,24 +95,30 @@ def _error_table(found: Identification, room: int) -> Table:
     width = BAR if room >= 90 else 16
     for k, joint in enumerate(judged.joints):
         share = float(judged.per_joint_percent[k])
-        cells = [joint, _meter(share / worst, width), percent(share), f"{number(float(judged.rms[k]), 3)} {pretty_unit(units[k])}"]
+        cells = [
+            joint,
+            _meter(share / worst, width),
+            percent(share),
+            f"{number(float(judged.rms[k]), 3)} {pretty_unit(units[k])}",
+        ]
         cells += [percent(float(found.train.per_joint_percent[k]))] if found.holdout else []
-        table.add_row(*map(Text, cells))
+        table.add_row(*map(_plain, cells))
     return table
 
 
-def _parameter_table(rows: list[Row]) -> Table:
+def _parameter_table(rows: list[Row], truth: Mapping[str, float]) -> Table:
     table = _table()
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     table.add_column("95 % interval", justify="right", no_wrap=True)
-    if any(r.nominal for r in rows):
-        table.add_column("nominal", justify="right", no_wrap=True)
+    if truth or any(r.nominal for r in rows):
+        table.add_column("true" if truth else "nominal", justify="right", no_wrap=True)
     for r in rows:
-        cells = [r.name, r.estimate, r.unit, r.interval or "not seen alone", r.nominal]
+        last = (number(truth[r.name], 5) if r.name in truth else "") if truth else r.nominal
+        cells = [r.name, r.estimate, r.unit, r.interval or "not seen alone", last]
         style = "" if r.state == "known" else "dim"
-        table.add_row(*(Text(c, style) for c in cells[: len(table.columns)]))
+        table.add_row(*(_plain(c, style) for c in cells[: len(table.columns)]))
     return table
 
 
@@ -132,12 +149,17 @@ def _meter(share: float, width: int) -> str:
     return "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
 
 
+def _plain(text: str, style: str = "") -> Text:
+    """Return text without control characters, which a file name could use to steer the terminal."""
+    return Text("".join(c if c.isprintable() or c == "\n" else "�" for c in text), style)
+
+
 def _room(console: Console) -> int:
     return min(console.width, 100)
 
 
 def _say(console: Console, text: str, style: str = "") -> None:
-    _put(console, Text(text, style))
+    _put(console, _plain(text, style))
 
 
 def _put(console: Console, what: Text | Table) -> None:

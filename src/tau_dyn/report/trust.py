@@ -6,6 +6,7 @@ import numpy as np
 
 from tau_dyn.identify import Identification
 from tau_dyn.report.residuals import Residual
+from tau_dyn.report.rows import Row
 from tau_dyn.report.words import count, listed, number, percent, pretty_unit
 
 WELL, FAIR = 30.0, 200.0
@@ -42,7 +43,9 @@ def used_words(found: Identification) -> str:
     train, n = found.train, found.estimate.regression.n_samples
     text = f"The fit uses {percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
     if train.all_samples is not None:
-        text += f" Over all samples, reversals included, its error is {percent(train.all_samples.relative_error_percent)}"
+        text += (
+            f" Over all samples, reversals included, its error is {percent(train.all_samples.relative_error_percent)}"
+        )
         text += f" instead of {percent(train.relative_error_percent)}."
     return text
 
@@ -63,7 +66,9 @@ def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, s
     """Return the strongest correlations above 0.9: both parameters, and the number."""
     base, matrix = found.estimate.base, np.triu(found.estimate.correlation, 1)
     pairs = sorted(np.argwhere(np.abs(matrix) > STRONG), key=lambda ij: -abs(matrix[ij[0], ij[1]]))[:most]
-    return [(base.expression(int(i)), base.expression(int(j)), f"{matrix[i, j]:+.3f}".replace("-", "−")) for i, j in pairs]
+    return [
+        (base.expression(int(i)), base.expression(int(j)), f"{matrix[i, j]:+.3f}".replace("-", "−")) for i, j in pairs
+    ]
 
 
 def combinations(found: Identification) -> list[str]:
@@ -71,6 +76,20 @@ def combinations(found: Identification) -> list[str]:
     base = found.estimate.base
     together = [k for k in range(base.rank) if np.any(base.K[k] != 0)]
     return [base.expression(k).replace("*", " · ") for k in together]
+
+
+def truth_words(rows: list[Row]) -> str:
+    """Return how the estimates compare with the true values of a simulation."""
+    distances = [float(r.distance) for r in rows if r.distance]
+    if not distances:
+        return ""
+    near = sum(d <= 2 for d in distances)
+    text = f"{near} of {count(len(distances), 'estimate')} lie within 2 standard errors (σ) of the true value; "
+    text += "95 % would by chance."
+    if near < 0.8 * len(distances):
+        text += " So many outside mean that the simulated robot has a force which this model lacks, and that the "
+        text += "estimates make up for it."
+    return text
 
 
 def whiteness_words(residuals: list[Residual]) -> str:

@@ -11,12 +11,15 @@ from math import floor, isfinite, log10
 from typing import Any, Literal, NamedTuple
 
 from tau_dyn.identify import Identification
+from tau_dyn.report.residuals import residuals_of
 
 Z95 = 1.959964
 POOR_PERCENT = 20.0
 """Held-out error above which a model is called unfit: one fifth of the force is missed."""
 OVERFIT = 1.5
 """Held-out error over training error above which the fit does not carry over to other data."""
+ROUGH_PERCENT = 15.0
+"""Half of a 95 % interval above which a mass is `only` known to it."""
 
 Level = Literal["good", "care", "poor"]
 
@@ -107,10 +110,15 @@ def verdict(found: Identification) -> Verdict:
     if weak:
         few = count(len(weak), "single value")
         return Verdict(
-            "care", f"Good for predicting force on motion like this; do not read {few} of {len(found.rows())} as physics."
+            "care",
+            f"Good for predicting force on motion like this; do not read {few} of {len(found.rows())} as physics.",
         )
     if found.warnings:
         return Verdict("care", f"Good for predicting force; {count(len(found.warnings), 'warning')} to read first.")
+    if not all(residual.white for residual in residuals_of(found)):
+        return Verdict(
+            "good", "Use it for feedforward and simulation; single values may carry force that the model leaves out."
+        )
     return Verdict("good", "Use it for feedforward and simulation; each value also stands by itself.")
 
 
@@ -135,19 +143,21 @@ def _clauses(rows: Sequence[dict[str, Any]]) -> list[str]:
         clauses.append(f"{_masses(weak, groups)} not determined by this motion")
     if unseen:
         apart = all(not r["identifiable"] for n in unseen for r in groups[n])
-        clauses.append(f"{_masses(unseen, groups)} {'seen only in combination' if apart else 'not shown by this motion'}")
+        clauses.append(
+            f"{_masses(unseen, groups)} {'seen only in combination' if apart else 'not shown by this motion'}"
+        )
     return clauses
 
 
 def _known(name: str, members: Sequence[dict[str, Any]]) -> str:
     known = [r for r in members if r["determined"]]
     worst = max(100 * Z95 * r["stderr"] / abs(r["value"]) for r in known)
+    how = "known to" if worst < ROUGH_PERCENT else "only known to"
     if len(members) == 1:
-        return f"{name} mass is known to ±{percent(worst)}"
+        return f"{name} mass is {how} ±{percent(worst)}"
     if len(known) == len(members):
-        return f"{name} masses are known to ±{percent(worst)}"
-    is_are = "is" if len(known) == 1 else "are"
-    return f"{len(known)} of {len(members)} {name} masses {is_are} known to ±{percent(worst)}"
+        return f"{name} masses are {how} ±{percent(worst)}"
+    return f"{len(known)} of {len(members)} {name} masses {'is' if len(known) == 1 else 'are'} {how} ±{percent(worst)}"
 
 
 def _masses(names: Sequence[str], groups: dict[str, list[dict[str, Any]]]) -> str:

@@ -8,11 +8,13 @@ only gravity feels, and what in the file is assumed rather than measured.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, ParseError
 
+from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.robot.numbers import check_numbers
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"
@@ -67,9 +69,15 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     Raises:
         InputError: An element lacks an attribute, names a link or joint that does not exist, or is not a number.
     """
-    root = fromstring(urdf, forbid_dtd=True)
+    try:
+        root = fromstring(urdf, forbid_dtd=True)
+    except DefusedXmlException as fault:
+        raise InputError(f"{where}: a robot file may not declare a document type or entities") from fault
+    except ParseError as fault:
+        raise InputError(f"{where}: not well-formed XML ({fault})") from fault
     if root.tag != "robot":
         raise InputError(f"{where}: the root element is <{root.tag}>, a robot file's is <robot>")
+    check_numbers(root, where)
     reader = _Reader(root, where)
     mechanism = reader.ours("mechanism")
     return Annotations(

@@ -6,10 +6,11 @@ Velocities `w` live at half steps, positions at full steps (leapfrog). With the 
     M(q_k) a_k = tau_k - h(q_k, v_k) - f_k,   w_{k+1/2} = w_{k-1/2} + dt a_k,   q_{k+1} = q_k + dt w_{k+1/2}.
 
 So `tau_k` acts from half a step before its sample to half a step after it: a log of (q_k, tau_k) has no delay, and central
-differences of its positions satisfy the equation of motion to second order. `h` sees the extrapolated velocity, which errs by
-`dt/2 (a_k - a_{k-1})`; friction, which feels it more, is taken again at the velocity that results. Friction obeys the sign of `w_{k+1/2}` and holds a joint exactly still (`slip.py`); the one
-sample in which a joint reverses or stops mixes both directions. Passive joints are closed by the mechanism at every
-position, so loops cannot drift. Reference: Hairer, Lubich & Wanner 2003 (leapfrog); Moreau 1988 (sharp friction).
+differences of its positions satisfy the equation of motion to second order. `h` sees the extrapolated velocity, which errs
+by `dt/2 (a_k - a_{k-1})`; friction, which feels it more, is taken again at the velocity that results. Friction obeys the
+sign of `w_{k+1/2}` and holds a joint exactly still (`slip.py`); the one sample in which a joint reverses or stops mixes both
+directions. Passive joints are closed by the mechanism at every position, so loops cannot drift. Reference: Hairer, Lubich &
+Wanner 2003 (leapfrog); Moreau 1988 (sharp friction).
 """
 
 from __future__ import annotations

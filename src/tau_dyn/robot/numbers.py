@@ -1,0 +1,59 @@
+"""The numbers of a robot file's tree, checked before anybody reads them.
+
+The parser that Pinocchio uses drops a whole `<inertial>` that it cannot read and goes on with a link without mass; a NaN passes
+through it into every force.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from xml.etree.ElementTree import Element
+
+from tau_dyn.exceptions import InputError
+
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_LIMITS = ("lower", "upper", "velocity", "effort")
+
+
+def check_numbers(root: Element, where: str) -> None:
+    """Refuse masses, inertias, origins, axes and limits that are missing or not finite numbers.
+
+    Raises:
+        InputError: The message names the link or joint, the element and what it must hold.
+    """
+    for link in root.findall("link"):
+        for inertial in link.findall("inertial"):
+            place = f"{where}: link '{link.get('name', '')}'"
+            _check(inertial, "mass", ("value",), 1, place, required=True)
+            _check(inertial, "inertia", _INERTIA, 1, place, required=True)
+            _check(inertial, "origin", ("xyz", "rpy"), 3, place)
+            mass = inertial.find("mass")
+            if mass is not None and float(mass.get("value", "")) < 0:
+                raise InputError(f"{place}: its mass is {mass.get('value')} kg; a mass is not negative")
+    for joint in root.findall("joint"):
+        place = f"{where}: joint '{joint.get('name', '')}'"
+        _check(joint, "origin", ("xyz", "rpy"), 3, place)
+        _check(joint, "axis", ("xyz",), 3, place)
+        _check(joint, "limit", _LIMITS, 1, place)
+
+
+def _check(parent: Element, tag: str, names: tuple[str, ...], count: int, place: str, required: bool = False) -> None:
+    element = parent.find(tag)
+    if element is None:
+        if required:
+            raise InputError(f"{place}: <{parent.tag}> lacks <{tag}>")
+        return
+    for name in names:
+        text = element.get(name)
+        if text is None and not required:
+            continue
+        if not _are_numbers(text or "", count):
+            raise InputError(f"{place}: <{tag} {name}='{text or ''}'> must hold {count} finite number(s)")
+
+
+def _are_numbers(text: str, count: int) -> bool:
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        return False
+    return len(values) == count and all(map(isfinite, values))

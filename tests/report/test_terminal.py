@@ -1,0 +1,61 @@
+"""The terminal output fits, stays plain when piped, and no file name can steer the terminal."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from tau_dyn.log import check_log
+from tau_dyn.report import print_check, print_identification
+
+
+def _printed(width: int, show, *args) -> str:
+    stream = io.StringIO()
+    show(Console(file=stream, width=width, highlight=False, soft_wrap=False), *args)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100, 160])
+def test_fits_the_terminal(found, doubtful, width):
+    """No line is wider than the terminal, or than 100 columns."""
+    for result in (found, doubtful):
+        text = _printed(width, print_identification, result, {"model": "m.yaml", "report": "r.html"})
+        assert max(map(len, text.splitlines())) <= min(width, 100)
+        assert "\x1b" not in text
+        assert "model → m.yaml" in text
+
+
+def test_table_keeps_its_lines_at_80_columns(found):
+    """Each parameter stands on one line with its value and interval."""
+    lines = _printed(80, print_identification, found, {}).splitlines()
+    for row in found.rows():
+        line = next(x for x in lines if x.strip().startswith(row["name"]))
+        assert "±" in line and "…" in line.split("±")[1]
+
+
+def test_colour_only_for_people(found):
+    """A terminal gets colour, a pipe does not."""
+    stream = io.StringIO()
+    print_identification(Console(file=stream, width=90, force_terminal=True), found, {})
+    assert "\x1b[" in stream.getvalue()
+
+
+def test_check_says_its_verdict_first(axis_like):
+    """The judgement stands above the findings, every finding with its topic."""
+    checked = check_log(axis_like)
+    text = _printed(80, print_check, axis_like, checked)
+    assert "\x1b" not in text and max(map(len, text.splitlines())) <= 80
+    assert "it for use" in text.splitlines()[3]
+    assert all(f.topic in text for f in checked.findings)
+
+
+@pytest.fixture
+def axis_like(hostile):
+    import numpy as np
+
+    from tau_dyn.log import Log
+
+    t = np.arange(0, 10, 0.002)
+    return Log(t, {"q_a": np.sin(t), "tau_a": np.cos(t)}, hostile)

@@ -1,0 +1,91 @@
+"""Numbers are rounded to what their uncertainty leaves, and sentences say what a colleague would."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from tau_dyn.report.figures import friction_curves
+from tau_dyn.report.robot_picture import robot_picture
+from tau_dyn.report.series import gaps, pack, thin
+from tau_dyn.report.words import headline, listed, mass_group, percent, verdict, with_uncertainty
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "text"),
+    [
+        (95.136, 0.1963, "95.14 ± 0.20 kg"),
+        (12.0, 0.0997, "12.00 ± 0.10 kg"),
+        (-166.77, 12.6, "−167 ± 13 kg"),
+        (1234.0, 456.0, "1230 ± 460 kg"),
+        (2e-9, 14.6, "0 ± 15 kg"),
+        (3.0, None, "3 kg"),
+    ],
+)
+def test_value_and_error_share_their_last_digit(value, stderr, text):
+    """Two digits of the standard error, the value to the same decimal."""
+    assert with_uncertainty(value, stderr, "kg") == text
+
+
+def test_percentages_have_two_digits():
+    assert [percent(x) for x in (0.412, 3.014, 9.96, 30.7)] == ["0.41 %", "3.0 %", "10 %", "31 %"]
+
+
+def test_lists_and_groups_read_like_language():
+    assert listed(["a"]) == "a" and listed("abc") == "a, b and c"
+    assert [mass_group(n) for n in ("rod2a_link.mass", "cart1_link.mass", "plate_link.mass")] == [
+        "rod",
+        "cart",
+        "plate",
+    ]
+
+
+def test_headline_names_error_and_masses(found, doubtful):
+    """The first sentence tells how well force is predicted and what is known of the masses."""
+    said = headline(found)
+    assert said.startswith(f"The model predicts held-out force to {percent(found.holdout.relative_error_percent)}; ")
+    assert "one mass is known to ±" in said and said.endswith(".")
+    assert verdict(found).level == "good" and verdict(doubtful).level != "good"
+
+
+def test_thinning_keeps_every_peak():
+    """A single sample's spike is still there after thinning by a hundred, at its place."""
+    t = np.arange(100_000) / 1000
+    x = np.zeros((len(t), 1))
+    x[61_234] = 5.0
+    thin_t, thinned = thin(t, x, 2000)
+    assert len(thin_t) <= 2000 and np.ptp(np.diff(thin_t)) < 1e-9
+    assert thinned.max() == 5.0
+    assert abs(thin_t[int(thinned[:, 0].argmax())] - 61.234) < 0.1
+
+
+def test_packing_loses_less_than_a_pixel():
+    """16 bits leave a part in 60 000 of the range."""
+    import base64
+
+    x = np.random.default_rng(1).normal(size=500)
+    packed = pack(x)
+    back = packed["middle"] + packed["scale"] * np.frombuffer(base64.b64decode(packed["data"]), "<i2")
+    np.testing.assert_allclose(back, x, atol=np.ptp(x) / 60_000)
+
+
+def test_gaps_are_intervals():
+    t = np.arange(10.0)
+    usable = np.array([0, 1, 1, 0, 0, 1, 0, 1, 1, 0], bool)
+    assert gaps(t, usable) == [(0, 0), (3, 4), (6, 6), (9, 9)]
+    assert gaps(t, usable, 2.5) == [(0, 0), (3, 6), (9, 9)]
+
+
+def test_friction_samples_scatter_about_the_law(found):
+    """With the right model the friction points lie on the identified curve, up to the residual."""
+    for k, curve in enumerate(friction_curves(found)):
+        law = np.interp(curve.v, curve.grid, curve.law)
+        assert np.sqrt(np.mean((curve.force - law) ** 2)) == pytest.approx(found.train.rms[k], rel=1e-3)
+
+
+def test_picture_shows_every_joint(robot):
+    """The drawing labels the actuated joints."""
+    labels = " ".join(re.findall(r"<text[^>]*>([^<]*)</text>", robot_picture(robot)))
+    assert all(joint in labels for joint in robot.actuated)

@@ -1,0 +1,187 @@
+"""Robot files at fault, and hostile ones: each is refused in one sentence that names the place."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tau_dyn.exceptions import InputError, TauDynError, UnknownName
+from tau_dyn.robot import load_robot, robot_from_urdf
+
+XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}<link name="base_link"/></robot>'
+BOMB = '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]><robot name="r"><link name="&b;"/></robot>'
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """Return a function that loads a file of this content and gives the sentence of refusal."""
+
+    def load(content: str, name: str = "r.urdf.xacro", **arguments: object) -> str:
+        path = tmp_path / name
+        path.write_text(content)
+        with pytest.raises(InputError) as fault:
+            load_robot(path, **arguments)
+        sentence = str(fault.value)
+        assert "\n" not in sentence and fault.value.exit_status == 2
+        return sentence
+
+    return load
+
+
+def test_an_unknown_xacro_argument_lists_the_declared_ones() -> None:
+    """A misspelt argument would otherwise be ignored in silence."""
+    with pytest.raises(UnknownName, match="prototyp'.*there are prototype, arms, rod_mass_model"):
+        load_robot("gantry_tau", prototyp="l2")
+
+
+def test_an_unknown_value_says_which_there_are() -> None:
+    """The robot file itself knows its prototypes."""
+    with pytest.raises(InputError, match="l1, l2, d1 or t1, not x9"):
+        load_robot("gantry_tau", prototype="x9")
+
+
+def test_an_unknown_short_name_lists_the_known_ones() -> None:
+    """A bare word is a short name."""
+    with pytest.raises(UnknownName, match="no robot named 'gantry_two'; there are .*gantry_tau.*linear_axis"):
+        load_robot("gantry_two")
+
+
+def test_files_that_are_absent_or_no_robot_files(tmp_path: Path) -> None:
+    """The path is named; a log given in the robot's place is noticed by its suffix."""
+    with pytest.raises(InputError, match="absent.urdf: no such robot file"):
+        load_robot(tmp_path / "absent.urdf")
+    (tmp_path / "log.csv").write_text("t,q_axis\n")
+    with pytest.raises(InputError, match=r"log.csv: a robot file ends in .urdf or .urdf.xacro"):
+        load_robot(tmp_path / "log.csv")
+
+
+def test_entities_are_refused(refused) -> None:
+    """A document type can expand without end or read files."""
+    assert "may not declare a document type" in refused(BOMB)
+
+
+def test_entities_are_refused_in_an_included_file_too(refused, tmp_path: Path) -> None:
+    """xacro parses what is included by itself; it does so our way, and the message names that file."""
+    (tmp_path / "inner.xacro").write_text(BOMB)
+    sentence = refused(XACRO.format('<xacro:include filename="inner.xacro"/>'))
+    assert "inner.xacro" in sentence and "document type" in sentence
+
+
+def test_broken_xml_is_refused_with_its_line(refused) -> None:
+    """File and line of the fault."""
+    assert "r.urdf.xacro, line 3: not well-formed XML" in refused('<robot name="r">\n<link name="base_link"/>\n</robt>')
+
+
+def test_an_undeclared_prefix_gets_a_hint(refused) -> None:
+    """The commonest slip when loops are added to a plain URDF."""
+    assert "xmlns:drake" in refused('<robot name="r"><drake:ball_constraint/></robot>')
+
+
+def test_an_undefined_property_is_named(refused) -> None:
+    """xacro's own words follow the file's name."""
+    sentence = refused(XACRO.format('<link name="${lenght}"/>'))
+    assert "r.urdf.xacro: xacro cannot expand it" in sentence and "lenght" in sentence
+
+
+@pytest.mark.parametrize("code", ["__import__('os').getpid()", "().__class__.__bases__", "open('/etc/passwd').read()"])
+def test_python_expressions_reach_neither_imports_nor_files(refused, code: str) -> None:
+    """An expression may compute a length; it may not import, open a file or climb to a class."""
+    assert "xacro cannot expand it" in refused(XACRO.format(f'<link name="${{{code}}}"/>'))
+
+
+def test_endless_recursion_ends_in_a_sentence(refused) -> None:
+    """A macro that calls itself without end."""
+    macro = '<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>'
+    assert "r.urdf.xacro" in refused(XACRO.format(macro))
+
+
+def test_a_name_for_both_a_link_and_a_joint_is_refused(write) -> None:
+    """Parameters are named after links and joints; Drake and MuJoCo also mix them up."""
+    urdf = write.pendulum().replace("rod_link", "pivot")
+    with pytest.raises(InputError, match="'pivot' names both a link and a joint; end link names in _link"):
+        robot_from_urdf(urdf, "twins")
+
+
+def test_loops_without_transmissions_ask_for_actuated_joints(write) -> None:
+    """Which joints of a loop are driven cannot be guessed."""
+    with pytest.raises(InputError, match="kinematic loops but no <transmission>.*--actuated"):
+        robot_from_urdf(write.four_bar(driven=""), "bars")
+
+
+def test_unknown_actuated_joints_are_named(write) -> None:
+    """So are fixed joints, which do not move."""
+    with pytest.raises(UnknownName, match="no movable joint named 'crnk'; there are crank, coupler, rocker"):
+        robot_from_urdf(write.four_bar(), "bars", actuated=["crnk"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('body_A name="coupler_link"', 'body_A name="nobody_link"', "names link 'nobody_link'; there are base_link"),
+        ('<drake:ball_constraint_body_B name="rocker_link"/>', "", "lacks <drake:ball_constraint_body_B>"),
+        ('p_AP value="0.9 0 0"', 'p_AP value="0.9 nan 0"', "must hold 3 finite"),
+        ('p_AP value="0.9 0 0"', 'p_AP value="0.9 0"', "must hold 3 finite"),
+        ('p_AP value="0.9 0 0"', 'p_AP value="0.9 0 zero"', "must hold 3 finite"),
+        ('<joint name="crank"/>', '<joint name="krank"/>', "names joint 'krank'; there are crank, coupler, rocker"),
+        ("</robot>", '<tau_dyn:home joint="crank" value="inf"/></robot>', "must hold 1 finite"),
+        ("</robot>", '<tau_dyn:link name="no_link" parameters="mass"/></robot>', "names link 'no_link'"),
+    ],
+)  # fmt: skip
+def test_faulty_annotations_name_the_element(write, old: str, new: str, sentence: str) -> None:
+    """Each element that we read beyond plain URDF is checked, and the message says what exists."""
+    urdf = write.four_bar()
+    assert old in urdf
+    with pytest.raises(InputError, match=sentence):
+        robot_from_urdf(urdf.replace(old, new), "bars")
+
+
+@pytest.mark.parametrize(
+    ("attribute", "place"),
+    [("mass value", "link 'rod_link'"), ("inertia ixx", "link 'rod_link'"), ("origin xyz", "link 'rod_link'"),
+     ("axis xyz", "joint 'pivot'"), ("limit lower", "joint 'pivot'")],
+)  # fmt: skip
+@pytest.mark.parametrize("value", ["nan", "inf", "heavy", ""])
+def test_numbers_of_the_tree_must_be_finite(write, attribute: str, place: str, value: str) -> None:
+    """The URDF parser drops a link's whole inertia over one bad number and goes on; we name the place."""
+    urdf, n = re.subn(f'<{attribute}="[^"]*"', f'<{attribute}="{value}"', write.pendulum(), count=1)
+    assert n == 1
+    with pytest.raises(InputError, match=f"{place}: <{attribute}='{value}'> must hold . finite number"):
+        robot_from_urdf(urdf, "pendulum")
+
+
+@pytest.mark.parametrize(
+    ("element", "sentence"),
+    [(r"<mass[^>]*/>", "lacks <mass>"), (r"<inertia [^>]*/>", "lacks <inertia>"), (' izz="[^"]*"', "<inertia izz=''>")],
+)
+def test_an_incomplete_inertia_is_refused_not_dropped(write, element: str, sentence: str) -> None:
+    """Without it the link would weigh nothing, in silence."""
+    urdf, n = re.subn(element, "", write.pendulum(), count=1)
+    assert n == 1
+    with pytest.raises(InputError, match=f"link 'rod_link': .*{sentence}"):
+        robot_from_urdf(urdf, "pendulum")
+
+
+def test_a_negative_mass_is_refused(write) -> None:
+    """A mass is not negative."""
+    with pytest.raises(InputError, match="link 'rod_link': its mass is -2.0 kg"):
+        robot_from_urdf(write.pendulum(-2.0), "pendulum")
+
+
+@pytest.mark.parametrize(
+    "urdf",
+    ["", "no xml", "<robot/>", "<sdf/>", '<robot name="r"/>', '<robot name="r"><link name="base_link"/></robot>',
+     '<robot name="r"><link/></robot>', '<robot name="r"><joint name="j" type="revolute"/></robot>'],
+)  # fmt: skip
+def test_texts_that_are_no_robot_are_refused(urdf: str) -> None:
+    """Whatever comes, the fault is ours to name, never a traceback of a parser."""
+    with pytest.raises(TauDynError):
+        robot_from_urdf(urdf, "text")
+
+
+def test_floating_and_planar_joints_cannot_be_actuated(write) -> None:
+    """An actuated joint has one position and one force."""
+    urdf = write.text("f", write.link("a_link", 1), write.joint("a", "floating", "base_link", "a_link"), write.drive("a"))
+    with pytest.raises(InputError, match="'a' must have one degree of freedom"):
+        robot_from_urdf(urdf, "floating")
