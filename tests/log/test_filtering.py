@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import decimate, differentiate, edge_samples, lowpass, reversals, speed_mask
+from tau_dyn.log import decimate, differentiate, edge_samples, lowpass, reversals
 
 RATE = 1000.0
 T = np.arange(4000) / RATE
@@ -81,32 +81,6 @@ def test_decimation_keeps_the_first_sample():
     assert_array_equal(decimate(np.arange(10), 4), [0, 4, 8])
     with pytest.raises(InputError):
         decimate(T, 0)
-
-
-def test_the_mask_drops_low_speeds_and_the_time_around_reversals():
-    """For v = cos(2 pi t), sign changes at 0.25, 0.75, ..: 80 ms to both sides are out, and |v| < 0.2 besides."""
-    t = T + 0.0005
-    v = np.cos(2 * np.pi * t)
-    distance = np.abs(t[:, None] - 0.25 - 0.5 * np.arange(8)).min(axis=1)
-    assert_array_equal(speed_mask(v, 1 / RATE, 0.0, 0.08), distance > 0.08)
-    assert_array_equal(speed_mask(v, 1 / RATE, 0.2, 0.0), np.abs(v) >= 0.2)
-
-
-def test_each_joint_has_its_own_mask_and_threshold():
-    """The reversal of one joint does not mask another that runs on."""
-    v = np.column_stack([np.where(T < 2, 1.0, -1.0), np.full(T.size, 0.5)])
-    mask = speed_mask(v, 1 / RATE, [0.1, 0.4], 0.1)
-    assert mask.shape == v.shape and mask[:, 1].all()
-    assert_array_equal(np.flatnonzero(~mask[:, 0]), np.arange(1900, 2100))
-    assert not speed_mask(v, 1 / RATE, [0.1, 0.6], 0.1)[:, 1].any()
-
-
-def test_a_rest_between_two_signs_is_masked_to_its_ends():
-    """Forwards, rest, backwards: the window lies outside the rest; a rest between equal signs is no reversal."""
-    v = np.concatenate([np.ones(100), np.zeros(50), -np.ones(100), np.zeros(50), -np.ones(100)])
-    out = np.flatnonzero(~speed_mask(v, 0.01, 0.0, 0.1))
-    assert_array_equal(out, np.arange(90, 160))
-    assert_array_equal(reversals(v), [150])
 
 
 def test_reversals_ignore_noise_below_the_threshold(rng):

@@ -49,8 +49,8 @@ def _moved(estimate: Estimate) -> list[str]:
             continue
         p = estimate.parameters[name]
         found.append(
-            f"{name}: plain least squares gives {plain:.4g} {p.unit}, outside what is admissible; the constraint holds it at "
-            f"{p.value:.4g} {p.unit} and moves the others with it (some force is not in the model, or the motion is dull)"
+            f"{name}: plain least squares gives {plain:.4g} {p.unit}, outside what is admissible; the nearest admissible "
+            f"estimate has {p.value:.4g} {p.unit} and moves others with it (some force is not in the model, or the motion is dull)"
         )
     return found
 

@@ -5,10 +5,12 @@ One rule for every log, no constant in physical units:
 1. the motion band f_b of each axis against its encoder's noise (`log/band.py`), the widest axis counting;
 2. forces and columns are low-passed at f_w = min(5 f_b, f_noise, 0.16 f_s): wide enough to keep the friction's edges, not so wide
    that acceleration noise, which sits in the columns, exceeds 1e-4 of the acceleration's power and biases the fit;
-3. positions are low-passed at f_q = min(5 f_w, 0.4 f_s): whatever it smears at a reversal is over long before f_w is;
+3. positions are low-passed at f_q = min(8 f_w, 0.4 f_s): whatever it smears at a reversal is over long before f_w is;
 4. decimation to 2.5 f_w, just above what the filter passes;
 5. an axis' sign is unsure where its speed is below ten times its own velocity noise (encoder noise through filter and
-   differentiation) or reverses; samples within one period of f_q, the first filter's memory, are gated out there.
+   differentiation) or reverses; samples within two periods of f_q, the first filter's memory, are gated out there. After one
+   period its ringing is still 4 % of the step in friction, which biased Coulomb friction by two standard errors in 100 s of L1
+   at 1 kHz (`experiments/recovery.py`).
 
 The plateaus around these factors are wide on EMPS, TX40 and simulated logs; `experiments/preparation_sensitivity.py` shows
 them.
@@ -27,11 +29,11 @@ from tau_dyn.log import Log, encoder_noise, motion_band, noise_gain
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 5.0
-POSITION_FACTOR = 5.0
+POSITION_FACTOR = 8.0
 RATE_FACTOR = 2.5
 NOISE_FACTOR = 10.0
-MEMORY = 1.0
-"""Half-width of what the first filter makes of an instant, in periods of its cutoff (1 % is left after it)."""
+MEMORY = 2.0
+"""Half-width of what the first filter makes of a step, in periods of its cutoff; 0.3 % of the step is left after it."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from tau_dyn.log.band import MotionBand, motion_band
 from tau_dyn.log.check import check_log
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.filtering import decimate, differentiate, edge_samples, lowpass, reversals, speed_mask
+from tau_dyn.log.filtering import decimate, differentiate, edge_samples, lowpass, reversals
 from tau_dyn.log.findings import Finding, LogCheck
 from tau_dyn.log.log import Log
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
@@ -34,7 +34,6 @@ __all__ = [
     "read_table",
     "reversals",
     "segments",
-    "speed_mask",
     "unit_warnings",
     "velocity_noise",
 ]

@@ -61,7 +61,7 @@ def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tup
     peak = int(np.argmax(velocity))
     below = np.flatnonzero(ratio[peak:] < _MIN_SNR)
     top = peak + int(below[0]) if below.size else len(f)
-    if top == 0 or velocity[:top].sum() <= 0:
+    if top == peak or velocity[:top].sum() <= 0:  # nothing stands out of the noise: a joint at rest
         return 0.0, 0.0
     share = np.cumsum(velocity[:top])
     edge = f[np.searchsorted(share, _POWER_SHARE * share[-1])]

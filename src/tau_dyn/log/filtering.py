@@ -92,42 +92,8 @@ def decimate(x: ArrayLike, factor: int) -> NDArray[np.float64]:
     return np.asarray(x, dtype=np.float64)[::factor]
 
 
-def speed_mask(v: ArrayLike, dt: float, threshold: ArrayLike, reversal_window_s: float) -> NDArray[np.bool_]:
-    """Mark the samples at which friction has a clear sign.
-
-    Args:
-        v: Joint velocities (N, n) or (N,) [m/s or rad/s], filtered.
-        dt: Time between samples [s].
-        threshold: Lowest usable speed, one number or one a joint (n,) [m/s or rad/s].
-        reversal_window_s: Time to keep away from any change of sign [s], to both sides.
-
-    Returns:
-        True where usable, in the shape of `v`, each joint by itself.
-    """
-    v = np.asarray(v, dtype=np.float64)
-    columns = v.reshape(len(v), -1)
-    far = np.column_stack([_far_from_reversal(column, reversal_window_s / dt) for column in columns.T])
-    return (np.abs(columns) >= np.asarray(threshold, dtype=np.float64)).reshape(v.shape) & far.reshape(v.shape)
-
-
 def reversals(v: ArrayLike, threshold: float = 0.0) -> NDArray[np.intp]:
     """Return the samples at which a velocity (N,) first exceeds `threshold` with the other sign."""
     v = np.asarray(v, dtype=np.float64)
     moving = np.flatnonzero(np.abs(v) > threshold)
     return moving[1:][np.diff(np.sign(v[moving])) != 0]
-
-
-def _far_from_reversal(v: NDArray[np.float64], window: float) -> NDArray[np.bool_]:
-    """Tell which samples of (N,) lie more than `window` samples from the crossing or standstill between two signs.
-
-    A crossing is taken half-way between its two samples; a standstill from half a sample after the last motion on.
-    """
-    ends = reversals(v)
-    moving = np.flatnonzero(v != 0.0)
-    begins = moving[np.searchsorted(moving, ends) - 1]
-    first = np.clip(np.ceil(begins + 0.5 - window - 1e-9), 0, len(v)).astype(int)
-    beyond = np.clip(np.floor(ends - 0.5 + window + 1e-9) + 1, 0, len(v)).astype(int)
-    depth = np.zeros(len(v) + 1, dtype=int)
-    np.add.at(depth, first, 1)
-    np.add.at(depth, beyond, -1)
-    return np.cumsum(depth)[:-1] == 0
