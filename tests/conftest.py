@@ -41,9 +41,11 @@ def joint(name: str, kind: str, parent: str, child: str, axis: str = "0 0 1", xy
     )
 
 
-def drive(name: str, actuator: str = "") -> str:
-    """Return a transmission, which makes a joint actuated."""
-    return f'<transmission name="{name}_drive"><joint name="{name}"/>{actuator}</transmission>'
+def drive(name: str, inertia: str = "") -> str:
+    """Return a transmission, which makes a joint actuated; `inertia` may hold Drake's elements for the rotor."""
+    actuator = f'<actuator name="{name}_motor">{inertia}</actuator>'
+    kind = "<type>transmission_interface/SimpleTransmission</type>"
+    return f'<transmission name="{name}_drive">{kind}<joint name="{name}"/>{actuator}</transmission>'
 
 
 def ball(a: str, point_a: str, b: str, point_b: str) -> str:

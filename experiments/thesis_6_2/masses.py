@@ -50,10 +50,11 @@ class TwoMasses:
 
 @dataclass(frozen=True)
 class Asymmetry:
-    """Asymmetric friction freed on a dull motion with 3 N m in the ball joints; the truth is symmetric.
+    """Asymmetric friction freed although the truth is symmetric, with 3 N m in the ball joints.
 
     Attributes:
         correlation: Of the plate's mass with each cart's constant offset (3,).
+        stderr: Of the plate's mass [kg].
         plain: Plain least-squares values by name [kg, N].
         held: What the library reports instead, within physics.
         warnings: What it says about it.
@@ -61,6 +62,7 @@ class Asymmetry:
     """
 
     correlation: np.ndarray
+    stderr: float
     plain: dict[str, float]
     held: dict[str, float]
     warnings: tuple[str, ...]
@@ -100,10 +102,10 @@ def link_masses(seeds: int = 20) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def free_asymmetry() -> Asymmetry:
-    """Free all Coulomb friction on a motion that hardly moves y and z."""
+def free_asymmetry(terms: tuple = ALONG_X) -> Asymmetry:
+    """Free all Coulomb friction; the default motion hardly moves y and z."""
     robot = robot_l1()
-    log = record(_drive(robot, ALONG_X, 3.0))
+    log = record(_drive(robot, terms, 3.0))
     found = identify(robot, log, choices=Choices(fix=("rod*_link.mass=0",)))
     estimate = found.estimate
     offsets = [{f"{j}.coulomb_pos": 0.5, f"{j}.coulomb_neg": -0.5} for j in CARTS]
@@ -113,7 +115,9 @@ def free_asymmetry() -> Asymmetry:
     held = {n: found.parameters[n].value for n in names}
     symmetric = identify(robot, log, model=_symmetric(robot), choices=Choices(fix=("rod*_link.mass=0",)))
     plain = {n: _plain(estimate)[n] for n in names}
-    return Asymmetry(np.array(correlation), plain, held, found.warnings, symmetric.parameters[PLATE].value)
+    return Asymmetry(
+        np.array(correlation), np.sqrt(of_plate), plain, held, found.warnings, symmetric.parameters[PLATE].value
+    )
 
 
 def _symmetric(robot: Robot) -> Model:

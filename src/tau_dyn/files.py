@@ -21,7 +21,7 @@ def read_yaml(path: str | Path) -> Any:
         raise InputError(f"{path}: no such file") from fault
     except (OSError, UnicodeDecodeError) as fault:
         raise InputError(f"{path}: cannot be read as text ({fault})") from fault
-    except yaml.YAMLError as fault:
+    except (yaml.YAMLError, ValueError, RecursionError) as fault:  # ValueError: a date such as 2026-13-01
         raise InputError(f"{path}: not valid YAML ({' '.join(str(fault).split())})") from fault
 
 

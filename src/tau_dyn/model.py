@@ -120,16 +120,19 @@ class Model:
         if not isinstance(content, dict) or content.get("tau_dyn_model") != _FORMAT:
             raise InputError(f"{path}: not a tau_dyn model file (its first key is 'tau_dyn_model: {_FORMAT}')")
         for key, kind in (("robot", dict), ("effects", list), ("parameters", list), ("urdf", str)):
-            if not isinstance(content.get(key), kind):
-                raise InputError(f"{path}: '{key}' is missing or not a {kind.__name__}")
+            _expect(content, key, kind, str(path))
+        for key, kind in (("untied", list), ("provenance", dict)):
+            _expect({key: kind(), **content}, key, kind, str(path))
         about = content["robot"]
+        for key, kind in (("actuated", list), ("arguments", dict)):
+            _expect({key: kind(), **about}, key, kind, f"{path}: robot")
         robot = robot_from_urdf(
             content["urdf"],
             str(about.get("source", path)),
             actuated=about.get("actuated"),
             arguments=about.get("arguments"),
             sha256=str(about.get("sha256", "")),
-        ).untied(content.get("untied", []))
+        ).untied(str(name) for name in content.get("untied", []))
         model = cls.of(robot, read_effects(content["effects"], robot, str(path)), content.get("provenance"))
         saved = Parameters.from_list(content["parameters"], str(path))
         if set(saved.names) != set(model.parameters.names):
@@ -149,11 +152,19 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
             name = row.get("effect") if isinstance(row, dict) else row
             raise UnknownName("effect", str(name), EFFECTS, where)
         joints = row.get("joints", list(robot.actuated))
+        if not isinstance(joints, list):
+            raise InputError(f"{where}: 'joints' of effect {row['effect']} must be a list of names, not {joints!r}")
+        joints = [str(joint) for joint in joints]
         for joint in joints:
             if joint not in units:
-                raise UnknownName("actuated joint", str(joint), units, where)
+                raise UnknownName("actuated joint", joint, units, where)
         found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints]))
     return tuple(found)
+
+
+def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> None:
+    if not isinstance(content.get(key), kind):
+        raise InputError(f"{where}: '{key}' is missing or not a {kind.__name__}")
 
 
 def _tied_names(robot: Robot) -> set[str]:

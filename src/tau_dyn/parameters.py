@@ -49,7 +49,7 @@ class Parameter:
         """Refuse numbers no solver could start from."""
         if not isfinite(self.value):
             raise InputError(f"parameter {self.name} must be a finite number, not {self.value}")
-        if self.lower > self.upper:
+        if not self.lower <= self.upper:
             raise InputError(f"parameter {self.name}: lower bound {self.lower} is above upper bound {self.upper}")
 
     @property
@@ -157,9 +157,12 @@ class Parameters:
                 raise InputError(
                     f"{where}: entry {k + 1} must have name, value, unit and only {', '.join(sorted(known))}"
                 )
-            numbers = {k: row[k] for k in ("value", "lower", "upper", "prior_stderr", "stderr") if k in row}
-            bad = [k for k, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
+            numbers = {key: row[key] for key in ("value", "lower", "upper", "prior_stderr", "stderr") if key in row}
+            bad = [key for key, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
             if bad:
                 raise InputError(f"{where}: {row['name']}.{bad[0]} must be a number, not {numbers[bad[0]]!r}")
-            items.append(Parameter(**{**row, **{k: float(v) for k, v in numbers.items()}}))
+            odd = [key for key, v in row.items() if key not in numbers and not isinstance(v, bool if key == "free" else str)]
+            if odd:
+                raise InputError(f"{where}: entry {k + 1}: {odd[0]} must not be {row[odd[0]]!r}")
+            items.append(Parameter(**{**row, **{key: float(v) for key, v in numbers.items()}}))
         return cls(items)

@@ -61,7 +61,7 @@ def test_a_fixed_parameter_is_subtracted_and_leaves_the_solver(rng):
 def test_prior_knowledge_enters_as_bayes_has_it(rng):
     """Value and error of a measured parameter follow `P = C^-1 + 1/s^2`, `theta = P^-1 (C^-1 theta_LS + prior / s^2)`."""
     regression = make(rng, n=400)
-    s, prior = 0.003, 3.02
+    s, prior = 0.006, 3.02
     known = regression.parameters.update({"a": {"value": prior, "prior_stderr": s}})
     e = solve_least_squares(regression.with_parameters(known))
     information = np.linalg.inv(white_cov(regression, [0, 1, 2], e.sigma))

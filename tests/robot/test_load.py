@@ -76,7 +76,7 @@ def test_limits_come_from_the_file_and_zero_means_none(block, write) -> None:
 
 def test_drive_inertia_is_the_rotors_times_the_gear_ratio_squared(write) -> None:
     """Seen from the joint a rotor turns faster by the gear ratio, so its energy grows with the square."""
-    gear = '<actuator><drake:rotor_inertia value="1e-4"/><drake:gear_ratio value="50"/></actuator>'
+    gear = '<drake:rotor_inertia value="1e-4"/><drake:gear_ratio value="50"/>'
     robot = robot_from_urdf(write.pendulum(2.0, 0.5, write.drive("pivot", gear)), "geared")
     armature = robot.parameters["pivot.armature"]
     assert armature.value == pytest.approx(0.25) and armature.unit == "kg m^2" and not armature.free

@@ -41,7 +41,10 @@ class Feedforward:
         """
         if shape not in SHAPES:
             raise UnknownName("shape of the smoothed sign", shape, SHAPES)
-        widths = np.broadcast_to(np.asarray(width, float), (model.robot.na,)).copy()
+        widths = np.asarray(width, float)
+        if widths.shape not in ((), (model.robot.na,)):
+            raise InputError(f"the width of the smoothed sign must be a number or ({model.robot.na},), not {widths.shape}")
+        widths = np.broadcast_to(widths, (model.robot.na,)).copy()
         if not np.all(np.isfinite(widths) & (widths > 0)):
             raise InputError(f"the width of the smoothed sign must be a positive speed, not {width}")
         self.model, self.width, self.shape = model, widths, shape

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from math import isfinite
 
 from tau_dyn.estimate import Regression
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameters
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,13 @@ class Choices:
         for text in self.bound:
             pattern, lower, upper = _bounded(text)
             for name in model.parameters.match(pattern):
-                value = min(max(float(changes.get(name, {}).get("value", model.parameters[name].value)), lower), upper)
-                changes.setdefault(name, {}).update(lower=lower, upper=upper, value=value)
-        return model.with_parameters(model.parameters.update(changes))
+                given = changes.setdefault(name, {})
+                given.update(lower=lower, upper=upper)
+                if "origin" not in given:  # a nominal value follows its bounds, a given one has to lie within
+                    given["value"] = min(max(model.parameters[name].value, lower), upper)
+        model = model.with_parameters(model.parameters.update(changes))
+        _refuse_outside(model.parameters.select(changes))
+        return model
 
     def gains(self, joints: Iterable[str]) -> dict[str, tuple[float, float]]:
         """Return what was said about motor constants: joint -> (factor, relative standard deviation)."""
@@ -68,10 +74,10 @@ class Choices:
             name = text.partition("=")[0]
             if not _is_gain(name):
                 continue
-            joint = name.rsplit(".", 1)[0]
-            chosen = joints if joint == "*" else (joint,)
-            if not set(chosen) <= set(joints):
-                raise UnknownName("actuated joint", joint, joints)
+            pattern = name.rsplit(".", 1)[0]
+            chosen = [j for j in joints if fnmatchcase(j, pattern)]
+            if not chosen:
+                raise UnknownName("actuated joint", pattern, joints)
             _, value, sigma = _fixed(text)
             if value is None or value <= 0:
                 raise InputError(f"--fix {text}: a drive gain is a positive factor, such as 1+-0.02")
@@ -85,6 +91,12 @@ def scale_outputs(regression: Regression, factors: dict[str, float]) -> Regressi
     return replace(regression, runs=tuple(replace(run, y=run.y * scale, y_all=run.y_all * scale) for run in regression.runs))
 
 
+def _refuse_outside(parameters: Parameters) -> None:
+    for p in parameters:
+        if p.origin == "given" and not p.lower <= p.value <= p.upper:
+            raise InputError(f"{p.name}={p.value:g} {p.unit} lies outside its bounds, {p.lower:g} to {p.upper:g}")
+
+
 def _is_gain(name: str) -> bool:
     return name.endswith(".drive_gain")
 
@@ -93,8 +105,8 @@ def _fixed(text: str) -> tuple[str, float | None, float | None]:
     pattern, equals, rest = text.partition("=")
     if not equals:
         return pattern, None, None
-    value, _, sigma = rest.replace("±", "+-").partition("+-")
-    deviation = _number(sigma, text) if sigma else None
+    value, uncertain, sigma = rest.replace("±", "+-").partition("+-")
+    deviation = _number(sigma, text) if uncertain else None
     if deviation is not None and deviation <= 0:
         raise InputError(f"--fix {text}: the uncertainty after +- must be positive")
     return pattern, _number(value, text), deviation

@@ -21,7 +21,7 @@ from tau_dyn.identify.choices import Choices, scale_outputs
 from tau_dyn.identify.doubts import doubts, equivalences
 from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import build_regression
+from tau_dyn.identify.regression import build_regression, even_pieces
 from tau_dyn.identify.result import Identification
 from tau_dyn.identify.structure import physics_of, structural_base
 from tau_dyn.log import Log, unit_warnings
@@ -86,12 +86,13 @@ def _identify(
     """Do what `identify` says, leaving in `warnings` what was doubtful even if no answer comes."""
     prepared = choices.apply(build_model(robot, model))
     robot = prepared.robot
-    warnings += [*robot.warnings, *_log_warnings(robot, [*train_logs, *asked_logs])]
-    held_logs = _without_trained(train_logs, asked_logs, warnings)
+    held_logs = _without_trained(train_logs, asked_logs, doubled := [])
+    train, held_out = ([piece for log in logs for piece in even_pieces(log)] for logs in (train_logs, held_logs))
+    warnings += [*robot.warnings, *_log_warnings(robot, [*train, *held_out]), *doubled]
     gains = choices.gains(robot.actuated)
 
     progress("columns")
-    training = _scaled(build_regression(prepared, train_logs, preparation=preparation, exclude=exclude), gains)
+    training = _scaled(build_regression(prepared, train, preparation=preparation, exclude=exclude), gains)
     warnings += _singularities(prepared, training)
     progress("structure")
     structural = structural_base(prepared, seed)
@@ -100,7 +101,7 @@ def _identify(
     estimate = solve(training)
     progress("held-out errors")
     if held_logs:
-        held = _scaled(build_regression(prepared, held_logs, preparation=training.settings["preparation"]), gains)
+        held = _scaled(build_regression(prepared, held_out, preparation=training.settings["preparation"]), gains)
         judged = force_errors(held, estimate.theta)
         how = "held-out logs: " + ", ".join(log.name for log in held_logs)
     else:

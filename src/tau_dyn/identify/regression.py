@@ -7,7 +7,9 @@ speeds within the noise) or that the user excludes, *before* the low-pass `F` th
     y = F(g tau) / F(g),   W = F(g Y) / F(g)
 
 so that `y = W theta` stays exact and nothing leaks out of a reversal into its neighbourhood (normalised convolution,
-Knutsson & Westin 1993). Samples where less than half of the filter's weight is left are masked; the rest are decimated.
+Knutsson & Westin 1993). The gate's edges are ramps one period of the position filter long: a sharp edge would fold the
+acceleration's noise, large above the band of `F`, into it. Samples where less than half of the filter's weight is left are
+masked; the rest are decimated.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, convolve1d
 
 from tau_dyn.effects import Motion
 from tau_dyn.estimate import Regression, Run
@@ -103,7 +105,9 @@ def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> n
             shut[:, indices] |= _unsure(speed, float(np.hypot.reduce(threshold[indices])))[:, None]
     shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
     half = int(np.ceil(preparation.window_s * log.rate_hz))
-    return 1.0 - binary_dilation(shut, np.ones((2 * half + 1, 1), bool))
+    gate = 1.0 - binary_dilation(shut, np.ones((2 * half + 1, 1), bool))
+    ramp = np.hanning(2 * int(np.ceil(0.5 * log.rate_hz / preparation.position_cutoff_hz)) + 3)
+    return convolve1d(gate, ramp / ramp.sum(), axis=0, mode="nearest")
 
 
 def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:

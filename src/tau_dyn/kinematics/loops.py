@@ -103,7 +103,7 @@ class LoopSolver:
 
     def closure_error(self, q: np.ndarray) -> float:
         """Return the largest distance between two points that should coincide [m]."""
-        return float(np.max(np.abs(self._constraints.gap(q)), initial=0.0))
+        return float(np.abs(self._constraints.gap(q)).max()) if self.robot.loops else 0.0
 
     def _with_active(self, q: np.ndarray, q_a: np.ndarray) -> np.ndarray:
         q, index = q.copy(), self._active_q

@@ -6,6 +6,7 @@ from tau_dyn.log.column_map import ColumnMap
 from tau_dyn.log.filtering import decimate, differentiate, edge_samples, lowpass, reversals
 from tau_dyn.log.findings import Finding, LogCheck
 from tau_dyn.log.log import Log
+from tau_dyn.log.motions import split_by_motion
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
 from tau_dyn.log.read import read_log
 from tau_dyn.log.resample import ensure_even, examine_clock, segments
@@ -34,6 +35,7 @@ __all__ = [
     "read_table",
     "reversals",
     "segments",
+    "split_by_motion",
     "unit_warnings",
     "velocity_noise",
 ]

@@ -2,7 +2,7 @@
 
 `check_log` asks the three siblings `check_clock.py`, `check_signals.py` and `check_motion.py`, and the robot if there
 is one. A lag between force and acceleration is not tested: it shifts estimated masses (20 ms are worth several kg) and
-friction in the same way as wrong parameters do, so only a model can tell them apart, and `diagnose` does.
+friction in the same way as wrong parameters do, so only a model can tell them apart.
 """
 
 from typing import Any
@@ -80,5 +80,5 @@ def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
 
 
 def _force_lag(log: Log) -> Finding:
-    sentence = f"{log.name}: a lag between force and motion was not tested; it takes a model, and `diagnose` tests it."
+    sentence = f"{log.name}: a lag between force and motion was not tested; it takes a model."
     return Finding("ok", "synchronisation", sentence)

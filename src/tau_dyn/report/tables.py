@@ -6,6 +6,7 @@ plain text to the console, never markup, so that no name can style it. Tables fi
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 from rich import box
@@ -67,9 +68,17 @@ def print_check(console: Console, log: Log, checked: LogCheck) -> None:
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     order = {"fault": 0, "warning": 1, "ok": 2}
+    fine = Counter(f.topic for f in checked.findings if f.severity == "ok")
+    shown: set[str] = set()
     for finding in sorted(checked.findings, key=lambda f: order[f.severity]):
         text = finding.sentence.removeprefix(f"{checked.name}: ")
-        text += f"\n→ {finding.remedy}" if finding.remedy and finding.severity != "ok" else ""
+        if finding.severity == "ok":
+            if finding.topic in shown:
+                continue
+            shown.add(finding.topic)
+            text += f" ({fine[finding.topic] - 1} more alike)" if fine[finding.topic] > 1 else ""
+        elif finding.remedy:
+            text += f"\n→ {finding.remedy}"
         table.add_row(
             _plain(finding.severity, SEVERITY_STYLE[finding.severity]), _plain(finding.topic, "dim"), _plain(text)
         )

@@ -99,7 +99,7 @@ def whiteness_words(residuals: list[Residual]) -> str:
         return "Nothing systematic is left: each residual forgets itself as fast as the fit's own low-pass lets it."
     return (
         f"The residual of {listed(left)} stays correlated longer than the fit's low-pass explains: some force is not in the "
-        "model. The standard errors allow for it; `tau-dyn diagnose` looks for its cause."
+        "model. The standard errors allow for its colour, not for the bias it may cause."
     )
 
 

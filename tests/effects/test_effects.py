@@ -1,0 +1,148 @@
+"""Friction and other effects: laws on paper, exact equivalences, columns against forces, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tau_dyn.effects import EFFECTS, Motion, friction_model
+from tau_dyn.exceptions import InputError, UnknownName
+
+JOINTS, UNITS = ("j1", "j2", "j3"), ("N", "N m", "N m")
+
+
+@pytest.fixture
+def motion(rng) -> Motion:
+    """A random motion of three joints that also stands still once."""
+    q, v, a = rng.standard_normal((3, 40, 3))
+    v[7, 1] = 0.0
+    return Motion.of(JOINTS, q, v, a)
+
+
+def effect(name: str, joints: tuple[str, ...] = JOINTS):
+    return EFFECTS[name](joints, [UNITS[JOINTS.index(j)] for j in joints])
+
+
+def valued(name: str, rng, joints: tuple[str, ...] = JOINTS):
+    """Return an effect and random positive values of its parameters."""
+    one = effect(name, joints)
+    return one, one.parameters.with_values(rng.uniform(1, 5, len(one.parameters)))
+
+
+@pytest.mark.parametrize(
+    "name", [n for n in EFFECTS if n in ("symmetric_friction", "asymmetric_friction", "torque_offset", "reducer_coupling")]
+)
+def test_columns_times_parameters_are_the_force(motion, rng, name: str) -> None:
+    """An effect is linear: its force is the sum of its columns, and one parameter's column is its force at one."""
+    joints = JOINTS[:2] if name == "reducer_coupling" else JOINTS
+    one, values = valued(name, rng, joints)
+    columns = one.columns(motion)
+    assert columns.shape == (40, 3, len(values))
+    assert_allclose(one.force(motion, values), columns @ values.values)
+    for k, parameter in enumerate(values):
+        alone = one.parameters.with_values({parameter.name: 1.0})
+        assert_allclose(one.force(motion, alone), columns[:, :, k], err_msg=parameter.name)
+
+
+def test_friction_laws_on_paper(motion, rng) -> None:
+    """`Fc sign(v) + Fv v`; with coefficients of its own in each direction, as contract 1 writes them."""
+    one, values = valued("symmetric_friction", rng)
+    fc, fv = (np.array([values[f"{j}.{k}"].value for j in JOINTS]) for k in ("coulomb", "viscous"))
+    assert_allclose(one.force(motion, values), fc * np.sign(motion.v) + fv * motion.v)
+    two, values = valued("asymmetric_friction", rng)
+    cp, cn, vp, vn = (np.array([values[f"{j}.{k}"].value for j in JOINTS])
+                      for k in ("coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg"))  # fmt: skip
+    v = motion.v
+    expected = np.where(v > 0, cp + vp * v, -cn + vn * v)
+    assert_allclose(two.force(motion, values)[v != 0], expected[v != 0])
+    assert two.force(motion, values)[7, 1] == pytest.approx((cp[1] - cn[1]) / 2)  # between the two at standstill
+
+
+def test_friction_opposes_motion(motion, rng) -> None:
+    """With positive coefficients the actuator must give power: `tau_friction v > 0`."""
+    for name in ("symmetric_friction", "asymmetric_friction"):
+        one, values = valued(name, rng)
+        power = one.force(motion, values) * motion.v
+        assert np.all(power[motion.v != 0] > 0)
+
+
+def test_asymmetric_friction_with_equal_coefficients_is_symmetric(motion) -> None:
+    """The same numbers in both directions make the symmetric law exactly."""
+    one, two = effect("symmetric_friction"), effect("asymmetric_friction")
+    values = {j: (k + 1.0, 2 * k + 3.0) for k, j in enumerate(JOINTS)}
+    symmetric = one.parameters.with_values({f"{j}.{n}": x for j in JOINTS for n, x in zip(("coulomb", "viscous"), values[j])})
+    both = {f"{j}.{n}_{s}": x for j in JOINTS for n, x in zip(("coulomb", "viscous"), values[j]) for s in ("pos", "neg")}
+    assert_allclose(two.force(motion, two.parameters.with_values(both)), one.force(motion, symmetric), rtol=1e-14)
+
+
+def test_asymmetric_coulomb_friction_is_an_offset_exactly(motion) -> None:
+    """`Fc_pos = Fc + offset`, `Fc_neg = Fc - offset`: the same forces, so no data tell them apart; columns as well."""
+    symmetric, offset, asymmetric = effect("symmetric_friction"), effect("torque_offset"), effect("asymmetric_friction")
+    fc, fo = 7.0, 2.5
+    a = symmetric.parameters.with_values({f"{j}.coulomb": fc for j in JOINTS})
+    b = offset.parameters.with_values({f"{j}.offset": fo for j in JOINTS})
+    sides = {f"{j}.coulomb_pos": fc + fo for j in JOINTS} | {f"{j}.coulomb_neg": fc - fo for j in JOINTS}
+    c = asymmetric.parameters.with_values(sides)
+    assert_allclose(asymmetric.force(motion, c), symmetric.force(motion, a) + offset.force(motion, b), rtol=1e-14)
+    smooth = Motion.of(JOINTS, motion.q, motion.v, motion.a, np.tanh(motion.v / 0.3))
+    assert_allclose(asymmetric.force(smooth, c), symmetric.force(smooth, a) + offset.force(smooth, b), rtol=1e-13)
+    stacked = np.concatenate([x.columns(motion) for x in (symmetric, offset, asymmetric)], axis=2).reshape(120, -1)
+    assert np.linalg.matrix_rank(stacked) == 4 * len(JOINTS)  # of 7 columns a joint
+
+
+def test_a_smoothed_sign_makes_friction_continuous(rng) -> None:
+    """Neighbouring speeds around zero feel neighbouring forces; with the sharp sign they jump by both Coulomb forces."""
+    one, values = valued("asymmetric_friction", rng)
+    v = np.repeat(np.linspace(-1e-3, 1e-3, 401)[:, None], 3, axis=1)
+    zero = np.zeros_like(v)
+    smooth = one.force(Motion.of(JOINTS, zero, v, zero, np.clip(v / 1e-3, -1, 1)), values)
+    sharp = one.force(Motion.of(JOINTS, zero, v, zero), values)
+    assert np.abs(np.diff(smooth, axis=0)).max() < 0.06
+    jump = [values[f"{j}.coulomb_pos"].value + values[f"{j}.coulomb_neg"].value for j in JOINTS]
+    assert_allclose((sharp[201] - sharp[199]), jump, rtol=1e-3)
+    assert_allclose(smooth[[0, -1]], sharp[[0, -1]])
+
+
+def test_reducer_coupling_loads_both_joints_alike(motion, rng) -> None:
+    """A shared motor that turns with the sum of two joints puts one force on both, whichever is named first."""
+    one, values = valued("reducer_coupling", rng, ("j2", "j3"))
+    force = one.force(motion, values)
+    assert_allclose(force[:, 1], force[:, 2])
+    assert not force[:, 0].any()
+    inertia, viscous, coulomb = values.values
+    v, a = motion.v[:, 1] + motion.v[:, 2], motion.a[:, 1] + motion.a[:, 2]
+    assert_allclose(force[:, 1], inertia * a + viscous * v + coulomb * np.sign(v))
+    other = effect("reducer_coupling", ("j3", "j2"))
+    assert_allclose(other.force(motion, other.parameters.with_values(values.values)), force)
+    ((speed, joints),) = one.other_speeds(motion)
+    assert_allclose(speed, v)
+    assert joints == [1, 2]
+
+
+def test_effects_of_some_joints_leave_the_others_alone(motion, rng) -> None:
+    """Columns stand with the joint of their name."""
+    one, values = valued("symmetric_friction", rng, ("j3", "j1"))
+    assert values.names == ("j3.coulomb", "j3.viscous", "j1.coulomb", "j1.viscous")
+    force = one.force(motion, values)
+    assert not force[:, 1].any()
+    assert_allclose(force[:, 0], values["j1.coulomb"].value * np.sign(motion.v[:, 0]) + values["j1.viscous"].value * motion.v[:, 0])
+
+
+def test_units_follow_the_joint() -> None:
+    """A slide's friction is in N and N/(m/s), a hinge's in N m and N m/(rad/s); friction is not negative, an offset may be."""
+    p = effect("asymmetric_friction").parameters
+    assert [p[f"j1.{k}"].unit for k in ("coulomb_pos", "viscous_neg")] == ["N", "N/(m/s)"]
+    assert [p[f"j2.{k}"].unit for k in ("coulomb_pos", "viscous_neg")] == ["N m", "N m/(rad/s)"]
+    assert all(x.lower == 0 for x in p) and effect("torque_offset").parameters["j1.offset"].lower == -np.inf
+
+
+def test_what_cannot_be_is_refused(motion) -> None:
+    """Unknown models, joints that do not move here, a reducer with three joints: each is named."""
+    with pytest.raises(UnknownName, match="no friction model named 'stiction'; there are rigid, symmetric, asymmetric"):
+        friction_model("stiction", JOINTS, UNITS)
+    with pytest.raises(InputError, match="acts on joint 'j9'; there are j1, j2, j3"):
+        EFFECTS["torque_offset"](["j9"], ["N"]).columns(motion)
+    with pytest.raises(InputError, match="joins two joints, not 3"):
+        effect("reducer_coupling")
+    assert friction_model("rigid", JOINTS, UNITS) == ()
