@@ -38,7 +38,7 @@ def main(out_dir: Path) -> None:
     for name, table in (tables(weight, strokes, fits, rods) | {"summary": result}).items():
         table.to_csv(out_dir / f"{name}.csv", index=False, float_format="%.6g")
     figures.draw_all(out_dir, mechanism, weight, strokes, fits, circles[models.STRIBECK_SHARE])
-    print(result.fillna("").to_string(index=False, float_format="{:.5g}".format))
+    print(result.to_string(index=False, float_format="{:.5g}".format, na_rep=""))
 
 
 def step(what: str) -> None:

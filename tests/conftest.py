@@ -33,7 +33,9 @@ def rod(name: str, mass: float, length: float) -> str:
     return link(name, mass, f"{length / 2} 0 0", f"1e-4 {across} {across}")
 
 
-def joint(name: str, kind: str, parent: str, child: str, axis: str = "0 0 1", xyz: str = "0 0 0", yaw: float = 0) -> str:
+def joint(
+    name: str, kind: str, parent: str, child: str, axis: str = "0 0 1", xyz: str = "0 0 0", yaw: float = 0
+) -> str:
     """Return a joint with wide limits."""
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
@@ -77,7 +79,9 @@ def two_link_text() -> str:
 def block_text() -> str:
     """Return a block of 5 kg on a level guideway along x, whose parameters are its mass alone."""
     slide = joint("axis", "prismatic", "base_link", "block_link", "1 0 0")
-    return text("block", link("block_link", 5), slide, drive("axis"), '<tau_dyn:link name="block_link" parameters="mass"/>')
+    return text(
+        "block", link("block_link", 5), slide, drive("axis"), '<tau_dyn:link name="block_link" parameters="mass"/>'
+    )
 
 
 def four_bar_text(kind: str = "revolute", driven: str = "crank") -> str:
@@ -92,10 +96,11 @@ def four_bar_text(kind: str = "revolute", driven: str = "crank") -> str:
     coupler = np.arctan2(to_ground[1], to_ground[0]) + np.arccos((b**2 + diagonal**2 - c**2) / (2 * b * diagonal))
     tip = b * np.array([np.cos(coupler), np.sin(coupler)]) - to_ground
     rocker = np.arctan2(tip[1], tip[0])
+    bend = coupler - crank
     return text(
         "four_bar",
         rod("crank_link", 1, a) + joint("crank", kind, "base_link", "crank_link", yaw=crank),
-        rod("coupler_link", 2, b) + joint("coupler", "revolute", "crank_link", "coupler_link", "0 0 1", f"{a} 0 0", coupler - crank),
+        rod("coupler_link", 2, b) + joint("coupler", "revolute", "crank_link", "coupler_link", xyz=f"{a} 0 0", yaw=bend),
         rod("rocker_link", 3, c) + joint("rocker", "revolute", "base_link", "rocker_link", "0 0 1", f"{d} 0 0", rocker),
         ball("coupler_link", f"{b} 0 0", "rocker_link", f"{c} 0 0"),
         drive(driven) if driven else "",

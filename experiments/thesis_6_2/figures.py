@@ -7,13 +7,14 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from tau_dyn.dynamics import GantryTauMechanism
 from thesis_6_2.friction import FrictionStudy
 from thesis_6_2.gravity import EXACT, GravityStudy
 from thesis_6_2.models import CircleStudy, ModelStudy
-from thesis_6_2.printed import CARTS, GRAVITY_MASS, NAMES, SYMBOLS, TABLE_6_1, TABLE_6_2
+from thesis_6_2.printed import CARTS, GRAVITY_MASS, NAMES, SYMBOLS, TABLE_6_1
 
 INK, GREY, SOFT = "#1a1a1a", "#8a8a8a", "#d9d9d9"
 COLOURS = dict(zip(SYMBOLS, ("#1a1a1a", "#0072b2", "#009e73", "#d55e00", "#cc79a7"), strict=True))
@@ -37,31 +38,41 @@ def figure_6_2(gravity: GravityStudy) -> Figure:
     level = gravity.forces[0, 0]
     for sign, side in ((1, "pos"), (-1, "neg")):
         v = np.array([0, sign * 1.0])
-        ax.plot(v, level + sign * TABLE_6_1[f"coulomb_{side}"][0] + TABLE_6_1[f"viscous_{side}"][0] * v, color=INK, lw=1.6)
-        ax.annotate("", (0, level + sign * TABLE_6_1[f"coulomb_{side}"][0]), (0, level), arrowprops={"arrowstyle": "->"})
+        ax.plot(
+            v, level + sign * TABLE_6_1[f"coulomb_{side}"][0] + TABLE_6_1[f"viscous_{side}"][0] * v, color=INK, lw=1.6
+        )
+        ax.annotate(
+            "", (0, level + sign * TABLE_6_1[f"coulomb_{side}"][0]), (0, level), arrowprops={"arrowstyle": "->"}
+        )
         text = f"$f_{{c1}}^{'+' if sign > 0 else '-'}$ = {TABLE_6_1[f'coulomb_{side}'][0]:.0f} N"
         ax.text(0.03 * sign, level + sign * 80, text, va="center", ha="left" if sign > 0 else "right")
     ax.axhline(level, color=GREY, ls=":")
     ax.text(1.0, level - 6, f"gravity {level:.0f} N", ha="right", va="top", color=GREY)
     ax.axvline(0, color=SOFT, lw=0.8, zorder=0)
-    ax.set(xlabel="cart velocity [m/s]", ylabel="cart force [N]", title="6.2  Cart 1 at the star: friction about the gravity term")
+    ax.set(
+        xlabel="cart velocity [m/s]", ylabel="cart force [N]", title="6.2  Cart 1 at the star: friction about gravity"
+    )
     return figure
 
 
 def figure_6_3(mechanism: GantryTauMechanism, gravity: GravityStudy) -> Figure:
     """The y-z section with guideways and the fitted positions."""
-    figure, ax = plt.subplots(figsize=(4.6, 4.4))
+    figure, ax = plt.subplots(figsize=(4.8, 4.8))
     rails = mechanism.origin[:, 1:]
     ax.plot(*rails.T, "s", ms=12, color=INK)
     for k, (y, z) in enumerate(rails):
         ax.annotate(f"guideway {k + 1}", (y, z), (0, -16 if z > 1 else 12), textcoords="offset points", ha="center")
-    near = {"*": (8, 6), "square": (8, -10), "circle": (8, 4), "diamond": (-10, 8), "+": (10, -3)}
+    near = {"*": (8, 6), "square": (0, -18), "circle": (8, 4), "diamond": (-10, 8), "+": (10, -3)}
     for s, (y, z), rms in zip(SYMBOLS, gravity.fitted, gravity.misfit, strict=True):
         ax.plot(y, z, MARKERS[s], ms=10, color=COLOURS[s], mfc=COLOURS[s] if rms < EXACT else "none", clip_on=False)
         note = "exact" if rms < EXACT else f"{rms:.0f} N off"
-        ax.annotate(f"{NAMES[s]}, {note}", (y, z), near[s], textcoords="offset points", ha="left" if near[s][0] > 0 else "right")
-    ax.set(aspect="equal", xlim=(-1.45, 0.15), ylim=(-0.12, 1.56), xlabel="y [m]", ylabel="z [m]")
-    ax.set_title(f"6.3  Positions fitted to Table 6.2 at {GRAVITY_MASS} kg (open: no position fits)")
+        ax.annotate(
+            f"{NAMES[s]}, {note}", (y, z), near[s], textcoords="offset points", ha="left" if near[s][0] > 0 else "right"
+        )
+    ax.set(aspect="equal", xlim=(-1.55, 0.2), ylim=(-0.12, 1.56), xlabel="y [m]", ylabel="z [m]")
+    ax.set_title(
+        f"6.3  Positions fitted to Table 6.2 at {GRAVITY_MASS} kg\n(open symbols: no position in the frame fits)"
+    )
     return figure
 
 
@@ -78,7 +89,9 @@ def figure_6_4(study: FrictionStudy) -> Figure:
         middle = _gravity_level(star, table, j)
         for sign, side in ((1, "pos"), (-1, "neg")):
             v = np.array([0, sign * 1.0])
-            ax.plot(v, middle + sign * table[f"{j}.coulomb_{side}"] + table[f"{j}.viscous_{side}"] * v, color=INK, zorder=0)
+            ax.plot(
+                v, middle + sign * table[f"{j}.coulomb_{side}"] + table[f"{j}.viscous_{side}"] * v, color=INK, zorder=0
+            )
         ax.axhline(middle, color=GREY, ls=":")
         ax.set(title=f"actuator {j[-1]}", xlabel="cart velocity [m/s]")
     axes[0].set_ylabel("cart force [N]")
@@ -98,8 +111,10 @@ def figure_6_5(circle: CircleStudy) -> Figure:
         ax.plot(run.t, modelled[:, k], color="#e69f00", lw=1.0, alpha=0.9, label="model 2")
         rms = circle.identified.train.rms[k]
         ax.set_ylabel(f"force {k + 1} [N]")
-        ax.set_title(f"residual {rms:.1f} N rms, reversals left out" + ("   (fast until 40 s, then slow)" if k == 0 else ""))
-    axes[0].legend(loc="upper right", ncols=2, fontsize=8)
+        ax.set_title(
+            f"residual {rms:.1f} N rms, reversals left out" + ("   (fast until 40 s, then slow)" if k == 0 else "")
+        )
+    axes[0].legend(loc="lower right", ncols=2, fontsize=8, bbox_to_anchor=(1, 1))
     axes[-1].set_xlabel("time [s]")
     figure.suptitle("6.5  Estimation data and model 2", x=0.01, ha="left", fontsize=9)
     return figure
@@ -112,12 +127,13 @@ def figure_6_6(circle: CircleStudy) -> Figure:
     for k, ax in enumerate(axes):
         ax.plot(t, circle.modelled[:, k], color="#e69f00", lw=0.7, label="model 2")
         ax.plot(t, circle.measured[:, k], color=INK, lw=0.5, label="measured")
-        text = f"misfit {circle.misfit[k]:.1f} N rms; {circle.flips[k]} sign changes of the noisy speed, {circle.reversals[k]} true"
-        ax.set_title(text)
+        flips = f"{circle.flips[k]} sign changes of the noisy speed, {circle.reversals[k]} real"
+        ax.set_title(f"misfit {circle.misfit[k]:.1f} N rms; {flips}")
         ax.set_ylabel(f"force {k + 1} [N]")
-    axes[0].legend(loc="upper right", ncols=2, fontsize=8)
+    axes[0].legend(loc="lower right", ncols=2, fontsize=8, bbox_to_anchor=(1, 1))
     axes[-1].set_xlabel("time [s]")
-    figure.suptitle("6.6  1 cm circle in 12 s: friction is 15 % larger near standstill than model 2 knows", x=0.01, ha="left", fontsize=9)
+    title = "6.6  1 cm circle in 12 s: friction is 15 % larger near standstill than model 2 knows"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=9)
     return figure
 
 
@@ -125,7 +141,9 @@ def figure_6_7(circle: CircleStudy) -> Figure:
     """Cart speeds on the circle."""
     figure, ax = plt.subplots(figsize=(9, 2.4))
     for k, style in enumerate(("-", "--", ":")):
-        ax.plot(circle.log.t - circle.log.t[0], 1e3 * circle.speed[:, k], style, color=INK, lw=1.3, label=f"cart {k + 1}")
+        ax.plot(
+            circle.log.t - circle.log.t[0], 1e3 * circle.speed[:, k], style, color=INK, lw=1.3, label=f"cart {k + 1}"
+        )
     ax.axhline(0, color=SOFT, lw=0.8, zorder=0)
     ax.legend(ncols=3, loc="upper right", fontsize=8)
     ax.set(xlabel="time [s]", ylabel="velocity [mm/s]", title="6.7  Cart velocities on the circle", ylim=(-5, 6))
@@ -137,18 +155,35 @@ def figure_mass(gravity: GravityStudy) -> Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2))
     profile = gravity.profile
     left.plot(profile["mass_kg"], profile["rms_N"], color=INK, lw=1.5)
-    for mass, text, shift in ((9.13, "9.13 kg (motion)", (6, 0)), (11.5, "11.5 kg", (6, 0)), (GRAVITY_MASS, "22.38 kg", (-6, 12))):
+    for mass, text, shift in (
+        (9.13, "9.13 kg (motion)", (6, 0)),
+        (11.5, "11.5 kg", (6, 0)),
+        (GRAVITY_MASS, "22.38 kg", (4, 30)),
+    ):
         left.plot(mass, gravity.rms_at(mass), "o", color="#d55e00")
         label = f"{text}: {gravity.rms_at(mass):.0f} N"
-        left.annotate(label, (mass, gravity.rms_at(mass)), shift, textcoords="offset points", ha="left" if shift[0] > 0 else "right",
-                      va="bottom")  # fmt: skip
-    left.set(xlabel="mass felt by gravity [kg]", ylabel="rms misfit of Table 6.2 [N]", ylim=(0, None), title="all rows at once")
+        line = {"arrowstyle": "-", "color": GREY} if shift[1] else None
+        left.annotate(
+            label, (mass, gravity.rms_at(mass)), shift, textcoords="offset points", va="bottom", arrowprops=line
+        )
+    left.set(
+        xlabel="mass felt by gravity [kg]",
+        ylabel="rms misfit of Table 6.2 [N]",
+        ylim=(0, None),
+        title="all rows at once",
+    )
     for k, (s, (low, high)) in enumerate(zip(SYMBOLS, gravity.intervals, strict=True)):
         right.plot([low, high], [k, k], color=COLOURS[s], lw=5, solid_capstyle="butt")
         right.text(high + 0.4, k, f"{low:.1f} to {high:.1f} kg", va="center")
     right.axvline(GRAVITY_MASS, color=GREY, ls=":")
     right.text(GRAVITY_MASS - 0.2, -0.75, "22.38", ha="right", color=GREY)
-    right.set(yticks=range(5), yticklabels=list(NAMES.values()), xlim=(8, 45), ylim=(4.6, -1), xlabel="mass felt by gravity [kg]")
+    right.set(
+        yticks=range(5),
+        yticklabels=list(NAMES.values()),
+        xlim=(8, 45),
+        ylim=(4.6, -1),
+        xlabel="mass felt by gravity [kg]",
+    )
     right.set_title(f"each row alone: masses that fit within {EXACT} N")
     return figure
 
@@ -169,7 +204,12 @@ def figure_models(study: ModelStudy) -> Figure:
 
 
 def draw_all(
-    out_dir: Path, mechanism: GantryTauMechanism, gravity: GravityStudy, friction: FrictionStudy, models: ModelStudy, circle: CircleStudy
+    out_dir: Path,
+    mechanism: GantryTauMechanism,
+    gravity: GravityStudy,
+    friction: FrictionStudy,
+    models: ModelStudy,
+    circle: CircleStudy,
 ) -> None:
     """Draw and write all figures."""
     save(figure_6_2(gravity), out_dir, "figure_6_2")
@@ -182,9 +222,11 @@ def draw_all(
     save(figure_models(models), out_dir, "figure_table_6_3")
 
 
-def _gravity_level(star, table, j: str) -> float:
+def _gravity_level(star: pd.DataFrame, table: pd.Series, j: str) -> float:
     """Return gravity's share at the star: what the model leaves of the mean force."""
     v, force = star["speed_m_per_s"].to_numpy(), star[f"{j}_N"].to_numpy()
     side = np.where(v > 0, "pos", "neg")
-    friction = [np.sign(x) * table[f"{j}.coulomb_{s}"] + table[f"{j}.viscous_{s}"] * x for x, s in zip(v, side, strict=True)]
+    friction = [
+        np.sign(x) * table[f"{j}.coulomb_{s}"] + table[f"{j}.viscous_{s}"] * x for x, s in zip(v, side, strict=True)
+    ]
     return float(np.mean(force - friction))

@@ -12,6 +12,9 @@ from thesis_6_2.motions import SPEEDS, strokes
 from thesis_6_2.plant import SEED, closed_form, drive_ideal, record, robot_l1, table_6_1_model
 from thesis_6_2.printed import CARTS, GRAVITY_MASS, SYMBOLS, TABLE_6_1, G
 
+GIVEN = Choices(fix=("*_link.mass", "plate_link.gravity_mass"))
+FREE = Choices(fix=("*_link.mass",), free=("plate_link.gravity_mass",))
+
 
 @dataclass(frozen=True)
 class FrictionStudy:
@@ -35,25 +38,27 @@ class FrictionStudy:
 def study(fitted: np.ndarray) -> FrictionStudy:
     """Simulate and identify the experiments at the fitted positions (5, 2) [m]."""
     robot = robot_l1(gravity=True)
-    logs = [_log(name, tuple(place), SEED + k) for k, (name, place) in enumerate(zip(SYMBOLS, fitted, strict=True))]
+    logs = [
+        experiment(name, tuple(place), SEED + k) for k, (name, place) in enumerate(zip(SYMBOLS, fitted, strict=True))
+    ]
     forces = pd.concat([_means(log) for log in logs], ignore_index=True)
     lever = dict(zip(SYMBOLS, levers(closed_form(robot), fitted), strict=True))
     for k, j in enumerate(CARTS):
         compensation = [G * GRAVITY_MASS * (lever[s][k] - lever["*"][k]) for s in forces["position"]]
         forces[f"{j}_compensated_N"] = forces[f"{j}_N"] - compensation
-    given = Choices(fix=("*_link.mass", "plate_link.gravity_mass"))
-    star = identify(robot, logs[0], choices=given, exclude=("ramp",))
-    free = Choices(fix=("*_link.mass",), free=("plate_link.gravity_mass",))
-    alone = identify(robot, logs[0], choices=free, exclude=("ramp",)).parameters["plate_link.gravity_mass"]
-    together = identify(robot, logs, choices=free, exclude=("ramp",)).parameters["plate_link.gravity_mass"]
+    star = identify(robot, logs[0], choices=GIVEN, exclude=("ramp",))
+    alone = identify(robot, logs[0], choices=FREE, exclude=("ramp",)).parameters["plate_link.gravity_mass"]
+    together = identify(robot, logs, choices=FREE, exclude=("ramp",)).parameters["plate_link.gravity_mass"]
     moving = GRAVITY_MASS - robot.parameters["plate_link.gravity_mass"].value
-    return FrictionStudy(forces, _coefficients(star), star, alone.stderr, (together.value + moving, together.stderr or np.nan))
+    return FrictionStudy(
+        forces, _coefficients(star), star, alone.stderr, (together.value + moving, together.stderr or np.nan)
+    )
 
 
-def _log(name: str, place: tuple[float, float], seed: int) -> Log:
+def experiment(name: str, place: tuple[float, float], seed: int = SEED, speeds: tuple[float, ...] = SPEEDS) -> Log:
     """Return the strokes at a position; the column `ramp` is zero where all carts move steadily."""
     model = table_6_1_model(robot_l1(gravity=True))
-    motion, steady = strokes(closed_form(model.robot), place, name)
+    motion, steady = strokes(closed_form(model.robot), place, name, speeds)
     log = record(drive_ideal(model, motion), seed)
     return log.with_channels(ramp=1.0 - np.interp(log.t, motion.t, steady))
 
@@ -64,7 +69,9 @@ def _means(log: Log) -> pd.DataFrame:
     for speed in (*(-s for s in SPEEDS[::-1]), *SPEEDS):
         here = (log.channels["ramp"] == 0) & (np.abs(v - speed) < 1e-6)
         mean = log.joint("tau", CARTS)[here].mean(axis=0)
-        rows.append({"position": log.name, "speed_m_per_s": speed} | {f"{j}_N": x for j, x in zip(CARTS, mean, strict=True)})
+        rows.append(
+            {"position": log.name, "speed_m_per_s": speed} | {f"{j}_N": x for j, x in zip(CARTS, mean, strict=True)}
+        )
     return pd.DataFrame(rows)
 
 
@@ -73,5 +80,7 @@ def _coefficients(found: Identification) -> pd.DataFrame:
     for k, j in enumerate(CARTS):
         for name, printed in TABLE_6_1.items():
             p = found.parameters[f"{j}.{name}"]
-            rows.append({"parameter": p.name, "unit": p.unit, "ours": p.value, "stderr": p.stderr, "thesis": printed[k]})
+            rows.append(
+                {"parameter": p.name, "unit": p.unit, "ours": p.value, "stderr": p.stderr, "thesis": printed[k]}
+            )
     return pd.DataFrame(rows)

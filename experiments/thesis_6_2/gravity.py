@@ -32,6 +32,7 @@ class GravityStudy:
         intervals: For each symbol the masses that fit within `EXACT` (5, 2) [kg].
         levers: u of each cart at each fitted position (5, 3).
         largest_lever: The largest u of cart 3 in the frame.
+        centre: Forces in the middle of the frame at 22.38 kg (3,) [N]; the thesis calls the star the centre position.
     """
 
     fitted: np.ndarray
@@ -41,6 +42,7 @@ class GravityStudy:
     intervals: np.ndarray
     levers: np.ndarray
     largest_lever: float
+    centre: np.ndarray
 
     def rms_at(self, mass: float) -> float:
         """Return the misfit over all fifteen numbers at a mass [kg], in N."""
@@ -69,7 +71,9 @@ def study(mechanism: GantryTauMechanism, masses: np.ndarray = MASSES) -> Gravity
     grid = grid.reshape(-1, 2)
     u = levers(mechanism, grid)
     grid, u = grid[np.isfinite(u).all(axis=1)], u[np.isfinite(u).all(axis=1)]
-    found = {mass: [_place(mechanism, grid, u, mass, row, low, high) for row in TABLE_6_2] for mass in np.unique(masses)}
+    found = {
+        mass: [_place(mechanism, grid, u, mass, row, low, high) for row in TABLE_6_2] for mass in np.unique(masses)
+    }
     table = [{"mass_kg": mass} | {f"{s}_N": rms for s, (_, rms) in zip(SYMBOLS, places, strict=True)}
              | {"rms_N": float(np.sqrt(np.mean([rms**2 for _, rms in places])))} for mass, places in found.items()]  # fmt: skip
     profile = pd.DataFrame(table)
@@ -84,21 +88,31 @@ def study(mechanism: GantryTauMechanism, masses: np.ndarray = MASSES) -> Gravity
         np.array([(m.min(), m.max()) if len(m) else (np.nan, np.nan) for m in fits]),
         there,
         float(u[:, 2].max()),
+        G * GRAVITY_MASS * levers(mechanism, (low + high)[None] / 2)[0],
     )
 
 
 def _place(
-    mechanism: GantryTauMechanism, grid: np.ndarray, u: np.ndarray, mass: float, row: np.ndarray, low: np.ndarray, high: np.ndarray
+    mechanism: GantryTauMechanism,
+    grid: np.ndarray,
+    u: np.ndarray,
+    mass: float,
+    row: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> tuple[np.ndarray, float]:
     """Return the position (2,) in the frame [m] at which this mass comes nearest to a row, and the rms misfit [N]."""
-    start = grid[np.argmin(np.sum((G * mass * u - row) ** 2, axis=1))]
 
     def misfit(yz: np.ndarray) -> np.ndarray:
         return np.nan_to_num(G * mass * levers(mechanism, yz[None])[0] - row, nan=1e3)
 
-    inside = np.clip(start, low + 1e-6, high - 1e-6)
-    fit = least_squares(misfit, inside, bounds=(low, high), x_scale=0.1)
-    return fit.x, float(np.sqrt(np.mean(fit.fun**2)))
+    squares = np.sum((G * mass * u - row) ** 2, axis=1)
+    # the valley has two arms
+    starts = [grid[np.argmin(np.where(grid[:, 0] < y, squares, np.inf))] for y in (-0.65, np.inf)]
+    fits = [least_squares(misfit, np.clip(x, low + 1e-6, high - 1e-6), bounds=(low, high), x_scale=0.1)
+            for x in np.unique(starts, axis=0)]  # fmt: skip
+    best = min(fits, key=lambda fit: float(fit.cost))
+    return best.x, float(np.sqrt(np.mean(best.fun**2)))
 
 
 def most_symmetric(offset: np.ndarray, gravity: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -111,5 +125,6 @@ def most_symmetric(offset: np.ndarray, gravity: np.ndarray) -> dict[str, tuple[f
     masses = np.arange(10.0, 30.0, 0.01)
     rest = offset + gravity - masses[:, None] / GRAVITY_MASS * gravity
     measures = {"squares": np.sum(rest**2, 1), "sum": np.sum(np.abs(rest), 1), "largest": np.max(np.abs(rest), 1)}
-    best = {name: masses[x < x.min() + 0.01] for name, x in measures.items()}  # the sum is flat: a row of Table 6.2 sums to 0
+    # where the sum is least it is flat, because each row of Table 6.2 sums to zero
+    best = {name: masses[x < x.min() + 0.01] for name, x in measures.items()}
     return {name: (float(m.min()), float(m.max())) for name, m in best.items()}

@@ -3,8 +3,8 @@ r"""Two effects of the simulated robot that section 6.2's model does not have.
 Stribeck        tau = s sign(v) exp(-(v / v_s)^2): friction is larger by s near standstill.
 Passive joints  each ball joint resists its rod's turning with a constant moment. With the rod `d_i` of length `L_i`, its
                 turning speed is `|u_i| / L_i`, `u_i = T' - e_i v_i` (a rigid rod's ends differ in speed only across it), so by
-                virtual work `tau = sum_i n_i / L_i (du_i / dv)' u_i / |u_i|`, `n_i` ball joints of arm i. The direction turns over
-                `SMOOTH`. Closed form of the simplified Gantry-Tau: `D T' = diag(b) v`, as in `dynamics/gantry_tau.py`.
+                virtual work `tau = sum_i n_i / L_i (du_i / dv)' u_i / |u_i|`, `n_i` ball joints of arm i. The direction
+                turns over `SMOOTH`. Closed form of the simplified Gantry-Tau: `D T' = diag(b) v`, as in `dynamics/gantry_tau.py`.
 """
 
 import numpy as np

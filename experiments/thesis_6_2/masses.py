@@ -11,7 +11,7 @@ import pandas as pd
 
 from tau_dyn.effects import SymmetricFriction
 from tau_dyn.estimate import Estimate
-from tau_dyn.identify import Choices, identify
+from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
@@ -73,7 +73,9 @@ def two_masses() -> TwoMasses:
     """Simulate and identify a robot with two masses."""
     robot = robot_l1(gravity=True)
     log = record(_drive(robot, WELL, 0.0))
-    alone = identify(robot, log, model=_symmetric(robot), choices=Choices(fix=("rod*_link.mass=0", "plate_link.gravity_mass=0")))
+    alone = identify(
+        robot, log, model=_symmetric(robot), choices=Choices(fix=("rod*_link.mass=0", "plate_link.gravity_mass=0"))
+    )
     choices = Choices(fix=("rod*_link.mass",), free=("plate_link.gravity_mass",))
     both = identify(robot, log, model=_symmetric(robot), choices=choices).estimate
     plate, extra = (both.parameters[n] for n in (PLATE, "plate_link.gravity_mass"))
@@ -92,13 +94,17 @@ def link_masses(seeds: int = 20) -> pd.DataFrame:
     robot, rows = robot_l1(), []
     for case, (terms, moment) in CASES.items():
         run = _drive(robot, terms, moment)
-        found = [_free_rods(robot, record(run, SEED + k)) for k in range(seeds)]
-        plain = np.array([[_plain(e)[n] for n in RODS] for e in found])
-        held = np.array([e.parameters.select(RODS).values for e in found])
+        found = [free_rods(robot, record(run, SEED + k)) for k in range(seeds)]
+        plain = np.array([[values[n] for n in RODS] for values, _ in found])
+        held = np.array([one.parameters.select(RODS).values for _, one in found])
         row = {"case": case, "any_negative_percent": 100 * np.mean(np.any(plain < 0, axis=1))}
         for k, n in enumerate(RODS):
-            row |= {f"{n}_truth": robot.parameters[n].value, f"{n}_mean": plain[:, k].mean(), f"{n}_sd": plain[:, k].std()}
-        rows.append(row | {"plate_mean": np.mean([_plain(e)[PLATE] for e in found]), "held_smallest": held.min()})
+            row |= {
+                f"{n}_truth": robot.parameters[n].value,
+                f"{n}_mean": plain[:, k].mean(),
+                f"{n}_sd": plain[:, k].std(),
+            }
+        rows.append(row | {"plate_mean": np.mean([values[PLATE] for values, _ in found]), "held_smallest": held.min()})
     return pd.DataFrame(rows)
 
 
@@ -129,8 +135,10 @@ def _drive(robot: Robot, terms: tuple, moment: float) -> PlantRun:
     return drive_ideal(model_2(robot, passive_moment=moment), fast_and_slow(closed_form(robot), terms, "fast and slow"))
 
 
-def _free_rods(robot: Robot, log: Log) -> Estimate:
-    return identify(robot, log, model=_symmetric(robot)).estimate
+def free_rods(robot: Robot, log: Log) -> tuple[dict[str, float], Identification]:
+    """Identify all masses with symmetric friction; return plain least squares by name, and what the library makes of it."""
+    found = identify(robot, log, model=_symmetric(robot))
+    return _plain(found.estimate), found
 
 
 def _plain(estimate: Estimate) -> dict[str, float]:

@@ -50,13 +50,15 @@ def small_circle(mechanism: GantryTauMechanism) -> Trajectory:
     return _through(mechanism, t, tool, "1 cm circle")
 
 
-def strokes(mechanism: GantryTauMechanism, position: tuple[float, float], name: str) -> tuple[Trajectory, np.ndarray]:
-    """Return all carts at each of `SPEEDS`, there and back, with the tool at (y, z) [m]; and when speed is steady (N,)."""
+def strokes(
+    mechanism: GantryTauMechanism, position: tuple[float, float], name: str, speeds: tuple[float, ...] = SPEEDS
+) -> tuple[Trajectory, np.ndarray]:
+    """Return all carts at each of these speeds [m/s], there and back, with the tool at (y, z) [m], and when speed is steady."""
     home = mechanism.robot.home
     q = cart_positions(mechanism, np.array([[0.0, *position]]))[0]
     q = q - 0.5 * np.max(q - home) - 0.5 * np.min(q - home)  # carts as near the middle of their travel as they can be
     segments = []
-    for speed in SPEEDS:
+    for speed in speeds:
         ramp = ramp_time(speed, ACCELERATION)
         steady = min(LONGEST, (STROKE - ramp * speed) / speed)
         for way in (speed, -speed):
@@ -69,8 +71,7 @@ def strokes(mechanism: GantryTauMechanism, position: tuple[float, float], name: 
     for s, begin in zip(segments, begins, strict=True):
         if s.start == s.end != 0:
             steady |= (t > begin + 0.1) & (t < begin + s.duration - 0.02)  # 0.1 s for the feedback to settle
-    all_carts = (np.tile(x[:, None], 3) for x in (path.q - middle, path.v, path.a))
-    dq, v, a = all_carts
+    dq, v, a = (np.tile(x[:, None], 3) for x in (path.q - middle, path.v, path.a))
     return Trajectory(mechanism.robot.actuated, t, q + dq, v, a, name), steady
 
 

@@ -161,7 +161,11 @@ class Parameters:
             bad = [key for key, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
             if bad:
                 raise InputError(f"{where}: {row['name']}.{bad[0]} must be a number, not {numbers[bad[0]]!r}")
-            odd = [key for key, v in row.items() if key not in numbers and not isinstance(v, bool if key == "free" else str)]
+            odd = [
+                key
+                for key, v in row.items()
+                if key not in numbers and not isinstance(v, bool if key == "free" else str)
+            ]
             if odd:
                 raise InputError(f"{where}: entry {k + 1}: {odd[0]} must not be {row[odd[0]]!r}")
             items.append(Parameter(**{**row, **{key: float(v) for key, v in numbers.items()}}))

@@ -32,6 +32,7 @@ def test_ramp_is_the_identified_law_outside_the_width(model, rng) -> None:
     q, v, a = at(model, v)
     assert_allclose(Feedforward(model, width=0.01)(q, v, a), model.torque(q, v, a), rtol=1e-14)
     tanh = Feedforward(model, width=0.01, shape="tanh")
+    assert_allclose(tanh.smooth_sign(np.array([[0.01, -0.005, 0.0]])), [[np.tanh(2), -np.tanh(1), 0]])
     assert np.abs(tanh(q, v, a) - model.torque(q, v, a)).max() < 0.04 * 90
     far = np.full((1, 3), 0.2)
     assert_allclose(tanh(*at(model, far)), model.torque(*at(model, far)), rtol=1e-12)
@@ -50,7 +51,8 @@ def test_force_is_continuous_through_standstill_and_friction_never_overdone(mode
     speeds = np.linspace(-0.03, 0.03, 601)
     q, v, a = at(model, np.repeat(speeds[:, None], 3, axis=1))
     force = Feedforward(model, width=0.01, shape=shape)(q, v, a)
-    steepest = 2 * 160 / 0.01 * (speeds[1] - speeds[0])  # 2 / w is tanh's slope, 160 N from law to law, half of it a side
+    # tanh is steepest: 2 / w, times half of the 160 N from law to law; twice that, for the viscous share
+    steepest = 2 * 160 / 0.01 * (speeds[1] - speeds[0])
     assert np.abs(np.diff(force, axis=0)).max() < steepest
     friction = force - model.mechanism.inverse_dynamics(q, v, a)
     assert np.all(friction <= 90 + 130 * np.abs(v) + 1e-9) and np.all(friction >= -70 - 110 * np.abs(v) - 1e-9)
@@ -66,7 +68,9 @@ def test_an_array_is_its_samples(model, rng) -> None:
     assert_allclose(feedforward(q, v, a), one_by_one, rtol=1e-14)
 
 
-@pytest.mark.parametrize("shapes", [((2,), (2,), (2,)), ((3,), (1, 3), (3,)), ((4, 3), (4, 3), (1, 3)), ((1, 4, 3),) * 3, ((),) * 3])
+@pytest.mark.parametrize(
+    "shapes", [((2,), (2,), (2,)), ((3,), (1, 3), (3,)), ((4, 3), (4, 3), (1, 3)), ((1, 4, 3),) * 3, ((),) * 3]
+)
 def test_wrong_shapes_are_refused(model, shapes) -> None:
     """Broadcasting in silence would send one joint's force to another."""
     with pytest.raises(InputError, match=r"must have one shape, \(3,\) or \(N, 3\) for cart1, cart2, cart3"):
@@ -92,4 +96,5 @@ def test_it_loads_what_identify_wrote(model, rng, tmp_path) -> None:
     """A model file on disk gives the same forces, without the xacro it came from."""
     model.save(tmp_path / "l1.yaml")
     q, v, a = at(model, rng.standard_normal((5, 3)))
-    assert_allclose(Feedforward.load(tmp_path / "l1.yaml", width=0.02)(q, v, a), Feedforward(model, width=0.02)(q, v, a), rtol=1e-13)
+    loaded = Feedforward.load(tmp_path / "l1.yaml", width=0.02)
+    assert_allclose(loaded(q, v, a), Feedforward(model, width=0.02)(q, v, a), rtol=1e-13)

@@ -20,11 +20,11 @@ def test_forward_dynamics_equals_pinocchios_constrained_dynamics(robots, motion,
     robot = robots(kind)
     mechanism, tree = build_mechanism(robot), TreeMechanism(robot)
     model = robot.model_with(robot.parameters)
-    ends = [[(model.frames[f].parentJoint, model.frames[f].placement) for f in (loop.frame_a, loop.frame_b)] for loop in robot.loops]
     loops = pin.StdVec_RigidConstraintModel()
-    for (joint_a, place_a), (joint_b, place_b) in ends:
-        three = pin.ContactType.CONTACT_3D, model, joint_a, place_a, joint_b, place_b, pin.ReferenceFrame.LOCAL
-        loops.append(pin.RigidConstraintModel(*three))
+    for loop in robot.loops:
+        a, b = model.frames[loop.frame_a], model.frames[loop.frame_b]
+        ends = a.parentJoint, a.placement, b.parentJoint, b.placement
+        loops.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *ends, pin.ReferenceFrame.LOCAL))
     data, loop_data = model.createData(), pin.StdVec_RigidConstraintData()
     for loop in loops:
         loop_data.append(loop.createData())

@@ -40,7 +40,9 @@ def test_loops_stay_closed_on_a_random_walk(robots, rng, kind: str) -> None:
         q = robot.home + np.clip(q + rng.uniform(-reach, reach, robot.na) - robot.home, -0.3, 0.3)
         tree = solver.close(q)
         assert solver.closure_error(tree) < 1e-10
-        assert_allclose(tree[robot.active_q] if kind != "turning_four_bar" else np.arctan2(tree[1], tree[0]), q, atol=1e-15)
+        assert_allclose(
+            tree[robot.active_q] if kind != "turning_four_bar" else np.arctan2(tree[1], tree[0]), q, atol=1e-15
+        )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -111,15 +113,21 @@ def test_the_tool_stays_ahead_of_the_carts(rng) -> None:
         tool = mechanism.tool_position(q)
         carts = q + np.array([0.04, 0.25, 0.0])
         assert np.all(tool[:, [0]] > carts)
-        assert_allclose(np.linalg.norm(tool - np.stack([carts[:, 2], 0 * q[:, 0], 0 * q[:, 0]], 1), axis=1), 1.81, atol=1e-9)
+        assert_allclose(
+            np.linalg.norm(tool - np.stack([carts[:, 2], 0 * q[:, 0], 0 * q[:, 0]], 1), axis=1), 1.81, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("arms", ["simplified", "complete"])
 def test_out_of_reach_is_said_with_the_positions(arms: str) -> None:
     """Carts 2 m apart cannot hold one plate."""
     mechanism = build_mechanism(load_robot("gantry_tau", arms=arms))
-    with pytest.raises(LoopClosureError, match=r"gantry_tau: the loops cannot be closed at cart1 = 3.875 m, .*out of reach"):
-        mechanism.inverse_dynamics(*(np.array([x]) for x in (mechanism.robot.home + [4, 0, 0], np.zeros(3), np.zeros(3))))
+    with pytest.raises(
+        LoopClosureError, match=r"gantry_tau: the loops cannot be closed at cart1 = 3.875 m, .*out of reach"
+    ):
+        mechanism.inverse_dynamics(
+            *(np.array([x]) for x in (mechanism.robot.home + [4, 0, 0], np.zeros(3), np.zeros(3)))
+        )
     with pytest.raises(LoopClosureError):
         mechanism.mass_and_bias(mechanism.robot.home + [4, 0, 0], np.zeros(3))
 
@@ -206,6 +214,10 @@ def test_a_rods_free_spin_moves_nothing_we_report(write, rng) -> None:
     spin = write.joint("spin", "revolute", "coupler_link", "spun_link", "1 0 0") + write.link("spun_link")
     urdf = write.four_bar().replace("</robot>", spin + "</robot>")
     urdf = urdf.replace('body_A name="coupler_link"', 'body_A name="spun_link"')
-    plain, spun = (build_mechanism(robot_from_urdf(x, "bars")) for x in (write.four_bar(), urdf))
+    tilt = '<link name="tilted_link"/><joint name="tilt" type="fixed"><parent link="base_link"/><child link="tilted_link"/>'
+    tilt += '<origin rpy="0.3 0.4 0"/></joint></robot>'  # so that what is zero on paper is only nearly zero in numbers
+    texts = [x.replace('<parent link="base_link"/>', '<parent link="tilted_link"/>').replace("</robot>", tilt)
+             for x in (write.four_bar(), urdf)]  # fmt: skip
+    plain, spun = (build_mechanism(robot_from_urdf(x, "bars")) for x in texts)
     q, v, a = rng.uniform(-0.3, 0.3, (3, 10, 1))
     assert_allclose(spun.inverse_dynamics(q, v, a), plain.inverse_dynamics(q, v, a), rtol=1e-9)

@@ -113,7 +113,9 @@ def test_untied_numbers_become_parameters_and_keep_their_values(write) -> None:
 
 def test_a_file_without_any_mass_starts_from_zero_and_says_so(write) -> None:
     """Calibrated kinematics often come without inertia; identification then has no nominal values."""
-    urdf = write.text("bare", write.link("a_link"), write.joint("a", "revolute", "base_link", "a_link"), write.drive("a"))
+    urdf = write.text(
+        "bare", write.link("a_link"), write.joint("a", "revolute", "base_link", "a_link"), write.drive("a")
+    )
     robot = robot_from_urdf(urdf, "bare")
     assert robot.parameters.names[:2] == ("a_link.mass", "a_link.mx") and not robot.parameters.values.any()
     assert any("no mass" in w for w in robot.warnings)
@@ -123,7 +125,10 @@ def test_gravity_mass_is_felt_by_gravity_only(rng) -> None:
     """The thesis' 22.38 kg: forces at rest grow in proportion, the mass matrix does not change at all."""
     from tau_dyn.dynamics import build_mechanism
 
-    light, heavy = build_mechanism(load_robot("gantry_tau")), build_mechanism(load_robot("gantry_tau", gravity_mass=22.38))
+    light, heavy = (
+        build_mechanism(load_robot("gantry_tau")),
+        build_mechanism(load_robot("gantry_tau", gravity_mass=22.38)),
+    )
     q = light.robot.home + rng.uniform(-0.1, 0.1, (5, 3))
     zero = np.zeros_like(q)
     extra = heavy.robot.parameters["plate_link.gravity_mass"].value

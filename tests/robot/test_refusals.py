@@ -63,7 +63,7 @@ def test_entities_are_refused(refused) -> None:
 
 
 def test_entities_are_refused_in_an_included_file_too(refused, tmp_path: Path) -> None:
-    """xacro parses what is included by itself; it does so our way, and the message names that file."""
+    """What xacro includes it parses by itself, but our way, and the message names that file."""
     (tmp_path / "inner.xacro").write_text(BOMB)
     sentence = refused(XACRO.format('<xacro:include filename="inner.xacro"/>'))
     assert "inner.xacro" in sentence and "document type" in sentence
@@ -80,7 +80,7 @@ def test_an_undeclared_prefix_gets_a_hint(refused) -> None:
 
 
 def test_an_undefined_property_is_named(refused) -> None:
-    """xacro's own words follow the file's name."""
+    """The words of xacro follow the file's name."""
     sentence = refused(XACRO.format('<link name="${lenght}"/>'))
     assert "r.urdf.xacro: xacro cannot expand it" in sentence and "lenght" in sentence
 
@@ -182,6 +182,8 @@ def test_texts_that_are_no_robot_are_refused(urdf: str) -> None:
 
 def test_floating_and_planar_joints_cannot_be_actuated(write) -> None:
     """An actuated joint has one position and one force."""
-    urdf = write.text("f", write.link("a_link", 1), write.joint("a", "floating", "base_link", "a_link"), write.drive("a"))
+    urdf = write.text(
+        "f", write.link("a_link", 1), write.joint("a", "floating", "base_link", "a_link"), write.drive("a")
+    )
     with pytest.raises(InputError, match="'a' must have one degree of freedom"):
         robot_from_urdf(urdf, "floating")

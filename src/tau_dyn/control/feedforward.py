@@ -43,7 +43,9 @@ class Feedforward:
             raise UnknownName("shape of the smoothed sign", shape, SHAPES)
         widths = np.asarray(width, float)
         if widths.shape not in ((), (model.robot.na,)):
-            raise InputError(f"the width of the smoothed sign must be a number or ({model.robot.na},), not {widths.shape}")
+            raise InputError(
+                f"the width of the smoothed sign must be a number or ({model.robot.na},), not {widths.shape}"
+            )
         widths = np.broadcast_to(widths, (model.robot.na,)).copy()
         if not np.all(np.isfinite(widths) & (widths > 0)):
             raise InputError(f"the width of the smoothed sign must be a positive speed, not {width}")

@@ -59,4 +59,3 @@ class Constraints:
 
     def _difference(self, x: np.ndarray) -> np.ndarray:
         return x[: self._n] - x[self._n :]
-

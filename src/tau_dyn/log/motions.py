@@ -4,16 +4,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.log import Log
-from tau_dyn.log.noise import velocity_noise
+from tau_dyn.log.noise import encoder_noise
 
 _SIGMA = 6.0
-_CUTOFF_SHARE = 0.1
+_LOOK_S = 0.1
 
 
 def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> list[Log]:
     """Return a log's motions: the stretches between rests, each with half of the rests around it.
 
-    The robot rests where no joint moves faster than six times its velocity noise for `rest_s` or longer.
+    The robot rests where, for `rest_s` or longer, no joint travels more in 0.1 s than six times its encoder's noise.
 
     Args:
         log: Positions `q_J` of at least one joint, evenly sampled.
@@ -37,11 +37,9 @@ def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> l
 
 def _moving(log: Log) -> NDArray[np.bool_]:
     """Tell at which samples (N,) some joint moves, judged over windows long enough to see through its noise."""
-    joints = log.joints("q")
-    q = log.joint("q", joints)
-    half = max(1, round(0.5 / (_CUTOFF_SHARE * log.rate_hz) / log.dt / 2))
-    width = min(2 * half, log.n_samples - 1)
-    travel = np.abs(q[width:] - q[:-width]) / (width * log.dt)
-    noise = velocity_noise(q, log.rate_hz, _CUTOFF_SHARE * log.rate_hz)
-    fast = np.any(travel > np.maximum(_SIGMA * noise, 1e-12), axis=1)
-    return np.concatenate([np.full(width // 2, fast[0]), fast, np.full(width - width // 2, fast[-1])])
+    q = log.joint("q", log.joints("q"))
+    width = min(max(2, round(_LOOK_S / log.dt)), log.n_samples - 1)
+    travel = np.abs(q[width:] - q[:-width])
+    noise = np.sqrt(2) * encoder_noise(q)
+    went = np.any(travel > np.maximum(_SIGMA * noise, 1e-12), axis=1)
+    return np.concatenate([np.full(width // 2, went[0]), went, np.full(width - width // 2, went[-1])])
