@@ -2,8 +2,8 @@
 
     python experiments/dull_motion.py [--seeds 20] [--out DIR]
 
-In: nothing; logs of L1 are computed along a tool path, with 5 N of force noise and 5 um encoders. Motion A swings mostly along the
-guideways, 40 s fast and 40 s six times slower, and the truth has what no model here has: a friction moment of 1 N m in each
+In: nothing; logs of L1 are computed along a tool path, with 5 N of force noise and 5 um encoders. Motion A swings mostly along
+the guideways, 40 s fast and 40 s six times slower, and the truth has what no model here has: a friction moment of 1 N m in each
 ball joint (two a rod, one, two and three rods in the arms). Motion B is duller still, and its truth has nothing hidden. Out:
 `dull_motion.csv`, one row a motion, seed and rod, and a printed answer: how often plain least squares gives a negative
 mass, what the consistent estimate gives, which parameters the warning names, and what the constraint costs on a held-out
@@ -26,7 +26,11 @@ RATE_HZ = 250.0
 CENTRE = (1.5, -0.65, 0.62)  # of the tool's path [m]
 RODS_IN_ARM = (1, 2, 3)
 SLOWER = 6.0
-HELD_OUT = (((0.16, 0.31, 0.0), (0.05, 0.79, 1.0)), ((0.13, 0.27, 0.5), (0.04, 0.83, 1.7)), ((0.13, 0.37, 1.1), (0.04, 0.91, 0.2)))
+HELD_OUT = (
+    ((0.16, 0.31, 0.0), (0.05, 0.79, 1.0)),
+    ((0.13, 0.27, 0.5), (0.04, 0.83, 1.7)),
+    ((0.13, 0.37, 1.1), (0.04, 0.91, 0.2)),
+)
 ALONG_X = ((0.28, 0.3, 0.0), (0.035, 0.9, 1.0))  # (amplitude [m], frequency [Hz], phase [rad])
 MOTIONS = {
     "A": (ALONG_X, ((0.08, 0.45, 0.5),), ((0.08, 0.5715, 1.1),)),
@@ -82,7 +86,9 @@ def log_of(truth: Model, motion: list[tuple], moment: float, rng: np.random.Gene
         q, v, a, d = cart_motion(truth, T, V, A)
         tau = truth.torque(q, v, a) + passive_friction(V, v, d, moment) + 5.0 * rng.normal(size=q.shape)
         q = q + 5e-6 * rng.normal(size=q.shape)
-        channels = {f"{key}_{j}": x[:, k] for key, x in (("q", q), ("tau", tau)) for k, j in enumerate(truth.robot.actuated)}
+        channels = {
+            f"{key}_{j}": x[:, k] for key, x in (("q", q), ("tau", tau)) for k, j in enumerate(truth.robot.actuated)
+        }
         logs.append(Log(np.arange(len(q)) / RATE_HZ, channels, name))
     return logs
 
@@ -91,7 +97,7 @@ def trial(name: str, seed: int) -> list[dict]:
     """Return a row a rod."""
     robot = load_robot("gantry_tau", prototype="l1")
     truth, rng = true_model(robot, 0), np.random.default_rng([6, seed])
-    dull = [path(MOTIONS[name], 40.0), path(MOTIONS[name], 40.0 * 1, SLOWER)]
+    dull = [path(MOTIONS[name], 40.0), path(MOTIONS[name], 40.0, SLOWER)]
     moment = HIDDEN_MOMENT[name]
     train = log_of(truth, dull, moment, rng, f"dull {name}")
     held = log_of(truth, [path(HELD_OUT, 30.0)], moment, rng, "held out")
@@ -104,7 +110,7 @@ def trial(name: str, seed: int) -> list[dict]:
     regression = build_regression(found.model, held, preparation=e.regression.settings["preparation"])
     errors = {"rms_consistent": force_errors(regression, e.theta).rms, "rms_plain": force_errors(regression, plain).rms}
     rows = []
-    for rod in ("rod1_link.mass", "rod2_link.mass", "rod3_link.mass"):
+    for rod in (f"rod{k}_link.mass" for k in (1, 2, 3)):
         p = e.parameters[rod]
         rows.append({"motion": name, "seed": seed, "rod": rod, "truth": truth.parameters[rod].value, "stderr": p.stderr,
                      "plain": plain[names.index(rod)], "consistent": p.value, "cond": e.cond,
@@ -125,7 +131,11 @@ def main(seeds: int, out_dir: Path) -> None:
               f"in {100 * (part['consistent'] < 0).mean():.0f} % by the consistent estimate; "
               f"{100 * part['named'][negative].mean():.0f} % of the negative ones named by a warning; held-out rms "
               f"{part['rms_plain'].mean():.2f} N plain, {part['rms_consistent'].mean():.2f} N consistent")  # fmt: skip
-        print(part.groupby("rod")[["truth", "plain", "stderr", "consistent"]].mean().to_string(float_format="{:.2f}".format))
+        print(
+            part.groupby("rod")[["truth", "plain", "stderr", "consistent"]]
+            .mean()
+            .to_string(float_format="{:.2f}".format)
+        )
 
 
 if __name__ == "__main__":

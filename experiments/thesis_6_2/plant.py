@@ -66,6 +66,12 @@ def drive_ideal(model: Model, motion: Trajectory) -> PlantRun:
     return drive(model, motion, None, SENSORS, np.random.default_rng(SEED), rate_hz=RATE, feedback="ideal")
 
 
+def follow_perfectly(model: Model, motion: Trajectory) -> PlantRun:
+    """Return the motion with the forces it takes, without control errors and sticking: fast, for tests."""
+    force = model.torque(motion.q, motion.v, motion.a)
+    return PlantRun(model, motion.t, motion.q, motion.v, motion.a, force, motion.v == 0, motion)
+
+
 def record(run: PlantRun, seed: int = SEED, sensors: Sensors = SENSORS) -> Log:
     """Return the log of a run."""
     return measure(run, sensors, np.random.default_rng(seed), run.reference.name if run.reference else "run")

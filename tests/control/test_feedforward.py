@@ -39,10 +39,14 @@ def test_ramp_is_the_identified_law_outside_the_width(model, rng) -> None:
 
 
 def test_ramp_is_piecewise_linear(model) -> None:
-    """`s(v) = v / w` clipped to +-1 (Dressler 2012, Figure 3.6), with a width for each joint."""
+    """Within the width, one a joint, friction is a straight line from law to law (Dressler 2012, Figure 3.6)."""
     feedforward = Feedforward(model, width=np.array([0.01, 0.02, 0.04]))
     sign = feedforward.smooth_sign(np.array([[0.005, 0.005, 0.005], [-0.02, -0.02, -0.02], [0.0, 0.1, -0.1]]))
     assert_allclose(sign, [[0.5, 0.25, 0.125], [-1, -1, -0.5], [0, 1, -1]])
+    share = np.linspace(-1, 1, 21)[:, None]
+    q, v, a = at(model, share * feedforward.width)
+    friction = feedforward(q, v, a) - model.mechanism.inverse_dynamics(q, v, a)
+    assert_allclose(friction, friction[0] + (1 + share) / 2 * (friction[-1] - friction[0]), atol=1e-9)
 
 
 @pytest.mark.parametrize("shape", ["ramp", "tanh"])
@@ -56,7 +60,8 @@ def test_force_is_continuous_through_standstill_and_friction_never_overdone(mode
     assert np.abs(np.diff(force, axis=0)).max() < steepest
     friction = force - model.mechanism.inverse_dynamics(q, v, a)
     assert np.all(friction <= 90 + 130 * np.abs(v) + 1e-9) and np.all(friction >= -70 - 110 * np.abs(v) - 1e-9)
-    assert_allclose(friction[300], (90 - 70) / 2, atol=1e-9)  # at rest the mean of both directions
+    at_rest = (90 - 70) / 2 + ((130 - 110) * 0.01 / 2 if shape == "ramp" else 0.0)  # the mean of both directions
+    assert_allclose(friction[300], at_rest, atol=1e-9)
 
 
 def test_an_array_is_its_samples(model, rng) -> None:

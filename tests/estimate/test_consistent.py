@@ -15,7 +15,9 @@ PHYSICS = Physics((Body("arm_link", LINK, np.eye(10)),))
 
 def link_parameters(values: np.ndarray) -> Parameters:
     """Return a link's ten parameters, the mass bounded below by zero."""
-    return Parameters(Parameter(n, x, "1", 0.0 if n.endswith("mass") else -np.inf) for n, x in zip(LINK, values, strict=True))
+    return Parameters(
+        Parameter(n, x, "1", 0.0 if n.endswith("mass") else -np.inf) for n, x in zip(LINK, values, strict=True)
+    )
 
 
 def masses(*values: float) -> Parameters:

@@ -111,7 +111,10 @@ def test_runs_are_judged_together_and_masks_are_obeyed(rng):
     spoilt, usable = run.y.copy(), run.usable.copy()
     spoilt[100:300, 0], usable[100:300, 0] = 1e6, False
     one = replace(regression, runs=(replace(run, y=spoilt, usable=usable),))
-    two = replace(regression, runs=tuple(replace(run, y=spoilt, usable=usable).window(s) for s in (slice(0, 1500), slice(1500, 3000))))
+    two = replace(
+        regression,
+        runs=tuple(replace(run, y=spoilt, usable=usable).window(s) for s in (slice(0, 1500), slice(1500, 3000))),
+    )
     a, b = solve_least_squares(one), solve_least_squares(two)
     assert_allclose(a.beta, b.beta, rtol=1e-9)
     assert_allclose(a.stderr, b.stderr, rtol=0.1)

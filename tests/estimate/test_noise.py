@@ -21,7 +21,9 @@ def problem(rng: np.random.Generator, noise: np.ndarray, usable: np.ndarray, col
     y = columns @ [1.0, -2.0] + noise
     run = Run("made", np.arange(len(y)) / RATE_HZ, columns, y, usable, columns, y)
     outputs = tuple(f"j{k}" for k in range(y.shape[1]))
-    return Regression(Parameters([Parameter("a", 0.0, "1"), Parameter("b", 0.0, "1")]), outputs, ("N",) * len(outputs), (run,))
+    return Regression(
+        Parameters([Parameter("a", 0.0, "1"), Parameter("b", 0.0, "1")]), outputs, ("N",) * len(outputs), (run,)
+    )
 
 
 def slow_columns(rng: np.random.Generator, n: int, m: int) -> np.ndarray:
@@ -61,7 +63,9 @@ def test_an_explosive_fit_is_pulled_back(rng):
 
 
 @pytest.mark.parametrize(
-    ("phi", "gaps"), [((), False), ((0.9,), False), ((0.9,), True), ((1.2, -0.6), True)], ids=["white", "ar1", "gaps", "ar2"]
+    ("phi", "gaps"),
+    [((), False), ((0.9,), False), ((0.9,), True), ((1.2, -0.6), True)],
+    ids=["white", "ar1", "gaps", "ar2"],
 )
 def test_standard_errors_are_those_of_repetition(rng, phi, gaps):
     """Over 150 repetitions the stated standard error is the scatter of the estimates, never below it, little above.
@@ -81,7 +85,9 @@ def test_standard_errors_are_those_of_repetition(rng, phi, gaps):
     assert np.all(stated / scatter > 0.85)
     assert np.all(stated / scatter < 1.35)
     z = (np.array([e.beta for e in found]) - [1, -2]) / [e.stderr for e in found]
-    assert 0.92 < np.mean(np.abs(z) < 1.96) < 0.995  # 300 intervals: 0.95 less 2.5 sd of 1.3 %, and conservative by design
+    assert (
+        0.92 < np.mean(np.abs(z) < 1.96) < 0.995
+    )  # 300 intervals: 0.95 less 2.5 sd of 1.3 %, and conservative by design
 
 
 def test_ignoring_colour_would_understate(rng):
@@ -97,7 +103,9 @@ def test_blocks_see_noise_that_no_autoregression_has(rng):
     n = 4000
     slow = np.repeat(rng.normal(size=(n // 40, 1)), 40, axis=0)  # 2 s, one block
     columns = np.stack([np.abs(coloured(rng, n, (0.5,))) * (1 + np.abs(slow)), rng.normal(size=(n, 1))], axis=2)
-    e = solve_least_squares(problem(rng, slow * columns[..., 0] + rng.normal(size=(n, 1)), np.ones((n, 1), bool), columns))
+    e = solve_least_squares(
+        problem(rng, slow * columns[..., 0] + rng.normal(size=(n, 1)), np.ones((n, 1), bool), columns)
+    )
     assert e.scatter[0, 0] > 2 * e.cov[0, 0]
     assert_allclose(e.stderr[0] ** 2, e.scatter[0, 0])
 

@@ -13,14 +13,18 @@ def of_points(masses: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return the ten numbers of point masses (n,) at places (n, 3), about the origin."""
     inertia = sum(m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(masses, places, strict=True))
     first = masses @ places
-    return np.array([masses.sum(), *first, *(inertia[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))])
+    return np.array(
+        [masses.sum(), *first, *(inertia[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
+    )
 
 
 def test_it_holds_the_second_moments_of_the_mass(rng):
     """`J = [[sum m x x', sum m x], [., sum m]]`, by its definition over point masses."""
     masses, places = rng.uniform(0.1, 2.0, 7), rng.normal(size=(7, 3))
     lifted = np.column_stack([places, np.ones(7)])
-    assert_allclose(pseudo_inertia(of_points(masses, places)), lifted.T @ np.diag(masses) @ lifted, rtol=1e-12, atol=1e-12)
+    assert_allclose(
+        pseudo_inertia(of_points(masses, places)), lifted.T @ np.diag(masses) @ lifted, rtol=1e-12, atol=1e-12
+    )
 
 
 def test_it_agrees_with_pinocchios(rng):

@@ -16,13 +16,20 @@ from tau_dyn.simulate import PlantRun, Sensors, Trajectory, drive, named_motion
 
 
 def recorded(
-    truth: Model, motion: Trajectory, *, force_noise: float = 5.0, seed: int = 0, rate_hz: float = 250.0, name: str = "made.csv"
+    truth: Model,
+    motion: Trajectory,
+    *,
+    force_noise: float = 5.0,
+    encoder_noise: float = 5e-6,
+    seed: int = 0,
+    rate_hz: float = 250.0,
+    name: str = "made.csv",
 ) -> Log:
-    """Return the log of a robot that follows a motion exactly, with 5 um encoders."""
+    """Return the log of a robot that follows a motion exactly; noise in N and m."""
     rng = np.random.default_rng([63, seed])
     path = motion.every(round(1000 / rate_hz))
     tau = truth.torque(path.q, path.v, path.a) + force_noise * rng.normal(size=path.q.shape)
-    q = path.q + 5e-6 * rng.normal(size=path.q.shape)
+    q = path.q + encoder_noise * rng.normal(size=path.q.shape)
     columns = (("q", q), ("tau", tau))
     return Log(path.t, {f"{key}_{j}": x[:, k] for key, x in columns for k, j in enumerate(motion.joints)}, name)
 

@@ -28,7 +28,11 @@ def test_fixing_by_name_value_and_pattern(model):
 def test_freeing_and_bounding(model):
     """Drive inertia is fixed until it is freed; a bound takes a nominal value along, and either side may be open."""
     assert not model.parameters["cart1.armature"].free
-    p = Choices(free=("*.armature",), bound=("cart*.viscous_pos=50:400", "plate_link.mass=:8", "rod1_link.mass=0.5:")).apply(model).parameters
+    p = (
+        Choices(free=("*.armature",), bound=("cart*.viscous_pos=50:400", "plate_link.mass=:8", "rod1_link.mass=0.5:"))
+        .apply(model)
+        .parameters
+    )
     assert all(p[f"cart{k}.armature"].free for k in (1, 2, 3))
     assert (p["cart2.viscous_pos"].lower, p["cart2.viscous_pos"].upper, p["cart2.viscous_pos"].value) == (50, 400, 50)
     assert (p["plate_link.mass"].upper, p["plate_link.mass"].value) == (8, 8)
@@ -106,7 +110,7 @@ def test_fixed_as_exact_it_is_no_longer_estimated(l1, monday):
 
 
 def test_a_motor_constant_scales_the_answer_and_carries_its_error(l1, monday, found):
-    """All forces times 0.98 is all parameters times 0.98; 2 % of independent doubt a joint ends up in every friction coefficient."""
+    """All forces times 0.98 is all parameters times 0.98; 2 % of doubt about each joint ends up in its friction."""
     known = identify(l1, monday, choices=Choices(fix=("*.drive_gain=0.98+-0.0196",)))
     for p in found.parameters:
         if p.free:
@@ -115,7 +119,9 @@ def test_a_motor_constant_scales_the_answer_and_carries_its_error(l1, monday, fo
         p = known.parameters[f"{joint}.coulomb_pos"]
         assert 0.012 * p.value < p.stderr < 0.035 * p.value  # that of one joint, shared by the others through the rods
     exact = identify(l1, monday, choices=Choices(fix=("*.drive_gain=0.98",)))
-    assert_allclose(exact.parameters["cart1.coulomb_pos"].stderr, 0.98 * found.parameters["cart1.coulomb_pos"].stderr, rtol=1e-6)
+    assert_allclose(
+        exact.parameters["cart1.coulomb_pos"].stderr, 0.98 * found.parameters["cart1.coulomb_pos"].stderr, rtol=1e-6
+    )
     assert_allclose(known.train.rms, 0.98 * found.train.rms, rtol=1e-6)
 
 

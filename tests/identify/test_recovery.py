@@ -62,7 +62,9 @@ def test_held_out_residual_is_the_noise(trials, l1):
     ratios = []
     for seed, (found, held) in enumerate(trials):
         noise = NOISE.read_forces(np.zeros((held.n_samples, 3)), np.random.default_rng([2, seed]))
-        blank = replace(held, channels=dict(held.channels) | {f"tau_{j}": noise[:, k] for k, j in enumerate(l1.actuated)})
+        blank = replace(
+            held, channels=dict(held.channels) | {f"tau_{j}": noise[:, k] for k, j in enumerate(l1.actuated)}
+        )
         preparation = found.estimate.regression.settings["preparation"]
         floor = np.sqrt(np.mean(build_regression(found.model, [blank], preparation=preparation).stacked()[1] ** 2))
         W, y, _ = found.held.stacked()
@@ -92,12 +94,10 @@ def test_encoders_in_the_feedback_do_not_bias(l1, truth):
 def test_a_clean_log_gives_the_truth(l1, truth, make):
     """Without noise every mass is within 0.2 % and every friction coefficient within 0.1 %.
 
-    What is left is differentiation at 250 Hz: central differences pass 1.2 Hz to 1e-6, the low-pass leaves 0.3 % of each reversal.
+    What is left is what the position filter leaves of each reversal (0.3 %); central differences pass 1.2 Hz to 1e-6.
     """
-    motion = named_motion("fourier", truth, 30.0, 1)
-    log = make.recorded(truth, motion, force_noise=0.0)
-    clean = make.changed(log, **{f"q_{j}": motion.every(4).q[:, k] for k, j in enumerate(l1.actuated)})
-    for p in identify(l1, clean).parameters:
+    log = make.recorded(truth, named_motion("fourier", truth, 30.0, 1), force_noise=0.0, encoder_noise=0.0)
+    for p in identify(l1, log).parameters:
         if p.free:
             tolerance = 2e-3 if p.name.endswith("mass") else 1e-3
             assert abs(p.value - truth.parameters[p.name].value) < tolerance * truth.parameters[p.name].value, p

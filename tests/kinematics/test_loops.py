@@ -221,3 +221,7 @@ def test_a_rods_free_spin_moves_nothing_we_report(write, rng) -> None:
     plain, spun = (build_mechanism(robot_from_urdf(x, "bars")) for x in texts)
     q, v, a = rng.uniform(-0.3, 0.3, (3, 10, 1))
     assert_allclose(spun.inverse_dynamics(q, v, a), plain.inverse_dynamics(q, v, a), rtol=1e-9)
+    G = LoopSolver(spun.robot).state(q[0], v[0], a[0]).G
+    assert (
+        abs(G[spun.robot.model.joints[spun.robot.model.getJointId("spin")].idx_v, 0]) < 1e-9
+    )  # the least motion that does

@@ -1,9 +1,9 @@
 """Feedforward forces from a model: `tau = f(q, v, a)`, with a sign of velocity that no drive chatters on.
 
-A friction law jumps at zero velocity; a drive fed with that jump shakes. Two smooth signs are offered, both over a width
-`w` [m/s or rad/s]: `tanh`, `s(v) = tanh(2 v / w)`, and the piecewise-linear `ramp`, `s(v) = v / w` clipped to [-1, 1] (Dressler
-2012, Figure 3.6). Outside the width the ramp is the identified law exactly; inside, friction is under-compensated, never
-over-compensated, so the feedback is not asked to fight it.
+A friction law jumps at zero velocity; a drive fed with that jump shakes. Two smooth laws are offered, both over a width `w`
+[m/s or rad/s]. `ramp` joins the law at -w and at +w by a straight line, the piecewise-linear law of Dressler 2012, Figure
+3.6; outside the width it is the identified law exactly. `tanh` mixes both directions by `s(v) = tanh(2 v / w)`. Inside the
+width friction is under-compensated, never over-compensated, so the feedback is not asked to fight it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tau_dyn.effects import Motion
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import Model
 
@@ -76,7 +77,17 @@ class Feedforward:
             na = self.model.robot.na
             raise InputError(f"q, v and a must have one shape, ({na},) or (N, {na}) for {joints}")
         many = [np.atleast_2d(x) for x in (q, v, a)]
-        return self.model.torque(*many, sign=self.smooth_sign(many[1])).reshape(q.shape)
+        rigid = self.model.mechanism.inverse_dynamics(*many)
+        return (rigid + self._friction(*many)).reshape(q.shape)
+
+    def _friction(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the effects' forces (N, na) with both directions' laws mixed around standstill."""
+        sign, joints = self.smooth_sign(v), self.model.robot.actuated
+        if self.shape == "tanh":
+            return self.model.effect_force(Motion.of(joints, q, v, a, sign))
+        ahead = Motion.of(joints, q, np.maximum(v, self.width), a, np.ones_like(v))
+        back = Motion.of(joints, q, np.minimum(v, -self.width), a, -np.ones_like(v))
+        return (1 + sign) / 2 * self.model.effect_force(ahead) + (1 - sign) / 2 * self.model.effect_force(back)
 
     def smooth_sign(self, v: np.ndarray) -> np.ndarray:
         """Return the smoothed direction of motion (N, na), in [-1, 1]."""

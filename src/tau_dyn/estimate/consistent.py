@@ -24,7 +24,7 @@ _EPS = (1e-4, 1e-2)
 """Pull towards the robot file: the smallest that leaves the program solvable is taken. On TX40 1e-4 moves no base parameter by
 0.03 of its standard error, while 1e-6 lets link masses wander off to 55 kg and the solver stop early."""
 _MOVED = 1e-2
-"""Rise of chi-square above which physics has moved the answer, beyond what the data leave open; solver accuracy stays below it."""
+"""Rise of chi-square above which physics has moved the answer beyond what the data leave open; the solver is more accurate."""
 _EDGE = 1e-6
 """Part of a parameter's typical size within which it counts as being on its bound."""
 
@@ -56,7 +56,8 @@ def solve_consistent(
     theta = _program(parameters, base, beta, R, bodies)
     solved = parameters.with_values(dict(zip(base.names, theta, strict=True)))
     rise = float(np.sum((R @ (base.combine(theta) - beta)) ** 2))
-    return Constrained(solved, _out_of_bounds(plain, base) | (_made_physical(solved, plain, bodies) if rise > _MOVED else {}))
+    physical = _made_physical(solved, plain, bodies) if rise > _MOVED else {}
+    return Constrained(solved, _out_of_bounds(plain, base) | physical)
 
 
 def _plain_values(parameters: Parameters, base: BaseParameters, beta: np.ndarray) -> dict[str, float]:

@@ -190,4 +190,4 @@ def _inverse(J: np.ndarray) -> np.ndarray:
 
 def _lengths(J: np.ndarray) -> np.ndarray:
     lengths = np.linalg.norm(J, axis=0)
-    return np.where(lengths > 0, lengths, 1.0)
+    return np.where(lengths > 1e-10 * lengths.max(initial=0.0), lengths, 1.0)  # rounding is no direction to scale up
