@@ -74,9 +74,9 @@ def test_standard_errors_are_those_of_repetition(rng, phi, gaps):
     """
     n, columns = 1200, slow_columns(rng, 1200, 2)
     usable = np.ones((n, 2), bool)
-    if gaps:  # a third of the samples, in pieces of 5 to 40 as reversals leave them, each output its own
+    if gaps:  # two thirds of the samples, in pieces of 5 to 40 as reversals leave them, each output its own
         for k in range(2):
-            for start in rng.integers(0, n, 25):
+            for start in rng.integers(0, n, 60):
                 usable[start : start + rng.integers(5, 40), k] = False
     found = [solve_least_squares(problem(rng, coloured(rng, n, phi, 2), usable, columns)) for _ in range(150)]
     scatter = np.std([e.beta for e in found], axis=0)

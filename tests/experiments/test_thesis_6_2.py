@@ -14,11 +14,11 @@ from tau_dyn.identify import identify
 from tau_dyn.model import Model
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
-from thesis_6_2 import friction, gravity, masses, models
-from thesis_6_2.hidden import PassiveJointFriction
-from thesis_6_2.motions import SIDEWAYS_FAST, WELL, fast_and_slow, strokes
-from thesis_6_2.plant import closed_form, follow_perfectly, model_2, record, robot_l1
-from thesis_6_2.printed import CARTS, GRAVITY_MASS, TABLE_6_1, TABLE_6_2, G
+from thesis_6_2_parts import friction, gravity, masses, models
+from thesis_6_2_parts.hidden import PassiveJointFriction
+from thesis_6_2_parts.motions import SIDEWAYS_FAST, WELL, fast_and_slow, strokes
+from thesis_6_2_parts.plant import closed_form, follow_perfectly, model_2, record, robot_l1
+from thesis_6_2_parts.printed import CARTS, GRAVITY_MASS, TABLE_6_1, TABLE_6_2, G
 
 STAR, CIRCLE = (-1.182, 0.299), (-1.281, 0.378)  # m
 

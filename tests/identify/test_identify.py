@@ -205,7 +205,7 @@ def test_one_joint_alone_leaves_the_others_named(l1, truth, make):
 
 def test_an_undetermined_parameter_is_said(axis, true_axis, make):
     """At constant slow speeds the mass hardly shows: its error is above 30 %, and a warning gives value and error."""
-    fast, slower = named_motion("fourier", true_axis, 20.0, 0), 15.0
+    fast, slower = named_motion("fourier", true_axis, 20.0, 0), 25.0
     path = Trajectory(fast.joints, slower * fast.t, fast.q, fast.v / slower, fast.a / slower**2).resampled(1000.0)
     found = identify(axis, make.recorded(true_axis, path, force_noise=100.0))
     assert any(
@@ -251,8 +251,6 @@ def test_two_logs_are_not_joined(l1, truth, monday, make):
     both = identify(l1, [monday, other])
     assert [run.name for run in both.estimate.regression.runs] == ["monday.csv", "wednesday.csv"]
     for run, log in zip(both.estimate.regression.runs, (monday, other), strict=True):
-        assert not run.usable[0].any()  # each end is a filter's edge
-        assert not run.usable[-1].any()
         assert run.t[0] == log.t[0]
     off = [(p.value - truth.parameters[p.name].value) / p.stderr for p in both.parameters if p.stderr]
     assert np.max(np.abs(off)) < 4.5
@@ -360,3 +358,27 @@ def test_what_the_low_pass_spreads_of_a_reversal_is_kept_out(axis, true_axis, ma
     assert np.max(np.abs(e[run.usable])) < 0.4
     everything = regression.residuals_all(true_axis.parameters.values)[0]
     assert np.max(np.abs(everything)) > 2.0
+
+
+def test_encoder_noise_does_not_fold_through_the_gate(axis, true_axis, make):
+    """With 5 um of encoder noise and nothing else wrong the residual of a 93 kg axis stays below 0.3 N rms.
+
+    Unfiltered, that noise is an acceleration of 0.04 m/s^2 up to 60 Hz, 4 N; gates with sharp edges let 0.43 N of it into the band.
+    """
+    squares = []
+    for seed in range(3):
+        log = make.recorded(true_axis, named_motion("fourier", true_axis, 20.0, 0), force_noise=0.0, seed=seed)
+        regression = build_regression(Model.of(true_axis.robot, true_axis.effects), [log])
+        (residual,), (run,) = regression.residuals(true_axis.parameters.values), regression.runs
+        squares.append(np.mean(residual[run.usable] ** 2))
+    assert np.sqrt(np.mean(squares)) < 0.3
+
+
+def test_the_filters_do_not_see_beyond_a_logs_ends(l1, monday):
+    """A log cut in mid motion: within a filter's length of its ends nothing is used."""
+    regression = build_regression(Model.of(l1), [monday.window(1000, 6000)])
+    (run,) = regression.runs
+    length = 1 / regression.settings["preparation"].force_cutoff_hz
+    near = (run.t < run.t[0] + 0.7 * length) | (run.t > run.t[-1] - 0.7 * length)
+    assert near.sum() >= 4
+    assert not run.usable[near].any()

@@ -54,7 +54,7 @@ def solve_least_squares(
         )
     beta, sigma = _iterate(rows, base, len(regression.outputs))
     weighted, y = rows.weighted(sigma, base)
-    R = np.linalg.qr(weighted, mode="r")
+    R = np.asarray(np.linalg.qr(weighted, mode="r"))
     W_runs = [run.W[:, :, rows.free][:, :, base.kept] / sigma[None, :, None] for run in regression.runs]
     e_runs = [(run.y - run.W @ _full(regression.parameters, rows, base, beta)) / sigma for run in regression.runs]
     known = np.concatenate([rows.prior_W[:, base.kept], _gain_rows(regression, rows, weighted, y, gains or {})])

@@ -49,9 +49,9 @@ def _moved(estimate: Estimate) -> list[str]:
             continue
         p = estimate.parameters[name]
         found.append(
-            f"{name}: plain least squares gives {plain:.4g} {p.unit}, outside what is admissible; the nearest "
-            f"admissible estimate has {p.value:.4g} {p.unit} and moves others along (some force is not in the model, or the motion "
-            "is dull)"
+            f"{name}: plain least squares gives {plain:.4g} {p.unit}, outside what is admissible; "
+            f"the nearest admissible estimate has {p.value:.4g} {p.unit} and moves others along "
+            "(some force is not in the model, or the motion is dull)"
         )
     return found
 

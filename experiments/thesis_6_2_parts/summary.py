@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from thesis_6_2.friction import FrictionStudy
-from thesis_6_2.gravity import GravityStudy, most_symmetric
-from thesis_6_2.masses import PLATE, Asymmetry, TwoMasses
-from thesis_6_2.models import CircleStudy, ModelStudy
-from thesis_6_2.printed import CARTS, GRAVITY_MASS, SYMBOLS, TABLE_6_1, TABLE_6_2, TABLE_6_3, G
+from thesis_6_2_parts.friction import FrictionStudy
+from thesis_6_2_parts.gravity import GravityStudy, most_symmetric
+from thesis_6_2_parts.masses import PLATE, Asymmetry, TwoMasses
+from thesis_6_2_parts.models import CircleStudy, ModelStudy
+from thesis_6_2_parts.printed import CARTS, GRAVITY_MASS, SYMBOLS, TABLE_6_1, TABLE_6_2, TABLE_6_3, G
 
 Row = tuple[str, str, float, float, str]
 

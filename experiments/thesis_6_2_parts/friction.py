@@ -7,10 +7,10 @@ import pandas as pd
 
 from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.log import Log
-from thesis_6_2.gravity import levers
-from thesis_6_2.motions import SPEEDS, strokes
-from thesis_6_2.plant import SEED, closed_form, drive_ideal, record, robot_l1, table_6_1_model
-from thesis_6_2.printed import CARTS, GRAVITY_MASS, SYMBOLS, TABLE_6_1, G
+from thesis_6_2_parts.gravity import levers
+from thesis_6_2_parts.motions import SPEEDS, strokes
+from thesis_6_2_parts.plant import SEED, closed_form, drive_ideal, record, robot_l1, table_6_1_model
+from thesis_6_2_parts.printed import CARTS, GRAVITY_MASS, SYMBOLS, TABLE_6_1, G
 
 GIVEN = Choices(fix=("*_link.mass", "plate_link.gravity_mass"))
 FREE = Choices(fix=("*_link.mass",), free=("plate_link.gravity_mass",))

@@ -12,8 +12,8 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from tau_dyn.dynamics import GantryTauMechanism
-from thesis_6_2.motions import cart_positions
-from thesis_6_2.printed import GRAVITY_MASS, SYMBOLS, TABLE_6_2, G
+from thesis_6_2_parts.motions import cart_positions
+from thesis_6_2_parts.printed import GRAVITY_MASS, SYMBOLS, TABLE_6_2, G
 
 EXACT = 0.5  # N rms over the three carts: what the printed digit and a centimetre of reading allow
 MASSES = np.concatenate([[9.13, 11.5, GRAVITY_MASS], np.arange(9.0, 41.0), np.arange(16.0, 37.0, 0.1).round(1)])  # kg
@@ -71,9 +71,12 @@ def study(mechanism: GantryTauMechanism, masses: np.ndarray = MASSES) -> Gravity
     grid = grid.reshape(-1, 2)
     u = levers(mechanism, grid)
     grid, u = grid[np.isfinite(u).all(axis=1)], u[np.isfinite(u).all(axis=1)]
-    found = {
-        mass: [_place(mechanism, grid, u, mass, row, low, high) for row in TABLE_6_2] for mass in np.unique(masses)
-    }
+    found: dict[float, list[tuple[np.ndarray, float]]] = {}
+    near: list[np.ndarray | None] = [None] * len(TABLE_6_2)
+    for mass in np.unique(masses):
+        rows = zip(TABLE_6_2, near, strict=True)
+        found[mass] = [_place(mechanism, grid, u, mass, row, low, high, before) for row, before in rows]
+        near = [place for place, _ in found[mass]]
     table = [{"mass_kg": mass} | {f"{s}_N": rms for s, (_, rms) in zip(SYMBOLS, places, strict=True)}
              | {"rms_N": float(np.sqrt(np.mean([rms**2 for _, rms in places])))} for mass, places in found.items()]  # fmt: skip
     profile = pd.DataFrame(table)
@@ -100,17 +103,19 @@ def _place(
     row: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
+    before: np.ndarray | None,
 ) -> tuple[np.ndarray, float]:
-    """Return the position (2,) in the frame [m] at which this mass comes nearest to a row, and the rms misfit [N]."""
+    """Return the position (2,) in the frame [m] at which this mass comes nearest to a row, and the rms misfit [N].
+
+    The fit starts from the best point of the grid, and from where a slightly smaller mass was.
+    """
 
     def misfit(yz: np.ndarray) -> np.ndarray:
         return np.nan_to_num(G * mass * levers(mechanism, yz[None])[0] - row, nan=1e3)
 
-    squares = np.sum((G * mass * u - row) ** 2, axis=1)
-    # the valley has two arms
-    starts = [grid[np.argmin(np.where(grid[:, 0] < y, squares, np.inf))] for y in (-0.65, np.inf)]
-    fits = [least_squares(misfit, np.clip(x, low + 1e-6, high - 1e-6), bounds=(low, high), x_scale=0.1)
-            for x in np.unique(starts, axis=0)]  # fmt: skip
+    starts = [grid[np.argmin(np.sum((G * mass * u - row) ** 2, axis=1))], *([] if before is None else [before])]
+    inside = [np.clip(start, low + 1e-6, high - 1e-6) for start in starts]
+    fits = [least_squares(misfit, start, bounds=(low, high), x_scale=0.1) for start in inside]
     best = min(fits, key=lambda fit: float(fit.cost))
     return best.x, float(np.sqrt(np.mean(best.fun**2)))
 

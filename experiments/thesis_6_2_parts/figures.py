@@ -11,10 +11,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from tau_dyn.dynamics import GantryTauMechanism
-from thesis_6_2.friction import FrictionStudy
-from thesis_6_2.gravity import EXACT, GravityStudy
-from thesis_6_2.models import CircleStudy, ModelStudy
-from thesis_6_2.printed import CARTS, GRAVITY_MASS, NAMES, SYMBOLS, TABLE_6_1
+from thesis_6_2_parts.friction import FrictionStudy
+from thesis_6_2_parts.gravity import EXACT, GravityStudy
+from thesis_6_2_parts.models import CircleStudy, ModelStudy
+from thesis_6_2_parts.printed import CARTS, GRAVITY_MASS, NAMES, SYMBOLS, TABLE_6_1
 
 INK, GREY, SOFT = "#1a1a1a", "#8a8a8a", "#d9d9d9"
 COLOURS = dict(zip(SYMBOLS, ("#1a1a1a", "#0072b2", "#009e73", "#d55e00", "#cc79a7"), strict=True))
@@ -62,14 +62,14 @@ def figure_6_3(mechanism: GantryTauMechanism, gravity: GravityStudy) -> Figure:
     ax.plot(*rails.T, "s", ms=12, color=INK)
     for k, (y, z) in enumerate(rails):
         ax.annotate(f"guideway {k + 1}", (y, z), (0, -16 if z > 1 else 12), textcoords="offset points", ha="center")
-    near = {"*": (8, 6), "square": (0, -18), "circle": (8, 4), "diamond": (-10, 8), "+": (10, -3)}
+    near = {"*": (8, 6), "square": (-9, -4), "circle": (8, 4), "diamond": (-10, 8), "+": (10, -3)}
     for s, (y, z), rms in zip(SYMBOLS, gravity.fitted, gravity.misfit, strict=True):
         ax.plot(y, z, MARKERS[s], ms=10, color=COLOURS[s], mfc=COLOURS[s] if rms < EXACT else "none", clip_on=False)
         note = "exact" if rms < EXACT else f"{rms:.0f} N off"
         ax.annotate(
             f"{NAMES[s]}, {note}", (y, z), near[s], textcoords="offset points", ha="left" if near[s][0] > 0 else "right"
         )
-    ax.set(aspect="equal", xlim=(-1.55, 0.2), ylim=(-0.12, 1.56), xlabel="y [m]", ylabel="z [m]")
+    ax.set(aspect="equal", xlim=(-1.75, 0.2), ylim=(-0.12, 1.56), xlabel="y [m]", ylabel="z [m]")
     ax.set_title(
         f"6.3  Positions fitted to Table 6.2 at {GRAVITY_MASS} kg\n(open symbols: no position in the frame fits)"
     )

@@ -16,9 +16,9 @@ from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import PlantRun
-from thesis_6_2.motions import ALONG_X, SIDEWAYS_FAST, SIDEWAYS_SLOW, WELL, fast_and_slow
-from thesis_6_2.plant import SEED, closed_form, drive_ideal, model_2, record, robot_l1
-from thesis_6_2.printed import CARTS
+from thesis_6_2_parts.motions import ALONG_X, SIDEWAYS_FAST, SIDEWAYS_SLOW, WELL, fast_and_slow
+from thesis_6_2_parts.plant import SEED, closed_form, drive_ideal, model_2, record, robot_l1
+from thesis_6_2_parts.printed import CARTS
 
 RODS = ("rod1_link.mass", "rod2_link.mass", "rod3_link.mass")
 PLATE = "plate_link.mass"

@@ -10,9 +10,9 @@ from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 from tau_dyn.simulate import PlantRun, Sensors, Trajectory, drive, measure
-from thesis_6_2.hidden import PassiveJointFriction, Stribeck
-from thesis_6_2.motions import RATE
-from thesis_6_2.printed import CARTS, GRAVITY_MASS, TABLE_6_1, TABLE_6_3
+from thesis_6_2_parts.hidden import PassiveJointFriction, Stribeck
+from thesis_6_2_parts.motions import RATE
+from thesis_6_2_parts.printed import CARTS, GRAVITY_MASS, TABLE_6_1, TABLE_6_3
 
 SEED = 62
 SENSORS = Sensors(encoder_noise=2e-6, force_noise=5.0, log_rate_hz=250.0)  # m, N
