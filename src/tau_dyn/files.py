@@ -32,7 +32,12 @@ def writing_whole(path: str | Path) -> Iterator[Path]:
     Raises:
         InputError: The destination cannot be written.
     """
-    path = Path(path)
+    path = Path(path).resolve()  # a link keeps pointing where it did
+    if path.is_dir():
+        raise InputError(f"{path} cannot be written: it is a folder; name a file")
+    if path.exists() and not path.is_file():  # a pipe or a device is written to, never replaced
+        yield path
+        return
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield temporary

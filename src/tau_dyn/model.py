@@ -20,12 +20,12 @@ from tau_dyn.effects import EFFECTS, Effect, Motion
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.parameters import Parameters
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import INERTIAL, Robot, robot_from_urdf
 
 _FORMAT = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """A robot with effects and values.
 
@@ -71,6 +71,18 @@ class Model:
     def with_values(self, values: Mapping[str, float]) -> Model:
         """Return the model with some values replaced, by name."""
         return self.with_parameters(self.parameters.with_values(values))
+
+    def on(self, robot: Robot) -> Model:
+        """Return this model's effects and values on another robot's geometry.
+
+        Raises:
+            InputError: The robots' parameters differ.
+        """
+        untied = robot.untied(n for n in self.robot.parameters.names if n not in robot.parameters and _is_inertial(n))
+        if untied.parameters.names != self.robot.parameters.names:
+            odd = min(set(untied.parameters.names) ^ set(self.robot.parameters.names))
+            raise InputError(f"{robot.source}: parameter '{odd}' is of the model or of the robot, but not of both")
+        return replace(self, robot=untied.with_parameters(self.robot.parameters))
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
         """Return all columns (N, na, p) along a motion (N, na); `sign` replaces `sign(v)` in friction."""
@@ -171,3 +183,7 @@ def _tied_names(robot: Robot) -> set[str]:
     """Return the parameter names that the robot has without untying anything."""
     plain = robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated)
     return set(plain.parameters.names)
+
+
+def _is_inertial(name: str) -> bool:
+    return name.rsplit(".", 1)[-1] in INERTIAL

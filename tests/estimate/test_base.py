@@ -83,3 +83,10 @@ def test_nothing_seen_is_rank_zero():
     base = find_base(np.zeros((10, 3)), ("a", "b", "c"))
     assert base.rank == 0
     assert_array_equal(base.dropped, [0, 1, 2])
+
+
+def test_a_rounding_of_the_robot_file_is_not_a_parameter(rng):
+    """A column 1e-6 of its unit's largest, as an angle of 3.14159 makes, is unseen; other units are judged by themselves."""
+    W = rng.normal(size=(50, 3)) * [1.0, 1e-6, 1e-8]
+    base = find_base(W, ("a.mx", "b.mx", "c.viscous"), units=("kg m", "kg m", "N s"))
+    assert [base.names[k] for k in base.kept] == ["a.mx", "c.viscous"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 
 from tau_dyn.effects import friction_model
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, robot_from_urdf
 
 _HEAD = '<robot name="{name}" xmlns:drake="http://drake.mit.edu" xmlns:tau_dyn="urn:tau_dyn"><link name="base_link"/>'
 
@@ -37,10 +39,11 @@ def _limit(lower: float, upper: float, velocity: float, effort: float) -> str:
     return f'<limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{effort}"/>'
 
 
-def pendulum_robot(mass: float = 2.0, length: float = 0.5) -> Robot:
-    """Return a point mass on a massless rod that turns about y, hanging along -z at zero."""
+def pendulum_robot(mass: float = 2.0, length: float = 0.5, limited: bool = True) -> Robot:
+    """Return a point mass on a massless rod that turns about y, hanging along -z at zero, or for ever around."""
     urdf = _HEAD.format(name="pendulum") + _link("rod_link", mass, f"0 0 {-length}")
-    urdf += _joint("pivot", "revolute", "base_link", "rod_link", "0 1 0", limit=_limit(-3, 3, 20, 200))
+    kind, limit = ("revolute", _limit(-3, 3, 20, 200)) if limited else ("continuous", "")
+    urdf += _joint("pivot", kind, "base_link", "rod_link", "0 1 0", limit=limit)
     return robot_from_urdf(urdf + _drive("pivot") + "</robot>", "pendulum")
 
 
@@ -107,6 +110,34 @@ def with_friction(robot: Robot, coulomb: float, viscous: float, asymmetry: float
     return model.with_values({f"{joint}.{name}": value for joint in robot.actuated for name, value in values.items()})
 
 
+ARMS = {
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", None),
+    "panda": ("panda_description/urdf/panda.urdf", [f"panda_joint{i}" for i in range(1, 8)]),
+}
+
+
+def arm_model(name: str) -> Model:
+    """Return a serial arm of `example-robot-data`, with friction in proportion to its drives' limits."""
+    path, joints = ARMS[name]
+    try:
+        found = [f for f in files("example-robot-data") or () if str(f).endswith(path)]
+    except PackageNotFoundError:
+        found = []
+    if not found:
+        pytest.skip("example-robot-data is not installed")
+    robot = load_robot(Path(str(found[0].locate())), actuated=joints)
+    model = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    shares = {"coulomb_pos": 0.05, "coulomb_neg": 0.04, "viscous_pos": 0.03, "viscous_neg": 0.02}
+    drives = zip(robot.actuated, robot.effort_limit, strict=True)
+    return model.with_values({f"{joint}.{k}": x * limit for joint, limit in drives for k, x in shares.items()})
+
+
+@pytest.fixture(params=sorted(ARMS))
+def arm(request) -> Model:
+    """Each of the serial arms."""
+    return arm_model(request.param)
+
+
 @pytest.fixture(scope="session")
 def gantry() -> Model:
     """A simplified Gantry-Tau with asymmetric friction of the size of L1's."""
@@ -122,7 +153,9 @@ def block() -> Model:
 @pytest.fixture(scope="session")
 def make() -> SimpleNamespace:
     """The makers of robots and models above, for tests that need one of their own."""
-    return SimpleNamespace(block=block_robot, friction=with_friction, gantry=gantry_robot, pendulum=pendulum_robot)
+    return SimpleNamespace(
+        arm=arm_model, block=block_robot, friction=with_friction, gantry=gantry_robot, pendulum=pendulum_robot
+    )
 
 
 @pytest.fixture

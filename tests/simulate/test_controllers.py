@@ -1,6 +1,7 @@
 """Controllers: the published EMPS law, tracking, saturation without wind-up."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +9,18 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
+from tau_dyn.control import Feedforward
 from tau_dyn.exceptions import InputError
+from tau_dyn.identify import identify
 from tau_dyn.simulate import (
     CascadeController,
     CascadeLaw,
-    EmpsController,
+    Sensors,
     Trajectory,
     move,
     named_motion,
     run_plant,
+    simulate,
     stroke_motion,
 )
 
@@ -28,7 +32,7 @@ EMPS = {"carriage_link.mass": 95.154, "axis.coulomb_pos": 20.144, "axis.coulomb_
 def test_emps_lag_at_constant_speed_is_what_its_law_says(block):
     """Without an integral, `kp kv gtau e = kv gtau v + Fc + Fv v`: the reference leads by 3.4 mm at 0.2 m/s and so on."""
     reference = stroke_motion(block, 12.0, speeds=(0.2,))
-    run = run_plant(block, reference, EmpsController())
+    run = run_plant(block, reference, CascadeController(CascadeLaw.emps()))
     kp, stiffness = 160.18, 243.45 * 35.150652
     for sign in (1.0, -1.0):
         steady = (sign * reference.v[:, 0] > 0.1) & (np.abs(reference.a[:, 0]) < 1e-9)
@@ -41,7 +45,7 @@ def test_emps_lag_at_constant_speed_is_what_its_law_says(block):
 
 def test_emps_law_gives_its_published_forces():
     """`35.150652 N/V (kp kv (qg - q) - kv dq)` for an error and a speed of choice, and no more than 10 V."""
-    controller = EmpsController()
+    controller = CascadeController(CascadeLaw.emps())
     rest = np.zeros((1, 1))
     controller.reset(Trajectory(("axis",), np.arange(9) / 1000, *np.zeros((3, 9, 1))))
     step = controller.force(0, 0.0, rest[0] + 1e-4, rest[0], rest[0], rest[0])
@@ -62,7 +66,7 @@ def test_emps_drive_follows_its_recording(block):
     table = pd.read_csv(path)
     rate = (len(table) - 1) / (table.t.iloc[-1] - table.t.iloc[0])
     reference = Trajectory.through(("axis",), np.arange(len(table)) / rate, table[["qg"]].to_numpy())
-    run = run_plant(block.with_values(EMPS), reference, EmpsController())
+    run = run_plant(block.with_values(EMPS), reference, CascadeController(CascadeLaw.emps()))
     force = 35.150652 * table.vir.to_numpy()
     moving = slice(500, None)
     position_error = np.linalg.norm((run.q[:, 0] - table.qm)[moving]) / np.linalg.norm(table.qm[moving])
@@ -84,9 +88,48 @@ def test_feedforward_of_the_true_model_shrinks_the_error(gantry):
     reference = named_motion("fourier", gantry, 6.0)
     law = CascadeLaw.for_model(gantry)
     plain = run_plant(gantry, reference, CascadeController(law, start=gantry))
-    helped = run_plant(gantry, reference, CascadeController(law, feedforward=gantry))
+    helped = run_plant(gantry, reference, CascadeController(law, feedforward=Feedforward(gantry)))
     errors = [np.sqrt(np.mean((run.q - reference.q) ** 2)) for run in (plain, helped)]
     assert errors[1] < errors[0] / 4
+
+
+@pytest.mark.parametrize("name", ["fourier", "prbs"])
+def test_default_cascade_follows_on_serial_arms(arm, name):
+    """Stretched arms, whose mass matrix is far from diagonal: within 0.015 rad of 2 rad, no force limit reached."""
+    reference = named_motion(name, arm, 5.0, seed=2)
+    run = run_plant(arm, reference, CascadeController(CascadeLaw.for_model(arm), start=arm))
+    assert np.max(np.abs(reference.q - reference.q[0])) > 0.7
+    assert np.max(np.abs(run.q - reference.q)) < 0.015
+    assert np.all(np.abs(run.tau) < 0.999 * arm.robot.effort_limit) and run.warnings == reference.notes
+
+
+def test_feedback_of_the_diagonal_alone_swings_between_the_limits_and_says_so(make):
+    """The Panda on gains of diag(M) at home: three joints of four fight each other; the log names them and the share."""
+    panda = make.arm("panda")
+    M, _ = panda.mechanism.mass_and_bias(panda.robot.home, np.zeros(7))
+    whole = CascadeLaw.for_model(panda)
+    law = replace(whole, velocity_gain=whole.velocity_gain * np.diag(M), inertia=None)
+    log = simulate(panda, named_motion("fourier", panda, 4.0), CascadeController(law, start=panda))
+    said = [w for w in log.warnings if "force limit" in w]
+    share = np.mean(np.abs(log.channels["tau_panda_joint1"]) >= 87.0 * (1 - 1e-9))
+    assert share > 0.5
+    assert said[0].startswith(
+        f"joint panda_joint1 was at its force limit of 87 N m in {100 * share:.0f} % of the samples"
+    )
+    assert not any("panda_joint7" in w for w in said)
+
+
+def test_friction_of_a_serial_arm_is_identified_from_its_log(make):
+    """UR5, six joints, typical sensors: Coulomb and viscous friction of both directions within 5 % and 4 sigma."""
+    ur5 = make.arm("ur5")
+    log = simulate(ur5, named_motion("fourier", ur5, 20.0), sensors=Sensors.typical(ur5.robot, log_rate_hz=250))
+    assert log.warnings == ()
+    found = identify(ur5.robot, log).estimate.parameters
+    truth = ur5.effect_parameters
+    for true in truth:
+        value, sigma = found[true.name].value, found[true.name].stderr
+        assert abs(value - true.value) < max(0.05 * true.value, 1e-12), true.name
+        assert sigma is not None and abs(value - true.value) < 4 * sigma, true.name
 
 
 def test_integral_does_not_wind_up_at_the_force_limit(make):
@@ -112,4 +155,4 @@ def test_gantry_does_not_sag_when_released(gantry):
 def test_law_for_another_robot_is_refused(gantry):
     """A one-joint law cannot drive three carts, and the message says so."""
     with pytest.raises(InputError, match=r"for 1 joint\(s\), fourier moves 3"):
-        run_plant(gantry, named_motion("fourier", gantry, 5.0), EmpsController())
+        run_plant(gantry, named_motion("fourier", gantry, 5.0), CascadeController(CascadeLaw.emps()))

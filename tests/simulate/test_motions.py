@@ -131,6 +131,16 @@ def test_motions_shrink_until_the_loops_close_well(make):
     assert np.max(long.mechanism.condition(motion.q)) < condition_bound(long)
 
 
+def test_joints_without_limits_are_within_them(make):
+    """A drive that may turn for ever, without speed or force limit: no motion breaks a limit, and no warning is raised."""
+    free = Model.of(make.pendulum(limited=False))
+    assert np.isinf(free.robot.upper).all() and np.isinf(free.robot.effort_limit).all()
+    for name in NAMES:
+        motion = named_motion(name, free, 8.0)
+        assert motion.n_samples > 1 and not any("scaled" in note for note in motion.notes)
+    assert broken_limit(free, motion) is None
+
+
 def test_unknown_motion_lists_those_there_are(gantry):
     """A wrong name gets the right ones; a motion too short for its windows is refused."""
     with pytest.raises(UnknownName, match="no motion named 'chirp'; there are exciting, fourier"):

@@ -8,9 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import ellipk
 
-from tau_dyn.effects import Motion, ReducerCoupling
+from tau_dyn.effects import Effect, Motion, ReducerCoupling
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.simulate import CascadeController, CascadeLaw, free_motion, named_motion, run_plant
 from tau_dyn.simulate.forces import SampledForces
 from tau_dyn.simulate.slip import solve_slip
@@ -171,6 +172,23 @@ def test_shared_motor_moves_with_both_joints(make):
     M[:2, :2] += 7.0
     expected = np.linalg.solve(M, tau - h - [3.0, 3.0, 0.0])
     assert_allclose(free_motion(model, q, v, 0.001, tau=tau).a[0], expected, rtol=1e-3)
+
+
+def test_inertia_that_vanishes_at_zero_is_still_found(make):
+    """An effect of `sin(q) a` has no columns at q = 0, where home is, and enters the mass matrix elsewhere all the same."""
+
+    class SwingingInertia(Effect):
+        """Force `sin(q) a` on the axis."""
+
+        name, equation = "swinging_inertia", "tau = J sin(q) a"
+        parameters = Parameters([Parameter("axis.swing", 0.0, "kg")])
+
+        def columns(self, motion):
+            return (np.sin(motion.q) * motion.a)[:, :, None]
+
+    model = Model.of(make.block(95.0), [SwingingInertia(("axis",), ("N",))]).with_values({"axis.swing": 30.0})
+    run = free_motion(model, np.array([0.4]), np.zeros(1), 0.001, tau=np.array([100.0]))
+    assert_allclose(run.a[0], 100.0 / (95.0 + 30.0 * np.sin(0.4)), rtol=1e-9)
 
 
 def test_gains_that_are_too_high_are_said(make, block):

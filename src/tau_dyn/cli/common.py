@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.files import write_whole
+from tau_dyn.files import write_whole, writing_whole
 from tau_dyn.version import __version__
 
 
@@ -123,6 +123,10 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
     for path in destinations:
         if not path.resolve().parent.is_dir():
             raise InputError(f"{path}: the folder {path.parent} does not exist")
+        if path.is_dir():
+            raise InputError(f"{path} is a folder; name a file")
+    if len({path.resolve() for path in destinations}) < len(destinations):
+        raise InputError("two outputs are to be written to one file; give each its own")
     try:
         outcome = run(args)
     except CannotAnswer as fault:
@@ -141,16 +145,18 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
 
 
 def _write(command: str, args: argparse.Namespace, outcome: Outcome, report: str | None) -> None:
-    result = envelope(command, args, outcome.inputs, "ok", outcome.warnings) | outcome.result
-    for path, content in outcome.files.items():
-        if isinstance(content, str):
-            write_whole(path, content)
-        else:
-            content(path)
+    files = dict(outcome.files)
     if report is not None:
-        write_whole(args.report, report)
+        files[args.report] = report
     if args.json is not None:
-        write_whole(args.json, to_json(result))
+        files[args.json] = to_json(envelope(command, args, outcome.inputs, "ok", outcome.warnings) | outcome.result)
+    with ExitStack() as staged:  # all are complete before the first takes its place
+        for path, content in files.items():
+            temporary = staged.enter_context(writing_whole(path))
+            if isinstance(content, str):
+                temporary.write_text(content, encoding="utf-8")
+            else:
+                content(temporary)
 
 
 def _cannot_answer(command: str, args: argparse.Namespace, fault: CannotAnswer) -> None:

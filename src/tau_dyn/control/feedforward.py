@@ -85,8 +85,9 @@ class Feedforward:
         sign, joints = self.smooth_sign(v), self.model.robot.actuated
         if self.shape == "tanh":
             return self.model.effect_force(Motion.of(joints, q, v, a, sign))
-        ahead = Motion.of(joints, q, np.maximum(v, self.width), a, np.ones_like(v))
-        back = Motion.of(joints, q, np.minimum(v, -self.width), a, -np.ones_like(v))
+        slow, ones = np.abs(v) < self.width, np.ones_like(v)
+        ahead = Motion.of(joints, q, np.where(slow, self.width, v), a, np.where(slow, ones, sign))
+        back = Motion.of(joints, q, np.where(slow, -self.width, v), a, np.where(slow, -ones, sign))
         return (1 + sign) / 2 * self.model.effect_force(ahead) + (1 - sign) / 2 * self.model.effect_force(back)
 
     def smooth_sign(self, v: np.ndarray) -> np.ndarray:

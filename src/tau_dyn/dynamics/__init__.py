@@ -14,12 +14,14 @@ def build_mechanism(robot: Robot) -> Mechanism:
     It holds where rods are slender, sit on the carts' origins and follow their masses; one sample near home shows it.
     """
     tree = TreeMechanism(robot)
-    if not robot.arms or any(len(link.own) > 1 for link in robot.links):
+    if not GantryTauMechanism.describes(robot):
         return tree
     closed = GantryTauMechanism(robot)
     sample = robot.home[None] + 0.01, np.array([[0.3, -0.2, 0.1]]), np.array([[1.0, -1.0, 0.5]])
     Y = tree.regressor(*sample)
-    return closed if np.abs(closed.regressor(*sample) - Y).max() < 1e-7 * np.abs(Y).max() else tree
+    same_forces = np.abs(closed.regressor(*sample) - Y).max() < 1e-7 * np.abs(Y).max()
+    same_tool = np.abs(closed.tool_position(sample[0]) - tree.tool_position(sample[0])).max() < 1e-9
+    return closed if same_forces and same_tool else tree
 
 
 __all__ = ["SINGULAR", "GantryTauMechanism", "Mechanism", "TreeMechanism", "build_mechanism"]

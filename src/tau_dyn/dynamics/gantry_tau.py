@@ -39,8 +39,8 @@ class GantryTauMechanism(Mechanism):
         model, data = robot.model, robot.model.createData()
         pin.framesForwardKinematics(model, data, pin.neutral(model))
         joints = [model.getJointId(arm.cart_joint) for arm in robot.arms]
-        if tuple(arm.cart_joint for arm in robot.arms) != robot.actuated:
-            raise InputError(f"{robot.source}: the closed form needs the three carts as actuated joints, in order")
+        if not self.describes(robot):
+            raise InputError(f"{robot.source}: the closed form needs three driven carts, rods and a plate with mass, and a tool")
         self.origin = np.array([data.oMi[j].translation for j in joints])
         axes = [pin.computeJointJacobian(model, data, pin.neutral(model), j)[:3, model.joints[j].idx_v] for j in joints]
         self.direction = np.array([data.oMi[j].rotation @ axis for j, axis in zip(joints, axes, strict=True)])
@@ -57,6 +57,15 @@ class GantryTauMechanism(Mechanism):
         self.m_plate = values[f"{robot.plate}.mass"]
         self.m_gravity = values.get(f"{robot.plate}.gravity_mass", 0.0)
         self._side = np.sign(np.linalg.det(self._rods(robot.home[None], self._near_home(robot))[0]))
+
+    @staticmethod
+    def describes(robot: Robot) -> bool:
+        """Return whether a robot has the parts the closed form speaks of, each with its mass as only parameter."""
+        parts = [link for arm in robot.arms for link in (arm.cart_link, arm.rod_link)]
+        masses = {link.link for link in robot.links if link.own == (0,)}
+        carts = tuple(arm.cart_joint for arm in robot.arms)
+        whole = len(parts) == 6 and masses == {*parts, robot.plate}
+        return whole and carts == robot.actuated and robot.tool_frame is not None
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, 3, p); see `Mechanism.regressor`."""

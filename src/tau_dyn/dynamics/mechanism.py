@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.robot import Robot
 
 SINGULAR = 1e4
@@ -43,11 +43,23 @@ class Mechanism(ABC):
 
     @abstractmethod
     def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """Return the tool's position in the base frame (N, 3) [m] for actuated positions (N, na)."""
+        """Return the tool's position in the base frame (N, 3) [m] for actuated positions (N, na).
+
+        Raises:
+            InputError: The robot file has no frame named `tool`.
+        """
 
     @abstractmethod
     def condition(self, q: np.ndarray) -> np.ndarray:
         """Return the closure's conditioning (N,) for actuated positions (N, na); 1 without loops."""
+
+    def reachable(self, q: np.ndarray) -> bool:
+        """Return whether the loops close at actuated positions `q` (na,)."""
+        try:
+            self.condition(np.atleast_2d(q))
+        except LoopClosureError:
+            return False
+        return True
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the actuated forces (N, na) [N or N m] of the rigid robot at its parameters' values."""

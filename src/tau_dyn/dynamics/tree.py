@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.dynamics.mechanism import Mechanism
+from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.robot import Robot
 
@@ -25,6 +26,8 @@ class TreeMechanism(Mechanism):
         self.data = self.solver.data
         self._map = self._parameter_map()
         self._upper = np.triu(np.ones((self.model.nv, self.model.nv))) - 0.5 * np.eye(self.model.nv)  # crba's half
+        if robot.loops:
+            self._refuse_free_motion()
         self._gravity_only = [p.name for p in robot.parameters if p.name.endswith(".gravity_mass")]
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -48,6 +51,8 @@ class TreeMechanism(Mechanism):
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return actuated forces (N, na); see `Mechanism.inverse_dynamics`."""
         q, v, a = self._checked(q, v, a)
+        if any(inertia.mass == 0 and np.any(inertia.inertia) for inertia in self.model.inertias):
+            return super().inverse_dynamics(q, v, a)  # Pinocchio divides a first moment by the mass
         tau = np.empty_like(q)
         for k in range(len(q)):
             state = self.solver.state(q[k], v[k], a[k])
@@ -63,9 +68,11 @@ class TreeMechanism(Mechanism):
         return half + half.T, state.G.T @ h
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """Return the tool's position (N, 3) [m]; the last frame's where the file has no `tool`."""
+        """Return the tool's position (N, 3) [m]; see `Mechanism.tool_position`."""
         (q,) = self._checked(q)
-        frame = self.robot.tool_frame if self.robot.tool_frame is not None else self.model.nframes - 1
+        frame = self.robot.tool_frame
+        if frame is None:
+            raise InputError(f"{self.robot.source}: the robot file has no frame named tool")
         out = np.empty((len(q), 3))
         for k in range(len(q)):
             pin.framesForwardKinematics(self.model, self.data, self.solver.close(q[k]))
@@ -76,6 +83,22 @@ class TreeMechanism(Mechanism):
         """Return the closure's conditioning (N,)."""
         (q,) = self._checked(q)
         return np.array([self.solver.condition(x) for x in q])
+
+    def _refuse_free_motion(self) -> None:
+        """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which nothing drives, is fine."""
+        free = self.solver.free_motions()
+        if not free.size:
+            return
+        state = self.solver.state(self.robot.home, np.zeros(self.robot.na), np.zeros(self.robot.na))
+        upper = self._upper * pin.crba(self.model, self.data, state.q).reshape(self.model.nv, -1)
+        M, weight = upper + upper.T, pin.computeGeneralizedGravity(self.model, self.data, state.q)
+        driven = np.abs(free.T @ M @ state.G).max() > 1e-6 * np.abs(state.G.T @ M @ state.G).max()
+        pulled = np.abs(free.T @ weight).max() > 1e-6 * max(np.abs(weight).max(), 1e-12)
+        if driven or pulled:
+            raise InputError(
+                f"{self.robot.source}: loops and actuated joints ({', '.join(self.robot.actuated)}) leave "
+                f"{free.shape[1]} motion(s) of the passive joints free; name more actuated joints"
+            )
 
     def _parameter_map(self) -> np.ndarray:
         """Return the map from inertial parameters to Pinocchio's stacked `pi` (10 * (njoints - 1), n_inertial)."""

@@ -18,7 +18,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Actuated motion as effects see it.
 

@@ -7,16 +7,20 @@ norm. Reference: Gautier 1991, Numerical calculation of the base inertial parame
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
-RANK_TOLERANCE = 1e-7
+VISIBLE = 1e-5
+"""Size of a column, relative to the largest of its unit, below which it is a rounding of the robot file, not physics."""
+
+RANK_TOLERANCE = 1e-6
 """Part of a unit column that others must leave unexplained; closures are solved to 1e-12, so dependence shows to ~1e-10."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BaseParameters:
     """The combinations a regressor can see.
 
@@ -69,16 +73,23 @@ class BaseParameters:
         return tuple(self.names[c] for c in sorted(shared - {column}))
 
 
-def find_base(W: np.ndarray, names: tuple[str, ...], tolerance: float = RANK_TOLERANCE) -> BaseParameters:
+def find_base(
+    W: np.ndarray,
+    names: tuple[str, ...],
+    tolerance: float = RANK_TOLERANCE,
+    *,
+    units: Sequence[str] | None = None,
+) -> BaseParameters:
     """Find the base parameters of a regressor.
 
     Args:
         W: Stacked columns (N, p), whitened or not.
         names: Column names.
         tolerance: Unexplained part of a unit column below which it is dependent.
+        units: The parameters' units; columns far smaller than the largest of their unit count as unseen.
     """
     norm = np.linalg.norm(W, axis=0)
-    seen = norm > 1e-12 * max(norm.max(initial=0.0), 1e-300)
+    seen = _visible(norm, units)
     unit = np.divide(W, norm, out=np.zeros_like(W), where=seen)
     R = np.linalg.qr(unit, mode="r") if len(unit) > len(names) else unit
     rank = _rank(R, tolerance)
@@ -97,6 +108,14 @@ def find_base(W: np.ndarray, names: tuple[str, ...], tolerance: float = RANK_TOL
     K = K * norm[dropped] / norm[kept][:, None]
     relative = np.abs(K) * norm[kept][:, None] / np.where(norm[dropped] > 0, norm[dropped], 1.0)
     return BaseParameters(names, np.array(kept, int), np.array(dropped, int), np.where(relative > 1e-6, K, 0.0))
+
+
+def _visible(norm: np.ndarray, units: Sequence[str] | None) -> np.ndarray:
+    seen = norm > 1e-12 * max(norm.max(initial=0.0), 1e-300)
+    for unit in set(units or ()):
+        alike = np.array([u == unit for u in units or ()])
+        seen &= ~alike | (norm > VISIBLE * norm[alike].max())
+    return seen
 
 
 def _rank(R: np.ndarray, tolerance: float) -> int:

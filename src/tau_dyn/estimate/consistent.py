@@ -46,7 +46,7 @@ def solve_consistent(
         parameters: All parameters with bounds; fixed ones stay.
         base: Base parameters of the free columns.
         beta: Plain base estimates (r,).
-        R: Triangular factor (r, r) with `R' R` the inverse covariance of `beta`.
+        R: Triangular factor (r, r) with `R' R = W' W` of the weighted rows, so that a bound acts as fixing there would.
         physics: Bodies to keep physical; None for bounds alone.
     """
     plain = parameters.with_values(_plain_values(parameters, base, beta))

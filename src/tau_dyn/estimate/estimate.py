@@ -16,7 +16,7 @@ DETERMINED = 0.30
 """Relative standard error below which a parameter counts as determined."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """A solved `Regression`.
 

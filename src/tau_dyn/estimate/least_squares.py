@@ -46,7 +46,8 @@ def solve_least_squares(
         CannotAnswer: Fewer usable samples than parameters.
     """
     rows = _rows(regression)
-    base = find_base(np.concatenate([rows.W, rows.prior_W]), rows.names)
+    units = [p.unit for p in regression.parameters.select(rows.names)]
+    base = find_base(np.concatenate([rows.W, rows.prior_W]), rows.names, units=units)
     if base.rank == 0 or len(rows.y) <= base.rank:
         raise CannotAnswer(
             f"only {len(rows.y)} usable samples for {max(base.rank, 1)} parameters",
@@ -59,7 +60,7 @@ def solve_least_squares(
     e_runs = [(run.y - run.W @ _full(regression.parameters, rows, base, beta)) / sigma for run in regression.runs]
     known = np.concatenate([rows.prior_W[:, base.kept], _gain_rows(regression, rows, weighted, y, gains or {})])
     certainty = robust_covariance(regression, W_runs, e_runs, R, known)
-    constrained = solve_consistent(regression.parameters, base, beta, certainty.root, physics)
+    constrained = solve_consistent(regression.parameters, base, beta, R, physics)
     stderr = np.sqrt(np.maximum(np.diag(certainty.coloured), np.diag(certainty.scattered)))
     return Estimate(
         regression=regression,

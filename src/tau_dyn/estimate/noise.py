@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, signal
 
 from tau_dyn.estimate.regression import Regression
 
@@ -23,7 +23,7 @@ BLOCK_S = 2.0
 MAX_ORDER = 12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Autoregression:
     """`e_t = sum_k phi_k e_{t-k} + u_t`; `phi` (order,), `variance` that of the process itself."""
 
@@ -38,23 +38,20 @@ class Autoregression:
         # impulse response of the process, long enough for its slowest pole (roots lie within 0.999)
         impulse = np.zeros(max(n, 4096))
         impulse[0] = 1.0
-        from scipy.signal import fftconvolve, lfilter
-
-        h = lfilter([1.0], np.concatenate([[1.0], -self.phi]), impulse)
-        covariance = fftconvolve(h, h[::-1])[len(h) - 1 :][:n]
+        h = np.asarray(signal.lfilter([1.0], np.concatenate([[1.0], -self.phi]), impulse))
+        covariance = signal.fftconvolve(h, h[::-1])[len(h) - 1 :][:n]
         return covariance * (self.variance / covariance[0])
 
 
 class Covariance(NamedTuple):
     """What least squares knows about its errors.
 
-    `coloured` (r, r) by the autoregressive models, `scattered` (r, r) from blocks, `root` (r, r) with `root' root =
-    coloured^-1`, and each output's noise model.
+    `coloured` (r, r) by the autoregressive models, `scattered` (r, r) from blocks, and each output's noise
+    model.
     """
 
     coloured: np.ndarray
     scattered: np.ndarray
-    root: np.ndarray
     models: tuple[Autoregression, ...]
 
 
@@ -98,10 +95,7 @@ def robust_covariance(
     blocks, count = _block_middle(regression, U, residuals)
     coloured = coloured + sure
     scattered = blocks * count / (count - 1) + sure if count > 1 else coloured
-    values, vectors = np.linalg.eigh(coloured)
-    values = np.maximum(values, 1e-14 * max(values[-1], 1e-300))
-    root = (vectors / np.sqrt(values)).T @ R
-    return Covariance(inverse @ coloured @ inverse.T, inverse @ scattered @ inverse.T, root, tuple(models))
+    return Covariance(inverse @ coloured @ inverse.T, inverse @ scattered @ inverse.T, tuple(models))
 
 
 def _autoregressive_middle(

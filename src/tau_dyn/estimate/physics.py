@@ -16,7 +16,7 @@ import numpy as np
 _IXX, _IXY, _IYY, _IXZ, _IYZ, _IZZ = range(4, 10)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
     """One body: which parameters make its ten inertial numbers `pi = map @ parameters`.
 
@@ -31,7 +31,7 @@ class Body:
     map: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Physics:
     """The bodies whose inertial numbers must be those of something that exists."""
 

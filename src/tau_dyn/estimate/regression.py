@@ -15,7 +15,7 @@ import numpy as np
 from tau_dyn.parameters import Parameters
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """One stretch of evenly sampled data.
 
@@ -52,7 +52,7 @@ class Run:
             yield slice(int(start), int(stop))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Regression:
     """A stacked linear problem.
 

@@ -10,7 +10,7 @@ import numpy as np
 from tau_dyn.estimate import Regression
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ForceErrors:
     """Errors of predicted forces on some logs.
 

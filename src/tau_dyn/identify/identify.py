@@ -128,7 +128,7 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
     """Return a model of this robot: friction by name, or the effects and values of a model file.
 
     Raises:
-        InputError: The model file is of a robot with other actuated joints.
+        InputError: The model file is of a robot with other actuated joints or parameters.
     """
     if isinstance(model, str) and model in FRICTION_MODELS:
         return Model.of(robot, friction_model(model, robot.actuated, robot.force_units))
@@ -139,7 +139,7 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
     if model.robot.actuated != robot.actuated:
         theirs = ", ".join(model.robot.actuated)
         raise InputError(f"the model is of a robot with joints {theirs}; this one has {', '.join(robot.actuated)}")
-    return model
+    return model.on(robot)
 
 
 @dataclass(frozen=True)
@@ -172,13 +172,18 @@ def _log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
 
 def _without_trained(train: list[Log], held: list[Log], warnings: list[str]) -> list[Log]:
     """Drop held-out logs that are also trained on, and say so; their errors would not be held-out errors."""
-    known = {log.sha256 or id(log) for log in train}
-    both = [log for log in held if (log.sha256 or id(log)) in known]
+    both = [log for log in held if any(_shares_samples(log, other) for other in train)]
     for log in both:
         warnings.append(
             f"{log.name} is both trained on and held out; its errors are not held-out errors and are left out"
         )
     return [log for log in held if log not in both]
+
+
+def _shares_samples(one: Log, other: Log) -> bool:
+    """Return whether two logs hold the same samples; parts of one file that do not overlap in time are different data."""
+    same_file = one is other or bool(one.sha256 and one.sha256 == other.sha256)
+    return same_file and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1]
 
 
 def _scaled(regression: Regression, gains: dict[str, tuple[float, float]]) -> Regression:

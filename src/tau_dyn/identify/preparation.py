@@ -36,7 +36,7 @@ MEMORY = 2.0
 """Half-width of what the first filter makes of a step, in periods of its cutoff; 0.3 % of the step is left after it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Preparation:
     """Filters and masks between a log and its regression.
 

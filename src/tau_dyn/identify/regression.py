@@ -7,9 +7,9 @@ speeds within the noise) or that the user excludes, *before* the low-pass `F` th
     y = F(g tau) / F(g),   W = F(g Y) / F(g)
 
 so that `y = W theta` stays exact and nothing leaks out of a reversal into its neighbourhood (normalised convolution,
-Knutsson & Westin 1993). The gate's edges are ramps one period of the position filter long: a sharp edge would fold the
-acceleration's noise, large above the band of `F`, into it. Samples where less than half of the filter's weight is left are
-masked; the rest are decimated.
+Knutsson & Westin 1993). The gate's edges are ramps, two periods of the position filter's cutoff long: a sharp edge would fold
+the acceleration's noise, large above the band of `F`, into it. Samples where less than half of the filter's weight is left
+are masked; the rest are decimated.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> n
     shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
     half = int(np.ceil(preparation.window_s * log.rate_hz))
     gate = 1.0 - binary_dilation(shut, np.ones((2 * half + 1, 1), bool))
-    ramp = np.hanning(2 * int(np.ceil(0.5 * log.rate_hz / preparation.position_cutoff_hz)) + 3)
+    ramp = np.hanning(2 * int(np.ceil(log.rate_hz / preparation.position_cutoff_hz)) + 3)
     return convolve1d(gate, ramp / ramp.sum(), axis=0, mode="nearest")
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
-from tau_dyn.estimate import Estimate, Regression
+from tau_dyn.estimate import DETERMINED, Estimate, Regression
 from tau_dyn.identify.errors import ForceErrors
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -14,7 +15,7 @@ from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 _Z95 = 1.959964
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Identification:
     """Identified parameters and how far to trust them.
 
@@ -63,7 +64,13 @@ class Identification:
             p = self.estimate.parameters[base.names[column]]
             nominal = None if self._is_friction(p.name) else float(base.combine(before)[k])
             row = {"name": p.name, "expression": base.expression(k), "value": float(value), "unit": p.unit}
-            rows.append(row | _uncertainty(float(value), float(sigma)) | {"identifiable": True, "nominal": nominal})
+            row |= _uncertainty(float(value), float(sigma), p if base.alone[column] else None)
+            row |= {"identifiable": True, "nominal": nominal}
+            if base.alone[column]:
+                row |= {key: self._row(p)[key] for key in ("nominal_stderr", "at_bound")}
+            else:
+                row |= {"nominal_stderr": None, "at_bound": False}
+            rows.append(row)
         return rows
 
     def to_dict(self) -> dict[str, Any]:
@@ -93,7 +100,7 @@ class Identification:
         value = p.value if seen else before.value
         trusted = not self._is_friction(p.name)
         row: dict[str, Any] = {"name": p.name, "value": value, "unit": p.unit}
-        row |= _uncertainty(value, p.stderr)
+        row |= _uncertainty(value, p.stderr, p)
         row |= {
             "identifiable": self.estimate.identifiable(p.name),
             "nominal": before.value if trusted else None,
@@ -112,13 +119,15 @@ class Identification:
         return name in self.model.effect_parameters
 
 
-def _uncertainty(value: float, stderr: float | None) -> dict[str, Any]:
+def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dict[str, Any]:
+    """Return standard error and interval, the interval within the parameter's bounds where it has any."""
     if stderr is None:
         return {"stderr": None, "ci95": None, "determined": False}
+    lower, upper = (p.lower, p.upper) if p is not None else (-inf, inf)
     return {
         "stderr": stderr,
-        "ci95": [value - _Z95 * stderr, value + _Z95 * stderr],
-        "determined": bool(stderr < 0.3 * abs(value)),
+        "ci95": [max(lower, value - _Z95 * stderr), min(upper, value + _Z95 * stderr)],
+        "determined": bool(stderr < DETERMINED * abs(value)),
     }
 
 

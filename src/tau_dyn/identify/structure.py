@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.estimate import BaseParameters, Body, Physics, find_base
-from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.model import Model
 
 _STATES = 60
@@ -26,7 +25,8 @@ def structural_base(model: Model, seed: int = 0) -> BaseParameters:
     stacked = np.concatenate([W.reshape(-1, W.shape[2]), rows])
     free = model.parameters.free
     names = tuple(n for n, f in zip(model.parameters.names, free, strict=True) if f)
-    return find_base(stacked[:, free], names)
+    units = [p.unit for p in model.parameters if p.free]
+    return find_base(stacked[:, free], names, units=units)
 
 
 def random_positions(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -38,10 +38,9 @@ def random_positions(model: Model, count: int, rng: np.random.Generator) -> np.n
     reach = 0.8
     while len(found) < count:
         q = robot.home + reach * (rng.uniform(low, high) - robot.home)
-        try:
-            model.mechanism.tool_position(q[None])
+        if model.mechanism.reachable(q):
             found.append(q)
-        except LoopClosureError:
+        else:
             reach *= 0.9
     return np.array(found)
 

@@ -101,6 +101,26 @@ class LoopSolver:
         s = np.linalg.svd(J_p / _lengths(J_p), compute_uv=False)
         return float(s[0] / s[-1]) if s[-1] > 1e-10 * s[0] else np.inf
 
+    def free_motions(self) -> np.ndarray:
+        """Return the passive motions (nv, k) that loops and actuated joints leave free at home, as unit columns.
+
+        Raises:
+            LoopClosureError: The loops do not let the actuated joints move independently of each other.
+        """
+        jacobian = self._constraints.jacobian(self.close(self.robot.home))
+        J_p, J_a = jacobian[:, self.passive_v], jacobian[:, self.active_v]
+        _, s, vt = np.linalg.svd(J_p) if J_p.size else (None, np.zeros(0), np.eye(len(self.passive_v)))
+        rank = int(np.sum(s > 1e-9 * s.max(initial=0.0)))
+        stuck = J_a - J_p @ np.linalg.lstsq(J_p, J_a, rcond=1e-9)[0] if J_p.size else J_a
+        if np.abs(stuck).max() > 1e-6 * np.abs(J_a).max():
+            raise LoopClosureError(
+                f"{self.robot.source}: the loops do not let {', '.join(self.robot.actuated)} move independently; "
+                "name fewer actuated joints"
+            )
+        free = np.zeros((self.model.nv, len(self.passive_v) - rank))
+        free[self.passive_v] = vt[rank:].T
+        return free
+
     def closure_error(self, q: np.ndarray) -> float:
         """Return the largest distance between two points that should coincide [m]."""
         return float(np.abs(self._constraints.gap(q)).max()) if self.robot.loops else 0.0

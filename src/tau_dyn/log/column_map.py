@@ -115,7 +115,7 @@ def _load_yaml(path: Path) -> dict[Any, Any]:
         raise InputError(f"{path} cannot be read: {error.strerror or error}; give a readable column map.") from None
     except UnicodeDecodeError:
         raise InputError(f"{path.name} is not UTF-8; save the column map as UTF-8.") from None
-    except (yaml.YAMLError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date such as 2026-13-01
         mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
         line = f", line {mark.line + 1}" if mark is not None else ""
         raise InputError(

@@ -52,7 +52,8 @@ def examine_clock(log: Log) -> Clock:
     if _is_rounded(log.t):
         return Clock(log.duration / (log.n_samples - 1), 0.0, 0, (), rounded=True)
     steps = np.diff(log.t)
-    dt = float(np.mean(steps[np.abs(steps / log.dt - 1) < 0.5]))
+    usual = steps[np.abs(steps / log.dt - 1) < 0.5]
+    dt = float(np.mean(usual)) if usual.size else log.dt  # two step lengths by turns: the median is neither
     ratio = steps / dt
     missing = np.maximum(np.round(ratio) - 1, 0)
     usual = np.abs(ratio[missing == 0] - 1)

@@ -1,4 +1,4 @@
-"""The page's charts: friction over speed, force over time, and what is left. Each takes results, none estimates anything."""
+"""The page's charts: friction over speed, and what is left. Each takes results, none estimates anything."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ from tau_dyn.effects import Motion, TorqueOffset
 from tau_dyn.effects.effect import JointwiseEffect
 from tau_dyn.identify import Identification
 from tau_dyn.report.residuals import Residual
-from tau_dyn.report.series import Panel, gaps, thin
 from tau_dyn.report.svg import Chart, padded, tag
 from tau_dyn.report.words import number, pretty_unit
 
 DOTS = 1200
 BINS = 24
 SMALL = (344, 240)
-WIDE = 1000
 
 
 @dataclass(frozen=True)
@@ -122,23 +120,6 @@ def _binned(v: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
             rows.append((v[members].mean(), force[members].mean(), force[members].std()))
     at, mean, deviation = np.array(rows).T if rows else np.empty((3, 0))
     return at, mean, deviation
-
-
-def force_chart(panel: Panel) -> Markup:
-    """Return measured and predicted force over time with the residual below, for print and for readers without scripts."""
-    columns = np.column_stack([panel.measured, panel.predicted, panel.residual])
-    t, thinned = thin(panel.t, columns, 1400)
-    unit = pretty_unit(panel.unit)
-    xlim = (float(panel.t[0]), float(panel.t[-1]))
-    shaded = [xlim] if panel.held_out else [panel.shaded] if panel.shaded else []
-    upper = Chart(WIDE, 240, xlim, panel.force_limits, panel.joint, "time [s]", f"force [{unit}]")
-    lower = Chart(WIDE, 140, xlim, panel.residual_limits, "", "time [s]", f"residual [{unit}]")
-    masked = gaps(panel.t, panel.usable, (xlim[1] - xlim[0]) / 1000)
-    measured, predicted = np.clip(thinned[:, :2], *panel.force_limits).T
-    residual = np.clip(thinned[:, 2], *panel.residual_limits)
-    return upper.render(
-        upper.band(shaded, "held"), upper.line(t, measured, "measured"), upper.line(t, predicted, "predicted")
-    ) + lower.render(lower.band(shaded, "held"), lower.band(masked, "masked"), lower.line(t, residual, "residual"))
 
 
 def histogram_chart(residual: Residual) -> Markup:

@@ -1,4 +1,4 @@
-"""Long series for a page: what each panel of the time view shows, thinned so that peaks survive, packed as 16-bit numbers.
+"""Long series for a page: an identification's forces by log and joint, thinned so that peaks survive, packed as 16-bit numbers.
 
 Thinning keeps the smallest and the largest sample of each bin, in the order they came; an even clock stays even.
 """
@@ -13,9 +13,6 @@ import numpy as np
 
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.identify import Identification
-
-TOTAL_POINTS = 120_000
-PANEL_POINTS = 8_000
 
 
 @dataclass(frozen=True)
@@ -119,35 +116,10 @@ def gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[tuple
     return found
 
 
-def payload(shown: list[Panel]) -> list[dict[str, Any]]:
-    """Return what the page's script draws, as plain data for JSON."""
-    most = int(np.clip(TOTAL_POINTS / max(1, 3 * len(shown)), 400, PANEL_POINTS))
-    return [_payload(panel, most) for panel in shown]
-
-
-def _payload(panel: Panel, most: int) -> dict[str, Any]:
-    columns = np.column_stack([panel.measured, panel.predicted, panel.residual])
-    t, thinned = thin(panel.t, columns, most)
-    step = float(t[1] - t[0]) if len(t) > 1 else 1.0
-    masked = gaps(panel.t, panel.usable, 2 * step)
-    return {
-        "log": panel.log,
-        "joint": panel.joint,
-        "unit": panel.unit,
-        "heldOut": panel.held_out,
-        "t0": float(t[0]),
-        "step": step,
-        "n": len(t),
-        "series": [pack(thinned[:, k]) for k in range(3)],
-        "limits": [panel.force_limits, panel.residual_limits],
-        "masked": [[round(a, 4), round(b, 4)] for a, b in masked],
-        "shaded": panel.shaded,
-    }
-
-
 def pack(values: np.ndarray) -> dict[str, Any]:
-    """Return values as base64 of little-endian 16-bit numbers, `value = middle + scale * number`."""
-    low, high = float(np.min(values)), float(np.max(values))
+    """Return values as base64 of little-endian 16-bit numbers, `value = middle + scale * number`; -32768 stands for NaN."""
+    there = np.isfinite(values)
+    low, high = (float(values[there].min()), float(values[there].max())) if there.any() else (0.0, 0.0)
     middle, scale = (low + high) / 2, (high - low) / 65000 or 1.0
-    numbers = np.round((values - middle) / scale).astype("<i2")
+    numbers = np.where(there, np.round((np.where(there, values, middle) - middle) / scale), -32768).astype("<i2")
     return {"middle": middle, "scale": scale, "data": base64.b64encode(numbers.tobytes()).decode("ascii")}

@@ -69,9 +69,12 @@ class Chart:
         return self.height - BOTTOM - (np.asarray(value, float) - low) / (high - low) * (self.height - TOP - BOTTOM)
 
     def line(self, x: np.ndarray, y: np.ndarray, class_: str) -> Markup:
-        """Return a polyline."""
-        points = _points(self.x(x), self.y(y))
-        return tag("path", d="M" + "L".join(points), class_=class_) if points else Markup("")
+        """Return a polyline, broken where a value is missing."""
+        there = np.isfinite(y)
+        stretches = np.split(np.arange(len(there)), np.flatnonzero(np.diff(there)) + 1) if len(there) else []
+        points = _points(self.x(x), self.y(np.where(there, y, 0.0)))
+        drawn = ["M" + "L".join(points[s[0] : s[-1] + 1]) for s in stretches if there[s[0]]]
+        return tag("path", d="".join(drawn), class_=class_) if drawn else Markup("")
 
     def dots(self, x: np.ndarray, y: np.ndarray, class_: str) -> Markup:
         """Return many dots as one path of zero-length strokes with round ends."""

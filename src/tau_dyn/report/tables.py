@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from rich import box
 from rich.console import Console
 from rich.padding import Padding
+from rich.segment import Segment, Segments
 from rich.table import Table
 from rich.text import Text
 
@@ -19,7 +20,7 @@ from tau_dyn.identify import Identification
 from tau_dyn.log import Log, LogCheck
 from tau_dyn.report.rows import Row, parameter_rows
 from tau_dyn.report.trust import combinations, summary_words
-from tau_dyn.report.words import count, headline, listed, number, percent, pretty_unit, verdict
+from tau_dyn.report.words import check_headline, headline, listed, number, percent, pretty_unit, verdict
 
 MARGIN = (0, 0, 0, 2)
 LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
@@ -43,9 +44,9 @@ def print_identification(
         written: What was written, such as `{"model": "m.yaml"}`, for the last line.
         truth: True values by name, where the data were made; they replace the nominal ones in the table.
     """
-    judged = verdict(found)
+    judged = verdict(found, truth)
     _say(console, f"{found.model.robot.name} · {summary_words(found)}", "dim")
-    _say(console, headline(found), "bold")
+    _say(console, headline(found, truth), "bold")
     _say(console, judged.sentence, LEVEL_STYLE[judged.level])
     _put(console, _error_table(found, _room(console)))
     _put(console, _parameter_table(parameter_rows(found), truth or {}))
@@ -62,7 +63,7 @@ def print_check(console: Console, log: Log, checked: LogCheck) -> None:
     faults = sum(f.severity == "fault" for f in checked.findings)
     doubts = sum(f.severity == "warning" for f in checked.findings)
     style = SEVERITY_STYLE["fault" if faults else "warning" if doubts else "ok"]
-    _say(console, _check_headline(checked.fit_for_use, faults, doubts), f"bold {style}")
+    _say(console, check_headline(checked), f"bold {style}")
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
     table.add_column(no_wrap=True)
     table.add_column(no_wrap=True)
@@ -83,14 +84,6 @@ def print_check(console: Console, log: Log, checked: LogCheck) -> None:
             _plain(finding.severity, SEVERITY_STYLE[finding.severity]), _plain(finding.topic, "dim"), _plain(text)
         )
     _put(console, table)
-
-
-def _check_headline(fit: bool, faults: int, doubts: int) -> str:
-    if not fit:
-        return f"Not fit for use as it is: {count(faults, 'fault')}" + (
-            f", {count(doubts, 'warning')}." if doubts else "."
-        )
-    return f"Fit for use, with {count(doubts, 'warning')}." if doubts else "Fit for use."
 
 
 def _error_table(found: Identification, room: int) -> Table:
@@ -173,4 +166,14 @@ def _say(console: Console, text: str, style: str = "") -> None:
 
 def _put(console: Console, what: Text | Table) -> None:
     console.print()
-    console.print(Padding(what, MARGIN, expand=False), width=_room(console))
+    options = console.options.update(width=_room(console))
+    for line in console.render_lines(Padding(what, MARGIN, expand=False), options, pad=False):
+        console.print(Segments([*_trimmed(line), Segment.line()]), end="", no_wrap=True, crop=False)
+
+
+def _trimmed(line: list[Segment]) -> list[Segment]:
+    """Return a line without the blanks at its end."""
+    line = list(line)
+    while line and not line[-1].text.strip():
+        line.pop()
+    return [*line[:-1], Segment(line[-1].text.rstrip(), line[-1].style)] if line else []

@@ -50,9 +50,8 @@ def used_words(found: Identification) -> str:
     return text
 
 
-def conditioning_words(found: Identification) -> str:
-    """Return how well the motion separates the parameters."""
-    cond = found.estimate.cond
+def conditioning_words(cond: float) -> str:
+    """Return how well a motion separates the parameters, by its condition number."""
     if cond < WELL:
         judged = "the motion separates the parameters well"
     elif cond < FAIR:

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite, log10
 from typing import Any, Literal, NamedTuple
 
 from tau_dyn.identify import Identification
+from tau_dyn.log import LogCheck
 from tau_dyn.report.residuals import residuals_of
 
 Z95 = 1.959964
@@ -87,17 +88,17 @@ def count(n: int, noun: str) -> str:
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
-def headline(found: Identification) -> str:
-    """Return the one sentence above everything."""
+def headline(found: Identification, truth: Mapping[str, float] | None = None) -> str:
+    """Return the one sentence above everything; with the truth at hand it tells true errors, not only claimed ones."""
     if found.holdout is not None:
         start = f"The model predicts held-out force to {percent(found.holdout.relative_error_percent)}"
     else:
         start = f"The model fits the force to {percent(found.train.relative_error_percent)}; nothing was held out to judge it"
-    return "; ".join([start, *_clauses(found.rows())]) + "."
+    return "; ".join([start, *_clauses(found.rows(), truth or {})]) + "."
 
 
-def verdict(found: Identification) -> Verdict:
-    """Return how far the result may be used."""
+def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Verdict:
+    """Return how far the result may be used; estimates that miss a known truth are not to be read as physics."""
     judged = found.holdout or found.train
     error, weak = judged.relative_error_percent, [r for r in found.rows() if not r["determined"]]
     if error > POOR_PERCENT:
@@ -107,6 +108,11 @@ def verdict(found: Identification) -> Verdict:
     if error > OVERFIT * found.train.relative_error_percent:
         own = percent(found.train.relative_error_percent)
         return Verdict("care", f"It fits its own log to {own} but others less well; record a richer motion before use.")
+    off = _missed(found.rows(), truth or {})
+    if off:
+        return Verdict(
+            "care", f"Good for predicting force; {listed(off, 3)} missed the true value by more than 3 standard errors."
+        )
     if weak:
         few = count(len(weak), "single value")
         return Verdict(
@@ -122,13 +128,30 @@ def verdict(found: Identification) -> Verdict:
     return Verdict("good", "Use it for feedforward and simulation; each value also stands by itself.")
 
 
+def check_headline(checked: LogCheck, name: str = "") -> str:
+    """Return whether a log may be used, in a sentence; with a name it is the sentence's subject."""
+    faults = sum(f.severity == "fault" for f in checked.findings)
+    doubts = sum(f.severity == "warning" for f in checked.findings)
+    start, fit, not_fit = (f"{name} is ", "fit for use", "not fit for use") if name else ("", "Fit for use", "Not fit for use")
+    if not checked.fit_for_use:
+        more = f", {count(doubts, 'warning')}" if doubts else ""
+        return f"{start}{not_fit} as it is: {count(faults, 'fault')}{more}."
+    return f"{start}{fit}, with {count(doubts, 'warning')}." if doubts else f"{start}{fit}."
+
+
 def mass_group(name: str) -> str:
     """Return what a mass is a mass of, without its number: `rod2a_link.mass` -> `rod`."""
     owner = name.rsplit(".", 1)[0].removesuffix("_link")
     return re.sub(r"_?\d+[a-z]?$", "", owner) or owner
 
 
-def _clauses(rows: Sequence[dict[str, Any]]) -> list[str]:
+def _missed(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
+    """Return the names of estimates more than three standard errors away from the truth."""
+    compared = [r for r in rows if r["name"] in truth and r["stderr"]]
+    return [r["name"] for r in compared if abs(r["value"] - truth[r["name"]]) > 3 * r["stderr"]]
+
+
+def _clauses(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
     masses = [r for r in rows if r["name"].endswith(".mass")]
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in masses:
@@ -136,7 +159,7 @@ def _clauses(rows: Sequence[dict[str, Any]]) -> list[str]:
     if len(groups) > 3 or not masses:
         known = sum(r["determined"] for r in rows)
         return [f"{known} of {count(len(rows), 'parameter')} are known to better than 30 % each"]
-    clauses = [_known(name, members) for name, members in groups.items() if any(r["determined"] for r in members)]
+    clauses = [_known(name, members, truth) for name, members in groups.items() if any(r["determined"] for r in members)]
     weak = [n for n, g in groups.items() if not any(r["determined"] for r in g) and any(r["stderr"] for r in g)]
     unseen = [n for n, g in groups.items() if all(r["stderr"] is None for r in g)]
     if weak:
@@ -149,9 +172,15 @@ def _clauses(rows: Sequence[dict[str, Any]]) -> list[str]:
     return clauses
 
 
-def _known(name: str, members: Sequence[dict[str, Any]]) -> str:
+def _known(name: str, members: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> str:
     known = [r for r in members if r["determined"]]
     worst = max(100 * Z95 * r["stderr"] / abs(r["value"]) for r in known)
+    true = [truth.get(r["name"]) for r in known]
+    if all(true):
+        off = max(100 * abs(r["value"] / x - 1) for r, x in zip(known, true, strict=True) if x)
+        some = f"{len(known)} of {len(members)} " if len(known) < len(members) else ""
+        what = f"{some}{name} {'mass' if len(members) == 1 else 'masses'}"
+        return f"{what} came within {percent(off)} of the truth (95 % interval ±{percent(worst)})"
     how = "known to" if worst < ROUGH_PERCENT else "only known to"
     if len(members) == 1:
         return f"{name} mass is {how} ±{percent(worst)}"

@@ -61,6 +61,7 @@ class Annotations:
     gantry_tau_plate: str
     gravity_masses: dict[str, float]
     assumed: tuple[str, ...]
+    mimics: tuple[str, ...]  # joints whose <mimic> we ignore
 
 
 def read_annotations(urdf: str, where: str) -> Annotations:
@@ -91,6 +92,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         gantry_tau_plate=mechanism[0].get("plate", "") if mechanism else "",
         gravity_masses={reader.link_of(e, "link"): reader.number(e, "value") for e in reader.ours("gravity_mass")},
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
+        mimics=reader.mimics,
     )
 
 
@@ -102,6 +104,7 @@ class _Reader:
         self.links = [e.get("name", "") for e in root.findall("link")]
         movable = [e for e in root.findall("joint") if e.get("type") != "fixed"]
         self.joints = {e.get("name", ""): self._child(e) for e in movable}
+        self.mimics = tuple(e.get("name", "") for e in movable if e.find("mimic") is not None)
         both = set(self.links) & {e.get("name", "") for e in root.findall("joint")}
         if both:
             raise InputError(f"{where}: '{min(both)}' names both a link and a joint; end link names in _link")

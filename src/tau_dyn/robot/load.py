@@ -19,7 +19,7 @@ from tau_dyn.robot.expand import expand, find_robot, sha256_of
 from tau_dyn.robot.robot import LinkInertia, Loop, Robot, inertial_parameters
 
 
-def load_robot(robot: str | Path, *, actuated: Iterable[str] | None = None, **arguments: object) -> Robot:
+def load_robot(robot: str | Path, /, *, actuated: Iterable[str] | None = None, **arguments: object) -> Robot:
     """Load a robot from a file or by its short name.
 
     Args:
@@ -50,6 +50,12 @@ def robot_from_urdf(
     model = _build_model(urdf, source)
     warnings: list[str] = []
     names = _actuated(model, notes, actuated, source, warnings)
+    if notes.mimics:
+        warnings.append(f"{source}: the <mimic> of {', '.join(notes.mimics)} is ignored; each joint moves by itself")
+    passive = [n for n in model.names[1:] if n not in names]
+    if passive and not notes.loops:
+        listed = ", ".join(passive)
+        warnings.append(f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero")
     loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
     links = _links(model, notes, warnings)
     kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}

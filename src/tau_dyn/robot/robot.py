@@ -23,7 +23,7 @@ _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 NOMINAL_MASS_STDERR = 0.02  # relative; what a nominal mass is trusted to unless a file says otherwise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinkInertia:
     """A link's ten inertial numbers, and which of them are parameters of their own.
 
@@ -63,7 +63,7 @@ class Loop:
     frame_b: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
     """A mechanism and its nominal parameters; build it with `load_robot`.
 

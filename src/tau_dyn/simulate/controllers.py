@@ -1,7 +1,11 @@
 """Feedback that follows a reference: a position loop around a velocity loop, as drives have it.
 
     e_k = kp (q_ref - q)_k + speed_feedforward v_ref_{k-1} - (q_k - q_{k-2}) / (2 dt),
-    u_k = kv (e_k + integral_rate * int e dt) + u_ff,   tau_k = force_per_unit * clip(u_k, -limit, limit).
+    u_k = K (e_k + integral_rate * int e dt) + u_ff,   tau_k = force_per_unit * clip(u_k, -limit, limit).
+
+K is `diag(kv)`, or, where the law knows the robot, `M(q_ref) diag(kv)`: then an error of one joint accelerates that joint
+alone. Gains of the mass matrix' diagonal make a serial arm swing between its force limits, because an arm that gives way
+at the other joints is far lighter than its diagonal says.
 
 The speed is what a drive knows: the difference of positions averaged over two samples. It is one sample old, so the
 reference speed is taken of the sample before. The integral stops where the limit
@@ -11,8 +15,8 @@ Gautier & Brunot 2019). A controller sees references and measured positions, nev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -21,8 +25,11 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate.trajectory import Trajectory
 
-FEEDFORWARD_SPEED = 0.01
-"""Speed over which the force feedforward turns friction's sign [m/s or rad/s]."""
+Feedforward = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Forces (N, na) [N or N m] along positions, speeds and accelerations (N, na), such as a `tau_dyn.control.Feedforward`."""
+
+INERTIA_EVERY_S = 0.01
+"""Time after which a law that knows the robot looks the mass matrix up again [s]."""
 
 
 class Controller(Protocol):
@@ -45,11 +52,12 @@ class CascadeLaw:
 
     Attributes:
         position_gain: `kp` [1/s].
-        velocity_gain: `kv` [unit per m/s or rad/s]; the unit is the drive's own, volts for EMPS.
+        velocity_gain: `kv` [unit per m/s or rad/s], the unit being the drive's own, volts for EMPS; [1/s] with `inertia`.
         integral_rate: How fast the velocity loop integrates [1/s]; 0 for none.
         speed_feedforward: Share of the reference speed that is added to the command.
         force_per_unit: What one unit of the drive gives [N or N m per unit]; 1 where the unit is the force.
         limit: Largest output [unit].
+        inertia: Gives the mass matrix (na, na) at positions (na,), by which the velocity loop is multiplied; or None.
     """
 
     position_gain: np.ndarray
@@ -58,11 +66,12 @@ class CascadeLaw:
     speed_feedforward: np.ndarray
     force_per_unit: np.ndarray
     limit: np.ndarray
+    inertia: Callable[[np.ndarray], np.ndarray] | None = None
 
     def __post_init__(self) -> None:
         """Refuse gains of different lengths or of the wrong sign."""
         n = np.size(self.position_gain)
-        for key in self.__dataclass_fields__:
+        for key in (f.name for f in fields(self) if f.name != "inertia"):
             values = np.array(np.atleast_1d(getattr(self, key)), dtype=float)
             if values.shape != (n,) or np.any(np.isnan(values)) or np.any(values < 0):
                 raise InputError(f"a controller's {key} must be {n} number(s) not below zero, one a joint")
@@ -72,14 +81,14 @@ class CascadeLaw:
     @classmethod
     def of(
         cls,
-        position_gain: float | Sequence[float],
-        velocity_gain: float | Sequence[float],
+        position_gain: float | Sequence[float] | np.ndarray,
+        velocity_gain: float | Sequence[float] | np.ndarray,
         *,
         na: int,
-        integral_rate: float | Sequence[float] = 0.0,
-        speed_feedforward: float | Sequence[float] = 0.0,
-        force_per_unit: float | Sequence[float] = 1.0,
-        limit: float | Sequence[float] = np.inf,
+        integral_rate: float | Sequence[float] | np.ndarray = 0.0,
+        speed_feedforward: float | Sequence[float] | np.ndarray = 0.0,
+        force_per_unit: float | Sequence[float] | np.ndarray = 1.0,
+        limit: float | Sequence[float] | np.ndarray = np.inf,
     ) -> CascadeLaw:
         """Build a law for `na` joints; a single number holds for all of them. See the attributes."""
         given = (position_gain, velocity_gain, integral_rate, speed_feedforward, force_per_unit, limit)
@@ -87,15 +96,13 @@ class CascadeLaw:
 
     @classmethod
     def for_model(cls, model: Model, *, velocity_hz: float = 40.0, position_hz: float = 8.0) -> CascadeLaw:
-        """Return gains for a robot: loop bandwidths [Hz] and the mass matrix' diagonal at home.
+        """Return a law for a robot: loop bandwidths [Hz], multiplied by the mass matrix along the reference.
 
         The velocity loop also integrates, at a fifth of its bandwidth, and the output stays within the drives' limits.
         """
-        M, _ = model.mechanism.mass_and_bias(model.robot.home, np.zeros(model.robot.na))
-        fast, slow = 2 * np.pi * velocity_hz, 2 * np.pi * position_hz
-        limit = model.robot.effort_limit
-        return cls.of(slow, (fast * np.diag(M)).tolist(), na=len(M), integral_rate=fast / 5, speed_feedforward=1.0,
-                      limit=limit.tolist())  # fmt: skip
+        na, fast, slow = model.robot.na, 2 * np.pi * velocity_hz, 2 * np.pi * position_hz
+        law = cls.of(slow, fast, na=na, integral_rate=fast / 5, speed_feedforward=1.0, limit=model.robot.effort_limit)
+        return replace(law, inertia=lambda q: model.mechanism.mass_and_bias(q, np.zeros(na))[0])
 
     @classmethod
     def emps(cls) -> CascadeLaw:
@@ -104,19 +111,19 @@ class CascadeLaw:
 
 
 class CascadeController:
-    """A cascade of a position and a velocity loop for all joints, with force feedforward where a model is given."""
+    """A cascade of a position and a velocity loop for all joints, with force feedforward where it is given."""
 
-    def __init__(self, law: CascadeLaw, *, start: Model | None = None, feedforward: Model | None = None) -> None:
+    def __init__(self, law: CascadeLaw, *, start: Model | None = None, feedforward: Feedforward | None = None) -> None:
         """Prepare a controller.
 
         Args:
             law: Its gains.
             start: A model whose holding force the integral starts with, as drives do when they release their brakes.
-            feedforward: A model whose forces along the whole reference are added; friction turns over +-0.01 m/s.
+            feedforward: Gives forces along the whole reference, which are added.
         """
-        self.law, self._start, self._model = law, start, feedforward
+        self.law, self._start, self._feedforward = law, start, feedforward
         self._forces = np.zeros((0, 0))
-        self._integral = np.zeros(0)
+        self._integral, self._inertia = np.zeros(0), np.zeros((0, 0))
         self._dt, self._before, self._v_ref = 1.0, (np.zeros(0), np.zeros(0)), np.zeros(0)
 
     def reset(self, reference: Trajectory) -> None:
@@ -131,9 +138,8 @@ class CascadeController:
         self._v_ref = np.array(reference.v[0])
         self._integral = np.zeros(na)
         self._forces = np.zeros_like(reference.q)
-        if self._model is not None:
-            sign = np.tanh(reference.v / FEEDFORWARD_SPEED)
-            self._forces = self._model.torque(reference.q, reference.v, reference.a, sign) / self.law.force_per_unit
+        if self._feedforward is not None:
+            self._forces = self._feedforward(reference.q, reference.v, reference.a) / self.law.force_per_unit
         elif self._start is not None:
             rest = np.zeros((1, na))
             self._integral = self._start.torque(reference.q[:1], rest, rest, rest)[0] / self.law.force_per_unit
@@ -146,12 +152,15 @@ class CascadeController:
         speed = (q_measured - self._before[0]) * (0.5 / self._dt)
         error = law.position_gain * (q_ref - q_measured) + law.speed_feedforward * self._v_ref - speed
         self._before, self._v_ref = (self._before[1], q_measured), v_ref
-        wanted = law.velocity_gain * error + self._integral + self._forces[k]
+        push = law.velocity_gain * error
+        if law.inertia is not None:
+            if k % max(1, round(INERTIA_EVERY_S / self._dt)) == 0:
+                self._inertia = law.inertia(q_ref)
+            push = self._inertia @ push
+        wanted = push + self._integral + self._forces[k]
         output = np.minimum(np.maximum(wanted, -law.limit), law.limit)
-        winding_up = (wanted != output) & (wanted * error > 0)
-        self._integral = self._integral + np.where(
-            winding_up, 0.0, law.integral_rate * law.velocity_gain * error * self._dt
-        )
+        winding_up = (wanted != output) & (wanted * push > 0)
+        self._integral = self._integral + np.where(winding_up, 0.0, law.integral_rate * push * self._dt)
         return law.force_per_unit * output
 
 

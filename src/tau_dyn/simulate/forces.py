@@ -14,6 +14,8 @@ import numpy as np
 from tau_dyn.effects import Effect, JointwiseEffect, Motion
 from tau_dyn.model import Model
 
+_PROBES = 8  # states, by chance, at which an effect is asked whether it feels accelerations; sin(q) a is silent at zero
+
 
 class SampledForces:
     """Forces of a model's effects at one sample."""
@@ -72,8 +74,8 @@ class SampledForces:
         return (force[1:] - force[0]).T
 
     def _feels_acceleration(self, effect: Effect, values: np.ndarray) -> bool:
-        v = np.full(self.na, 0.1)
-        return bool(np.any(self._per_acceleration(effect, values, np.zeros(self.na), v) != 0))
+        states = np.random.default_rng(0).uniform(-1, 1, (_PROBES, 2, self.na))
+        return any(np.any(self._per_acceleration(effect, values, q, v) != 0) for q, v in states)
 
     def _motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray) -> Motion:
         n = len(a)

@@ -39,7 +39,7 @@ def broken_limit(
     """
     robot, share = model.robot, 1 - margin
     low, high = robot.lower, robot.upper
-    inset = np.where(np.isfinite(high - low), margin * (high - low) / 2, 0.0)
+    inset = margin / 2 * np.where(np.isfinite(high - low), high - low, 0.0)
     for excess, values, unit, limit in (
         (np.maximum(low + inset - motion.q, motion.q - high + inset), motion.q, "", (low, high)),
         (np.abs(motion.v) - share * robot.velocity_limit, motion.v, "/s", robot.velocity_limit),

@@ -31,6 +31,9 @@ from tau_dyn.simulate.trajectory import Trajectory
 Progress = Callable[[float], None]
 """Called with the share of the work that is done, from 0 to 1, about a hundred times."""
 
+OFTEN_AT_LIMIT = 0.05
+"""Share of the samples at a joint's force limit above which a run warns."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlantRun:
@@ -62,6 +65,21 @@ class PlantRun:
     def sticking_share(self) -> np.ndarray:
         """Share of the samples in which friction held each joint (na,)."""
         return self.stuck.mean(axis=0)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about the run: the reference's notes, and joints that were often at their force limit."""
+        robot = self.model.robot
+        share = np.mean(np.abs(self.tau) >= robot.effort_limit * (1 - 1e-9), axis=0)
+        at_limit = (
+            f"joint {joint} was at its force limit of {limit:g} {unit} in {100 * part:.0f} % of the samples; it did not "
+            "follow the reference freely, and its feedback may swing between the limits"
+            for joint, limit, unit, part in zip(
+                robot.actuated, robot.effort_limit, robot.force_units, share, strict=True
+            )
+            if part > OFTEN_AT_LIMIT
+        )
+        return (*(self.reference.notes if self.reference is not None else ()), *at_limit)
 
     @cached_property
     def tool(self) -> np.ndarray:

@@ -118,7 +118,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
     Raises:
         InputError: The log rate does not divide the control rate, or a sensor's numbers do not fit the joints.
     """
-    run = run.every(sensors.step(float(run.t[1] - run.t[0])))
+    warnings, run = run.warnings, run.every(sensors.step(float(run.t[1] - run.t[0])))
     q = sensors.read_positions(run.q, rng) if run.q_read is None else run.q_read
     signals = {"q": q, "tau": sensors.read_forces(run.tau, rng)}
     if run.reference is not None:
@@ -128,8 +128,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
     if sensors.tool and run.model.robot.tool_frame is not None:
         tool = run.tool + sensors.tool_noise * rng.standard_normal(run.tool.shape)
         channels |= dict(zip(("x_tool", "y_tool", "z_tool"), tool.T, strict=True))
-    notes = run.reference.notes if run.reference is not None else ()
-    return Log(run.t, channels, name, warnings=notes)
+    return Log(run.t, channels, name, warnings=warnings)
 
 
 def per_joint(value: PerJoint, na: int, what: str) -> np.ndarray:

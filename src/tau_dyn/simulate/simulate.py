@@ -44,7 +44,8 @@ def simulate(
         progress: Is told the share that is done.
 
     Returns:
-        A log with `q_J`, `tau_J`, `q_ref_J` and the tool's position; notes of the motion are its warnings.
+        A log with `q_J`, `tau_J`, `q_ref_J` and the tool's position; its warnings are the motion's notes and
+        a sentence for each joint that was often at its force limit.
 
     Raises:
         InputError: The motion leaves the robot's limits, the log rate does not fit, or the feedback is unstable.

@@ -1,0 +1,168 @@
+"""The page of `tau-dyn check`: may this log be used, what to mend, and the log itself to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from tau_dyn.log import Finding, Log, LogCheck, examine_clock
+from tau_dyn.report.shell import Opening, render
+from tau_dyn.report.svg import Chart, padded
+from tau_dyn.report.time_view import Curve, View, even_channels, strip
+from tau_dyn.report.words import Level, check_headline, count, listed, number, percent
+from tau_dyn.robot import Robot
+
+ORDER = {"fault": 0, "warning": 1, "ok": 2}
+LONGEST_STEPS = 5.0
+"""Steps longer than so many usual ones stand in the histogram's last bar."""
+STEP_DOTS = 1500
+
+
+def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, command_line: str = "") -> str:
+    """Return the check of a log as one HTML page.
+
+    Args:
+        log: The log as read.
+        checked: What `check_log` says of it.
+        robot: The robot it was checked against; gives units and the picture.
+        command_line: The command that repeats it, for the provenance.
+    """
+    joints = list(dict.fromkeys((*log.joints("q"), *log.joints("tau"))))
+    units = _units(joints, robot)
+    found = sorted(checked.findings, key=lambda f: ORDER[f.severity])
+    return render(
+        "check.html.j2",
+        f"{log.name}: check",
+        _opening(log, checked, joints),
+        _views(log, joints, units),
+        robot=robot,
+        logs=[("log", log.name, log.sha256 or "not a file")],
+        command_line=command_line,
+        name=log.name,
+        to_mend=[(f, _said(f, log)) for f in found if f.severity != "ok"],
+        fine=_alike([f for f in found if f.severity == "ok"], log),
+        badges={"fault": "poor", "warning": "care"},
+        rows=[_row(log, checked, j, *units[j]) for j in joints],
+        has_reference=any(log.has("q_ref", [j]) for j in joints),
+        clock=_clock_words(log),
+        step_charts=_step_charts(log),
+    )
+
+
+def _opening(log: Log, checked: LogCheck, joints: list[str]) -> Opening:
+    faults = [f for f in checked.findings if f.severity == "fault"]
+    doubts = [f for f in checked.findings if f.severity == "warning"]
+    level: Level = "poor" if faults else "care" if doubts else "good"
+    badge = {"good": "Fit for use", "care": "Fit, with doubts", "poor": "Not fit for use"}[level]
+    topics = listed(dict.fromkeys(f.topic for f in [*faults, *doubts]))
+    judgement = f"Look at: {topics}." if topics else "Clock, channels, units and motion are as identification needs them."
+    summary = (
+        f"{log.name}, {number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
+        f"{count(len(joints), 'joint')}: {listed(joints)}."
+    )
+    return Opening(check_headline(checked, log.name), level, badge, judgement, summary)
+
+
+def _units(joints: list[str], robot: Robot | None) -> dict[str, tuple[str, str]]:
+    """Return the units of position and force by joint; open ones where no robot tells them."""
+    known = {} if robot is None else dict(zip(robot.actuated, zip(robot.position_units, robot.force_units), strict=True))  # noqa: B905
+    return {j: known.get(j, ("m or rad", "N or N m")) for j in joints}
+
+
+def _views(log: Log, joints: list[str], units: dict[str, tuple[str, str]]) -> list[View]:
+    wanted = [f"{s}_{j}" for j in joints for s in ("q", "q_ref", "tau") if log.has(s, [j])]
+    t, channels, there = even_channels(log, wanted)
+    views = []
+    for joint in joints:
+        curves = {s: channels.get(f"{s}_{joint}") for s in ("q_ref", "q", "tau")}
+        motion = [("reference", "measured", curves["q_ref"]), ("position", "predicted", curves["q"])]
+        drawn = [Curve(name, ink, x) for name, ink, x in motion if x is not None]
+        strips = [strip(f"position [{units[joint][0]}]", 230, *drawn, masked=True)] if drawn else []
+        if curves["tau"] is not None:
+            force = Curve("force", "residual", curves["tau"])
+            strips.append(strip(f"force [{units[joint][1]}]", 230, force, masked=True))
+        views.append(View(log.name, joint, t, tuple(strips), usable=None if there.all() else there))
+    return views
+
+
+def _said(finding: Finding, log: Log) -> str:
+    """Return a finding's sentence without the log's name in front; the page has said it."""
+    text = finding.sentence.removeprefix(f"{log.name}: ")
+    return text[:1].upper() + text[1:]
+
+
+def _alike(findings: Sequence[Finding], log: Log) -> list[tuple[str, list[str]]]:
+    """Return sentences by topic, channels that are alive named together."""
+    topics: dict[str, list[str]] = {}
+    for f in findings:
+        topics.setdefault(f.topic, []).append(_said(f, log))
+    alive = " is alive."
+    for topic, said in topics.items():
+        living = [s.removesuffix(alive) for s in said if s.endswith(alive)]
+        rest = [s for s in said if not s.endswith(alive)]
+        joined = f"{listed(living, 24)} {'are' if len(living) > 1 else 'is'} alive."
+        topics[topic] = ([joined[:1].lower() + joined[1:]] if living else []) + rest
+    return list(topics.items())
+
+
+def _row(log: Log, checked: LogCheck, joint: str, position: str, force: str) -> dict[str, str]:
+    f: dict[str, Any] = checked.numbers.get("joints", {}).get(joint, {})
+    tau = log.channels.get(f"tau_{joint}")
+    row = {"joint": joint, "unit": position, "force_unit": force}
+    if f:
+        row |= {
+            "range": f"{number(f['range'][0], 3)} … {number(f['range'][1], 3)}",
+            "speed": number(f["speed"][1], 3),
+            "reversals": str(f["n_reversals"]),
+            "forward": percent(100 * f["forward_share"]),
+            "noise": number(f["encoder_noise"], 2),
+            "step": number(f["quantisation"], 2) if f["quantisation"] else "none seen",
+            "lag": "" if f["lag"] is None else f"{number(1000 * f['lag'], 2)} ms",
+            "acceleration": _times(f["acceleration_rms"], f["acceleration_noise"]),
+        }
+    if tau is not None:
+        peak = float(np.max(np.abs(tau)))
+        row |= {"force": number(peak, 3), "force_rms": number(float(np.sqrt(np.mean(tau**2))), 3)}
+    return row
+
+
+def _times(signal: float, noise: float) -> str:
+    return f"{number(signal / noise, 3)} ×" if noise > 0 else "no noise seen"
+
+
+def _clock_words(log: Log) -> str:
+    clock = examine_clock(log)
+    text = f"{number(1000 * clock.dt, 6)} ms from sample to sample"
+    if clock.rounded:
+        return f"{text}; the times are an even clock written with too few digits."
+    if clock.even:
+        most = 1e6 * clock.jitter * clock.dt
+        return f"{text}, {'never off by more' if most >= 0.01 else 'and no step is off by'}" + (
+            f" than {number(most, 2)} µs; no sample is missing." if most >= 0.01 else " even 0.01 µs; no sample is missing."
+        )
+    parts = [f"steps differ by up to {percent(100 * clock.jitter)}"]
+    parts += [f"{count(clock.n_missing, 'sample')} missing"] if clock.n_missing else []
+    parts += [count(len(clock.gaps), "gap")] if clock.gaps else []
+    return f"{text}; {listed(parts)}."
+
+
+def _step_charts(log: Log) -> list[Markup]:
+    """Return the histogram of the sampling steps and the steps over time; nothing where the clock is even."""
+    clock = examine_clock(log)
+    if clock.even and not clock.rounded:
+        return []
+    steps, limit = 1000 * np.diff(log.t), 1000 * clock.dt * LONGEST_STEPS
+    shown = np.minimum(steps, limit)
+    low, high = padded(shown, share=0.04)
+    counts, edges = np.histogram(shown, np.linspace(max(0.0, low), high, 61))
+    decades = np.where(counts > 0, np.log10(np.maximum(counts, 1)) + 0.3, 0.0)
+    chart = Chart(344, 240, (float(edges[0]), float(edges[-1])), (0.0, 1.08 * float(decades.max())), "how often", "step [ms]",
+                  "samples [log₁₀ + 0.3]")  # fmt: skip
+    x, y = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(decades, 2), [0.0]])
+    worst = np.argsort(-np.abs(steps - np.median(steps)))[: STEP_DOTS // 2]
+    some = np.unique(np.concatenate([worst, np.arange(0, len(steps), max(1, 2 * len(steps) // STEP_DOTS))]))
+    when = Chart(720, 240, (float(log.t[0]), float(log.t[-1])), (max(0.0, low), high), "when", "time [s]", "step [ms]")
+    return [chart.render(chart.line(x, y, "histogram")), when.render(when.dots(log.t[some], shown[some], "steps"))]
