@@ -12,8 +12,8 @@ One rule for every log, no constant in physical units:
    period its ringing is still 4 % of the step in friction, which biased Coulomb friction by two standard errors in 100 s of L1
    at 1 kHz (`experiments/recovery.py`).
 
-The plateaus around these factors are wide on EMPS, TX40 and simulated logs; `experiments/preparation_sensitivity.py` shows
-them.
+How the answer moves with each factor on EMPS and TX40 stands in `experiments/preparation_sensitivity.py`: little with the
+first four; with the gate's width, TX40's Coulomb friction by up to 4 %, as its friction is not quite the law at low speed.
 """
 
 from __future__ import annotations

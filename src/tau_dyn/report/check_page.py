@@ -12,7 +12,7 @@ from tau_dyn.log import Finding, Log, LogCheck, examine_clock
 from tau_dyn.report.shell import Opening, render
 from tau_dyn.report.svg import Chart, padded
 from tau_dyn.report.time_view import Curve, View, even_channels, strip
-from tau_dyn.report.words import Level, check_headline, count, listed, number, percent
+from tau_dyn.report.words import Level, check_headline, count, listed, number, percent, steady
 from tau_dyn.robot import Robot
 
 ORDER = {"fault": 0, "warning": 1, "ok": 2}
@@ -60,10 +60,10 @@ def _opening(log: Log, checked: LogCheck, joints: list[str]) -> Opening:
     topics = listed(dict.fromkeys(f.topic for f in [*faults, *doubts]))
     judgement = f"Look at: {topics}." if topics else "Clock, channels, units and motion are as identification needs them."
     summary = (
-        f"{log.name}, {number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
+        f"{number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
         f"{count(len(joints), 'joint')}: {listed(joints)}."
     )
-    return Opening(check_headline(checked, log.name), level, badge, judgement, summary)
+    return Opening(check_headline(checked, "This log"), level, badge, judgement, summary)
 
 
 def _units(joints: list[str], robot: Robot | None) -> dict[str, tuple[str, str]]:
@@ -91,7 +91,8 @@ def _views(log: Log, joints: list[str], units: dict[str, tuple[str, str]]) -> li
 def _said(finding: Finding, log: Log) -> str:
     """Return a finding's sentence without the log's name in front; the page has said it."""
     text = finding.sentence.removeprefix(f"{log.name}: ")
-    return text[:1].upper() + text[1:]
+    first = text.split(" ", 1)[0]
+    return text[:1].upper() + text[1:] if first.isalpha() else text
 
 
 def _alike(findings: Sequence[Finding], log: Log) -> list[tuple[str, list[str]]]:
@@ -104,7 +105,7 @@ def _alike(findings: Sequence[Finding], log: Log) -> list[tuple[str, list[str]]]
         living = [s.removesuffix(alive) for s in said if s.endswith(alive)]
         rest = [s for s in said if not s.endswith(alive)]
         joined = f"{listed(living, 24)} {'are' if len(living) > 1 else 'is'} alive."
-        topics[topic] = ([joined[:1].lower() + joined[1:]] if living else []) + rest
+        topics[topic] = ([joined] if living else []) + rest
     return list(topics.items())
 
 
@@ -114,8 +115,8 @@ def _row(log: Log, checked: LogCheck, joint: str, position: str, force: str) -> 
     row = {"joint": joint, "unit": position, "force_unit": force}
     if f:
         row |= {
-            "range": f"{number(f['range'][0], 3)} … {number(f['range'][1], 3)}",
-            "speed": number(f["speed"][1], 3),
+            "range": f"{steady(f['range'][0])} … {steady(f['range'][1])}",
+            "speed": steady(f["speed"][1]),
             "reversals": str(f["n_reversals"]),
             "forward": percent(100 * f["forward_share"]),
             "noise": number(f["encoder_noise"], 2),
@@ -158,9 +159,9 @@ def _step_charts(log: Log) -> list[Markup]:
     shown = np.minimum(steps, limit)
     low, high = padded(shown, share=0.04)
     counts, edges = np.histogram(shown, np.linspace(max(0.0, low), high, 61))
-    decades = np.where(counts > 0, np.log10(np.maximum(counts, 1)) + 0.3, 0.0)
+    decades = np.log10(1 + counts)
     chart = Chart(344, 240, (float(edges[0]), float(edges[-1])), (0.0, 1.08 * float(decades.max())), "how often", "step [ms]",
-                  "samples [log₁₀ + 0.3]")  # fmt: skip
+                  "log₁₀(1 + samples)")  # fmt: skip
     x, y = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(decades, 2), [0.0]])
     worst = np.argsort(-np.abs(steps - np.median(steps)))[: STEP_DOTS // 2]
     some = np.unique(np.concatenate([worst, np.arange(0, len(steps), max(1, 2 * len(steps) // STEP_DOTS))]))

@@ -38,6 +38,11 @@ def number(value: float, digits: int = 4) -> str:
     return _minus(text if not _tiny_or_huge(value) else f"{value:.{digits - 1}e}")
 
 
+def steady(value: float) -> str:
+    """Return a number with three significant digits, zeros at its end kept, so that a column reads evenly."""
+    return number(value, 3) if _tiny_or_huge(value) or not value else _minus(f"{value:#.3g}".rstrip("."))
+
+
 def percent(value: float) -> str:
     """Return a percentage with two significant digits, such as `3.0 %`."""
     if not isfinite(value):

@@ -28,6 +28,8 @@ from tau_dyn.simulate.trajectory import Trajectory
 Feedforward = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Forces (N, na) [N or N m] along positions, speeds and accelerations (N, na), such as a `tau_dyn.control.Feedforward`."""
 
+PerJoint = float | Sequence[float] | np.ndarray
+
 INERTIA_EVERY_S = 0.01
 """Time after which a law that knows the robot looks the mass matrix up again [s]."""
 
@@ -81,18 +83,19 @@ class CascadeLaw:
     @classmethod
     def of(
         cls,
-        position_gain: float | Sequence[float] | np.ndarray,
-        velocity_gain: float | Sequence[float] | np.ndarray,
+        position_gain: PerJoint,
+        velocity_gain: PerJoint,
         *,
         na: int,
-        integral_rate: float | Sequence[float] | np.ndarray = 0.0,
-        speed_feedforward: float | Sequence[float] | np.ndarray = 0.0,
-        force_per_unit: float | Sequence[float] | np.ndarray = 1.0,
-        limit: float | Sequence[float] | np.ndarray = np.inf,
+        integral_rate: PerJoint = 0.0,
+        speed_feedforward: PerJoint = 0.0,
+        force_per_unit: PerJoint = 1.0,
+        limit: PerJoint = np.inf,
     ) -> CascadeLaw:
         """Build a law for `na` joints; a single number holds for all of them. See the attributes."""
         given = (position_gain, velocity_gain, integral_rate, speed_feedforward, force_per_unit, limit)
-        return cls(*(np.full(na, x, float) if np.ndim(x) == 0 else np.asarray(x, float) for x in given))
+        kp, kv, rate, share, unit, most = (np.full(na, x) if np.ndim(x) == 0 else np.asarray(x) for x in given)
+        return cls(kp, kv, rate, share, unit, most)
 
     @classmethod
     def for_model(cls, model: Model, *, velocity_hz: float = 40.0, position_hz: float = 8.0) -> CascadeLaw:

@@ -49,7 +49,7 @@
     u.ctx.restore();
   });
   const chart = (panel, where, t, strip, last) => {
-    const axis = { stroke: colour("--muted"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", labelSize: 18 };
+    const axis = { stroke: colour("--muted"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, values: (_, at) => at.map((v) => (v === null ? "" : String(Number(v.toPrecision(6))).replace("-", "−"))), font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", labelSize: 18 };
     const follow = (u) => plots.forEach((p) => {
       if (p !== u && (p.scales.x.min !== u.scales.x.min || p.scales.x.max !== u.scales.x.max)) p.setScale("x", { min: u.scales.x.min, max: u.scales.x.max });
     });
