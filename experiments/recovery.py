@@ -27,7 +27,7 @@ from tau_dyn.identify import Identification, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate import EmpsController, PlantRun, Sensors, drive, measure, named_motion
+from tau_dyn.simulate import CascadeController, CascadeLaw, PlantRun, Sensors, drive, measure, named_motion
 from tau_dyn.version import __version__
 
 PLANTS = 5
@@ -81,7 +81,7 @@ OTHERS = (
 def plant(robot: str, motion: str, duration: float, number: int, feedback_seed: int | None, encoder: float) -> PlantRun:
     """Return what happened on one plant; `feedback_seed` is None where the controller knows true positions."""
     truth = true_plant(robot, number)
-    controller = EmpsController() if robot == "linear_axis" else None
+    controller = CascadeController(CascadeLaw.emps()) if robot == "linear_axis" else None
     path = named_motion(motion, truth, duration, 100 + number)
     feedback = "ideal" if feedback_seed is None else "encoder"
     rate = (

@@ -17,7 +17,17 @@ from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import PlantRun
 from thesis_6_2_parts.motions import CIRCLE, RISE, WELL, fast_and_slow, small_circle
-from thesis_6_2_parts.plant import FLOOR, SENSORS, STRIBECK_SHARE, closed_form, drive_ideal, fixes, model_2, record, robot_l1
+from thesis_6_2_parts.plant import (
+    FLOOR,
+    SENSORS,
+    STRIBECK_SHARE,
+    closed_form,
+    drive_ideal,
+    fixes,
+    model_2,
+    record,
+    robot_l1,
+)
 from thesis_6_2_parts.printed import CARTS, TABLE_6_1, TABLE_6_3
 
 NO_RODS = ("rod*_link.mass=0",)

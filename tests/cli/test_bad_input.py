@@ -163,7 +163,10 @@ def test_a_looped_robot_needs_its_actuated_joints_named(tmp_path, capsys):
     [
         ("<robot", "line 1"),
         ('<!DOCTYPE x [<!ENTITY a "b">]><robot name="r"/>', "entities"),
-        ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r"><link name="${undefined_thing}"/></robot>', "undefined_thing"),
+        (
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r"><link name="${undefined_thing}"/></robot>',
+            "undefined_thing",
+        ),
         ('<robot name="r"/>', "r.urdf.xacro"),
     ],
 )

@@ -21,7 +21,18 @@ def folder(tmp_path_factory):
         "parameters: {carriage_link.mass: 91.5}\n"
     )
     for day, motion, seed in (("monday", "fourier", 1), ("tuesday", "prbs", 2)):
-        argv = ["simulate", "linear_axis", "--motion", motion, "--duration", "20", "--effects", str(truth), "--seed", str(seed)]
+        argv = [
+            "simulate",
+            "linear_axis",
+            "--motion",
+            motion,
+            "--duration",
+            "20",
+            "--effects",
+            str(truth),
+            "--seed",
+            str(seed),
+        ]
         argv += ["--force-noise", "1", "--encoder-noise", "1e-6", "--out", str(out / f"{day}.csv"), "--quiet"]
         assert main(argv) == 0
     return out
@@ -31,14 +42,28 @@ def folder(tmp_path_factory):
 def result(folder):
     """The JSON result of identifying Monday, judged on Tuesday."""
     argv = ["identify", "linear_axis", str(folder / "monday.csv"), "--holdout", str(folder / "tuesday.csv")]
-    argv += ["--json", str(folder / "r.json"), "--out", str(folder / "model.yaml"), "--report", str(folder / "r.html"), "--quiet"]
+    argv += [
+        "--json",
+        str(folder / "r.json"),
+        "--out",
+        str(folder / "model.yaml"),
+        "--report",
+        str(folder / "r.html"),
+        "--quiet",
+    ]
     assert main(argv) == 0
     return json.loads((folder / "r.json").read_text())
 
 
 def test_the_command_line_recovers_the_truth(result):
     """Simulated by one command, identified by another, every parameter is within 4.5 standard errors of the truth."""
-    truth = {"carriage_link.mass": 91.5, "axis.coulomb_pos": 20, "axis.coulomb_neg": 18, "axis.viscous_pos": 170, "axis.viscous_neg": 240}
+    truth = {
+        "carriage_link.mass": 91.5,
+        "axis.coulomb_pos": 20,
+        "axis.coulomb_neg": 18,
+        "axis.viscous_pos": 170,
+        "axis.viscous_neg": 240,
+    }
     rows = {row["name"]: row for row in result["parameters"]}
     assert set(rows) == set(truth)
     for name, value in truth.items():
@@ -82,7 +107,15 @@ def test_the_same_seed_gives_the_same_result(folder, result):
 
 def test_a_model_file_can_be_identified_again(folder, result):
     """A model file's effects are fitted to a new log."""
-    argv = ["identify", "linear_axis", str(folder / "tuesday.csv"), "--model", str(folder / "model.yaml"), "--json", str(folder / "m.json")]
+    argv = [
+        "identify",
+        "linear_axis",
+        str(folder / "tuesday.csv"),
+        "--model",
+        str(folder / "model.yaml"),
+        "--json",
+        str(folder / "m.json"),
+    ]
     assert main([*argv, "--quiet"]) == 0
     rows = {r["name"]: r for r in json.loads((folder / "m.json").read_text())["parameters"]}
     assert abs(rows["carriage_link.mass"]["value"] - 91.5) < 4.5 * rows["carriage_link.mass"]["stderr"]
@@ -103,6 +136,23 @@ def test_excite_stays_within_limits(folder):
     assert {"t", "q_ref_axis"} <= set(header.split(","))
     column = header.split(",").index("q_ref_axis")
     assert max(abs(float(r.split(",")[column])) for r in rows) <= 0.5
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["check", "monday.csv", "linear_axis"],
+        ["simulate", "linear_axis", "--duration", "5", "--out", "s.csv"],
+        ["excite", "linear_axis", "--duration", "5", "--trials", "1", "--out", "e.csv"],
+    ],
+)
+def test_every_command_has_its_page(folder, monkeypatch, argv):
+    """`--report` writes one page that loads nothing from elsewhere."""
+    monkeypatch.chdir(folder)
+    assert main([*argv, "--report", f"{argv[0]}.html", "--quiet"]) == 0
+    page = (folder / f"{argv[0]}.html").read_text()
+    assert page.lstrip().lower().startswith("<!doctype html")
+    assert 'src="http' not in page and 'href="http' not in page
 
 
 def test_the_report_is_one_page_that_names_every_parameter(folder, result):

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.estimate import Body, Physics, find_base, pseudo_inertia, solve_consistent
+from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import INERTIAL
 
@@ -92,3 +93,16 @@ def test_a_fixed_part_of_a_body_counts(seen):
     found = solve_consistent(parameters, base, np.array([5.0]), np.ones((1, 1)), PHYSICS)
     assert np.linalg.eigvalsh(pseudo_inertia(found.parameters.values))[0] > -1e-7
     assert 0 < found.parameters["arm_link.mx"].value < 2
+
+
+def test_contradictory_bounds_are_the_users_fault():
+    """Diagonal inertias of 1, 0.001 and 0.001 kg m^2 belong to no body; the sentence names the link."""
+    values = {"ixx": 1.0, "iyy": 0.001, "izz": 0.001}
+    rows = [
+        Parameter(n, values.get(q, 1.0 if q == "mass" else 0.0), "kg", free=q not in values)
+        for n, q in zip(LINK, INERTIAL, strict=True)
+    ]
+    free = tuple(p.name for p in rows if p.free)
+    base, beta = find_base(np.eye(len(free)), free), np.array([p.value for p in rows if p.free])
+    with pytest.raises(InputError, match="arm_link"):
+        solve_consistent(Parameters(rows), base, beta, np.eye(len(free)), PHYSICS)

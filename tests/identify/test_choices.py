@@ -134,4 +134,6 @@ def test_a_bound_holds_and_is_said(axis, axis_log):
     assert any(text.startswith("axis.viscous_neg: plain least squares gives 2") for text in known.warnings)
     assert known.parameters["carriage_link.mass"].value != pytest.approx(93.0, abs=0.01)
     fixed = identify(axis, axis_log, choices=Choices(fix=("axis.viscous_neg=200",)))
-    assert_allclose(known.parameters.values, fixed.parameters.values, rtol=1e-4)  # constrained least squares, not a projection
+    assert_allclose(
+        known.parameters.values, fixed.parameters.values, rtol=1e-4
+    )  # constrained least squares, not a projection

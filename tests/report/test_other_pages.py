@@ -50,7 +50,7 @@ def poor(fine) -> Log:
 def motion(robot, hostile) -> Trajectory:
     t = np.arange(0, 4, 0.01)
     w = np.array([2.3, 3.1])
-    q, v, a = 0.2 * np.sin(np.outer(t, w)), 0.2 * w * np.cos(np.outer(t, w)), -0.2 * w**2 * np.sin(np.outer(t, w))
+    q, v, a = 0.8 * np.sin(np.outer(t, w)), 0.8 * w * np.cos(np.outer(t, w)), -0.8 * w**2 * np.sin(np.outer(t, w))
     return Trajectory(robot.actuated, t, q, v, a, hostile, (f"scaled because of {hostile}",))
 
 
@@ -149,7 +149,7 @@ def test_excitation_compares_with_limits(pages, motion):
     """Condition number first, then travel and speed against their limits."""
     page = pages["excitation"]
     assert "condition number 42" in _text(page) and 'class="verdict care"' in page
-    assert f"{np.abs(motion.v).max(axis=0)[0]:.3f}" in page and "−1 … 1" in page
+    assert f"{np.abs(motion.v).max(axis=0)[0]:#.3g}" in page and "−1 … 1" in page
     panels = json.loads(re.search(r'id="panels">(.*?)</script>', page, flags=re.DOTALL)[1])
     assert any(strip["bounds"] for strip in panels[0]["strips"])
 
@@ -159,6 +159,7 @@ def test_truth_makes_the_headline_honest(found, truth):
     said = headline(found, truth)
     assert "of the truth" in said and "is known to" not in said
     wrong = truth | {"one_link.mass": 2 * truth["one_link.mass"]}
+    assert "missed the truth by up to" in headline(found, wrong)
     judged = verdict(found, wrong)
     assert judged.level == "care" and "one_link.mass" in judged.sentence
 

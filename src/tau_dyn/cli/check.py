@@ -5,7 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot_options, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot_options,
+    command_line,
+    load_robot_from,
+    progress,
+    robot_file,
+)
 
 HELP = "is a log fit for use, and what to mend"
 
@@ -24,7 +32,7 @@ def run(args: argparse.Namespace) -> Outcome:
     with progress(args.quiet) as step:
         step("reading")
         from tau_dyn.log import check_log, read_log
-        from tau_dyn.report import print_check
+        from tau_dyn.report import check_page, print_check
 
         robot = load_robot_from(args) if args.robot else None
         log = read_log(args.log, args.columns)
@@ -34,4 +42,5 @@ def run(args: argparse.Namespace) -> Outcome:
         warnings=log.warnings,
         inputs=[Path(args.log), *([args.columns] if args.columns else []), *(robot_file(args) if args.robot else [])],
         show=lambda console: print_check(console, log, checked),
+        report=lambda: check_page(log, checked, robot=robot, command_line=command_line()),
     )

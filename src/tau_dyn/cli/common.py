@@ -10,6 +10,8 @@ import argparse
 import hashlib
 import json
 import math
+import shlex
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -105,6 +107,11 @@ def robot_file(args: argparse.Namespace) -> list[Path]:
     return [find_robot(args.robot)]
 
 
+def command_line() -> str:
+    """Return how the program was called, for a page's provenance."""
+    return shlex.join(["tau-dyn", *sys.argv[1:]])
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
     """Show a spinner with the current step on stderr, if somebody watches."""
@@ -163,9 +170,7 @@ def _cannot_answer(command: str, args: argparse.Namespace, fault: CannotAnswer) 
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
     for sentence in fault.warnings:
         errors.print(f"warning: {sentence}", markup=False)
-    errors.print(
-        f"cannot answer: {fault.missing}. The experiment that would: {fault.experiment}.", markup=False
-    )
+    errors.print(f"cannot answer: {fault.missing}. The experiment that would: {fault.experiment}.", markup=False)
     if args.json is not None:
         inputs = [Path(p) for p in getattr(args, "logs", [])]
         result = envelope(command, args, inputs, "cannot_answer", fault.warnings)

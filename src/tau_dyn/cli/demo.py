@@ -21,7 +21,9 @@ _QUANTITIES = ("coulomb_neg", "coulomb_pos", "viscous_neg", "viscous_pos")
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("tau_dyn_demo"), help="folder (default tau_dyn_demo)")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("tau_dyn_demo"), help="folder (default tau_dyn_demo)"
+    )
     add_common(parser)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
 
 HELP = "an exciting motion within the robot's limits"
 
@@ -13,10 +13,16 @@ HELP = "an exciting motion within the robot's limits"
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_robot(parser)
-    parser.add_argument("--out", metavar="MOTION.csv", type=Path, required=True, help="write t, q_ref, v_ref, a_ref here")
+    parser.add_argument(
+        "--out", metavar="MOTION.csv", type=Path, required=True, help="write t, q_ref, v_ref, a_ref here"
+    )
     parser.add_argument("--duration", metavar="S", type=float, default=30.0, help="length (default 30 s)")
-    parser.add_argument("--trials", metavar="N", type=int, default=20, help="random motions to choose from (default 20)")
-    parser.add_argument("--model", default="asymmetric", help="what shall be identified: rigid, symmetric, asymmetric or a file")
+    parser.add_argument(
+        "--trials", metavar="N", type=int, default=20, help="random motions to choose from (default 20)"
+    )
+    parser.add_argument(
+        "--model", default="asymmetric", help="what shall be identified: rigid, symmetric, asymmetric or a file"
+    )
     add_common(parser)
 
 
@@ -36,7 +42,16 @@ def run(args: argparse.Namespace) -> Outcome:
         warnings=[*robot.warnings, *motion.notes],
         inputs=robot_file(args),
         show=lambda console: console.print(
-            f"{motion.duration:.4g} s, condition number {condition:.3g} (best of {args.trials}) -> {args.out}", markup=False
+            f"{motion.duration:.4g} s, condition number {condition:.3g} (best of {args.trials}) -> {args.out}",
+            markup=False,
         ),
         files={args.out: motion.to_csv},
+        report=lambda: _page(motion, model, condition, args),
     )
+
+
+def _page(motion, model, condition: float, args: argparse.Namespace) -> str:
+    from tau_dyn.report import excitation_page
+
+    made = {"seed": str(args.seed), "trials": str(args.trials)}
+    return excitation_page(motion, model, condition, command_line=command_line(), **made)

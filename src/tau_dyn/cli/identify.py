@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import shlex
-import sys
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
 
 HELP = "masses and friction from torque logs"
 
@@ -101,4 +99,4 @@ def _show(console, found, args: argparse.Namespace) -> None:
 def _page(found) -> str:
     from tau_dyn.report import identification_page
 
-    return identification_page(found, command_line=shlex.join(["tau-dyn", *sys.argv[1:]]))
+    return identification_page(found, command_line=command_line())

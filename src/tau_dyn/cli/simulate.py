@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
 
 HELP = "a log from the model, its controller and sensors"
 
@@ -19,16 +19,24 @@ def add(parser: argparse.ArgumentParser) -> None:
         default="fourier",
         help="fourier (default), slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT",
     )
-    parser.add_argument("--duration", metavar="S", type=float, default=60.0, help="length of a named motion (default 60 s)")
+    parser.add_argument(
+        "--duration", metavar="S", type=float, default=60.0, help="length of a named motion (default 60 s)"
+    )
     parser.add_argument("--out", metavar="LOG.csv", type=Path, required=True, help="write the log here")
     truth = parser.add_mutually_exclusive_group()
     truth.add_argument("--effects", metavar="E.yaml", type=Path, help="effects and parameter values of the true robot")
-    truth.add_argument("--model", metavar="FILE", type=Path, help="simulate this model file instead of the nominal robot")
+    truth.add_argument(
+        "--model", metavar="FILE", type=Path, help="simulate this model file instead of the nominal robot"
+    )
     sensors = parser.add_argument_group("controller and sensors")
     sensors.add_argument("--rate", metavar="HZ", type=float, default=1000.0, help="control rate (default 1000)")
     sensors.add_argument("--log-rate", metavar="HZ", type=float, help="log rate, the control rate over a whole number")
-    sensors.add_argument("--force-noise", metavar="N", type=float, default=5.0, help="standard deviation [N or N m] (default 5)")
-    sensors.add_argument("--force-colour", metavar="PHI", type=float, default=0.0, help="AR(1) coefficient of the force noise")
+    sensors.add_argument(
+        "--force-noise", metavar="N", type=float, default=5.0, help="standard deviation [N or N m] (default 5)"
+    )
+    sensors.add_argument(
+        "--force-colour", metavar="PHI", type=float, default=0.0, help="AR(1) coefficient of the force noise"
+    )
     sensors.add_argument("--encoder-noise", metavar="M", type=float, default=5e-6, help="[m or rad] (default 5e-6)")
     sensors.add_argument("--encoder-resolution", metavar="M", type=float, default=0.0, help="[m or rad] (default none)")
     sensors.add_argument("--tool-noise", metavar="M", type=float, default=0.0, help="tool position noise [m]")
@@ -78,4 +86,12 @@ def run(args: argparse.Namespace) -> Outcome:
             f"{log.duration:.4g} s of {robot.name} at {log.rate_hz:g} Hz -> {args.out}", markup=False
         ),
         files={args.out: log.to_csv},
+        report=lambda: _page(log, model, sensors, args),
     )
+
+
+def _page(log, model, sensors, args: argparse.Namespace) -> str:
+    from tau_dyn.report import simulation_page
+
+    made = {"motion": args.motion, "seed": str(args.seed)}
+    return simulation_page(log, model, sensors=sensors, command_line=command_line(), **made)

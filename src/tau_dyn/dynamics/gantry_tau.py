@@ -40,7 +40,9 @@ class GantryTauMechanism(Mechanism):
         pin.framesForwardKinematics(model, data, pin.neutral(model))
         joints = [model.getJointId(arm.cart_joint) for arm in robot.arms]
         if not self.describes(robot):
-            raise InputError(f"{robot.source}: the closed form needs three driven carts, rods and a plate with mass, and a tool")
+            raise InputError(
+                f"{robot.source}: the closed form needs three driven carts, rods and a plate with mass, and a tool"
+            )
         self.origin = np.array([data.oMi[j].translation for j in joints])
         axes = [pin.computeJointJacobian(model, data, pin.neutral(model), j)[:3, model.joints[j].idx_v] for j in joints]
         self.direction = np.array([data.oMi[j].rotation @ axis for j, axis in zip(joints, axes, strict=True)])

@@ -91,7 +91,7 @@ def find_base(
     norm = np.linalg.norm(W, axis=0)
     seen = _visible(norm, units)
     unit = np.divide(W, norm, out=np.zeros_like(W), where=seen)
-    R = np.linalg.qr(unit, mode="r") if len(unit) > len(names) else unit
+    R = np.asarray(np.linalg.qr(unit, mode="r")) if len(unit) > len(names) else unit
     rank = _rank(R, tolerance)
     kept: list[int] = []
     for column in range(len(names)):

@@ -12,12 +12,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tau_dyn.estimate.base import BaseParameters
 from tau_dyn.estimate.physics import PSEUDO_INERTIA_BASIS, Body, Physics, pseudo_inertia
-from tau_dyn.exceptions import TauDynError
+from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
 _EPS = (1e-4, 1e-2)
@@ -106,20 +107,27 @@ def _program(
         problem = cp.Problem(cp.Minimize(cp.sum_squares(misfit) + eps * pull), constraints)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # an inaccurate solution shows in the status
-            problem.solve(solver=cp.CLARABEL)
+            try:
+                problem.solve(solver=cp.CLARABEL)
+            except cp.SolverError:
+                continue
         if problem.status == cp.OPTIMAL:
             break
     if x.value is None:
-        raise TauDynError(f"the conic program for physical consistency ended as {problem.status}")
+        listed = ", ".join(body.name for body in bodies) or "the bounds"
+        raise InputError(
+            f"no admissible parameters exist ({problem.status}): what is fixed or bounded contradicts itself or the physics of "
+            f"{listed}"
+        )
     solution = np.clip(scale * x.value, lower, upper)
     for edge in (lower, upper):  # an interior-point solver stops just short of an edge
         solution = np.where(np.abs(solution - edge) < _EDGE * scale, edge, solution)
     return solution
 
 
-def _pseudo_inertia_of(body: Body, parameters: Parameters, position: dict[str, int], theta):
-    total = np.zeros((4, 4))
-    expression = 0
+def _pseudo_inertia_of(body: Body, parameters: Parameters, position: dict[str, int], theta: Any) -> Any:
+    """Return a body's pseudo-inertia (4, 4) as an expression of the program's variables."""
+    total, expression = np.zeros((4, 4)), 0 * theta[0] * np.eye(4)
     for name, column in zip(body.parameters, body.map.T, strict=True):
         J = np.tensordot(column, PSEUDO_INERTIA_BASIS, axes=1)
         if name in position:

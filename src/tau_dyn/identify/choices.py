@@ -88,7 +88,9 @@ class Choices:
 def scale_outputs(regression: Regression, factors: dict[str, float]) -> Regression:
     """Return the regression with each output multiplied by its factor (1 where none is given)."""
     scale = [factors.get(output, 1.0) for output in regression.outputs]
-    return replace(regression, runs=tuple(replace(run, y=run.y * scale, y_all=run.y_all * scale) for run in regression.runs))
+    return replace(
+        regression, runs=tuple(replace(run, y=run.y * scale, y_all=run.y_all * scale) for run in regression.runs)
+    )
 
 
 def _refuse_outside(parameters: Parameters) -> None:

@@ -64,7 +64,16 @@ def identify(
     warnings: list[str] = []
     try:
         return _identify(
-            robot, _listed(logs), _listed(holdout), model, choices or Choices(), preparation, exclude, seed, progress, warnings
+            robot,
+            _listed(logs),
+            _listed(holdout),
+            model,
+            choices or Choices(),
+            preparation,
+            exclude,
+            seed,
+            progress,
+            warnings,
         )
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))

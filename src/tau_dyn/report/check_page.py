@@ -58,7 +58,9 @@ def _opening(log: Log, checked: LogCheck, joints: list[str]) -> Opening:
     level: Level = "poor" if faults else "care" if doubts else "good"
     badge = {"good": "Fit for use", "care": "Fit, with doubts", "poor": "Not fit for use"}[level]
     topics = listed(dict.fromkeys(f.topic for f in [*faults, *doubts]))
-    judgement = f"Look at: {topics}." if topics else "Clock, channels, units and motion are as identification needs them."
+    judgement = (
+        f"Look at: {topics}." if topics else "Clock, channels, units and motion are as identification needs them."
+    )
     summary = (
         f"{number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
         f"{count(len(joints), 'joint')}: {listed(joints)}."
@@ -68,7 +70,8 @@ def _opening(log: Log, checked: LogCheck, joints: list[str]) -> Opening:
 
 def _units(joints: list[str], robot: Robot | None) -> dict[str, tuple[str, str]]:
     """Return the units of position and force by joint; open ones where no robot tells them."""
-    known = {} if robot is None else dict(zip(robot.actuated, zip(robot.position_units, robot.force_units), strict=True))  # noqa: B905
+    units = [] if robot is None else zip(robot.position_units, robot.force_units, strict=True)
+    known = dict(zip(() if robot is None else robot.actuated, units, strict=True))
     return {j: known.get(j, ("m or rad", "N or N m")) for j in joints}
 
 
@@ -140,10 +143,8 @@ def _clock_words(log: Log) -> str:
     if clock.rounded:
         return f"{text}; the times are an even clock written with too few digits."
     if clock.even:
-        most = 1e6 * clock.jitter * clock.dt
-        return f"{text}, {'never off by more' if most >= 0.01 else 'and no step is off by'}" + (
-            f" than {number(most, 2)} µs; no sample is missing." if most >= 0.01 else " even 0.01 µs; no sample is missing."
-        )
+        most = max(1e6 * clock.jitter * clock.dt, 0.01)
+        return f"{text}, never off by more than {number(most, 2)} µs; no sample is missing."
     parts = [f"steps differ by up to {percent(100 * clock.jitter)}"]
     parts += [f"{count(clock.n_missing, 'sample')} missing"] if clock.n_missing else []
     parts += [count(len(clock.gaps), "gap")] if clock.gaps else []

@@ -23,7 +23,9 @@ FORCE_NEAR = 0.999
 PHASE_POINTS = 1500
 
 
-def simulation_page(log: Log, model: Model, *, sensors: Sensors | None = None, command_line: str = "", **made: str) -> str:
+def simulation_page(
+    log: Log, model: Model, *, sensors: Sensors | None = None, command_line: str = "", **made: str
+) -> str:
     """Return a simulated log as one HTML page.
 
     Args:
@@ -103,7 +105,9 @@ def _simulated(log: Log, robot: Robot, rows: list[dict[str, Any]]) -> Opening:
 
 def _made_of(log: Log, robot: Robot) -> str:
     samples = f"{log.n_samples:,}".replace(",", " ")
-    return f"{log.name}: {samples} samples of {listed(robot.actuated)}, read through the sensors below. Not a recording."
+    return (
+        f"{log.name}: {samples} samples of {listed(robot.actuated)}, read through the sensors below. Not a recording."
+    )
 
 
 def _log_view(log: Log, robot: Robot, k: int) -> View:
@@ -113,7 +117,9 @@ def _log_view(log: Log, robot: Robot, k: int) -> View:
     strips = [strip(f"position [{unit}]", 230, *[Curve(n, i, x) for n, i, x in motion if x is not None],
                     bounds=(robot.lower[k], robot.upper[k]))]  # fmt: skip
     if reference is not None and q is not None:
-        strips.append(strip(f"behind [m{unit}]", 130, Curve("behind by", "predicted", 1000 * (reference - q)), symmetric=True))
+        strips.append(
+            strip(f"behind [m{unit}]", 130, Curve("behind by", "predicted", 1000 * (reference - q)), symmetric=True)
+        )
     if tau is not None:
         limit = robot.effort_limit[k]
         strips.append(strip(f"force [{force}]", 210, Curve("force", "residual", tau), bounds=(-limit, limit)))

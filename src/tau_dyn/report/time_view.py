@@ -92,7 +92,9 @@ def strip(
     low, high = padded(*(c.values for c in curves))
     if symmetric:
         low, high = -max(-low, high), max(-low, high)
-    near = tuple(float(b) for b in bounds if np.isfinite(b) and low - 0.5 * (high - low) <= b <= high + 0.5 * (high - low))
+    near = tuple(
+        float(b) for b in bounds if np.isfinite(b) and low - 0.5 * (high - low) <= b <= high + 0.5 * (high - low)
+    )
     limits = padded(np.array([low, high, *near]), share=0.02) if near else (low, high)
     return Strip(label, curves, limits, height, masked, near)
 

@@ -137,7 +137,9 @@ def check_headline(checked: LogCheck, name: str = "") -> str:
     """Return whether a log may be used, in a sentence; with a name it is the sentence's subject."""
     faults = sum(f.severity == "fault" for f in checked.findings)
     doubts = sum(f.severity == "warning" for f in checked.findings)
-    start, fit, not_fit = (f"{name} is ", "fit for use", "not fit for use") if name else ("", "Fit for use", "Not fit for use")
+    start, fit, not_fit = (
+        (f"{name} is ", "fit for use", "not fit for use") if name else ("", "Fit for use", "Not fit for use")
+    )
     if not checked.fit_for_use:
         more = f", {count(doubts, 'warning')}" if doubts else ""
         return f"{start}{not_fit} as it is: {count(faults, 'fault')}{more}."
@@ -164,7 +166,9 @@ def _clauses(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list
     if len(groups) > 3 or not masses:
         known = sum(r["determined"] for r in rows)
         return [f"{known} of {count(len(rows), 'parameter')} are known to better than 30 % each"]
-    clauses = [_known(name, members, truth) for name, members in groups.items() if any(r["determined"] for r in members)]
+    clauses = [
+        _known(name, members, truth) for name, members in groups.items() if any(r["determined"] for r in members)
+    ]
     weak = [n for n, g in groups.items() if not any(r["determined"] for r in g) and any(r["stderr"] for r in g)]
     unseen = [n for n, g in groups.items() if all(r["stderr"] is None for r in g)]
     if weak:
@@ -185,7 +189,9 @@ def _known(name: str, members: Sequence[dict[str, Any]], truth: Mapping[str, flo
         off = max(100 * abs(r["value"] / x - 1) for r, x in zip(known, true, strict=True) if x)
         some = f"{len(known)} of {len(members)} " if len(known) < len(members) else ""
         what = f"{some}{name} {'mass' if len(members) == 1 else 'masses'}"
-        return f"{what} came within {percent(off)} of the truth (95 % interval ±{percent(worst)})"
+        if _missed(known, truth):
+            return f"{what} missed the truth by up to {percent(off)}, beyond the claimed ±{percent(worst)}"
+        return f"{what} came within {percent(off)} of the truth"
     how = "known to" if worst < ROUGH_PERCENT else "only known to"
     if len(members) == 1:
         return f"{name} mass is {how} ±{percent(worst)}"

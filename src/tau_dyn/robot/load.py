@@ -55,7 +55,9 @@ def robot_from_urdf(
     passive = [n for n in model.names[1:] if n not in names]
     if passive and not notes.loops:
         listed = ", ".join(passive)
-        warnings.append(f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero")
+        warnings.append(
+            f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero"
+        )
     loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
     links = _links(model, notes, warnings)
     kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}

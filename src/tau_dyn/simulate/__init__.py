@@ -1,6 +1,6 @@
 """A model, a motion, a controller and sensors become a `Log`."""
 
-from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller, EmpsController
+from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
 from tau_dyn.simulate.effects_file import read_effects_file
 from tau_dyn.simulate.fourier import base_condition, exciting_motion, fourier_motion
 from tau_dyn.simulate.limits import broken_limit, condition_bound
@@ -22,7 +22,6 @@ __all__ = [
     "CascadeController",
     "CascadeLaw",
     "Controller",
-    "EmpsController",
     "PlantRun",
     "Sensors",
     "Trajectory",

@@ -28,7 +28,8 @@ from tau_dyn.simulate.trajectory import Trajectory
 Feedforward = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Forces (N, na) [N or N m] along positions, speeds and accelerations (N, na), such as a `tau_dyn.control.Feedforward`."""
 
-PerJoint = float | Sequence[float] | np.ndarray
+PerJoint = float | Sequence[float]
+"""A number for all joints, or one a joint."""
 
 INERTIA_EVERY_S = 0.01
 """Time after which a law that knows the robot looks the mass matrix up again [s]."""
@@ -104,7 +105,9 @@ class CascadeLaw:
         The velocity loop also integrates, at a fifth of its bandwidth, and the output stays within the drives' limits.
         """
         na, fast, slow = model.robot.na, 2 * np.pi * velocity_hz, 2 * np.pi * position_hz
-        law = cls.of(slow, fast, na=na, integral_rate=fast / 5, speed_feedforward=1.0, limit=model.robot.effort_limit)
+        law = cls.of(
+            slow, fast, na=na, integral_rate=fast / 5, speed_feedforward=1.0, limit=model.robot.effort_limit.tolist()
+        )
         return replace(law, inertia=lambda q: model.mechanism.mass_and_bias(q, np.zeros(na))[0])
 
     @classmethod
@@ -165,11 +168,3 @@ class CascadeController:
         winding_up = (wanted != output) & (wanted * push > 0)
         self._integral = self._integral + np.where(winding_up, 0.0, law.integral_rate * push * self._dt)
         return law.force_per_unit * output
-
-
-class EmpsController(CascadeController):
-    """The published controller of the EMPS drive, for one prismatic joint."""
-
-    def __init__(self) -> None:
-        """Take the published gains."""
-        super().__init__(CascadeLaw.emps())

@@ -9,7 +9,6 @@ has the spectrum asked for at the log rate. Encoder noise is white at the contro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +17,8 @@ from scipy.signal import lfilter
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot
+from tau_dyn.simulate.controllers import PerJoint
 from tau_dyn.simulate.plant import PlantRun
-
-PerJoint = float | Sequence[float]
 
 
 @dataclass(frozen=True)
