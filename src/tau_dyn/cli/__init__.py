@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 
 from tau_dyn.cli import check, demo, excite, identify, simulate
@@ -15,6 +16,7 @@ COMMANDS = {"demo": demo, "check": check, "simulate": simulate, "excite": excite
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
+    warnings.simplefilter("ignore", RuntimeWarning)  # numbers out of range end in a sentence of ours
     try:
         args = build_parser().parse_args(argv)
         return execute(args.command, COMMANDS[args.command].run, args)

@@ -10,6 +10,7 @@ import argparse
 import hashlib
 import json
 import math
+import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -55,12 +56,40 @@ class Parser(argparse.ArgumentParser):
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
 
+def whole_number(text: str) -> int:
+    """Read a whole number from zero up."""
+    value = int(text)
+    if value < 0:
+        raise ValueError
+    return value
+
+
+def positive(text: str) -> float:
+    """Read a positive number of sensible size."""
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise ValueError
+    return value
+
+
+def not_negative(text: str) -> float:
+    """Read zero or a positive number of sensible size."""
+    return 0.0 if float(text) == 0 else positive(text)
+
+
+def csv_file(text: str) -> Path:
+    """Read the name of a CSV file to write."""
+    if Path(text).suffix.lower() != ".csv":
+        raise argparse.ArgumentTypeError(f"'{text}' must end in .csv, which is what is written")
+    return Path(text)
+
+
 def add_common(parser: argparse.ArgumentParser) -> None:
     """Add the options that every command takes."""
     group = parser.add_argument_group("output")
     group.add_argument("--json", metavar="FILE", type=Path, help="write the result here")
     group.add_argument("--report", metavar="FILE.html", type=Path, help="write one self-contained page here")
-    group.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+    group.add_argument("--seed", type=whole_number, default=0, help="seed of everything random (default 0)")
     group.add_argument("--quiet", action="store_true", help="no progress, no result on the screen; warnings stay")
 
 
@@ -123,6 +152,15 @@ def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield lambda step: status.update(step)
 
 
+class _Screen(Console):
+    """A console whose reader may leave early, as `head` does."""
+
+    def on_broken_pipe(self) -> NoReturn:
+        """Leave quietly: everything was written already."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(0)
+
+
 def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: argparse.Namespace) -> int:
     """Run a command, print, write, and return the exit status."""
     out = getattr(args, "out", None) if command != "demo" else None  # the demo makes its folder
@@ -134,6 +172,9 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
             raise InputError(f"{path} is a folder; name a file")
     if len({path.resolve() for path in destinations}) < len(destinations):
         raise InputError("two outputs are to be written to one file; give each its own")
+    for path in destinations:
+        if path.resolve() in _given(args):
+            raise InputError(f"{path} is an input of this command and would be overwritten; name another file")
     try:
         outcome = run(args)
     except CannotAnswer as fault:
@@ -147,8 +188,15 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
     for sentence in dict.fromkeys(outcome.warnings):
         errors.print(f"warning: {sentence}", markup=False)
     if not args.quiet:
-        outcome.show(Console(soft_wrap=False, highlight=False))
+        outcome.show(_Screen(soft_wrap=False, highlight=False))
     return 0
+
+
+def _given(args: argparse.Namespace) -> set[Path]:
+    """Return every file that the arguments name as an input."""
+    single = (getattr(args, name, None) for name in ("robot", "log", "columns", "effects", "model", "motion"))
+    many = [*getattr(args, "logs", []), *getattr(args, "holdout", [])]
+    return {Path(item).resolve() for item in (*single, *many) if item is not None and Path(item).is_file()}
 
 
 def _write(command: str, args: argparse.Namespace, outcome: Outcome, report: str | None) -> None:

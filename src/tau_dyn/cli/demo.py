@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.cli.common import Outcome, add_common, progress
+from tau_dyn.exceptions import InputError
 
 HELP = "the main job on made data: simulate, identify, compare with the truth, report"
 
@@ -29,6 +30,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run the demo."""
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise InputError(f"--out {args.out}: {fault.strerror}; name a folder") from fault
     with progress(args.quiet) as step:
         step("loading")
         from tau_dyn.identify import identify
@@ -57,7 +62,6 @@ def run(args: argparse.Namespace) -> Outcome:
         values = {p.name: p.value for p in truth.parameters}
         command = f"tau-dyn identify gantry_tau {args.out}/monday.csv --holdout {args.out}/tuesday.csv"
         page = identification_page(found, command_line=command, truth=values)
-    args.out.mkdir(parents=True, exist_ok=True)
     written = {"report": str(args.out / "report.html"), "model": str(args.out / "model.yaml"), "logs": str(args.out)}
     return Outcome(
         result=found.to_dict() | {"truth": values, "out": str(args.out)},

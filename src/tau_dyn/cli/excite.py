@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot,
+    command_line,
+    csv_file,
+    load_robot_from,
+    positive,
+    progress,
+    robot_file,
+    whole_number,
+)
 
 HELP = "an exciting motion within the robot's limits"
 
@@ -14,11 +24,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_robot(parser)
     parser.add_argument(
-        "--out", metavar="MOTION.csv", type=Path, required=True, help="write t, q_ref, v_ref, a_ref here"
+        "--out", metavar="MOTION.csv", type=csv_file, required=True, help="write t, q_ref, v_ref, a_ref here"
     )
-    parser.add_argument("--duration", metavar="S", type=float, default=30.0, help="length (default 30 s)")
+    parser.add_argument("--duration", metavar="S", type=positive, default=30.0, help="length (default 30 s)")
     parser.add_argument(
-        "--trials", metavar="N", type=int, default=20, help="random motions to choose from (default 20)"
+        "--trials", metavar="N", type=whole_number, default=20, help="random motions to choose from (default 20)"
     )
     parser.add_argument(
         "--model", default="asymmetric", help="what shall be identified: rigid, symmetric, asymmetric or a file"

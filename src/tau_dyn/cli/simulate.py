@@ -5,7 +5,18 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot,
+    command_line,
+    csv_file,
+    load_robot_from,
+    not_negative,
+    positive,
+    progress,
+    robot_file,
+)
 
 HELP = "a log from the model, its controller and sensors"
 
@@ -20,26 +31,32 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="fourier (default), slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT",
     )
     parser.add_argument(
-        "--duration", metavar="S", type=float, default=60.0, help="length of a named motion (default 60 s)"
+        "--duration", metavar="S", type=positive, default=60.0, help="length of a named motion (default 60 s)"
     )
-    parser.add_argument("--out", metavar="LOG.csv", type=Path, required=True, help="write the log here")
+    parser.add_argument("--out", metavar="LOG.csv", type=csv_file, required=True, help="write the log here")
     truth = parser.add_mutually_exclusive_group()
     truth.add_argument("--effects", metavar="E.yaml", type=Path, help="effects and parameter values of the true robot")
     truth.add_argument(
         "--model", metavar="FILE", type=Path, help="simulate this model file instead of the nominal robot"
     )
     sensors = parser.add_argument_group("controller and sensors")
-    sensors.add_argument("--rate", metavar="HZ", type=float, default=1000.0, help="control rate (default 1000)")
-    sensors.add_argument("--log-rate", metavar="HZ", type=float, help="log rate, the control rate over a whole number")
+    sensors.add_argument("--rate", metavar="HZ", type=positive, default=1000.0, help="control rate (default 1000)")
     sensors.add_argument(
-        "--force-noise", metavar="N", type=float, default=5.0, help="standard deviation [N or N m] (default 5)"
+        "--log-rate", metavar="HZ", type=positive, help="log rate, the control rate over a whole number"
+    )
+    sensors.add_argument(
+        "--force-noise", metavar="N", type=not_negative, default=5.0, help="standard deviation [N or N m] (default 5)"
     )
     sensors.add_argument(
         "--force-colour", metavar="PHI", type=float, default=0.0, help="AR(1) coefficient of the force noise"
     )
-    sensors.add_argument("--encoder-noise", metavar="M", type=float, default=5e-6, help="[m or rad] (default 5e-6)")
-    sensors.add_argument("--encoder-resolution", metavar="M", type=float, default=0.0, help="[m or rad] (default none)")
-    sensors.add_argument("--tool-noise", metavar="M", type=float, default=0.0, help="tool position noise [m]")
+    sensors.add_argument(
+        "--encoder-noise", metavar="M", type=not_negative, default=5e-6, help="[m or rad] (default 5e-6)"
+    )
+    sensors.add_argument(
+        "--encoder-resolution", metavar="M", type=not_negative, default=0.0, help="[m or rad] (default none)"
+    )
+    sensors.add_argument("--tool-noise", metavar="M", type=not_negative, default=0.0, help="tool position noise [m]")
     add_common(parser)
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from math import isfinite
 
 from tau_dyn.estimate import Regression
 from tau_dyn.exceptions import InputError, UnknownName
@@ -131,6 +130,8 @@ def _number(word: str, text: str) -> float:
         value = float(word)
     except ValueError:
         value = float("nan")
-    if not isfinite(value):
-        raise InputError(f"'{text}': '{word}' is not a finite number; write NAME=VALUE, such as plate_link.mass=9.13")
+    if not abs(value) < 1e15:
+        raise InputError(
+            f"'{text}': '{word}' is not a number of sensible size; write NAME=VALUE, such as plate_link.mass=9.13"
+        )
     return value

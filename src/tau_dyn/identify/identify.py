@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.effects import FRICTION_MODELS, friction_model
-from tau_dyn.estimate import BaseParameters, Estimate, Regression, solve_least_squares
+from tau_dyn.estimate import DETERMINED, BaseParameters, Estimate, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices, scale_outputs
 from tau_dyn.identify.doubts import doubts, equivalences
@@ -169,7 +169,22 @@ class _Solver:
 
 
 def _listed(logs: Log | Iterable[Log]) -> list[Log]:
-    return [logs] if isinstance(logs, Log) else list(logs)
+    listed = [logs] if isinstance(logs, Log) or isinstance(logs, str) else list(logs)
+    for log in listed:
+        if not isinstance(log, Log):
+            raise InputError(f"{log!r:.80} is not a Log; read it with read_log(path)")
+    return listed
+
+
+def _each_once(logs: list[Log], warnings: list[str]) -> list[Log]:
+    """Return the logs without repetitions: the same samples twice would look like twice the evidence."""
+    once: list[Log] = []
+    for log in logs:
+        if any(_shares_samples(log, other) for other in once):
+            warnings.append(f"{log.name} is given twice, or overlaps with a log given before; it counts once")
+        else:
+            once.append(log)
+    return once
 
 
 def _log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
@@ -235,13 +250,19 @@ def _split(regression: Regression) -> tuple[Regression, Regression]:
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
-    names = [n for n in estimate.base.names if estimate.parameters[n].stderr is not None]
-    if any(estimate.determined(n) for n in names):
+    """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing."""
+    if np.any(estimate.stderr < DETERMINED * np.abs(estimate.beta)):
         return
-    joints = ", ".join(estimate.regression.outputs)
+    regression = estimate.regression
+    flat = [j for k, j in enumerate(regression.outputs) if all(np.ptp(run.y_all[:, k]) == 0 for run in regression.runs)]
+    if flat:
+        raise CannotAnswer(
+            f"the logged force of {', '.join(flat)} never changes", "log the drives' forces and repeat the motion"
+        )
     raise CannotAnswer(
-        "this motion determines no parameter to within 30 %",
-        f"move {joints} in both directions over several speeds, and accelerate more than the noise shows",
+        "this motion determines no parameter, alone or in combination, to within 30 %",
+        f"move {', '.join(regression.outputs)} in both directions over several speeds, accelerate more than the noise shows, "
+        "and let the model have friction (--model asymmetric)",
     )
 
 

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, encoder_noise, motion_band, noise_gain
 from tau_dyn.robot import Robot
 
@@ -32,6 +32,9 @@ BAND_FACTOR = 5.0
 POSITION_FACTOR = 8.0
 RATE_FACTOR = 2.5
 NOISE_FACTOR = 10.0
+SLOWEST_HZ = 5.0
+"""A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
+
 MEMORY = 2.0
 """Half-width of what the first filter makes of a step, in periods of its cutoff; 0.3 % of the step is left after it."""
 
@@ -73,6 +76,8 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
         CannotAnswer: No joint moves above its encoder's noise.
     """
     rate = min(log.rate_hz for log in logs)
+    if rate < SLOWEST_HZ:
+        raise InputError(f"{logs[0].name} is sampled at {rate:.3g} Hz; t must be in s (does it stand in ms or us?)")
     bands = [motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     edge = max(float(band.edge_hz.max()) for band in bands)
     if edge <= 0:

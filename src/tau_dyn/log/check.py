@@ -74,7 +74,8 @@ def _columns(log: Log, robot: JointLimits | None) -> list[Finding]:
 
 def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
     doubts = [
-        Finding("warning", "units", sentence, "Scale it in a column map.") for sentence in unit_warnings(log, robot)
+        Finding("warning" if robot is None else "fault", "units", sentence, "Scale it in a column map.")
+        for sentence in unit_warnings(log, robot)
     ]
     return doubts or [Finding("ok", "units", f"{log.name}: positions look like m and rad.")]
 

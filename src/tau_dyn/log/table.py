@@ -21,6 +21,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log.delimited import parse_delimited
 from tau_dyn.log.names import listed
 
+LARGEST = 1e15
+"""No quantity of a robot in SI units is larger; what is comes from a broken logger."""
+
 PARQUET_SUFFIXES = (".parquet", ".pq")
 
 
@@ -65,7 +68,7 @@ class Table:
         if column not in self.cells:
             raise InputError(f"{self.name} has no column {column}; it has {listed(self.cells)}.")
         values = _to_float(self.cells[column])
-        wrong = np.flatnonzero(~np.isfinite(values))
+        wrong = np.flatnonzero(~(np.abs(values) < LARGEST))
         if wrong.size:
             row = int(wrong[0])
             raise InputError(f"{self.where(row)}, column {column}: {_complaint(self.cells[column][row])}.")

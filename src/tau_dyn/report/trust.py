@@ -7,7 +7,7 @@ import numpy as np
 from tau_dyn.identify import Identification
 from tau_dyn.report.residuals import Residual
 from tau_dyn.report.rows import Row
-from tau_dyn.report.words import count, listed, number, percent, pretty_unit
+from tau_dyn.report.words import count, listed, number, percent, pretty_unit, with_uncertainty
 
 WELL, FAIR = 30.0, 200.0
 STRONG = 0.9
@@ -71,10 +71,13 @@ def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, s
 
 
 def combinations(found: Identification) -> list[str]:
-    """Return what the data do see of parameters that they cannot see alone."""
-    base = found.estimate.base
-    together = [k for k in range(base.rank) if np.any(base.K[k] != 0)]
-    return [base.expression(k).replace("*", " · ") for k in together]
+    """Return what the data do see of parameters that they cannot see alone, with values."""
+    rows = found.base_rows()
+    together = [row for row in rows if row["expression"] != row["name"]]
+    return [
+        f"{row['expression'].replace('*', ' · ')} = {with_uncertainty(row['value'], row['stderr'], row['unit'])}"
+        for row in together
+    ]
 
 
 def truth_words(rows: list[Row]) -> str:

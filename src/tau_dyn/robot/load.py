@@ -5,8 +5,11 @@ The file stays the single source for Pinocchio (which ignores the loop elements)
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterable, Mapping
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -83,13 +86,34 @@ def robot_from_urdf(
 
 def _build_model(urdf: str, where: str) -> pin.Model:
     text = re.sub(r"<\?xml[^>]*\?>", "", urdf, count=1)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as fault:
-        raise InputError(f"{where}: Pinocchio cannot build the tree: {' '.join(str(fault).split())}") from fault
+    with _said_on_stderr() as said:
+        try:
+            model = pin.buildModelFromXML(text)
+        except (ValueError, RuntimeError) as fault:
+            reason = " ".join(str(fault).split())
+            model = None
+    if model is None:
+        words = re.sub(r"(Error|Warning):\s*|\s+at line \d+ in \S+", " ", said[0])
+        raise InputError(f"{where}: Pinocchio cannot build the tree: {' '.join(words.split()) or reason}")
     if model.nv == 0:
         raise InputError(f"{where}: the robot has no movable joint")
     return model
+
+
+@contextmanager
+def _said_on_stderr() -> Iterator[list[str]]:
+    """Collect what a C++ library writes to the process' stderr; the list holds it after the block."""
+    said: list[str] = []
+    with tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield said
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            said.append(file.read().decode(errors="replace"))
 
 
 def _actuated(
