@@ -6,7 +6,19 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import check_log, read_log
-from tau_dyn.simulate import Sensors, Trajectory, drive, fourier_motion, measure, move, simulate, stroke_motion
+from tau_dyn.model import Model
+from tau_dyn.robot import load_robot
+from tau_dyn.simulate import (
+    Sensors,
+    Trajectory,
+    drive,
+    fourier_motion,
+    measure,
+    move,
+    named_motion,
+    simulate,
+    stroke_motion,
+)
 
 
 def test_the_same_seed_gives_the_same_log(block):
@@ -84,3 +96,11 @@ def test_progress_is_told(block):
     motion = Trajectory(("axis",), np.arange(1001) / 1000, *np.zeros((3, 1001, 1)))
     simulate(block, motion, progress=seen.append)
     assert 90 < len(seen) < 110 and seen == sorted(seen) and seen[-1] <= 1.0
+
+
+def test_a_body_that_cannot_exist_is_not_simulated():
+    """A first moment that puts the centre outside what the inertia allows is refused by the link's name."""
+    robot = load_robot("gantry_tau").untied(["plate_link.mx"])
+    model = Model.of(robot).with_values({"plate_link.mx": 50.0})
+    with pytest.raises(InputError, match="plate_link"):
+        simulate(model, named_motion("slow", Model.of(robot), 5.0))

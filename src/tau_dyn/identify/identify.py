@@ -169,11 +169,11 @@ class _Solver:
 
 
 def _listed(logs: Log | Iterable[Log]) -> list[Log]:
-    listed = [logs] if isinstance(logs, Log) or isinstance(logs, str) else list(logs)
-    for log in listed:
-        if not isinstance(log, Log):
-            raise InputError(f"{log!r:.80} is not a Log; read it with read_log(path)")
-    return listed
+    if isinstance(logs, Log):
+        return [logs]
+    if isinstance(logs, str | Path):
+        raise InputError(f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
+    return list(logs)
 
 
 def _each_once(logs: list[Log], warnings: list[str]) -> list[Log]:

@@ -10,11 +10,10 @@ smallest condition number. Reference: Swevers et al. 1997; Gautier & Khalil 1992
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
-from scipy.linalg import qr
 
+from tau_dyn.estimate import find_base
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate.limits import scaled_to_limits
@@ -23,8 +22,6 @@ from tau_dyn.simulate.trajectory import Trajectory
 
 RATE_HZ = 1000.0
 """Sampling rate of generated motions [Hz]."""
-
-_RANK = 1e-7  # a column that keeps less than this share of its length beside the others is dependent on them
 
 
 def reach(model: Model) -> np.ndarray:
@@ -117,17 +114,16 @@ def exciting_motion(
 def base_condition(model: Model, motion: Trajectory, samples: int = 400) -> float:
     """Return the condition number of the base regressor along a motion, columns scaled to unit length.
 
-    Columns are those of the model's free parameters; pivoted QR keeps the independent ones (Gautier 1991).
+    Columns are those of the model's free parameters, dependent ones regrouped (Gautier 1991).
     """
     few = motion.every(motion.n_samples // samples)
-    W = model.regressor(few.q, few.v, few.a)[:, :, model.parameters.free].reshape(-1, int(model.parameters.free.sum()))
-    length = np.linalg.norm(W, axis=0)
-    if not np.any(length > 0):
+    free = [p for p in model.parameters if p.free]
+    W = model.regressor(few.q, few.v, few.a)[:, :, model.parameters.free].reshape(-1, len(free))
+    base = find_base(W, tuple(p.name for p in free), units=[p.unit for p in free])
+    if base.rank == 0:
         return np.inf
-    W = W[:, length > 1e-9 * length.max()] / length[length > 1e-9 * length.max()]
-    R, pivots = cast(Any, qr(W, mode="r", pivoting=True))
-    diagonal = np.abs(np.diag(R))
-    return float(np.linalg.cond(W[:, pivots[: int(np.sum(diagonal > _RANK * diagonal[0]))]]))
+    kept = W[:, base.kept]
+    return float(np.linalg.cond(kept / np.linalg.norm(kept, axis=0)))
 
 
 def sines(t: np.ndarray, f: np.ndarray, amplitude: np.ndarray, phase: np.ndarray) -> Path:

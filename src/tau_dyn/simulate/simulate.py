@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from tau_dyn.estimate import pseudo_inertia
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -72,6 +73,7 @@ def drive(
     if motion.joints != model.robot.actuated:
         expected, got = ", ".join(model.robot.actuated), ", ".join(motion.joints)
         raise InputError(f"{motion.name} moves joints {got}; {model.robot.source} has {expected}, in this order")
+    _refuse_impossible_bodies(model)
     reference = motion.resampled(rate_hz)
     fault = broken_limit(model, reference, condition=np.inf)
     if fault:
@@ -85,3 +87,11 @@ def drive(
     return run_plant(
         model, reference, controller, encoder=lambda k, q: sensors.rounded(q + noise[k]), progress=progress
     )
+
+
+def _refuse_impossible_bodies(model: Model) -> None:
+    """Refuse inertial numbers that no distribution of mass has: such a plant can gain energy from nothing."""
+    for link in model.robot.links:
+        J = pseudo_inertia(link.map @ model.robot.parameters.select(link.names).values)
+        if np.linalg.eigvalsh(J)[0] < -1e-9 * max(float(np.trace(J)), 1e-12):
+            raise InputError(f"{model.robot.source}: no body has the mass, centre and inertia given for {link.link}")
