@@ -132,6 +132,6 @@ def _number(word: str, text: str) -> float:
         value = float("nan")
     if not abs(value) < 1e15:
         raise InputError(
-            f"'{text}': '{word}' is not a number of sensible size; write NAME=VALUE, such as plate_link.mass=9.13"
+            f"'{text}': '{word}' is not a finite number of sensible size; write NAME=VALUE, such as plate_link.mass=9.13"
         )
     return value
