@@ -94,6 +94,12 @@ def test_files_that_are_no_logs(tmp_path, capsys, content, word):
         (["identify", "gantry_tau", "LOG"], ["q_cart1"]),
         (["identify", "linear_axis", "LOG", "--json", "nowhere/r.json"], ["nowhere"]),
         (["simulate", "linear_axis", "--motion", "jig", "--out", "x.csv"], ["jig", "fourier"]),
+        (["simulate", "linear_axis", "--out", "x.parquet"], [".csv"]),
+        (["simulate", "linear_axis", "--rate", "0", "--out", "x.csv"], ["--rate"]),
+        (["identify", "linear_axis", "LOG", "--seed", "-1"], ["--seed"]),
+        (["identify", "linear_axis", "LOG", "--json", "LOG"], ["input", "overwritten"]),
+        (["identify", "linear_axis", "LOG", "--json", "r", "--report", "r"], ["two outputs"]),
+        (["identify", "linear_axis", "LOG", "--json", "."], ["folder"]),
     ],
 )
 def test_faulty_requests_say_what_exists(tmp_path, capsys, monkeypatch, argv, words):

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName
-from tau_dyn.identify import build_regression, identify
+from tau_dyn.identify import Choices, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -382,3 +382,41 @@ def test_the_filters_do_not_see_beyond_a_logs_ends(l1, monday):
     near = (run.t < run.t[0] + 0.7 * length) | (run.t > run.t[-1] - 0.7 * length)
     assert near.sum() >= 4
     assert not run.usable[near].any()
+
+
+def test_a_log_full_of_holes_is_said_once(axis, axis_log, rng):
+    """Of a dozen jittery pieces two are described and the rest counted: nobody reads sixty warnings."""
+    kept = np.ones(axis_log.n_samples, bool)
+    for k in range(1, 13):
+        kept[380 * k : 380 * k + 20] = False
+    t = axis_log.t + rng.uniform(-2e-4, 2e-4, axis_log.n_samples)
+    holed = Log(t[kept], {name: x[kept] for name, x in axis_log.channels.items()}, "holed.csv")
+    about = [w for w in identify(axis, holed).warnings if w.startswith("holed.csv")]
+    assert len(about) == 3 and "more warnings like these" in about[-1]
+
+
+def test_the_same_log_twice_is_no_more_evidence(axis, axis_log):
+    """A log given twice counts once, with a warning: otherwise every standard error would shrink by the square root of two."""
+    once, twice = identify(axis, axis_log), identify(axis, [axis_log, axis_log])
+    assert any("given twice" in w for w in twice.warnings)
+    assert twice.estimate.regression.n_samples == once.estimate.regression.n_samples
+
+
+def test_with_everything_fixed_nothing_is_left_to_estimate(axis, axis_log):
+    """Fixing all parameters is the user's fault, not the data's."""
+    with pytest.raises(InputError, match="nothing is left to estimate"):
+        identify(axis, axis_log, choices=Choices(fix=("*",)))
+
+
+def test_a_path_is_not_a_log(axis):
+    """The sentence names the function that reads one."""
+    with pytest.raises(InputError, match="read_log"):
+        identify(axis, "monday.csv")
+
+
+def test_parts_of_one_file_may_be_held_out(axis, axis_log):
+    """The first 70 % of a file and its rest are different data, though they share the file's hash."""
+    whole = Log(axis_log.t, dict(axis_log.channels), "one.csv", "a" * 64)
+    train, rest = whole.split(0.7)
+    found = identify(axis, train, holdout=rest)
+    assert found.holdout is not None and not any("both trained on" in w for w in found.warnings)

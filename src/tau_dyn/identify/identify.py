@@ -28,6 +28,8 @@ from tau_dyn.log import Log, unit_warnings
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
+_MOST = 4  # warnings about one log before they are counted instead of listed
+
 TRAIN_SHARE = 0.7
 """Where no held-out log is given, a fit of this first part of each log predicts the rest."""
 
@@ -95,7 +97,11 @@ def _identify(
     """Do what `identify` says, leaving in `warnings` what was doubtful even if no answer comes."""
     prepared = choices.apply(build_model(robot, model))
     robot = prepared.robot
-    held_logs = _without_trained(train_logs, asked_logs, doubled := [])
+    if not prepared.parameters.free.any():
+        raise InputError("every parameter is fixed; nothing is left to estimate")
+    doubled: list[str] = []
+    train_logs = _each_once(train_logs, doubled)
+    held_logs = _each_once(_without_trained(train_logs, asked_logs, doubled), doubled)
     train, held_out = ([piece for log in logs for piece in even_pieces(log)] for logs in (train_logs, held_logs))
     warnings += [*robot.warnings, *_log_warnings(robot, [*train, *held_out]), *doubled]
     gains = choices.gains(robot.actuated)
@@ -188,9 +194,12 @@ def _each_once(logs: list[Log], warnings: list[str]) -> list[Log]:
 
 
 def _log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
-    found = []
-    for log in logs:
-        found += [*log.warnings, *unit_warnings(log, robot)]
+    """Return what is doubtful about the logs' pieces; of many alike from one file the first two and their number."""
+    found: list[str] = []
+    for name in dict.fromkeys(log.name for log in logs):
+        pieces = [log for log in logs if log.name == name]
+        said = list(dict.fromkeys(w for log in pieces for w in (*log.warnings, *unit_warnings(log, robot))))
+        found += said if len(said) <= _MOST else [*said[:2], f"{name}: {len(said) - 2} more warnings like these"]
     return found
 
 
