@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.control import Feedforward
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import ReducerCoupling, friction_model
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -103,3 +103,13 @@ def test_it_loads_what_identify_wrote(model, rng, tmp_path) -> None:
     q, v, a = at(model, rng.standard_normal((5, 3)))
     loaded = Feedforward.load(tmp_path / "l1.yaml", width=0.02)
     assert_allclose(loaded(q, v, a), Feedforward(model, width=0.02)(q, v, a), rtol=1e-13)
+
+
+def test_joints_that_share_a_motor_keep_their_law_outside_the_width(two_link) -> None:
+    """A coupling's force follows the summed speed; clamping each joint's speed would change it far from standstill."""
+    coupling = ReducerCoupling(two_link.actuated, two_link.force_units)
+    model = Model.of(two_link, [coupling])
+    values = dict(zip(coupling.parameters.names, (0.1, 5.0, 7.0), strict=True))
+    model = model.with_values(values)
+    q, v, a = np.zeros((1, 2)), np.array([[1.0, -0.6]]), np.zeros((1, 2))
+    assert_allclose(Feedforward(model, width=0.01)(q, v, a), model.torque(q, v, a), rtol=1e-12)

@@ -161,3 +161,17 @@ def test_wrong_shapes_are_refused_with_the_joints_names(two_link) -> None:
         mechanism.inverse_dynamics(*np.zeros((3, 4, 3)))
     with pytest.raises(InputError, match=r"not \(5, 2\)"):
         mechanism.regressor(np.zeros((4, 2)), np.zeros((5, 2)), np.zeros((4, 2)))
+
+
+def test_too_few_or_too_many_drives_are_refused() -> None:
+    """Two carts leave the plate a free motion, four drives cannot move independently: neither is computed in silence."""
+    with pytest.raises(InputError, match="name more actuated joints"):
+        build_mechanism(load_robot("gantry_tau", arms="complete", actuated=["cart1", "cart2"]))
+    with pytest.raises(InputError, match="name fewer actuated joints"):
+        build_mechanism(load_robot("gantry_tau", actuated=["cart1", "cart2", "cart3", "plate_x"]))
+
+
+def test_a_robot_without_a_tool_has_no_tool_position(pendulum) -> None:
+    """Where the file names no frame `tool`, asking for its position is an error, not some other frame's position."""
+    with pytest.raises(InputError, match="tool"):
+        build_mechanism(pendulum).tool_position(np.zeros((1, 1)))
