@@ -156,7 +156,10 @@ def correlation_chart(residual: Residual) -> Markup:
 
 def interval_bar(low: float, high: float, at: float | None, trust: float, state: str, anchored: bool) -> Markup:
     """Return a parameter's estimate and 95 % interval relative to its nominal value at the middle, cut at the scale."""
-    x = lambda share: 70.0 + 64.0 * share  # noqa: E731
+
+    def x(share: float) -> float:
+        return 70.0 + 64.0 * share
+
     pieces = [tag("path", d="M6 9H134", class_="bar-axis")]
     if trust:
         pieces.append(tag("rect", x=x(-trust), y=4, width=128.0 * trust, height=10, class_="bar-trust"))

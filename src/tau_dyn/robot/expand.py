@@ -76,11 +76,11 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None) -> str:
             xacro.init_stacks(str(path))
             with redirect_stderr(io.StringIO()):
                 xacro.process_doc(document, mappings=given)
-        except (InputError, RecursionError, MemoryError) as fault:
-            if isinstance(fault, InputError):
-                raise
+        except InputError:
+            raise
+        except (RecursionError, MemoryError) as fault:
             raise InputError(f"{path}: expands without end") from fault
-        except Exception as fault:  # xacro raises whatever the expression inside raised
+        except Exception as fault:  # whatever an expression in the file raised: its fault, named below
             reason = " ".join(str(fault).split()) or type(fault).__name__
             raise InputError(f"{path}: xacro cannot expand it: {reason}") from fault
     return document.toprettyxml(indent="  ")
