@@ -6,7 +6,7 @@ that carries its own robot (the expanded URDF), so it needs neither the xacro no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,13 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL, Robot, robot_from_urdf
 
 _FORMAT = 1
+
+COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
+    "load": lambda mechanism, q, v, a: mechanism.guide_load(q, v, a),
+    "passive": lambda mechanism, q, v, a: mechanism.passive_rates(q)[1],
+    "inertia": lambda mechanism, q, v, a: mechanism.inertia(q),
+}
+"""Signals of a motion that the mechanism gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +93,53 @@ class Model:
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
         """Return all columns (N, na, p) along a motion (N, na); `sign` replaces `sign(v)` in friction."""
-        rigid = self.mechanism.regressor(q, v, a)
-        motion = Motion.of(self.robot.actuated, np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), sign)
-        return np.concatenate([rigid, *(effect.columns(motion) for effect in self.effects)], axis=2)
+        return self.columns(self.motion(q, v, a, sign))
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
         """Return actuated forces (N, na) [N or N m] along a motion (N, na)."""
-        rigid = self.mechanism.inverse_dynamics(q, v, a)
-        motion = Motion.of(self.robot.actuated, np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), sign)
-        return rigid + self.effect_force(motion)
+        return self.mechanism.inverse_dynamics(q, v, a) + self.effect_force(self.motion(q, v, a, sign))
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return all columns (N, na, p) along a motion that has the signals its effects need."""
+        rigid = self.mechanism.regressor(motion.q, motion.v, motion.a)
+        return np.concatenate([rigid, *(effect.columns(motion) for effect in self.effects)], axis=2)
+
+    def motion(
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        sign: np.ndarray | None = None,
+        *,
+        t: np.ndarray | None = None,
+        signals: Mapping[str, np.ndarray] | None = None,
+        needs: Iterable[str] = (),
+    ) -> Motion:
+        """Return a motion (N, na) with the signals that this model's effects need, as far as they can be computed.
+
+        Args:
+            q: Positions (N, na) [m or rad].
+            v: Velocities (N, na).
+            a: Accelerations (N, na).
+            sign: Replaces `sign(v)` in friction.
+            t: Time (N,) [s] of samples in order.
+            signals: Signals that were measured.
+            needs: Names of further signals wanted.
+        """
+        q, v, a = (np.atleast_2d(x) for x in (q, v, a))
+        found = dict(signals or {})
+        wanted = {name for effect in self.effects for name in effect.needs} | set(needs)
+        for name in sorted(wanted - set(found)):
+            if name in COMPUTED:
+                found[name] = COMPUTED[name](self.mechanism, q, v, a)
+        if wanted & {"force"} and "force" not in found:
+            calm = tuple(e for e in self.effects if "force" not in e.needs)
+            names = [n for e in calm for n in e.parameters.names]
+            plain = replace(self, effects=calm, effect_parameters=self.effect_parameters.select(names))
+            found["force"] = plain.mechanism.inverse_dynamics(q, v, a) + plain.effect_force(
+                Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
+            )
+        return Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
 
     def effect_force(self, motion: Motion) -> np.ndarray:
         """Return the effects' share of the force (N, na) [N or N m]."""
@@ -154,7 +199,10 @@ class Model:
 
 
 def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
-    """Build effects from a file's list of `{effect: NAME, joints: [...]}`; joints default to all actuated ones."""
+    """Build effects from a file's list of `{effect: NAME, joints: [...], settings: {...}}`.
+
+    Joints default to all actuated ones, settings to the effect's own defaults.
+    """
     if not isinstance(rows, list):
         raise InputError(f"{where}: 'effects' must be a list")
     units = dict(zip(robot.actuated, robot.force_units, strict=True))
@@ -170,7 +218,12 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
         for joint in joints:
             if joint not in units:
                 raise UnknownName("actuated joint", joint, units, where)
-        found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints]))
+        settings = row.get("settings") or {}
+        if not isinstance(settings, dict):
+            raise InputError(f"{where}: 'settings' of effect {row['effect']} must be a mapping from names to numbers")
+        label = str(row.get("label") or "")
+        settings = {str(key): value for key, value in settings.items()}
+        found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints], label=label, **settings))
     return tuple(found)
 
 

@@ -5,10 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.effects import friction_model
+from tau_dyn.diagnose.result import (
+    Diagnosis,
+    Errors,
+    Finding,
+    Gain,
+    Limit,
+    Signature,
+    Step,
+    TimeTrace,
+    Unexplained,
+    Untestable,
+)
+from tau_dyn.effects import Stribeck, friction_model
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter
 from tau_dyn.robot import Robot, robot_from_urdf
 
 HOSTILE = "<script>alert('log')</script>\x1b[31m.csv"
@@ -90,3 +103,113 @@ def found(robot, plant) -> Identification:
 def doubtful(robot, plant) -> Identification:
     """The second joint stands still, so its friction and its share of the mass stay unknown."""
     return identify(robot, _log(plant, (0.3, 0.0), "still.csv", np.random.default_rng(8)))
+
+
+def signature(output: str, x: np.ndarray, effect: np.ndarray, x_label: str, rng: np.random.Generator) -> Signature:
+    """Return samples of an effect in noise of 2 N."""
+    y = effect + 2.0 * rng.normal(size=x.shape)
+    return Signature(output, x_label, "residual [N]", x, y, effect)
+
+
+def errors(outputs: tuple[str, ...], rms: tuple[float, ...], percent: float) -> Errors:
+    """Return errors with intervals of about 7 %."""
+    values = np.array(rms)
+    return Errors(outputs, values, np.column_stack([0.93 * values, 1.08 * values]), percent)
+
+
+def _traces(outputs: tuple[str, ...], names: tuple[str, str], rng: np.random.Generator) -> tuple[TimeTrace, ...]:
+    t = np.arange(0, 30, 0.02)
+    drawn = []
+    for name in names:
+        v = np.column_stack([0.3 * np.cos((1.1 + 0.3 * k) * t + k) for k in range(len(outputs))])
+        before = 60 * v + 25 * np.sign(v)
+        effect = 4.0 * np.sign(v) * np.exp(-np.abs(v) / 0.05)
+        noise = rng.normal(size=v.shape)
+        part = np.where(t < 18, 0, np.where(t < 24, 1, 2))
+        drawn.append(TimeTrace(name, t, before + effect + noise, before, before + effect, np.abs(v) > 0.01, part))
+    return tuple(drawn)
+
+
+def diagnosis_by_hand(model: Model, names: tuple[str, str], verdict: str = "named") -> Diagnosis:
+    """Return a diagnosis as the engine would give it: two causes, one finding off nominal, something unexplained."""
+    rng, outputs = np.random.default_rng(5), model.robot.actuated
+    first, second = outputs[0], outputs[1]
+    unit = model.robot.force_units[0]
+    x = 0.3 * np.sin(np.linspace(0, 60, 1800))
+    place = np.linspace(0, 20.9, 1800)
+    mass = next(p for p in model.parameters if p.name.endswith(".mass"))
+    fitted = model.with_parameters(
+        model.parameters.update(
+            {p.name: {"stderr": 0.02 * abs(p.value) + 0.01, "value": 1.02 * p.value} for p in model.parameters}
+        )
+    )
+    stribeck = Stribeck([first], [unit], speed=0.02)
+    wider = Model.of(fitted.robot, [*fitted.effects, stribeck])
+    known = {p.name: {"value": p.value, "stderr": p.stderr} for p in fitted.parameters}
+    extended = wider.with_parameters(
+        wider.parameters.update({**known, f"{first}.stribeck": {"value": 4.1, "stderr": 0.2}})
+    )
+    findings = (
+        Finding("cyclic_ripple", (second,), "confirmed", 412.0, 1e-9,
+                (Parameter(f"{second}.ripple_cos", 1.61, unit, stderr=0.09),
+                 Parameter(f"{second}.ripple_sin", -0.8, unit, stderr=0.1), Parameter("period", 0.0209, "m", stderr=1e-5)),
+                Gain(3.1, 2.2, 29.0, (24.0, 33.0)), (), "tau += cos · cos(2 pi q / period) + sin · sin(2 pi q / period)",
+                f"{second} carries a force of 1.8 +- 0.1 {unit} that repeats every 20.9 mm, the pinion's tooth",
+                signature=signature(second, place, 1.8 * np.cos(2 * np.pi * place / 20.9),
+                                    f"position of {second} modulo 20.9 mm [mm]", rng),
+                confirmation=(0.97, 0.05)),
+        Finding("stribeck", (first,), "confirmed", 150.0, 2e-4,
+                (Parameter(f"{first}.stribeck", 4.1, unit, stderr=0.2), Parameter("speed", 0.0201, "m/s", stderr=0.003)),
+                Gain(3.6, 3.1, 13.9, (8.0, 19.0)), ("hysteresis",), "tau += stribeck sign(v) exp(-|v| / speed)",
+                f"Friction of {first} rises by 4.1 +- 0.2 {unit} when it moves slower than 20 mm/s",
+                "strokes that turn around after 1, 2 and 5 mm", (stribeck,),
+                signature(first, x, 4.1 * np.sign(x) * np.exp(-np.abs(x) / 0.05), f"speed of {first} [m/s]", rng),
+                confirmation=(0.9, 0.08)),
+        Finding("link_mass", (), "parameter", 40.0, 1e-5,
+                (Parameter(mass.name, 1.04 * mass.value, "kg", stderr=0.01 * mass.value),),
+                None, ("payload",), "m <i>off</i> nominal", f"{mass.name} is 4 % heavier than its nominal value", "weigh it"),
+    )  # fmt: skip
+    left = Unexplained(second, (f"v_{first}", f"q_{second}"), 0.23, f"0.8 v_{first} q_{second}", 3e-4, "confirmed",
+                       signature(second, x, 6 * x**2, f"speed of {first} [m/s]", rng))  # fmt: skip
+    wave = [(1.0, 31.0), (0.24, 7.4), (0.17, 5.3), (0.08, 2.5), (0.07, 2.3)]
+    names_of = ("nominal", "refitted", f"stribeck {first}", f"cyclic_ripple {second}", "noise_floor")
+    steps = tuple(
+        Step(n, errors(outputs, tuple(f * 14.0 / (1 + 0.3 * k) for k in range(len(outputs))), p))
+        for n, (f, p) in zip(names_of, wave, strict=True)
+    )
+    nothing = verdict in ("nothing_found", "cannot_tell")
+    said = {
+        "named": "The simulation misses 7.4 % of the measured force; "
+        f"a ripple on {second} and Stribeck friction on {first} explain 4.9 % of it.",
+        "nothing_found": "The simulation misses 7.4 % of the measured force and nothing systematic is left.",
+        "cannot_tell": f"Something acts on {first}, but these logs cannot tell hysteresis from Stribeck friction.",
+        "unexplained": f"Something acts on {second} that no cause known here explains.",
+    }
+    return Diagnosis(
+        verdict=verdict, sentence=said[verdict], channel="force", outputs=outputs, units=model.robot.force_units,
+        baseline=steps[1].errors, extended=steps[1 if nothing else 3].errors, noise_floor=steps[-1].errors,
+        waterfall=(*steps[:2], steps[-1]) if nothing else steps, findings=() if nothing else findings,
+        unexplained=() if nothing else (left,),
+        limits=(Limit("delay", 2e-4, "s", "delay of 0.2 ms"), Limit("load_friction", 0.05, "", "load friction of μ 0.05"),
+                Limit("backlash", 9e-6, "m", "backlash of 9 µm"), Limit("quadratic_drag", 3.0, "N s^2/m^2", "")),
+        untestable=(Untestable("thermal_drift", "the logs give no temperature",
+                               "log a temperature beside each drive while it warms up"),),
+        model=fitted, extended_model=fitted if nothing else extended,
+        traces=_traces(outputs, names, rng), n_parts=(36.0, 12.0, 12.0),
+        how="each log in blocks of 6 s, 60 / 20 / 20", warnings=("the encoder of <b>one</b> joint is coarse",), seed=3,
+        experiment="strokes that turn around after 1, 2 and 5 mm" if verdict == "cannot_tell" else "",
+        simulation={"before": {"position": {first: 1.4e-4}}, "after": {"position": {first: 0.9e-4}}},
+        settings={"cutoff_hz": 20.0, "null": {"sets": 200, "cached": True}, "family_wise_error": 0.01},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def diagnosed(plant, hostile) -> Diagnosis:
+    """Two causes, a mass off its nominal value, something unexplained; names hostile."""
+    return diagnosis_by_hand(plant, (hostile, "other.csv"))
+
+
+@pytest.fixture(scope="session")
+def undecided(plant) -> Diagnosis:
+    """The data cannot tell."""
+    return diagnosis_by_hand(plant, ("a.csv", "b.csv"), "cannot_tell")

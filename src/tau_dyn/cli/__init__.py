@@ -6,12 +6,19 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from tau_dyn.cli import check, demo, excite, identify, simulate
+from tau_dyn.cli import check, demo, diagnose, excite, identify, simulate
 from tau_dyn.cli.common import Parser, execute
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.version import __version__
 
-COMMANDS = {"demo": demo, "check": check, "simulate": simulate, "excite": excite, "identify": identify}
+COMMANDS = {
+    "demo": demo,
+    "check": check,
+    "simulate": simulate,
+    "excite": excite,
+    "identify": identify,
+    "diagnose": diagnose,
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -38,6 +38,7 @@ class Outcome:
         show: Prints the result for a person on a console.
         files: What to write: path -> text, or a function that writes to the path given.
         report: Makes the report page's text; None if the command has none.
+        exit_status: 0 where the answer stands; 3 where the data cannot tell, and `result` says so in its own `status`.
     """
 
     result: dict[str, Any] = field(default_factory=dict)
@@ -46,6 +47,7 @@ class Outcome:
     show: Callable[[Console], None] = lambda console: None
     files: dict[Path, str | Callable[[Path], None]] = field(default_factory=dict)
     report: Callable[[], str] | None = None
+    exit_status: int = 0
 
 
 class Parser(argparse.ArgumentParser):
@@ -189,7 +191,7 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
         errors.print(f"warning: {sentence}", markup=False)
     if not args.quiet:
         outcome.show(_Screen(soft_wrap=False, highlight=False))
-    return 0
+    return outcome.exit_status
 
 
 def _given(args: argparse.Namespace) -> set[Path]:

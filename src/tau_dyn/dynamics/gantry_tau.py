@@ -23,9 +23,12 @@ from tau_dyn.dynamics.mechanism import Mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.robot import Robot
 
+_FEW = 4  # samples up to which floats one by one are faster than arrays
+
 
 class _Kinematics(NamedTuple):
-    tool: np.ndarray  # (N, 3)
+    rods: np.ndarray  # D (N, 3, 3), one rod a row, from cart to tool
+    inverse: np.ndarray  # of D
     J: np.ndarray  # (N, 3, 3), tool velocity per cart velocity
     tool_acceleration: np.ndarray  # (N, 3)
 
@@ -119,23 +122,74 @@ class GantryTauMechanism(Mechanism):
         (q,) = self._checked(q)
         return np.linalg.cond(self._rods(q, self._trilaterate(q)) / self.length[:, None])
 
+    def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per cart velocity (N, 3, 3); see `Mechanism.tool_jacobian`."""
+        (q,) = self._checked(q)
+        D = self._rods(q, self._trilaterate(q))
+        return np.linalg.inv(D) * np.einsum("nij,ij->ni", D, self.direction)[:, None, :]
+
+    def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's displacement per cart's displacement (N, 3, 3, 3): `d_i . (dT - dA_i) = 0` for every rod."""
+        (q,) = self._checked(q)
+        D = self._rods(q, self._trilaterate(q))
+        return np.einsum("nxi,nik->nxik", np.linalg.inv(D), D)
+
+    def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        r"""Return what each rod puts across its guideway (N, 3, 3) [N]; see `Mechanism.guide_force`.
+
+        With `lambda_i` the force along rod i per unit of its length, the tool's balance is `D' lambda = f`, `f` being what
+        accelerates and carries plate and rods' tool ends; a cart holds its rod with `m (alpha A'' + beta T'' - (1 - c) g) +
+        lambda d`, and feels the opposite.
+        """
+        q, v, a = self._checked(q, v, a)
+        k = self._kinematics(q, v, a)
+        alpha, beta, gamma, c = self.ends.T
+        e, g, tool = self.direction, self.gravity, k.tool_acceleration
+        carts = a @ (e * (self.m_rod * beta)[:, None])
+        weight = (self.m_plate + self.m_gravity + self.m_rod @ c) * g
+        at_tool = carts + (self.m_plate + self.m_rod @ gamma) * tool - weight
+        along = (at_tool[:, None, :] @ k.inverse)[:, 0]
+        held = (self.m_rod * alpha)[:, None] * a[:, :, None] * e - np.outer(self.m_rod * (1 - c), g)
+        held = held + (self.m_rod * beta)[:, None] * tool[:, None, :] + along[:, :, None] * k.rods
+        return np.sum(held * e, axis=2, keepdims=True) * e - held
+
+    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the size (N, 3) [N] of what each rod puts across its guideway."""
+        return np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
+
+    def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        """Return each rod's angular velocity per cart velocity (N, 3, 3, 3); see `Mechanism.passive_rates`.
+
+        One pair a rod: the plate and the carts only translate, so both ends turn alike and a coefficient counts both.
+        `w = d x (T' - A') / L^2`, without the spin about the rod that nothing drives.
+        """
+        (q,) = self._checked(q)
+        D = self._rods(q, self._trilaterate(q))
+        J = np.linalg.inv(D) * np.einsum("nij,ij->ni", D, self.direction)[:, None, :]
+        relative = J[:, None] - np.eye(3)[:, None, :] * self.direction[:, :, None]  # (N, rod, 3, cart)
+        d, ahead, behind = D[:, :, :, None], [1, 2, 0], [2, 0, 1]
+        turning = d[:, :, ahead] * relative[:, :, behind] - d[:, :, behind] * relative[:, :, ahead]  # d x relative
+        turning /= (self.length**2)[:, None, None]
+        return tuple(arm.rod_link.removesuffix("_link") for arm in self.robot.arms), turning
+
     def _rods(self, q: np.ndarray, tool: np.ndarray) -> np.ndarray:
         return tool[:, None, :] - (self.origin + q[:, :, None] * self.direction)
 
     def _kinematics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _Kinematics:
-        tool = self._trilaterate(q)
-        D = self._rods(q, tool)
+        D = self._rods(q, self._trilaterate(q))
         along = np.einsum("nij,ij->ni", D, self.direction)
         inverse = np.linalg.inv(D)
         J = inverse * along[:, None, :]
         velocity = np.einsum("nij,nj->ni", J, v)
         relative = velocity[:, None, :] - v[:, :, None] * self.direction
         acceleration = np.einsum("nij,nj->ni", inverse, along * a - np.sum(relative**2, axis=2))
-        return _Kinematics(tool, J, acceleration)
+        return _Kinematics(D, inverse, J, acceleration)
 
     def _trilaterate(self, q: np.ndarray) -> np.ndarray:
         """Intersect three spheres around the carts; of the two points take the one on home's side (the sign of det D)."""
         A = self.origin + q[:, :, None] * self.direction
+        if len(q) <= _FEW:
+            return np.array([self._tool_of(*one) for one in zip(A, q, strict=True)])
         u, w = A[:, 1] - A[:, 0], A[:, 2] - A[:, 0]
         normal = np.cross(u, w)
         n2 = np.sum(normal**2, axis=1)

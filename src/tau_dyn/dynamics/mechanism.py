@@ -53,6 +53,56 @@ class Mechanism(ABC):
     def condition(self, q: np.ndarray) -> np.ndarray:
         """Return the closure's conditioning (N,) for actuated positions (N, na); 1 without loops."""
 
+    @abstractmethod
+    def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the force [N] across each prismatic joint's axis (N, na, 3), in base axes, at the parameters' values.
+
+        It is what everything beyond the joint's own link exerts on that link; on a Gantry-Tau, what the rod puts across the
+        guideway. The cart's own weight is constant and left out. Zero for revolute joints.
+        """
+
+    @abstractmethod
+    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each actuated joint's guide carries (N, na), at the parameters' values.
+
+        Prismatic: the size of `guide_force` [N]. Revolute: the size of the rigid-body torque [N m] that the reducer
+        transmits; what turns the drive's own inertia does not pass it.
+        """
+
+    @abstractmethod
+    def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        """Return how fast passive pairs turn: their names, and (N, n, 3, na) angular velocity per actuated speed.
+
+        A hinge has its rate in the first of the three numbers and zeros in the others; a ball, or a rod's two ends that
+        only turn together, the relative angular velocity as a vector. No pairs without loops.
+        """
+
+    @abstractmethod
+    def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per actuated speed (N, 3, na), in base axes.
+
+        Raises:
+            InputError: The robot file has no frame named `tool`.
+        """
+
+    @abstractmethod
+    def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's displacement (N, 3, na, 3) per displacement of each actuated joint's link, in base axes.
+
+        The link is shifted without turning, in any direction; all other actuated joints stand still and the loops close.
+
+        Raises:
+            InputError: The robot file has no frame named `tool`.
+        """
+
+    def inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the mass matrix (N, na, na) at actuated positions (N, na), from the regressor at unit accelerations."""
+        (q,) = self._checked(q)
+        rest = np.zeros_like(q)
+        weight = self.inverse_dynamics(q, rest, rest)
+        columns = [self.inverse_dynamics(q, rest, rest + unit) - weight for unit in np.eye(self.robot.na)]
+        return np.stack(columns, axis=2)
+
     def reachable(self, q: np.ndarray) -> bool:
         """Return whether the loops close at actuated positions `q` (na,)."""
         try:

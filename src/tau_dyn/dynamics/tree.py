@@ -2,6 +2,9 @@
 
 The regressor is Pinocchio's, projected by `G` and mapped to `robot.parameters`. Pinocchio's `rnea` and `crba` add drive
 inertia; its torque regressor does not, so we append those columns. Reference: Khalil & Dombre 2002, ch. 7 and 10.
+
+Forces inside come from the same virtual work: no drive holds the passive joints, so the loops' forces `lambda` do,
+`J_p' lambda = tau_p`; with them in place a recursion over the tree gives what each joint carries.
 """
 
 from __future__ import annotations
@@ -10,8 +13,10 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.dynamics.mechanism import Mechanism
+from tau_dyn.dynamics.pairs import passive_pairs, turning
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import LoopSolver
+from tau_dyn.kinematics.constraints import Constraints
 from tau_dyn.robot import Robot
 
 
@@ -26,6 +31,9 @@ class TreeMechanism(Mechanism):
         self.data = self.solver.data
         self._map = self._parameter_map()
         self._upper = np.triu(np.ones((self.model.nv, self.model.nv))) - 0.5 * np.eye(self.model.nv)  # crba's half
+        self._constraints = Constraints(self.model, self.data, robot.loops)
+        self._pairs = passive_pairs(robot, self.model)
+        self._sliding = [k for k, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
         if robot.loops:
             self._refuse_free_motion()
         self._gravity_only = [p.name for p in robot.parameters if p.name.endswith(".gravity_mass")]
@@ -79,10 +87,122 @@ class TreeMechanism(Mechanism):
             out[k] = self.data.oMf[frame].translation
         return out
 
+    def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per actuated speed (N, 3, na); see `Mechanism.tool_jacobian`."""
+        (q,) = self._checked(q)
+        rest = np.zeros(self.robot.na)
+        out = np.empty((len(q), 3, self.robot.na))
+        for k in range(len(q)):
+            state = self.solver.state(q[k], rest, rest)
+            out[k] = self._tool_of_tree(state.q) @ state.G
+        return out
+
+    def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's displacement per link's displacement (N, 3, na, 3); see `Mechanism.cart_sensitivity`.
+
+        A shifted link carries all that hangs on it along; what gap that leaves in the loops the passive joints close.
+        """
+        (q,) = self._checked(q)
+        passive, n_loops = self.solver.passive_v, len(self.robot.loops)
+        out = np.zeros((len(q), 3, self.robot.na, 3))
+        tool, ends = self._carried_by()
+        for k in range(len(q)):
+            full = self.solver.close(q[k])
+            jacobian = self._tool_of_tree(full)
+            if n_loops:
+                closing = -jacobian[:, passive] @ np.linalg.pinv(self._constraints.jacobian(full)[:, passive])
+            for i in range(self.robot.na):
+                out[k, :, i] = tool[i] * np.eye(3)
+                if n_loops:
+                    out[k, :, i] += np.einsum("xly,l->xy", closing.reshape(3, n_loops, 3), ends[i])
+        return out
+
+    def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the force across each prismatic joint's axis (N, na, 3); see `Mechanism.guide_force`."""
+        q, v, a = self._checked(q, v, a)
+        out = np.zeros((*q.shape, 3))
+        for k in range(len(q) if self._sliding else 0):
+            state = self.solver.state(q[k], v[k], a[k])
+            outside = self._outside_forces(state.q, state.v, state.a)
+            pin.rnea(self.model, self.data, state.q, state.v, state.a, outside)
+            for i in self._sliding:
+                out[k, i] = self._across(self.model.getJointId(self.robot.actuated[i]))
+        return out
+
+    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what each joint's guide carries (N, na); see `Mechanism.guide_load`."""
+        q, v, a = self._checked(q, v, a)
+        load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
+        turning = [k for k in range(self.robot.na) if k not in self._sliding]
+        if turning:
+            drive = np.array([self.robot.parameters[f"{joint}.armature"].value for joint in self.robot.actuated])
+            load[:, turning] = np.abs(self.inverse_dynamics(q, v, a) - drive * a)[:, turning]
+        return load
+
+    def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        """Return how fast passive bearings turn (N, n, 3, na); see `Mechanism.passive_rates` and `pairs.py`."""
+        (q,) = self._checked(q)
+        rest = np.zeros(self.robot.na)
+        out = np.zeros((len(q), len(self._pairs), 3, self.robot.na))
+        for k in range(len(q) if self._pairs else 0):
+            state = self.solver.state(q[k], rest, rest)
+            out[k] = turning(self._pairs, pin.computeJointJacobians(self.model, self.data, state.q)[3:], state.G)
+        return tuple(pair.name for pair in self._pairs), out
+
     def condition(self, q: np.ndarray) -> np.ndarray:
         """Return the closure's conditioning (N,)."""
         (q,) = self._checked(q)
         return np.array([self.solver.condition(x) for x in q])
+
+    def _tool_of_tree(self, q: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per tree velocity (3, nv) at a tree's configuration (nq,)."""
+        frame = self.robot.tool_frame
+        if frame is None:
+            raise InputError(f"{self.robot.source}: the robot file has no frame named tool")
+        return pin.computeFrameJacobian(self.model, self.data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
+
+    def _carried_by(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether each actuated link carries the tool (na,), and each loop's end A (1), B (-1) or both (0) (na, loops)."""
+        ids = [self.model.getJointId(joint) for joint in self.robot.actuated]
+
+        def carried(frame: int) -> np.ndarray:
+            supports = self.model.supports[self.model.frames[frame].parentJoint].tolist()
+            return np.array([float(j in supports) for j in ids])
+
+        loops = [carried(loop.frame_a) - carried(loop.frame_b) for loop in self.robot.loops]
+        tool = self.robot.tool_frame
+        return carried(tool) if tool is not None else np.zeros(len(ids)), np.array(loops).reshape(-1, len(ids)).T
+
+    def _outside_forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> pin.StdVec_Force:
+        """Return the forces of loops and of mass that only gravity feels on every body, in joint frames."""
+        model, data = self.model, self.data
+        forces = [np.zeros(6) for _ in range(model.njoints)]
+        tau = pin.rnea(model, data, q, v, a) + self._extra(q)
+        points = [(name.rsplit(".", 1)[0], self.robot.parameters[name].value) for name in self._gravity_only]
+        pushes = [(model.getFrameId(link), mass * model.gravity.linear) for link, mass in points]
+        if self.robot.loops:
+            passive = self.solver.passive_v
+            jacobian = self._constraints.jacobian(q)
+            multipliers = np.linalg.lstsq(jacobian[:, passive].T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
+            for loop, force in zip(self.robot.loops, multipliers, strict=True):
+                pushes += [(loop.frame_a, force), (loop.frame_b, -force)]
+        for frame, force in pushes:
+            joint, at = model.frames[frame].parentJoint, model.frames[frame].placement.translation
+            local = data.oMi[joint].rotation.T @ force
+            forces[joint] += np.concatenate([local, np.cross(at, local)])
+        return pin.StdVec_Force([pin.Force(f) for f in forces])
+
+    def _across(self, joint: int) -> np.ndarray:
+        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea` with outside forces."""
+        data, inertia = self.data, self.model.inertias[joint]
+        own = (inertia * data.a_gf[joint]).linear + np.cross(data.v[joint].angular, (inertia * data.v[joint]).linear)
+        for name in self._gravity_only:
+            frame = self.model.frames[self.model.getFrameId(name.rsplit(".", 1)[0])]
+            if frame.parentJoint == joint:
+                own = own - self.robot.parameters[name].value * data.oMi[joint].rotation.T @ self.model.gravity.linear
+        axis = np.asarray(data.joints[joint].S).reshape(6, -1)[:3, 0]
+        beyond = own - data.f[joint].linear
+        return data.oMi[joint].rotation @ (beyond - (beyond @ axis) * axis)
 
     def _refuse_free_motion(self) -> None:
         """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which nothing drives, is fine."""

@@ -4,14 +4,59 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from tau_dyn.effects.effect import Effect, JointwiseEffect, Motion
+from tau_dyn.effects.backlash import Backlash
+from tau_dyn.effects.cart_tilt import CartTilt
+from tau_dyn.effects.coulomb_asymmetry import CoulombAsymmetry
+from tau_dyn.effects.cyclic_ripple import CyclicRipple
+from tau_dyn.effects.delay import Delay
+from tau_dyn.effects.displacement import DisplacementEffect
+from tau_dyn.effects.drive_gain import DriveGain
+from tau_dyn.effects.effect import Effect, JointMotion, JointwiseEffect, Motion, Scene
 from tau_dyn.effects.friction import AsymmetricFriction, SymmetricFriction, TorqueOffset
+from tau_dyn.effects.friction_change import FrictionChange
+from tau_dyn.effects.guideway_compliance import GuidewayCompliance
+from tau_dyn.effects.hysteresis import Hysteresis
+from tau_dyn.effects.joint_compliance import JointCompliance
+from tau_dyn.effects.load_friction import LoadFriction
+from tau_dyn.effects.passive_joint_friction import PassiveJointFriction
+from tau_dyn.effects.pinion_scale import PinionScale
+from tau_dyn.effects.position_friction import PositionFriction
+from tau_dyn.effects.quadratic_drag import QuadraticDrag
 from tau_dyn.effects.reducer_coupling import ReducerCoupling
+from tau_dyn.effects.stribeck import Stribeck
+from tau_dyn.effects.thermal_drift import ThermalDrift
+from tau_dyn.effects.transmission_error import TransmissionError
+from tau_dyn.effects.viscous_asymmetry import ViscousAsymmetry
 from tau_dyn.exceptions import UnknownName
 
-EFFECTS: dict[str, type[Effect]] = {
-    cls.name: cls for cls in (SymmetricFriction, AsymmetricFriction, TorqueOffset, ReducerCoupling)
-}
+_IN_ORDER: tuple[type[Effect], ...] = (
+    SymmetricFriction,
+    AsymmetricFriction,
+    # causes, in the contract's order
+    CoulombAsymmetry,
+    ViscousAsymmetry,
+    Stribeck,
+    LoadFriction,
+    PositionFriction,
+    ThermalDrift,
+    PassiveJointFriction,
+    QuadraticDrag,
+    TorqueOffset,
+    DriveGain,
+    CyclicRipple,
+    Delay,
+    Backlash,
+    Hysteresis,
+    TransmissionError,
+    ReducerCoupling,
+    PinionScale,
+    JointCompliance,
+    GuidewayCompliance,
+    CartTilt,
+    FrictionChange,
+)
+
+EFFECTS: dict[str, type[Effect]] = {cls.name: cls for cls in _IN_ORDER}
 """Every effect by the name model files use."""
 
 FRICTION_MODELS: dict[str, tuple[type[Effect], ...]] = {
@@ -35,14 +80,36 @@ def friction_model(name: str, joints: Iterable[str], units: Iterable[str]) -> tu
 
 
 __all__ = [
-    "EFFECTS",
-    "FRICTION_MODELS",
     "AsymmetricFriction",
+    "Backlash",
+    "CartTilt",
+    "CoulombAsymmetry",
+    "CyclicRipple",
+    "Delay",
+    "DisplacementEffect",
+    "DriveGain",
+    "EFFECTS",
     "Effect",
+    "FRICTION_MODELS",
+    "FrictionChange",
+    "GuidewayCompliance",
+    "Hysteresis",
+    "JointCompliance",
+    "JointMotion",
     "JointwiseEffect",
+    "LoadFriction",
     "Motion",
+    "PassiveJointFriction",
+    "PinionScale",
+    "PositionFriction",
+    "QuadraticDrag",
     "ReducerCoupling",
+    "Scene",
+    "Stribeck",
     "SymmetricFriction",
+    "ThermalDrift",
     "TorqueOffset",
+    "TransmissionError",
+    "ViscousAsymmetry",
     "friction_model",
 ]

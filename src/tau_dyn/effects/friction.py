@@ -10,9 +10,13 @@ directions' laws are mixed in proportion. Reference: Dressler 2012, (6.8)-(6.9) 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from tau_dyn.effects.effect import JointwiseEffect
+from tau_dyn.effects.effect import JointMotion, JointwiseEffect
+from tau_dyn.effects.words import amount
+from tau_dyn.parameters import Parameter
 
 
 class SymmetricFriction(JointwiseEffect):
@@ -21,10 +25,11 @@ class SymmetricFriction(JointwiseEffect):
     name = "symmetric_friction"
     equation = "tau = coulomb sign(v) + viscous v"
     quantities = (("coulomb", "F"), ("viscous", "F/(V)"))
+    nonnegative = True
 
-    def per_joint(self, v: np.ndarray, sign: np.ndarray) -> list[np.ndarray]:
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return `sign(v)` and `v`."""
-        return [sign, v]
+        return [joint.sign, joint.v]
 
 
 class AsymmetricFriction(JointwiseEffect):
@@ -33,20 +38,31 @@ class AsymmetricFriction(JointwiseEffect):
     name = "asymmetric_friction"
     equation = "tau = coulomb_pos + viscous_pos v (v > 0), -coulomb_neg + viscous_neg v (v < 0)"
     quantities = (("coulomb_pos", "F"), ("coulomb_neg", "F"), ("viscous_pos", "F/(V)"), ("viscous_neg", "F/(V)"))
+    nonnegative = True
 
-    def per_joint(self, v: np.ndarray, sign: np.ndarray) -> list[np.ndarray]:
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return each direction's law, weighted by how much the joint moves that way."""
-        forward, backward = (1 + sign) / 2, (1 - sign) / 2
-        return [forward, -backward, v * forward, v * backward]
+        forward, backward = (1 + joint.sign) / 2, (1 - joint.sign) / 2
+        return [forward, -backward, joint.v * forward, joint.v * backward]
 
 
 class TorqueOffset(JointwiseEffect):
     """A constant force, such as an amplifier's or a balancer's."""
 
     name = "torque_offset"
-    equation = "tau = offset"
+    cause = True
+    equation = "tau += offset"
+    reference = "Dressler 2012, (6.8)-(6.9); Khalil & Dombre 2002, 9.6"
+    reveals = "constant-speed strokes in both directions; only a joint without gear and seals tells it from asymmetry"
+    mistaken_for = ("coulomb_asymmetry", "gravity_direction", "payload")
+    equivalent = ("coulomb_asymmetry",)
+    plausible = "up to a tenth of the drive's largest force, either sign"
     quantities = (("offset", "F"),)
 
-    def per_joint(self, v: np.ndarray, sign: np.ndarray) -> list[np.ndarray]:
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return one."""
-        return [np.ones_like(v)]
+        return [np.ones_like(joint.v)]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return the force."""
+        return f"a constant force of {amount(values['offset'])}"

@@ -12,7 +12,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect, Motion
+from tau_dyn.effects.effect import Effect, Motion, Scene, pairs, spelled
+from tau_dyn.effects.words import amount
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -22,10 +23,21 @@ class ReducerCoupling(Effect):
 
     name = "reducer_coupling"
     equation = "tau_i, tau_j += inertia (a_i + a_j) + viscous (v_i + v_j) + coulomb sign(v_i + v_j)"
+    cause = True
+    reference = "Gautier & Venture 2013"
+    reveals = "motion in which the two joints turn together, against each other, and each alone"
+    mistaken_for = ("link_mass", "passive_joint_friction")
+    plausible = "from zero up to the joints' own drive inertia and friction"
+    nonnegative = True
 
-    def __init__(self, joints: Iterable[str], units: Iterable[str]) -> None:
+    @classmethod
+    def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
+        """Return all pairs of joints with one force unit."""
+        return pairs(scene)
+
+    def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Couple exactly two joints, whose forces are in these units."""
-        super().__init__(joints, units)
+        super().__init__(joints, units, label=label, **settings)
         if len(self.joints) != 2:
             raise InputError(f"reducer_coupling joins two joints, not {len(self.joints)}")
 
@@ -34,9 +46,22 @@ class ReducerCoupling(Effect):
         """Return inertia, viscous and Coulomb friction of the shared motor, named after both joints."""
         owner = "+".join(self.joints)
         unit = self.units[self.joints[0]]
+        place = spelled("Q", unit)
         return Parameters(
-            Parameter(f"{owner}.{quantity}", 0.0, text, 0.0, origin=self.name)
-            for quantity, text in (("inertia", f"{unit} s^2/rad"), ("viscous", f"{unit}/(rad/s)"), ("coulomb", unit))
+            Parameter(f"{owner}.{quantity}{self.label}", 0.0, text, 0.0, origin=self.name)
+            for quantity, text in (
+                ("inertia", f"{unit} s^2/{place}"),
+                ("viscous", f"{unit}/({place}/s)"),
+                ("coulomb", unit),
+            )
+        )
+
+    def describe(self, parameters: Parameters) -> str:
+        """Return the shared motor's inertia and friction."""
+        inertia, viscous, coulomb = (amount(p) for p in parameters.select(self.parameters.names))
+        return (
+            f"a motor shared by {' and '.join(self.joints)}, with inertia {inertia}, viscous friction {viscous} and "
+            f"Coulomb friction {coulomb}"
         )
 
     def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:

@@ -8,6 +8,7 @@ from tau_dyn.estimate.least_squares import solve_least_squares
 from tau_dyn.estimate.noise import Autoregression, fit_autoregression, robust_covariance
 from tau_dyn.estimate.physics import Body, Physics, pseudo_inertia
 from tau_dyn.estimate.regression import Regression, Run
+from tau_dyn.estimate.whitening import Whitener
 
 __all__ = [
     "DETERMINED",
@@ -19,6 +20,7 @@ __all__ = [
     "Physics",
     "Regression",
     "Run",
+    "Whitener",
     "combination",
     "find_base",
     "fit_autoregression",

@@ -8,7 +8,7 @@ descriptions the data cannot tell apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,15 +20,14 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices, scale_outputs
 from tau_dyn.identify.doubts import doubts, equivalences
 from tau_dyn.identify.errors import ForceErrors, force_errors
+from tau_dyn.identify.logs import each_once, listed, log_warnings, without_trained
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import build_regression, even_pieces
 from tau_dyn.identify.result import Identification
 from tau_dyn.identify.structure import physics_of, structural_base
-from tau_dyn.log import Log, unit_warnings
+from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-
-_MOST = 4  # warnings about one log before they are counted instead of listed
 
 TRAIN_SHARE = 0.7
 """Where no held-out log is given, a fit of this first part of each log predicts the rest."""
@@ -67,8 +66,8 @@ def identify(
     try:
         return _identify(
             robot,
-            _listed(logs),
-            _listed(holdout),
+            listed(logs),
+            listed(holdout),
             model,
             choices or Choices(),
             preparation,
@@ -100,10 +99,10 @@ def _identify(
     if not prepared.parameters.free.any():
         raise InputError("every parameter is fixed; nothing is left to estimate")
     doubled: list[str] = []
-    train_logs = _each_once(train_logs, doubled)
-    held_logs = _each_once(_without_trained(train_logs, asked_logs, doubled), doubled)
+    train_logs = each_once(train_logs, doubled)
+    held_logs = each_once(without_trained(train_logs, asked_logs, doubled), doubled)
     train, held_out = ([piece for log in logs for piece in even_pieces(log)] for logs in (train_logs, held_logs))
-    warnings += [*robot.warnings, *_log_warnings(robot, [*train, *held_out]), *doubled]
+    warnings += [*robot.warnings, *log_warnings(robot, [*train, *held_out]), *doubled]
     gains = choices.gains(robot.actuated)
 
     progress("columns")
@@ -136,6 +135,7 @@ def _identify(
         warnings=tuple(dict.fromkeys([*warnings, *doubts(estimate)])),
         equivalent=equivalences(estimate, robot.actuated),
         seed=seed,
+        logs=tuple(train_logs),
     )
 
 
@@ -172,51 +172,6 @@ class _Solver:
             structural=self.structural,
             gains=self.gains,
         )
-
-
-def _listed(logs: Log | Iterable[Log]) -> list[Log]:
-    if isinstance(logs, Log):
-        return [logs]
-    if isinstance(logs, str | Path):
-        raise InputError(f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
-    return list(logs)
-
-
-def _each_once(logs: list[Log], warnings: list[str]) -> list[Log]:
-    """Return the logs without repetitions: the same samples twice would look like twice the evidence."""
-    once: list[Log] = []
-    for log in logs:
-        if any(_shares_samples(log, other) for other in once):
-            warnings.append(f"{log.name} is given twice, or overlaps with a log given before; it counts once")
-        else:
-            once.append(log)
-    return once
-
-
-def _log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
-    """Return what is doubtful about the logs' pieces; of many alike from one file the first two and their number."""
-    found: list[str] = []
-    for name in dict.fromkeys(log.name for log in logs):
-        pieces = [log for log in logs if log.name == name]
-        said = list(dict.fromkeys(w for log in pieces for w in (*log.warnings, *unit_warnings(log, robot))))
-        found += said if len(said) <= _MOST else [*said[:2], f"{name}: {len(said) - 2} more warnings like these"]
-    return found
-
-
-def _without_trained(train: list[Log], held: list[Log], warnings: list[str]) -> list[Log]:
-    """Drop held-out logs that are also trained on, and say so; their errors would not be held-out errors."""
-    both = [log for log in held if any(_shares_samples(log, other) for other in train)]
-    for log in both:
-        warnings.append(
-            f"{log.name} is both trained on and held out; its errors are not held-out errors and are left out"
-        )
-    return [log for log in held if log not in both]
-
-
-def _shares_samples(one: Log, other: Log) -> bool:
-    """Return whether two logs hold the same samples; parts of one file that do not overlap in time are different data."""
-    same_file = one is other or bool(one.sha256 and one.sha256 == other.sha256)
-    return same_file and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1]
 
 
 def _scaled(regression: Regression, gains: dict[str, tuple[float, float]]) -> Regression:

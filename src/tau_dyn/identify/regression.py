@@ -14,7 +14,8 @@ are masked; the rest are decimated.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_dilation, convolve1d
@@ -23,7 +24,8 @@ from tau_dyn.effects import Motion
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import Preparation, choose_preparation
-from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, segments
+from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, reversals, segments
+from tau_dyn.log.names import ROOM_TEMPERATURE
 from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
@@ -49,7 +51,7 @@ def build_regression(
     if not pieces:
         raise InputError("no log was given")
     preparation = preparation or choose_preparation(model.robot, pieces, exclude)
-    runs = tuple(_run(model, piece, preparation) for piece in pieces)
+    runs = tuple(prepare(model, piece, preparation).run(model) for piece in pieces)
     regression = Regression(
         model.parameters, model.robot.actuated, model.robot.force_units, runs, {"preparation": preparation}
     )
@@ -63,37 +65,126 @@ def even_pieces(log: Log) -> list[Log]:
     return [ensure_even(piece) for piece in segments(log)]
 
 
-def _run(model: Model, log: Log, preparation: Preparation) -> Run:
-    joints = model.robot.actuated
-    rate, dt = log.rate_hz, log.dt
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One even stretch of a log, differentiated and gated, from which any effect's columns can be made.
+
+    Attributes:
+        log: The stretch.
+        motion: Its motion at the log's rate, with the signals asked for.
+        force: Low-passed forces (N, na) [N or N m].
+        gate: 1 where a sample counts, 0 where not (N, na).
+        preparation: Filters and masks.
+        usable: Which decimated samples a fit may use (n, na).
+        weight: Share of the filter's weight on usable samples (n, na); 1 where not usable.
+    """
+
+    log: Log
+    motion: Motion
+    force: np.ndarray
+    gate: np.ndarray
+    preparation: Preparation
+    usable: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def factor(self) -> int:
+        """Decimation."""
+        return self.preparation.factor(self.log.rate_hz)
+
+    def passed(self, x: np.ndarray) -> np.ndarray:
+        """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
+        return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.log.rate_hz), self.factor)
+
+    def columns(self, Y: np.ndarray, *, gated: bool = True) -> np.ndarray:
+        """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint."""
+        out = np.zeros((-(-len(Y) // self.factor), *Y.shape[1:]))
+        for k in range(Y.shape[1]):
+            touching = np.any(Y[:, k], axis=0)
+            if touching.any():
+                x = Y[:, k][:, touching]
+                out[:, k, touching] = self.passed(self.gate[:, k, None] * x if gated else x)
+        return out / self.weight[:, :, None] if gated else out
+
+    def run(self, model: Model) -> Run:
+        """Return the regression of a model on this stretch."""
+        Y = model.columns(self.motion)
+        y = self.passed(self.gate * self.force) / self.weight
+        signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
+        return Run(
+            self.log.name,
+            decimate(self.log.t, self.factor),
+            self.columns(Y),
+            y,
+            self.usable,
+            self.columns(Y, gated=False),
+            self.passed(self.force),
+            signals,
+        )
+
+
+def prepare(
+    model: Model,
+    log: Log,
+    preparation: Preparation,
+    *,
+    signals: Mapping[str, np.ndarray] | None = None,
+    needs: Iterable[str] = (),
+    smooth_hz: float | None = None,
+) -> Prepared:
+    """Filter, differentiate and gate one even stretch of a log.
+
+    Args:
+        model: Its effects decide at which speeds the gate shuts.
+        log: An even stretch without gaps.
+        preparation: Filters and masks.
+        signals: Signals of the motion beyond those that the log's own columns give.
+        needs: Names of computed signals wanted beyond those that the model's effects need.
+        smooth_hz: Low-pass of the positions that the motion is given from [Hz], where it is to be smoother than
+            `preparation` says; the direction of motion and the gate stay as sharp.
+    """
+    joints, rate, dt = model.robot.actuated, log.rate_hz, log.dt
     q, force = (lowpass(log.joint(x, joints), preparation.position_cutoff_hz, rate) for x in ("q", "tau"))
     v = differentiate(q, dt, accuracy=4)
     a = differentiate(v, dt, accuracy=4)
+    measured = {**measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
     gate = _gate(log, Motion.of(joints, q, v, a), model, preparation)
+    sign = np.sign(v)
+    if smooth_hz is not None and smooth_hz < preparation.position_cutoff_hz:
+        q = lowpass(log.joint("q", joints), smooth_hz, rate)
+        v = differentiate(q, dt, accuracy=4)
+        a = differentiate(v, dt, accuracy=4)
+    motion = model.motion(q, v, a, sign, t=log.t, signals=measured, needs=needs)
     factor = preparation.factor(rate)
-
-    def passed(x: np.ndarray) -> np.ndarray:
-        return decimate(lowpass(x, preparation.force_cutoff_hz, rate), factor)
-
-    def columns(weights: np.ndarray) -> np.ndarray:
-        """Return every weighted column, filtered joint by joint, which saves memory; many columns do not touch a joint."""
-        out = np.zeros((-(-len(Y) // factor), *Y.shape[1:]))
-        for k in range(Y.shape[1]):
-            touching = np.any(Y[:, k], axis=0)
-            out[:, k, touching] = passed(weights[:, k, None] * Y[:, k][:, touching])
-        return out
-
-    share = passed(gate)
+    share = decimate(lowpass(gate, preparation.force_cutoff_hz, rate), factor)
     usable = share > MIN_SHARE
     edge = int(np.ceil(edge_samples(preparation.force_cutoff_hz, rate) / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
-    weight = np.where(usable, share, 1.0)
-    Y = model.regressor(q, v, a)
-    y_all, W_all = passed(force), columns(np.ones_like(gate))
-    y = passed(gate * force) / weight
-    W = columns(gate) / weight[:, :, None]
-    signals = {"q": decimate(q, factor), "v": decimate(v, factor), "a": decimate(a, factor)}
-    return Run(log.name, decimate(log.t, factor), W, y, usable, W_all, y_all, signals)
+    return Prepared(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0))
+
+
+def measured_signals(
+    log: Log, joints: tuple[str, ...], q: np.ndarray, v: np.ndarray, threshold: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return what a log says beyond positions and forces: temperatures, and travel since each joint's last reversal."""
+    found = {"reversal": np.column_stack([_travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
+    if log.has("temp", joints):
+        found["temperature"] = log.joint("temp", joints)
+    elif ROOM_TEMPERATURE in log.channels:
+        found["temperature"] = np.repeat(log.channels[ROOM_TEMPERATURE][:, None], len(joints), axis=1)
+    return found
+
+
+def _travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
+    """Return the distance (N,) since a joint last reversed, from the turning point of each stretch of one direction."""
+    starts = np.concatenate([[0], reversals(v, threshold), [len(q)]])
+    out = np.zeros(len(q))
+    for start, stop in zip(starts[:-1], starts[1:], strict=True):
+        heading = np.sign(v[start]) or 1.0
+        back = max(0, start - 50)  # the turning point lies a little before the speed is sure
+        turn = np.min(heading * q[back : start + 1]) if start else heading * q[0]
+        out[start:stop] = np.maximum(0.0, heading * q[start:stop] - turn)
+    return out
 
 
 def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 
 from tau_dyn.estimate import DETERMINED, Estimate, Regression
 from tau_dyn.identify.errors import ForceErrors
+from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
@@ -31,6 +32,7 @@ class Identification:
         warnings: What is doubtful, one sentence each.
         equivalent: Descriptions the data cannot tell apart.
         seed: Seed of whatever was random.
+        logs: The training logs, for going on with them.
     """
 
     model: Model
@@ -44,6 +46,7 @@ class Identification:
     warnings: tuple[str, ...]
     equivalent: tuple[str, ...]
     seed: int
+    logs: tuple[Log, ...] = ()
 
     @property
     def parameters(self) -> Parameters:

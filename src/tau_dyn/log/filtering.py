@@ -7,6 +7,7 @@ are central differences, with the gain `sin(w dt) / (w dt)`, 2.3 % short at 60 H
 Vandanjon & Presse 1994. Clocks live in `resample.py`.
 """
 
+from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
@@ -46,8 +47,14 @@ def lowpass(x: ArrayLike, cutoff_hz: float, rate_hz: float, order: int = 4) -> N
         raise InputError(
             f"{len(x)} samples at {rate_hz:g} Hz are too few for a low-pass of {cutoff_hz:g} Hz; give more than {pad}."
         )
-    sections = signal.butter(order, cutoff_hz, fs=rate_hz, output="sos")
+    sections = _sections(order, cutoff_hz, rate_hz)
     return np.asarray(signal.sosfiltfilt(sections, x, axis=0, padlen=min(2 * pad, len(x) - 1)))
+
+
+@lru_cache(maxsize=64)
+def _sections(order: int, cutoff_hz: float, rate_hz: float) -> NDArray[np.float64]:
+    """Return the filter's second-order sections; designing them takes as long as filtering a short log."""
+    return np.asarray(signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
 
 
 def edge_samples(cutoff_hz: float, rate_hz: float, order: int = 4) -> int:

@@ -1,15 +1,19 @@
 """Results -> tables, figures, one page; reads results, computes nothing new."""
 
 from tau_dyn.report.check_page import check_page
+from tau_dyn.report.diagnosis_page import diagnosis_page
+from tau_dyn.report.diagnosis_terminal import print_diagnosis
 from tau_dyn.report.motion_pages import excitation_page, simulation_page
 from tau_dyn.report.page import identification_page, write_report
 from tau_dyn.report.tables import print_check, print_identification
 
 __all__ = [
     "check_page",
+    "diagnosis_page",
     "excitation_page",
     "identification_page",
     "print_check",
+    "print_diagnosis",
     "print_identification",
     "simulation_page",
     "write_report",

@@ -11,6 +11,7 @@ from tau_dyn.effects import Motion, TorqueOffset
 from tau_dyn.effects.effect import JointwiseEffect
 from tau_dyn.identify import Identification
 from tau_dyn.report.residuals import Residual
+from tau_dyn.report.rows import Row
 from tau_dyn.report.svg import Chart, padded, tag
 from tau_dyn.report.words import number, pretty_unit
 
@@ -91,7 +92,7 @@ def _law(found: Identification, k: int, effects: list[JointwiseEffect], grid: np
 
 def friction_chart(curve: Friction) -> Markup:
     """Return the friction curve: the cloud of samples, their mean in bins of speed, and the identified law."""
-    at, mean, deviation = _binned(curve.v, curve.force)
+    at, mean, deviation = binned(curve.v, curve.force)
     ylim = padded(np.quantile(curve.force, [0.003, 0.997]), curve.law, mean)
     chart = Chart(
         *SMALL, padded(curve.grid, share=0.03), ylim, curve.joint,
@@ -108,16 +109,15 @@ def friction_chart(curve: Friction) -> Markup:
     )
 
 
-def _binned(v: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mean speed, mean force and the force's deviation in bins that do not straddle zero."""
-    low, high = min(0.0, float(v.min())), max(0.0, float(v.max()))
-    width = (high - low) / BINS or 1.0
-    index = np.floor(v / width).astype(int)
+def binned(x: np.ndarray, y: np.ndarray, bins: int = BINS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mean x, mean y and y's deviation in steps of x that do not straddle zero; steps of few samples are left out."""
+    width = float(np.ptp(x)) / bins or 1.0
+    index = np.floor(x / width).astype(int)
     rows = []
     for i in np.unique(index):
         members = index == i
         if members.sum() >= 5:
-            rows.append((v[members].mean(), force[members].mean(), force[members].std()))
+            rows.append((x[members].mean(), y[members].mean(), y[members].std()))
     at, mean, deviation = np.array(rows).T if rows else np.empty((3, 0))
     return at, mean, deviation
 
@@ -173,6 +173,13 @@ def interval_bar(low: float, high: float, at: float | None, trust: float, state:
     if at is not None:
         pieces.append(tag("circle", cx=x(at), cy=9, r=3.4, class_="bar-dot"))
     return tag("svg", *pieces, viewBox="0 0 140 18", width=140, height=18, class_=f"bar {state}", aria_hidden="true")
+
+
+def row_bar(row: Row) -> Markup:
+    """Return the bar of a line of the parameter table; nothing where it has none."""
+    if row.bar is None:
+        return Markup("")
+    return interval_bar(row.bar.low, row.bar.high, row.bar.at, row.bar.trust, row.state, bool(row.nominal))
 
 
 def offset_words(curve: Friction) -> str:

@@ -11,21 +11,22 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
+from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.files import write_whole
 from tau_dyn.identify import ForceErrors, Identification
 from tau_dyn.report import figures, trust, words
+from tau_dyn.report.diagnosis_page import diagnosis_page
 from tau_dyn.report.residuals import residuals_of
-from tau_dyn.report.rows import Row, bar_scale, parameter_rows
+from tau_dyn.report.rows import bar_scale, parameter_rows
 from tau_dyn.report.series import panels
-from tau_dyn.report.shell import Opening, render
+from tau_dyn.report.shell import Opening, logs_used, render
 from tau_dyn.report.time_view import force_view
 
 
-def write_report(path: str | Path, found: Identification, **options: Any) -> None:
-    """Write the page; it appears whole or not at all. Options are those of `identification_page`."""
-    write_whole(path, identification_page(found, **options))
+def write_report(path: str | Path, found: Identification | Diagnosis, **options: Any) -> None:
+    """Write the page; it appears whole or not at all. Options are those of `identification_page` or `diagnosis_page`."""
+    made = diagnosis_page(found, **options) if isinstance(found, Diagnosis) else identification_page(found, **options)
+    write_whole(path, made)
 
 
 def identification_page(
@@ -50,7 +51,7 @@ def identification_page(
         [force_view(panel) for panel in panels(found)],
         robot=robot,
         provenance={"friction model": found.friction or "as the model file says", "seed": str(found.seed)},
-        logs=_logs(found),
+        logs=logs_used(found.model.provenance),
         command_line=command_line,
         found=found,
         errors=_errors(found),
@@ -61,7 +62,7 @@ def identification_page(
         known=sum(r.state == "known" for r in rows),
         n_parameters=len(rows),
         scale=words.percent(100 * bar_scale(found.rows())),
-        bar=_bar,
+        bar=figures.row_bar,
         truth=truth is not None,
         truth_words=trust.truth_words(rows),
         whiteness=trust.whiteness_words(residuals),
@@ -92,16 +93,3 @@ def _joint_error(errors: ForceErrors, k: int, unit: str) -> dict[str, str]:
         "percent": words.percent(float(errors.per_joint_percent[k])),
         "rms": f"{words.number(float(errors.rms[k]), 3)} {words.pretty_unit(unit)}",
     }
-
-
-def _bar(row: Row) -> Markup:
-    if row.bar is None:
-        return Markup("")
-    return figures.interval_bar(row.bar.low, row.bar.high, row.bar.at, row.bar.trust, row.state, bool(row.nominal))
-
-
-def _logs(found: Identification) -> list[tuple[str, str, str]]:
-    """Return each log's use, name and hash."""
-    about = found.model.provenance
-    pairs = (("trained on", about.get("trained_on", [])), ("held out", about.get("held_out", [])))
-    return [(use, row["path"], row["sha256"] or "not a file") for use, rows in pairs for row in rows]

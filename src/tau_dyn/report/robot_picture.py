@@ -6,6 +6,8 @@ points make a rod, more make a plate. The view is orthographic, from the front r
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import pinocchio as pin
 from markupsafe import Markup
@@ -20,8 +22,8 @@ AZIMUTH, ELEVATION = np.deg2rad(-62.0), np.deg2rad(18.0)
 WIDTH, HEIGHT, MARGIN = 380, 290, 34
 
 
-def robot_picture(robot: Robot) -> Markup:
-    """Return the drawing, or nothing where the robot cannot be put at home."""
+def robot_picture(robot: Robot, named: Collection[str] = ()) -> Markup:
+    """Return the drawing, the named joints in another colour, or nothing where the robot cannot be put at home."""
     try:
         solver = LoopSolver(robot)
         q = solver.close(robot.home)
@@ -30,7 +32,7 @@ def robot_picture(robot: Robot) -> Markup:
     data = solver.data
     pin.computeJointJacobians(robot.model, data, q)
     pin.updateFramePlacements(robot.model, data)
-    return _drawing(robot, data, _shapes(robot, data), _guideways(robot, data))
+    return _drawing(robot, data, _shapes(robot, data), _guideways(robot, data), named)
 
 
 def _shapes(robot: Robot, data: pin.Data) -> list[np.ndarray]:
@@ -51,16 +53,16 @@ def _shapes(robot: Robot, data: pin.Data) -> list[np.ndarray]:
     return shapes + [np.array([np.zeros(3), data.oMi[j].translation]) for j in chain if np.any(data.oMi[j].translation)]
 
 
-def _guideways(robot: Robot, data: pin.Data) -> list[np.ndarray]:
+def _guideways(robot: Robot, data: pin.Data) -> dict[str, np.ndarray]:
     """Return both ends (2, 3) of every actuated prismatic joint's travel."""
-    rails = []
+    rails = {}
     for k, (name, kind) in enumerate(zip(robot.actuated, robot.joint_kinds, strict=True)):
         joint = robot.model.getJointId(name)
         if kind == "prismatic":
             axis = np.reshape(data.J, (6, -1))[:3, robot.model.joints[joint].idx_v]
             travel = np.array([robot.lower[k], robot.upper[k]]) - robot.home[k]
             travel = np.where(np.isfinite(travel), travel, [-0.5, 0.5])
-            rails.append(data.oMi[joint].translation + travel[:, None] * axis)
+            rails[name] = data.oMi[joint].translation + travel[:, None] * axis
     return rails
 
 
@@ -71,9 +73,11 @@ def _project(points: np.ndarray) -> np.ndarray:
     return np.atleast_2d(points) @ screen.T
 
 
-def _drawing(robot: Robot, data: pin.Data, shapes: list[np.ndarray], rails: list[np.ndarray]) -> Markup:
+def _drawing(
+    robot: Robot, data: pin.Data, shapes: list[np.ndarray], rails: dict[str, np.ndarray], named: Collection[str]
+) -> Markup:
     joints = [data.oMi[robot.model.getJointId(j)].translation for j in robot.actuated]
-    everything = _project(np.concatenate([*shapes, *rails, np.array(joints)]))
+    everything = _project(np.concatenate([*shapes, *rails.values(), np.array(joints)]))
     low, high = everything.min(axis=0), everything.max(axis=0)
     room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
     scale = float(np.min(room / np.maximum(high - low, 1e-3)))
@@ -82,10 +86,13 @@ def _drawing(robot: Robot, data: pin.Data, shapes: list[np.ndarray], rails: list
     def place(points: np.ndarray) -> np.ndarray:
         return scale * _project(points) + shift
 
-    pieces = [tag("path", d=_path(place(rail)), class_="rail") for rail in rails]
+    pieces = [
+        tag("path", d=_path(place(rail)), class_="rail" + " named" * (name in named)) for name, rail in rails.items()
+    ]
     pieces += [_link(place(points)) for points in sorted(shapes, key=len, reverse=True)]
     spots = np.array([place(at)[0] for at in joints])
-    pieces += [_joint(kind, *map(float, spot)) for kind, spot in zip(robot.joint_kinds, spots, strict=True)]
+    kinds = zip(robot.joint_kinds, robot.actuated, spots, strict=True)
+    pieces += [_joint(kind, float(x), float(y), name in named) for kind, name, (x, y) in kinds]
     tops = [min([s[1], *(place(p)[:, 1].min() for p in shapes if len(p) > 2 and _touches(p, at))])
             for s, at in zip(spots, joints, strict=True)]  # fmt: skip
     pieces += _labels(joint_labels(robot), spots, np.array(tops))
@@ -119,10 +126,11 @@ def _touches(points: np.ndarray, at: np.ndarray) -> bool:
     return bool(np.any(np.all(np.isclose(points, at, atol=1e-5), axis=1)))
 
 
-def _joint(kind: str, x: float, y: float) -> Markup:
+def _joint(kind: str, x: float, y: float, named: bool) -> Markup:
+    class_ = "cart named" if named else "cart"
     if kind == "prismatic":
-        return tag("rect", x=x - 8, y=y - 6, width=16, height=12, rx=2, class_="cart")
-    return tag("circle", cx=x, cy=y, r=6, class_="cart")
+        return tag("rect", x=x - 8, y=y - 6, width=16, height=12, rx=2, class_=class_)
+    return tag("circle", cx=x, cy=y, r=6, class_=class_)
 
 
 def _labels(names: list[str], spots: np.ndarray, tops: np.ndarray) -> list[Markup]:

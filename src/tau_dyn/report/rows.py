@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from tau_dyn.identify import Identification
+from tau_dyn.model import Model
 from tau_dyn.report.words import Z95, listed, number, percent, pretty_unit, rounded, with_uncertainty
 
 State = Literal["known", "weak", "unseen"]
@@ -47,6 +48,7 @@ class Row:
         bar: Picture of the interval; None where there is nothing to draw.
         true: The true value of a simulation, empty where it is not known.
         distance: Estimate minus true value in standard errors.
+        before: What the model without the causes says, where there is one to compare with.
     """
 
     name: str
@@ -58,15 +60,20 @@ class Row:
     nominal: str
     note: str
     bar: Bar | None
-    true: str
-    distance: str
+    true: str = ""
+    distance: str = ""
+    before: str = ""
 
 
 def parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[Row]:
     """Return the table's lines, in the order of `found.rows()`."""
     raw = found.rows()
     scale = bar_scale(raw)
-    return [_row(found, r, scale, truth or {}) for r in raw]
+    rows = [row_of(r, scale, group_of(found.model, r["name"]), _note(found, r)) for r in raw]
+    return [
+        _compared(row, r, truth[row.name]) if truth and row.name in truth else row
+        for row, r in zip(rows, raw, strict=True)
+    ]
 
 
 def bar_scale(rows: list[dict[str, Any]]) -> float:
@@ -84,26 +91,32 @@ def _round_up(x: float) -> float:
     return float(steps[min(np.searchsorted(steps, x), len(steps) - 1)])
 
 
-def _row(found: Identification, r: dict[str, Any], scale: float, truth: Mapping[str, float]) -> Row:
-    seen, sigma, true = r["stderr"] is not None, r["stderr"], truth.get(r["name"])
+def row_of(r: dict[str, Any], scale: float, group: str, note: str) -> Row:
+    """Return a parameter of the contract's form in words."""
+    seen, sigma = r["stderr"] is not None, r["stderr"]
     return Row(
         name=r["name"],
-        group=_group(found, r["name"]),
+        group=group,
         state="known" if r["determined"] else "weak" if seen else "unseen",
         estimate=with_uncertainty(r["value"], sigma) if seen else number(r["value"]),
         interval=f"{rounded(r['ci95'][0], sigma)} … {rounded(r['ci95'][1], sigma)}" if seen else "",
         unit=pretty_unit(r["unit"]),
         nominal="" if r["nominal"] is None else number(r["nominal"]),
-        note=_note(found, r),
+        note=note,
         bar=_bar(r, scale) if seen else None,
-        true="" if true is None else (rounded(true, sigma) if seen else number(true)),
-        distance=f"{abs(r['value'] - true) / sigma:.1f}" if seen and sigma > 0 and true is not None else "",
     )
 
 
-def _group(found: Identification, name: str) -> str:
+def _compared(row: Row, r: dict[str, Any], true: float) -> Row:
+    sigma = r["stderr"]
+    text = number(true) if sigma is None else rounded(true, sigma)
+    return replace(row, true=text, distance=f"{abs(r['value'] - true) / sigma:.1f}" if sigma else "")
+
+
+def group_of(model: Model, name: str) -> str:
+    """Return the heading that a parameter stands under: its joint, or the rigid body."""
     owner = name.rsplit(".", 1)[0]
-    return "Rigid body" if name in found.model.robot.parameters and owner not in found.model.robot.actuated else owner
+    return "Rigid body" if name in model.robot.parameters and owner not in model.robot.actuated else owner
 
 
 def _note(found: Identification, r: dict[str, Any]) -> str:
@@ -112,12 +125,17 @@ def _note(found: Identification, r: dict[str, Any]) -> str:
     plain = found.estimate.moved.get(r["name"])
     if plain is not None:
         return f"held where physics allows; unconstrained it would be {number(plain, 3)}"
+    return doubt(r) or against_nominal(r)
+
+
+def doubt(r: dict[str, Any]) -> str:
+    """Return why an estimate is not to be read as physics; empty where it may be."""
     if r["at_bound"]:
         return "at its bound"
-    if not r["determined"]:
-        relative = 100 * r["stderr"] / max(abs(r["value"]), 1e-300)
-        return f"not determined: standard error {percent(relative)}" if relative < 100 else "not told from zero"
-    return _against_nominal(r)
+    if r["determined"]:
+        return ""
+    relative = 100 * r["stderr"] / max(abs(r["value"]), 1e-300)
+    return f"not determined: standard error {percent(relative)}" if relative < 100 else "not told from zero"
 
 
 def _unseen(r: dict[str, Any]) -> str:
@@ -129,7 +147,8 @@ def _unseen(r: dict[str, Any]) -> str:
     return f"nominal value; seen only together with {listed(shares, 3)}"
 
 
-def _against_nominal(r: dict[str, Any]) -> str:
+def against_nominal(r: dict[str, Any]) -> str:
+    """Return how far an estimate is off its nominal value, where that is beyond both uncertainties."""
     nominal, trust = r["nominal"], r["nominal_stderr"]
     if not nominal:
         return ""

@@ -44,13 +44,13 @@ class Panel:
     @property
     def force_limits(self) -> tuple[float, float]:
         """Range of the forces over the used samples, with air; filter ends and reversals do not widen it."""
-        return _limits(np.concatenate([self.measured[self.usable], self.predicted[self.usable]]))
+        return limits(np.concatenate([self.measured[self.usable], self.predicted[self.usable]]))
 
     @property
     def residual_limits(self) -> tuple[float, float]:
         """Range of the residual over the used samples, equal on both sides of zero, with air."""
         used = np.abs(self.residual[self.usable])
-        return _limits(np.concatenate([used, -used]), 0.25)
+        return limits(np.concatenate([used, -used]), 0.25)
 
     @property
     def residual(self) -> np.ndarray:
@@ -66,7 +66,8 @@ def panels(found: Identification) -> list[Panel]:
     return shown + _panels(found, train, False, None if own_logs else found.held)
 
 
-def _limits(values: np.ndarray, air: float = 0.08) -> tuple[float, float]:
+def limits(values: np.ndarray, air: float = 0.08) -> tuple[float, float]:
+    """Return the range of values with some air; -1 to 1 where there are none."""
     if not values.size:
         return -1.0, 1.0
     low, high = float(values.min()), float(values.max())

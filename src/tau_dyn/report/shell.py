@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from functools import cache
 from importlib.metadata import version
@@ -50,6 +50,7 @@ def render(
     provenance: Mapping[str, str] | None = None,
     logs: Sequence[tuple[str, str, str]] = (),
     command_line: str = "",
+    named: Collection[str] = (),
     **content: Any,
 ) -> str:
     """Return a page.
@@ -63,13 +64,14 @@ def render(
         provenance: What else the last section says, besides versions and the robot file.
         logs: Use, name and hash of each log.
         command_line: The command that repeats it.
+        named: Joints that the picture shows in another colour.
         content: Whatever else the template asks for.
     """
     return _environment().get_template(template).render(
         title=title,
         **opening._asdict(),
         robot=robot,
-        picture=Markup("") if robot is None else robot_picture(robot),
+        picture=Markup("") if robot is None else robot_picture(robot, named),
         joints_drawn=[] if robot is None else _joints_drawn(robot),
         panels=payload(views),
         printed=printed(views),
@@ -104,6 +106,12 @@ def _scripts() -> list[str]:
 
 def _hash(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+
+
+def logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Return use, name and hash of each log that a model's provenance names."""
+    pairs = (("trained on", provenance.get("trained_on", [])), ("held out", provenance.get("held_out", [])))
+    return [(use, row["path"], row["sha256"] or "not a file") for use, rows in pairs for row in rows]
 
 
 def _joints_drawn(robot: Robot) -> list[str]:

@@ -72,7 +72,7 @@ class View:
         t: Even times (n,) [s].
         strips: The strips, top down.
         held_out: Whether all of it is held-out data.
-        shaded: From when to when it is held-out data [s].
+        bands: Stretches [s] to shade for what they served, and the shade's name: `held` or `confirm`.
         usable: Samples that are used (n,); the others are shaded where a strip wants that. None for all.
     """
 
@@ -81,7 +81,7 @@ class View:
     t: np.ndarray
     strips: tuple[Strip, ...]
     held_out: bool = False
-    shaded: tuple[float, float] | None = None
+    bands: tuple[tuple[float, float, str], ...] = ()
     usable: np.ndarray | None = None
 
 
@@ -107,7 +107,9 @@ def force_view(panel: Panel) -> View:
         f"residual [{unit}]", (Curve("residual", "residual", panel.residual),), panel.residual_limits, 180, masked=True
     )
     above = Strip(f"force [{unit}]", both, panel.force_limits, 290)
-    return View(panel.log, panel.joint, panel.t, (above, below), panel.held_out, panel.shaded, panel.usable)
+    held = (float(panel.t[0]), float(panel.t[-1])) if panel.held_out else panel.shaded
+    bands = () if held is None else ((*held, "held"),)
+    return View(panel.log, panel.joint, panel.t, (above, below), panel.held_out, bands, panel.usable)
 
 
 def even_channels(log: Log, names: Sequence[str]) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
@@ -139,7 +141,7 @@ def _payload(view: View, most: int) -> dict[str, Any]:
         "log": view.log,
         "joint": view.joint,
         "heldOut": view.held_out,
-        "shaded": view.shaded,
+        "bands": view.bands,
         "masked": [[round(a, 4), round(b, 4)] for a, b in unused],
         "t0": float(t[0]),
         "step": step,
@@ -170,14 +172,14 @@ def _drawing(view: View) -> Markup:
     t, thinned = _thinned(view, PAPER_POINTS)
     end = float(view.t[-1])
     xlim = (float(view.t[0]), end if end > view.t[0] else float(view.t[0]) + 1.0)
-    held = [xlim] if view.held_out else [view.shaded] if view.shaded else []
     unused = [] if view.usable is None else gaps(view.t, view.usable, (xlim[1] - xlim[0]) / 1000)
     columns, charts = iter(thinned.T), []
     for k, s in enumerate(view.strips):
         chart = Chart(WIDE, int(0.8 * s.height), xlim, s.limits, "" if k else view.joint, "time [s]", s.label)
         lines = [chart.line(t, np.clip(next(columns), *s.limits), c.ink) for c in s.curves]
         across = [chart.line(np.array(xlim), np.full(2, b), "limit") for b in s.bounds]
-        shades = [chart.band(held, "held"), chart.band(unused if s.masked else [], "masked")]
+        shades = [chart.band([(start, stop)], ink) for start, stop, ink in view.bands]
+        shades.append(chart.band(unused if s.masked else [], "masked"))
         charts.append(chart.render(*shades, *across, *lines))
     return Markup("").join(charts)
 

@@ -3,6 +3,7 @@
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
 from tau_dyn.simulate.effects_file import read_effects_file
 from tau_dyn.simulate.fourier import base_condition, exciting_motion, fourier_motion
+from tau_dyn.simulate.law_file import read_law_file
 from tau_dyn.simulate.limits import broken_limit, condition_bound
 from tau_dyn.simulate.motions import (
     MOTIONS,
@@ -13,6 +14,8 @@ from tau_dyn.simulate.motions import (
     stroke_motion,
 )
 from tau_dyn.simulate.plant import PlantRun, free_motion, run_plant
+from tau_dyn.simulate.replay import replay
+from tau_dyn.simulate.replay_result import Replay
 from tau_dyn.simulate.sensors import Sensors, measure
 from tau_dyn.simulate.simulate import drive, simulate
 from tau_dyn.simulate.trajectory import Trajectory, concatenate, move
@@ -23,6 +26,7 @@ __all__ = [
     "CascadeLaw",
     "Controller",
     "PlantRun",
+    "Replay",
     "Sensors",
     "Trajectory",
     "base_condition",
@@ -39,6 +43,8 @@ __all__ = [
     "named_motion",
     "random_binary_motion",
     "read_effects_file",
+    "read_law_file",
+    "replay",
     "run_plant",
     "simulate",
     "slow_motion",

@@ -3,6 +3,8 @@
     effects:
       - effect: asymmetric_friction
         joints: [cart1]                      # all actuated joints without this line
+        settings: {}                         # what the effect is not linear in, such as stribeck's {speed: 0.02}
+        label: ""                            # ends the parameters' names where one joint has the effect twice
         parameters: {coulomb_pos: 189.1}     # the quantity for each of these joints, or a full parameter name
     parameters: {plate_link.mass: 10.2}      # any parameter of the robot or of the effects
 
@@ -15,11 +17,14 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from tau_dyn.effects import Effect
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml
 from tau_dyn.model import Model, read_effects
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
+
+_KEYS = ("effect", "joints", "settings", "label", "parameters")
 
 
 def read_effects_file(path: str | Path, robot: Robot) -> Model:
@@ -34,12 +39,14 @@ def read_effects_file(path: str | Path, robot: Robot) -> Model:
             f"{where}: an effects file holds 'effects', a list, and 'parameters', a mapping, and nothing else"
         )
     rows = content.get("effects") or []
-    model = Model.of(robot, _effects(rows, robot, where))
+    effects = _effects(rows, robot, where)
+    _check_names(effects, where)
+    model = Model.of(robot, effects)
     values: dict[str, Any] = {}
     for row, effect in zip(rows, model.effects, strict=True):
         given = _mapping(row.get("parameters"), f"{where}: parameters of {effect.name}")
         for key, value in given.items():
-            values |= dict.fromkeys(_names(str(key), effect.parameters, f"{where}, {effect.name}"), value)
+            values |= dict.fromkeys(_names(str(key), effect, f"{where}, {effect.name}"), value)
     for key, value in _mapping(content.get("parameters"), f"{where}: parameters").items():
         if key not in model.parameters:
             raise UnknownName("parameter", str(key), model.parameters.names, where)
@@ -47,11 +54,12 @@ def read_effects_file(path: str | Path, robot: Robot) -> Model:
     return model.with_values({name: _number(value, name, model.parameters, where) for name, value in values.items()})
 
 
-def _effects(rows: object, robot: Robot, where: str) -> tuple[Any, ...]:
+def _effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
     for row in rows if isinstance(rows, list) else []:
-        odd = sorted(set(map(str, row)) - {"effect", "joints", "parameters"}) if isinstance(row, dict) else []
+        odd = sorted(set(map(str, row)) - set(_KEYS)) if isinstance(row, dict) else []
         if odd:
-            raise InputError(f"{where}: an effect has 'effect', 'joints' and 'parameters', not '{odd[0]}'")
+            known = ", ".join(f"'{key}'" for key in _KEYS)
+            raise InputError(f"{where}: an effect has {known}, not '{odd[0]}'")
         if isinstance(row, dict) and not isinstance(row.get("joints", []), list):
             raise InputError(f"{where}: joints of {row.get('effect')} must be a list, such as [{robot.actuated[0]}]")
     return read_effects(rows, robot, where)
@@ -65,11 +73,22 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
     return value
 
 
-def _names(key: str, parameters: Parameters, where: str) -> list[str]:
+def _check_names(effects: tuple[Effect, ...], where: str) -> None:
+    """Refuse two effects of one kind on one joint that nothing tells apart."""
+    seen: set[str] = set()
+    for effect in effects:
+        for name in effect.parameters.names:
+            if name in seen:
+                raise InputError(f"{where}: two effects have a parameter {name}; give one {effect.name} a 'label'")
+            seen.add(name)
+
+
+def _names(key: str, effect: Effect, where: str) -> list[str]:
     """Return the parameters that a key means: one by its full name, or one a joint by its quantity."""
+    parameters = effect.parameters
     if key in parameters:
         return [key]
-    found = [name for name in parameters.names if name.rsplit(".", 1)[-1] == key]
+    found = [name for name in parameters.names if name.rsplit(".", 1)[-1] in (key, f"{key}{effect.label}")]
     if not found:
         raise UnknownName("parameter", key, parameters.names, where)
     return found

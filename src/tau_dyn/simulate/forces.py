@@ -2,56 +2,86 @@
 
 At a state (q, v) an effect gives its force at `sign = -1` and at `sign = +1`; friction that stops a motion lies between
 (`slip.py` chooses). Effects are linear in their parameters and taken as affine in the acceleration, so what they add to the
-mass matrix is found by asking for unit accelerations. Two approximations: an effect whose own sign is not its joint's
-(`reducer_coupling` turns with a sum of two speeds) is taken at the current speed and cannot stick, and where an effect pushes
-forwards (`sign = -1` above `sign = +1`) the sum is taken at the current direction.
+mass matrix is found by asking for unit accelerations. Three approximations: an effect whose own sign is not its joint's
+(`reducer_coupling` turns with a sum of two speeds) is taken at the current speed and cannot stick; where an effect pushes
+forwards (`sign = -1` above `sign = +1`) the sum is taken at the current direction; and what depends on a guide's load, which is
+not affine in the acceleration, takes the acceleration as it is known so far. What only distorts the recording
+(`measured` effects) has no force here: `log_effects.py` adds it to the log.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from tau_dyn.effects import Effect, JointwiseEffect, Motion
-from tau_dyn.model import Model
+from tau_dyn.effects import DisplacementEffect, Effect, Hysteresis, JointMotion, JointwiseEffect, Motion
+from tau_dyn.exceptions import InputError
+from tau_dyn.model import COMPUTED, Model
+from tau_dyn.simulate.memory import Memory, Surroundings, batch
 
 _PROBES = 8  # states, by chance, at which an effect is asked whether it feels accelerations; sin(q) a is silent at zero
+_REMEMBERED = frozenset({"temperature", "campaign", "reversal"})
+_KNOWN = _REMEMBERED | {"force"} | set(COMPUTED)
+
+
+def on_recording(effect: Effect) -> bool:
+    """Return whether an effect only distorts what is recorded, so that the robot moves as it would without it."""
+    return effect.measured or (isinstance(effect, DisplacementEffect) and not isinstance(effect, Hysteresis))
+
+
+def steady(model: Model) -> Model:
+    """Return the model with those of its effects that have a force at a single state: no history, no recording."""
+    kept = tuple(e for e in model.effects if not on_recording(e) and not _REMEMBERED & set(e.needs))
+    names = [name for effect in kept for name in effect.parameters.names]
+    return replace(model, effects=kept, effect_parameters=model.effect_parameters.select(names))
 
 
 class SampledForces:
-    """Forces of a model's effects at one sample."""
+    """Forces of a model's effects at one sample; `memory` is advanced by whoever moves the robot."""
 
-    def __init__(self, model: Model) -> None:
-        """Look values up once; effects that act joint by joint are later asked for all joints in one call."""
-        self.joints, self.na = model.robot.actuated, model.robot.na
-        self._jointwise: list[tuple[JointwiseEffect, np.ndarray, np.ndarray]] = []
+    def __init__(self, model: Model, surroundings: Surroundings | None = None) -> None:
+        """Look values up once; effects that act joint by joint are later asked for all joints in one call.
+
+        Raises:
+            InputError: An effect feels what a simulation cannot give.
+        """
+        self.model, self.joints, self.na = model, model.robot.actuated, model.robot.na
+        self._rest, self._signs = np.zeros((2, self.na)), np.repeat([[-1.0], [1.0]], self.na, axis=1)
+        effects = [effect for effect in model.effects if not on_recording(effect)]
+        self.memory = Memory(effects, self.na, surroundings)
+        self._jointwise: list[_Jointwise] = []
         self._general: list[tuple[Effect, np.ndarray]] = []
-        for effect in model.effects:
-            values = model.effect_parameters.select(effect.parameters.names).values
-            if isinstance(effect, JointwiseEffect) and type(effect).columns is JointwiseEffect.columns:
-                index = np.array([self.joints.index(j) for j in effect.joints])
-                by_quantity = values.reshape(len(index), -1).T
-                self._jointwise.append((effect, index, np.tile(by_quantity, 2)))
-            else:
-                self._general.append((effect, values))
-        self._moves_mass = [(e, x) for e, x in self._general if self._feels_acceleration(e, x)]
+        self._scaled: list[tuple[Effect, np.ndarray]] = []
+        for effect in effects:
+            self._place(effect, model.effect_parameters.select(effect.parameters.names).values)
+        linear = [(e, x) for e, x in self._general if "load" not in e.needs]
+        self._moves_mass = [(e, x) for e, x in linear if self._feels_acceleration(e, x)]
 
     @property
     def any(self) -> bool:
         """Whether there are effects at all."""
-        return bool(self._jointwise or self._general)
+        return bool(self._jointwise or self._general or self._scaled)
 
-    def bounds(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces (na,), (na,) [N or N m] at `sign` -1 and +1 and acceleration zero; the first is never larger."""
+    def bounds(self, q: np.ndarray, v: np.ndarray, a: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the forces (na,), (na,) [N or N m] at `sign` -1 and +1 and acceleration zero; the first is never larger.
+
+        Args:
+            q: Positions (na,).
+            v: Velocities (na,).
+            a: Accelerations (na,) as far as they are known, for the guides' loads.
+        """
         both = np.zeros((2, self.na))
-        for effect, index, values in self._jointwise:
-            n = len(index)
-            speeds, signs = np.tile(v[index], 2), np.repeat((-1.0, 1.0), n)
-            force = sum(c * x for c, x in zip(effect.per_joint(speeds, signs), values, strict=True))
-            both[:, index] += np.reshape(force, (2, n))
-        if self._general:
-            motion = self._motion(q, v, np.zeros((2, self.na)), np.repeat([[-1.0], [1.0]], self.na, axis=1))
-            for effect, values in self._general:
-                both += effect.columns(motion) @ values
+        for one in self._jointwise:
+            both[:, one.index] += one.forces(q, v, self.memory)
+        rest, signs = self._rest, self._signs
+        for effect, values in self._general:
+            felt = np.tile(a, (2, 1)) if "load" in effect.needs and a is not None else rest
+            both += effect.columns(self._motion(effect, q, v, felt, signs)) @ values
+        if self._scaled:
+            whole = self.model.mechanism.inverse_dynamics(np.tile(q, (2, 1)), np.tile(v, (2, 1)), rest) + both
+            for effect, values in self._scaled:
+                both = both + effect.columns(self._motion(effect, q, v, rest, signs, whole)) @ values
         lower, upper = both
         pushing = lower > upper
         if pushing.any():
@@ -60,23 +90,89 @@ class SampledForces:
 
     def mass(self, q: np.ndarray, v: np.ndarray) -> np.ndarray | None:
         """Return what the effects add to the mass matrix (na, na), or None where none of them feels accelerations."""
-        if not self._moves_mass:
+        if not self._moves_mass and not self._scaled:
             return None
         added = np.zeros((self.na, self.na))
         for effect, values in self._moves_mass:
             added += self._per_acceleration(effect, values, q, v)
+        if self._scaled:
+            whole = (self.model.mechanism.mass_and_bias(q, v)[0] + added).T
+            unit = np.eye(self.na)
+            for effect, values in self._scaled:
+                added = added + (effect.columns(self._motion(effect, q, v, unit, np.ones_like(unit), whole)) @ values).T
         return added
+
+    def _place(self, effect: Effect, values: np.ndarray) -> None:
+        """Sort an effect by how it is asked for its force."""
+        unknown = [name for name in effect.needs if name not in _KNOWN]
+        if unknown:
+            raise InputError(f"effect {effect.name} feels {unknown[0]}, which a simulation does not give")
+        if "campaign" in effect.needs and self.memory.surroundings.campaign is None:
+            raise InputError(
+                f"effect {effect.name} sets one recording apart from others, and a simulation is one recording: give this "
+                "one its own coulomb and viscous friction instead"
+            )
+        if "force" in effect.needs:
+            self._scaled.append((effect, values))
+        elif isinstance(effect, JointwiseEffect) and _by_joint(effect):
+            index = np.array([self.joints.index(j) for j in effect.joints])
+            self._jointwise.append(_Jointwise(effect, index, values))
+        else:
+            self._general.append((effect, values))
 
     def _per_acceleration(self, effect: Effect, values: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return `d force / d acceleration` (na, na) of one effect."""
         accelerations = np.vstack([np.zeros(self.na), np.eye(self.na)])
-        force = effect.columns(self._motion(q, v, accelerations, np.ones_like(accelerations))) @ values
+        force = effect.columns(self._motion(effect, q, v, accelerations, np.ones_like(accelerations))) @ values
         return (force[1:] - force[0]).T
 
     def _feels_acceleration(self, effect: Effect, values: np.ndarray) -> bool:
+        if {"passive"} & set(effect.needs):
+            return False  # turns with the speeds alone, and not every state by chance closes the loops
         states = np.random.default_rng(0).uniform(-1, 1, (_PROBES, 2, self.na))
         return any(np.any(self._per_acceleration(effect, values, q, v) != 0) for q, v in states)
 
-    def _motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray) -> Motion:
+    def _motion(
+        self,
+        effect: Effect,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        sign: np.ndarray,
+        force: np.ndarray | None = None,
+    ) -> Motion:
+        """Return `len(a)` samples at one place and speed, with the signals that an effect feels."""
         n = len(a)
-        return Motion(self.joints, np.tile(q, (n, 1)), np.tile(v, (n, 1)), a, sign)
+        places, speeds = np.tile(q, (n, 1)), np.tile(v, (n, 1))
+        signals = batch(self.memory.signals(effect), n)
+        signals |= {
+            name: COMPUTED[name](self.model.mechanism, places, speeds, a) for name in effect.needs if name in COMPUTED
+        }
+        return Motion.of(
+            self.joints, places, speeds, a, sign, signals=signals | ({} if force is None else {"force": force})
+        )
+
+
+class _Jointwise:
+    """An effect that each of its joints feels by itself, asked for all of them and both signs in one call."""
+
+    def __init__(self, effect: JointwiseEffect, index: np.ndarray, values: np.ndarray) -> None:
+        """Look up values; `index` (n,) are the effect's joints."""
+        n = len(index)
+        self.effect, self.index, self._twice = effect, index, np.tile(index, 2)
+        self._values = np.tile(values.reshape(n, -1).T, 2)
+        self._signs, self._rest = np.repeat((-1.0, 1.0), n), np.zeros(2 * n)
+
+    def forces(self, q: np.ndarray, v: np.ndarray, memory: Memory) -> np.ndarray:
+        """Return the forces (2, n) at signs -1 and 1."""
+        twice = self._twice
+        signals = {k: x[twice] for k, x in memory.signals(self.effect).items()} if self.effect.needs else {}
+        joint = JointMotion(q[twice], v[twice], self._rest, self._signs, None, signals)
+        force = sum(c * x for c, x in zip(self.effect.per_joint(joint), self._values, strict=True))
+        return np.reshape(force, (2, len(self.index)))
+
+
+def _by_joint(effect: JointwiseEffect) -> bool:
+    """Return whether a joint's own motion and what is remembered are all that an effect feels."""
+    plain = type(effect).columns is JointwiseEffect.columns and set(effect.needs) <= _REMEMBERED
+    return plain or isinstance(effect, Hysteresis)

@@ -25,6 +25,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import Controller
 from tau_dyn.simulate.forces import SampledForces
+from tau_dyn.simulate.memory import Surroundings
 from tau_dyn.simulate.slip import Slip, solve_slip
 from tau_dyn.simulate.trajectory import Trajectory
 
@@ -49,6 +50,9 @@ class PlantRun:
         stuck: Where friction held a joint (N, na).
         reference: What the controller was asked for, on the same clock; None for a free motion.
         q_read: What the encoders told the controller (N, na); None where it knew the true positions.
+        q_shown: What perfect encoders would show (N, na) where an effect makes them read beside the loads.
+        tau_shown: What perfect sensors would log of the forces (N, na) where an effect makes them late.
+        tool_shown: Where the tool is (N, 3) [m] where an effect moves carts off their guideways.
     """
 
     model: Model
@@ -60,6 +64,9 @@ class PlantRun:
     stuck: np.ndarray
     reference: Trajectory | None = None
     q_read: np.ndarray | None = None
+    q_shown: np.ndarray | None = None
+    tau_shown: np.ndarray | None = None
+    tool_shown: np.ndarray | None = None
 
     @property
     def sticking_share(self) -> np.ndarray:
@@ -89,17 +96,20 @@ class PlantRun:
     def every(self, step: int) -> PlantRun:
         """Return every `step`-th sample."""
         keep = slice(None, None, step)
-        arrays = {key: getattr(self, key)[keep] for key in ("t", "q", "v", "a", "tau", "stuck")}
+        names = ("t", "q", "v", "a", "tau", "stuck", "q_read", "q_shown", "tau_shown", "tool_shown")
+        arrays = {key: getattr(self, key)[keep] for key in names if getattr(self, key) is not None}
         reference = self.reference.every(step) if self.reference is not None else None
-        return replace(self, **arrays, reference=reference, q_read=None if self.q_read is None else self.q_read[keep])
+        return replace(self, **arrays, reference=reference)
 
 
 class Plant:
     """One robot with its effects, stepped in time."""
 
-    def __init__(self, model: Model, q0: np.ndarray, v0: np.ndarray, dt: float) -> None:
-        """Start at positions and velocities (na,) with a step of `dt` [s]."""
-        self.mechanism, self.forces, self.dt = model.mechanism, SampledForces(model), dt
+    def __init__(
+        self, model: Model, q0: np.ndarray, v0: np.ndarray, dt: float, surroundings: Surroundings | None = None
+    ) -> None:
+        """Start at positions and velocities (na,) with a step of `dt` [s], by default in a room that warms up."""
+        self.mechanism, self.forces, self.dt = model.mechanism, SampledForces(model, surroundings), dt
         self.q, self.w = np.array(q0, float), np.array(v0, float)
         self._a, self._friction = np.zeros(len(self.q)), np.zeros(len(self.q))
         self._started = False
@@ -115,6 +125,7 @@ class Plant:
         u, stuck = self._after(tau)
         v, self._a = 0.5 * (self.w + u), (u - self.w) / self.dt
         self.w, self.q = u, self.q + self.dt * u
+        self.forces.memory.advance(self.dt * u, self.dt)
         return v, self._a, stuck
 
     def _check_inertia(self, model: Model) -> None:
@@ -136,14 +147,14 @@ class Plant:
         added = self.forces.mass(self.q, v)
         A = self.dt * np.linalg.inv(M if added is None else M + added)
         free = self.w + A @ (tau - h)
-        u = self._slip(A, free, v).u
-        slip = self._slip(A, free, 0.5 * (self.w + u))
+        u = self._slip(A, free, v, self._a).u
+        slip = self._slip(A, free, 0.5 * (self.w + u), (u - self.w) / self.dt)
         self._friction = slip.force
         return slip.u, slip.stuck
 
-    def _slip(self, A: np.ndarray, free: np.ndarray, v: np.ndarray) -> Slip:
-        """Solve the step with friction as it is at velocities (na,)."""
-        lower, upper = self.forces.bounds(self.q, v)
+    def _slip(self, A: np.ndarray, free: np.ndarray, v: np.ndarray, a: np.ndarray) -> Slip:
+        """Solve the step with friction as it is at velocities and accelerations (na,)."""
+        lower, upper = self.forces.bounds(self.q, v, a)
         held = np.minimum(np.maximum(self._friction, lower), upper)
         return solve_slip(A, free, lower, upper, np.where(self.w > 0, upper, np.where(self.w < 0, lower, held)))
 

@@ -18,6 +18,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot
 from tau_dyn.simulate.controllers import PerJoint
+from tau_dyn.simulate.log_effects import temperatures
 from tau_dyn.simulate.plant import PlantRun
 
 
@@ -117,14 +118,18 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
         InputError: The log rate does not divide the control rate, or a sensor's numbers do not fit the joints.
     """
     warnings, run = run.warnings, run.every(sensors.step(float(run.t[1] - run.t[0])))
-    q = sensors.read_positions(run.q, rng) if run.q_read is None else run.q_read
-    signals = {"q": q, "tau": sensors.read_forces(run.tau, rng)}
+    shown = run.q if run.q_shown is None else run.q_shown
+    q = sensors.read_positions(shown, rng) if run.q_read is None else run.q_read
+    signals = {"q": q, "tau": sensors.read_forces(run.tau if run.tau_shown is None else run.tau_shown, rng)}
     if run.reference is not None:
         signals["q_ref"] = run.reference.q
     joints = run.model.robot.actuated
     channels = {f"{key}_{j}": values[:, k] for key, values in signals.items() for k, j in enumerate(joints)}
+    channels |= temperatures(run)
     if sensors.tool and run.model.robot.tool_frame is not None:
-        tool = run.tool + sensors.tool_noise * rng.standard_normal(run.tool.shape)
+        tool = (run.tool if run.tool_shown is None else run.tool_shown) + sensors.tool_noise * rng.standard_normal(
+            run.tool.shape
+        )
         channels |= dict(zip(("x_tool", "y_tool", "z_tool"), tool.T, strict=True))
     return Log(run.t, channels, name, warnings=warnings)
 

@@ -11,7 +11,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
+from tau_dyn.simulate.forces import steady
 from tau_dyn.simulate.limits import broken_limit
+from tau_dyn.simulate.log_effects import EncoderErrors, recorded
 from tau_dyn.simulate.plant import PlantRun, Progress, run_plant
 from tau_dyn.simulate.sensors import Sensors, measure, per_joint
 from tau_dyn.simulate.trajectory import Trajectory
@@ -78,15 +80,18 @@ def drive(
     fault = broken_limit(model, reference, condition=np.inf)
     if fault:
         raise InputError(f"{motion.name}: {fault}")
-    controller = controller or CascadeController(CascadeLaw.for_model(model), start=model)
+    controller = controller or CascadeController(CascadeLaw.for_model(model), start=steady(model))
     if feedback == "ideal":
-        return run_plant(model, reference, controller, progress=progress)
+        return recorded(run_plant(model, reference, controller, progress=progress))
     if feedback != "encoder":
         raise InputError(f"feedback is 'encoder' or 'ideal', not '{feedback}'")
     noise = per_joint(sensors.encoder_noise, model.robot.na, "encoder_noise") * rng.standard_normal(reference.q.shape)
-    return run_plant(
-        model, reference, controller, encoder=lambda k, q: sensors.rounded(q + noise[k]), progress=progress
-    )
+    errors = EncoderErrors(model)
+
+    def encoder(k: int, q: np.ndarray) -> np.ndarray:
+        return sensors.rounded((errors.read(q) if errors.any else q) + noise[k])
+
+    return recorded(run_plant(model, reference, controller, encoder=encoder, progress=progress))
 
 
 def _refuse_impossible_bodies(model: Model) -> None:

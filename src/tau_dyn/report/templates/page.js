@@ -24,8 +24,7 @@
       u.ctx.fillStyle = colour(name);
       if (right > left) u.ctx.fillRect(left, u.bbox.top, right - left, u.bbox.height);
     };
-    if (panel.heldOut) fill(u.scales.x.min, u.scales.x.max, "--held");
-    else if (panel.shaded) fill(panel.shaded[0], panel.shaded[1], "--held");
+    panel.bands.forEach(([from, to, ink]) => fill(from, to, `--${ink}`));
     if (masks) panel.masked.forEach(([from, to]) => fill(from, to, "--masked"));
   };
   const sync = uPlot.sync("time");

@@ -1,0 +1,90 @@
+"""Which causes can be named, by which law, from which motion? Writes `docs/effects.md` from the effects' own words.
+
+    python experiments/effects_table.py
+
+A test compares the page with the classes, so the two cannot drift apart.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tau_dyn.effects import EFFECTS, Effect, Scene
+from tau_dyn.effects.effect import spelled
+from tau_dyn.files import write_whole
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "effects.md"
+
+INTRODUCTION = """# Effects: what can be named
+
+One file an effect in `src/tau_dyn/effects/`; simulation, identification and diagnosis use the same one. `diagnose` may name
+each of these. `tau` is what the actuator applies, v > 0 is forward, `encoder - load` is what the encoder reads beyond the load.
+Units are those of a slide; a hinge has N m for N and rad for m. `simulate --effects E.yaml` hides any of them but
+`friction_change`, which takes two logs: forces act on the robot; delays and encoder errors on the recording; carts off their
+guideways on the tool's position. Where an effect follows the temperature, the simulated log has a `temp_room` that warms from 20
+towards 40 degC with a time constant of one minute.
+
+This page is written by `experiments/effects_table.py`.
+
+"""
+COLUMNS = ("cause", "equation", "parameters", "settings", "range", "what reveals it", "mistaken for", "reference")
+
+
+def page() -> str:
+    """Return the page."""
+    rows = [_row(cls) for cls in EFFECTS.values() if cls.cause]
+    lines = [_line(COLUMNS), _line(("---",) * len(COLUMNS)), *map(_line, rows)]
+    return INTRODUCTION + "\n".join(lines) + "\n"
+
+
+def _row(cls: type[Effect]) -> tuple[str, ...]:
+    settings = (f"`{key}` {_unit(cls.setting_units.get(key, ''))}".strip() for key in cls.defaults)
+    twins = "".join(f"; exactly: {name}" for name in cls.equivalent)
+    others = [name for name in cls.mistaken_for if name not in cls.equivalent]
+    return (
+        f"`{cls.name}`",
+        f"`{cls.equation}`",
+        ", ".join(_parameters(cls)),
+        ", ".join(settings),
+        cls.plausible,
+        cls.reveals,
+        (", ".join(others) + twins).removeprefix("; "),
+        cls.reference,
+    )
+
+
+def _parameters(cls: type[Effect]) -> list[str]:
+    """Return names and units of an effect's parameters on one slide, or two where it takes two."""
+    joints = ("JOINT",) if _takes_one(cls) else ("JOINT", "OTHER")
+    shown = {}
+    for settings in ({}, {"displaced": 1}) if "displaced" in cls.defaults else ({},):
+        effect = cls(joints, ["N"] * len(joints), **settings)  # type: ignore[arg-type]
+        shown |= {p.name: f"`{p.name}` {_unit(p.unit)}".strip() for p in effect.parameters}
+    return list(shown.values())
+
+
+def _takes_one(cls: type[Effect]) -> bool:
+    one, two = np.ones(1), np.ones(2)
+    alone = cls.groups(Scene(("a",), ("N",), -one, one, one, one, 1.0, 1.0, frozenset(cls.needs)))
+    both = cls.groups(Scene(("a", "b"), ("N", "N"), -two, two, two, two, 1.0, 1.0, frozenset(cls.needs)))
+    return bool(alone) or not both
+
+
+def _unit(unit: str) -> str:
+    text = spelled(unit, "N")
+    return "" if text in ("", "1") else f"[{text}]"
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def main(path: Path = PAGE) -> None:
+    """Write the page."""
+    write_whole(path, page())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""What an oracle gains that knows the hidden force's true shape, on the samples on which `diagnose` measured its own gain.
+
+All errors are against the force without noise, put through the same filters, so that the noise both leave does not count:
+
+    gain ratio = (E_before^2 - E_found^2) / (E_before^2 - E_oracle^2)
+
+The oracle fits the base model's columns of the true motion and the shape to the measured force, on the parts that the
+extended model is fitted on. Filters are those the diagnosis says it used; where they do not give its trace, there is no ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hidden_effects_parts.recording import Recording
+from hidden_effects_parts.strength import base_columns
+from tau_dyn.diagnose import Diagnosis
+from tau_dyn.log import Log, decimate, lowpass
+
+GAIN = 2
+"""The part of a trace that the gain is measured on; 0 and 1 were fitted on."""
+
+
+def gain_ratio(found: Diagnosis, logs: Sequence[Log], runs: Sequence[Recording], shapes: Sequence[np.ndarray]) -> float:
+    """Return the gain over that of the oracle.
+
+    Args:
+        found: The answer.
+        logs: All logs, held-out ones last, as the traces are.
+        runs: What they recorded, before noise.
+        shapes: The hidden force of each (N, na, k), one column for each thing that hides.
+    """
+    if len(found.traces) != len(logs):
+        return np.nan
+    preparation = found.settings["preparation"]
+    rows: list[tuple[np.ndarray, ...]] = []
+    for trace, log, run, shape in zip(found.traces, logs, runs, shapes, strict=True):
+        factor = max(1, round(log.rate_hz * float(np.median(np.diff(trace.t)))))
+
+        def passed(x: np.ndarray, log: Log = log, factor: int = factor) -> np.ndarray:
+            return decimate(lowpass(x, preparation["force_cutoff_hz"], log.rate_hz), factor)
+
+        def measured(x: np.ndarray, log: Log = log, passed=passed) -> np.ndarray:
+            return passed(lowpass(x, preparation["position_cutoff_hz"], log.rate_hz))
+
+        tau = measured(log.joint("tau", run.rig.joints))
+        if tau.shape != trace.measured.shape or np.max(np.abs(tau - trace.measured)) > 1e-6 * np.max(np.abs(tau)):
+            return np.nan
+        columns = np.concatenate([base_columns(run), shape], axis=2)
+        rows.append((passed(columns), tau, measured(run.tau), trace.before, trace.after, trace.usable, trace.part))
+    W, tau, true, before, after, usable, part = (np.concatenate(x) for x in zip(*rows, strict=True))
+    fit = usable & np.isin(part, (0, 1))[:, None]
+    own = np.linalg.norm(W[fit], axis=0)
+    W = W[:, :, own > 0] / own[own > 0]
+    theta = np.linalg.lstsq(W[fit], tau[fit], rcond=1e-9)[0]
+    judged = usable & (part == GAIN)[:, None]
+
+    def square(prediction: np.ndarray) -> float:
+        return float(np.sum((prediction - true)[judged] ** 2))
+
+    best = square(before) - square(W @ theta)
+    return (square(before) - square(after)) / best if best > 0 else np.nan

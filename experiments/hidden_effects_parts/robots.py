@@ -1,0 +1,172 @@
+"""The robots in which something hides, as they truly are: masses off the file's, friction near Dressler 2012, Table 6.1.
+
+Three robots: the L1 Gantry-Tau (`l1`), one linear axis (`axis`) and a serial arm of three hinges (`arm`), whose last two
+may share a motor. Forces are `rigid body + base friction` with a sign that jumps exactly where the speed changes its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from tau_dyn.dynamics import Mechanism, build_mechanism
+from tau_dyn.effects import SymmetricFriction, friction_model
+from tau_dyn.model import Model
+from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+
+# Dressler 2012, Table 6.1: coulomb_neg, coulomb_pos [N], viscous_neg, viscous_pos [N/(m/s)] of each cart
+TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00), (177.22, 239.06, 197.52, 185.94))
+AXIS = ((20.3, 20.4, 239.0, 204.0),)  # N, N/(m/s); of the size of EMPS'
+ARM = ((7.0, 9.0, 6.0, 5.0), (8.0, 6.5, 5.0, 6.5), (3.0, 4.0, 2.0, 2.5))  # N m, N m/(rad/s)
+FRICTION = {"l1": TABLE_6_1, "axis": AXIS, "arm": ARM}
+OFF = 0.1
+"""Largest relative error of a mass in the robot file."""
+
+_ARM_URDF = """<robot name="arm"><link name="base_link"/>
+<link name="column_link"><inertial><origin xyz="0 0 0.05"/><mass value="9"/>
+ <inertia ixx="0.06" ixy="0" ixz="0" iyy="0.06" iyz="0" izz="0.08"/></inertial></link>
+<link name="upper_link"><inertial><origin xyz="0.18 0.03 0"/><mass value="7"/>
+ <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.11" iyz="0" izz="0.11"/></inertial></link>
+<link name="fore_link"><inertial><origin xyz="0.15 0 0.02"/><mass value="4"/>
+ <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.05"/></inertial></link>
+<joint name="turn" type="revolute"><parent link="base_link"/><child link="column_link"/><axis xyz="0 0 1"/>
+ <origin xyz="0 0 0.3"/><limit lower="-3" upper="3" velocity="4" effort="400"/></joint>
+<joint name="lift" type="revolute"><parent link="column_link"/><child link="upper_link"/><axis xyz="0 1 0"/>
+ <origin xyz="0.05 0 0.1"/><limit lower="-2" upper="2" velocity="4" effort="400"/></joint>
+<joint name="bend" type="revolute"><parent link="upper_link"/><child link="fore_link"/><axis xyz="0 1 0"/>
+ <origin xyz="0.4 0 0"/><limit lower="-2" upper="2" velocity="4" effort="400"/></joint>
+TRANSMISSIONS</robot>"""
+
+
+@cache
+def nominal_robot(name: str) -> Robot:
+    """Return a robot as its file has it: `l1`, `l1_point` (point masses for rods), `axis` or `arm`."""
+    if name == "axis":
+        return load_robot("linear_axis")
+    if name != "arm":
+        return load_robot("gantry_tau", prototype="l1", rod_mass_model="point" if name == "l1_point" else "uniform")
+    kind = "<type>transmission_interface/SimpleTransmission</type>"
+    drives = (
+        f'<transmission name="{j}_drive">{kind}<joint name="{j}"/><actuator name="{j}_motor"/></transmission>'
+        for j in ("turn", "lift", "bend")
+    )
+    return robot_from_urdf(_ARM_URDF.replace("TRANSMISSIONS", "\n".join(drives)), "arm")
+
+
+@dataclass(frozen=True, eq=False)
+class Friction:
+    """Coulomb and viscous friction with coefficients of its own in each direction, each (na,)."""
+
+    coulomb_neg: np.ndarray
+    coulomb_pos: np.ndarray
+    viscous_neg: np.ndarray
+    viscous_pos: np.ndarray
+
+    @property
+    def coulomb(self) -> np.ndarray:
+        """Mean Coulomb friction (na,) [N or N m]."""
+        return (self.coulomb_neg + self.coulomb_pos) / 2
+
+    @property
+    def viscous(self) -> np.ndarray:
+        """Mean viscous friction (na,)."""
+        return (self.viscous_neg + self.viscous_pos) / 2
+
+    def force(self, v: np.ndarray) -> np.ndarray:
+        """Return the friction (N, na) at velocities (N, na), with a sharp sign."""
+        forward = self.coulomb_pos + self.viscous_pos * v
+        backward = -self.coulomb_neg + self.viscous_neg * v
+        return np.where(v > 0, forward, np.where(v < 0, backward, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """A robot as it is, and what a person knows of it.
+
+    Attributes:
+        name: `l1`, `axis` or `arm`.
+        nominal: The robot file.
+        base: Friction the person's model has: `asymmetric`, `symmetric` (with an offset) or `plain` (without).
+        robot: The true robot.
+        friction: Its true friction, without what hides.
+    """
+
+    name: str
+    nominal: Robot
+    base: str
+    robot: Robot
+    friction: Friction
+    mechanism: Mechanism
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Actuated joints."""
+        return self.nominal.actuated
+
+    @property
+    def model(self) -> Model:
+        """The person's model: the robot file and base friction at zero."""
+        return Model.of(self.nominal, self._effects())
+
+    @property
+    def driven(self) -> Model:
+        """The true robot as the library's simulator takes it, without what hides."""
+        model = Model.of(self.robot, friction_model("asymmetric", self.joints, self.robot.force_units))
+        return model.with_values(
+            {f"{j}.{key}": float(getattr(self.friction, key)[k]) for k, j in enumerate(self.joints)
+             for key in ("coulomb_neg", "coulomb_pos", "viscous_neg", "viscous_pos")}
+        )  # fmt: skip
+
+    def force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return rigid-body force and base friction (N, na) [N or N m] along a motion (N, na)."""
+        return self.mechanism.inverse_dynamics(q, v, a) + self.friction.force(v)
+
+    def inertia(self, q: np.ndarray) -> np.ndarray:
+        """Return the mass matrix (n, na, na) at positions (n, na)."""
+        rest = np.zeros_like(q)
+        weight = self.mechanism.inverse_dynamics(q, rest, rest)
+        columns = [self.mechanism.inverse_dynamics(q, rest, rest + unit) - weight for unit in np.eye(len(self.joints))]
+        return np.stack(columns, axis=2)
+
+    def _effects(self) -> tuple:
+        if self.base == "plain":
+            return (SymmetricFriction(self.joints, self.nominal.force_units),)
+        return friction_model(self.base, self.joints, self.nominal.force_units)
+
+
+def draw_rig(name: str, base: str, rng: np.random.Generator, *, off: float = OFF, nominal: str | None = None) -> Rig:
+    """Return a robot whose bodies are up to `off` heavier or lighter than its file says, with friction by chance.
+
+    Args:
+        name: `l1`, `axis` or `arm`.
+        base: Friction of the person's model; where it is symmetric, so is the true base friction.
+        rng: Randomness.
+        off: Largest relative error of a body's mass; centre and inertia follow.
+        nominal: Another robot file that the person uses, such as `l1_point`.
+    """
+    known, true = nominal_robot(nominal or name), nominal_robot(name)
+    values: dict[str, float] = {}
+    for link in true.links:
+        factor = rng.uniform(1 - off, 1 + off)
+        values |= {key: true.parameters[key].value * factor for key in link.names}
+    robot = Model.of(true).with_values(values).robot
+    neg, pos, slow, fast = np.array(FRICTION[name]).T * rng.uniform(0.8, 1.2, (4, len(FRICTION[name])))
+    if base == "plain":
+        neg = pos = (neg + pos) / 2
+    if base != "asymmetric":  # an offset lies in `symmetric`, another slope for each direction does not
+        slow = fast = (slow + fast) / 2
+    return Rig(name, known, base, robot, Friction(neg, pos, slow, fast), build_mechanism(robot))
+
+
+DRAWS: dict[str, Callable[[np.random.Generator], str]] = {
+    "any": lambda rng: str(rng.choice(("l1", "l1", "l1", "axis", "arm"))),
+    "l1": lambda rng: "l1",
+    "axis": lambda rng: "axis",
+    "arm": lambda rng: "arm",
+    "several": lambda rng: str(rng.choice(("l1", "l1", "arm"))),
+    "cart": lambda rng: str(rng.choice(("l1", "axis"))),
+}
+"""Choices of a robot by chance: most effects are tried on any, some on those that can have them."""

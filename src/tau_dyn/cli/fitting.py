@@ -1,0 +1,64 @@
+"""What `identify` and `diagnose` share: the logs, the model to fit, and what is chosen about its parameters."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tau_dyn.cli.common import robot_file
+
+
+def add_fitting(parser: argparse.ArgumentParser, *, model: str, holdout: str, out: str) -> None:
+    """Add the arguments of fitting a model to logs; the texts say what model, held-out logs and written model are for."""
+    parser.add_argument(
+        "logs", metavar="LOG", nargs="+", help="CSV or Parquet with t, q_JOINT, tau_JOINT; never joined"
+    )
+    parser.add_argument("--holdout", metavar="LOG", nargs="+", action="extend", default=[], help=holdout)
+    parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")
+    parser.add_argument("--model", default="asymmetric", help=model)
+    parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help=out)
+    choices = parser.add_argument_group("parameters, by name or pattern")
+    choices.add_argument(
+        "--fix",
+        metavar="NAME[=VALUE[+-SIGMA]]",
+        action="append",
+        default=[],
+        help="keep, set, or say what was measured beforehand",
+    )
+    choices.add_argument(
+        "--free",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="estimate what is fixed by default, such as *.armature",
+    )
+    choices.add_argument("--bound", metavar="NAME=LO:HI", action="append", default=[], help="keep within")
+    parser.add_argument(
+        "--exclude",
+        metavar="COLUMN",
+        action="append",
+        default=[],
+        help="leave out samples where this column is not zero",
+    )
+
+
+def read_fitting_logs(args: argparse.Namespace):
+    """Return the logs to fit and those held out."""
+    from tau_dyn.log import read_log
+
+    return tuple([read_log(path, args.columns) for path in paths] for paths in (args.logs, args.holdout))
+
+
+def fitting_options(args: argparse.Namespace) -> dict:
+    """Return what `identify` and `diagnose` take by name, besides the logs."""
+    from tau_dyn.identify import Choices
+
+    choices = Choices(tuple(args.fix), tuple(args.free), tuple(args.bound))
+    return {"model": args.model, "choices": choices, "exclude": tuple(args.exclude), "seed": args.seed}
+
+
+def fitting_inputs(args: argparse.Namespace, logs, held) -> list[Path | tuple[str, str]]:
+    """Return every file that went in, logs with the hash that their reader knows."""
+    read = [(str(path), log.sha256) for path, log in zip([*args.logs, *args.holdout], [*logs, *held], strict=True)]
+    others = [args.columns, Path(args.model)]
+    return [*robot_file(args), *read, *(p for p in others if p is not None and p.is_file())]

@@ -1,0 +1,89 @@
+"""What one kind of measurement gives to the search for causes, and nothing about how it is searched.
+
+A channel holds a baseline's regression (measured outputs and the columns that the baseline may refit), which samples serve
+training, confirmation and measurement, and turns any effect into columns of the same regression. Forces, tool positions and
+deflections differ only here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tau_dyn.effects import Effect, Scene
+from tau_dyn.estimate import Run
+from tau_dyn.parameters import Parameters
+
+if TYPE_CHECKING:
+    from tau_dyn.diagnose.ground import Ground
+
+
+@dataclass(frozen=True, eq=False)
+class Channel(ABC):
+    """One kind of measurement of one robot.
+
+    Attributes:
+        name: `force`, `tool` or `deflection`.
+        outputs: What is measured (m).
+        units: Units of the outputs.
+        parameters: Parameters of the baseline's columns (p).
+        runs: Baseline columns and measurements.
+        parts: Part of each sample (n,) of each run, as `parts.py` numbers them.
+        scene: What the motion offers.
+        causes: Effects that may be found here.
+    """
+
+    name: str
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: Parameters
+    runs: tuple[Run, ...]
+    parts: tuple[np.ndarray, ...]
+    scene: Scene
+    causes: tuple[type[Effect], ...]
+
+    @abstractmethod
+    def columns(self, effect: Effect) -> list[np.ndarray]:
+        """Return an effect's columns (n, m, k) of each run, filtered and masked as the measurements are."""
+
+    def whole_columns(self, effect: Effect) -> list[np.ndarray]:
+        """Return the columns without any sample left out, for drawing."""
+        return self.columns(effect)
+
+    def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
+        """Return what thousands of settings explain of residuals (R, d), as (g, d), or None where there is no short cut."""
+        return None
+
+    @abstractmethod
+    def variables(self) -> list[Mapping[str, np.ndarray]]:
+        """Return what an unknown force might depend on: for each run, name -> (n,), such as `v_cart1` or `t`."""
+
+    def masks(self, *parts: int) -> list[np.ndarray]:
+        """Return which samples (n, m) of each run are usable and belong to these parts."""
+        return [run.usable & np.isin(part, parts)[:, None] for run, part in zip(self.runs, self.parts, strict=True)]
+
+    @cached_property
+    def free_columns(self) -> list[np.ndarray]:
+        """Columns that the baseline may refit (n, m, p'), of each run."""
+        return [run.W[:, :, self.parameters.free] for run in self.runs]
+
+    @cached_property
+    def target(self) -> list[np.ndarray]:
+        """Measurements less what fixed parameters predict (n, m), of each run."""
+        fixed = ~self.parameters.free
+        return [run.y - run.W[:, :, fixed] @ self.parameters.values[fixed] for run in self.runs]
+
+    @cached_property
+    def prior(self) -> tuple[np.ndarray, np.ndarray]:
+        """What was known beforehand as rows of unit noise: (k, p') and (k,)."""
+        free = [p for p in self.parameters if p.free]
+        known = [(k, p) for k, p in enumerate(free) if p.prior_stderr]
+        rows = np.zeros((len(known), len(free)))
+        for row, (k, p) in zip(rows, known, strict=True):
+            row[k] = 1 / float(p.prior_stderr or 1.0)
+        return rows, np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])

@@ -1,0 +1,90 @@
+r"""Does the effect that the training part shows also show, in the size predicted, where nothing was fitted?
+
+With `C gamma` the effect fitted on the training part and `B` everything else, the misfit predicted on other data is
+
+    x = C gamma - B (B_t^+ C_t gamma),
+
+what the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on `x`, with
+`B` free to move as far as the training fit was uncertain (its information as prior rows). The coefficient is 1 if all of the
+effect is there and 0 if none; a one-sided t-test with one degree of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.parts import CONFIRM, TRAIN
+from tau_dyn.diagnose.trials import _PRIOR_BLOCKS
+from tau_dyn.estimate import Autoregression, Whitener
+
+LEVEL = 0.02
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """Share of a predicted effect seen on held-out data, its standard error, and the chance of it by noise."""
+
+    share: float
+    stderr: float
+    p_value: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether held-out data agree."""
+        return self.p_value < LEVEL
+
+
+def confirm(
+    channel: Channel,
+    noise: Sequence[Autoregression],
+    effect_columns: Sequence[list[np.ndarray]],
+    other_columns: Sequence[list[np.ndarray]],
+) -> Confirmation:
+    """Test one cause's columns (lists over runs of (n, m, k)) beside those of the other causes."""
+    train, held = (Whitener.of(channel.runs, channel.masks(part), noise) for part in (TRAIN, CONFIRM))
+    prior_rows, prior_y = channel.prior
+    B_t, B_c = (
+        np.concatenate([w(channel.free_columns), *(w(c) for c in other_columns)], axis=1) for w in (train, held)
+    )
+    C_t, C_c = (np.concatenate([w(c) for c in effect_columns], axis=1) for w in (train, held))
+    y_t, y_c = train(channel.target), held(channel.target)
+    k = B_t.shape[1]
+    prior = np.concatenate([prior_rows, np.zeros((len(prior_y), k - prior_rows.shape[1]))], axis=1)
+    B_all = np.concatenate([B_t, prior])
+    norm = np.linalg.norm(B_all, axis=0)
+    norm[norm == 0] = 1.0
+    inverse = np.linalg.pinv(B_all / norm, rcond=1e-7) / norm[:, None]
+    blank = np.zeros(len(prior_y))
+    gamma_columns = C_t - B_t @ (inverse @ np.concatenate([C_t, np.zeros((len(prior_y), C_t.shape[1]))]))
+    theta = inverse @ np.concatenate([y_t, prior_y])
+    gamma = np.linalg.lstsq(gamma_columns, y_t - B_t @ theta, rcond=1e-7)[0]
+    shift = inverse @ np.concatenate([C_t @ gamma, blank])
+    x, r = C_c @ gamma - B_c @ shift, y_c - B_c @ theta
+    return _regress(x, r, B_c, np.linalg.qr(B_all, mode="r"), held)
+
+
+def _regress(x: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener) -> Confirmation:
+    rows = np.concatenate([np.column_stack([x, B]), np.column_stack([np.zeros(len(R)), R])])
+    y = np.concatenate([r, np.zeros(len(R))])
+    norm = np.linalg.norm(rows, axis=0)
+    norm[norm == 0] = 1.0
+    solution = np.linalg.lstsq(rows / norm, y, rcond=1e-9)[0] / norm
+    rest = (y - rows @ solution)[: len(r)]
+    others = rows[:, 1:] / norm[1:]
+    along = rows[:, 0] - others @ np.linalg.lstsq(others, rows[:, 0], rcond=1e-9)[0]
+    square = float(along @ along)
+    if square <= 0:
+        return Confirmation(0.0, np.inf, 1.0)
+    variance = max(float(rest @ rest) / max(1, len(r) - 1), 1e-300)
+    blocks = np.bincount(held.block, along[: len(r)] * rest)
+    count = len(np.unique(held.block))
+    ratio = float(np.sum(blocks**2)) / (variance * square)
+    inflation = max(1.0, (count * ratio + _PRIOR_BLOCKS) / (count + _PRIOR_BLOCKS))
+    stderr = float(np.sqrt(inflation * variance / square))
+    dof = max(2.0, count + _PRIOR_BLOCKS - 1)
+    return Confirmation(float(solution[0]), stderr, float(stats.t.sf(solution[0] / stderr, dof)))

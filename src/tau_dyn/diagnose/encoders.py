@@ -1,0 +1,82 @@
+r"""What encoder noise alone would make of a cause, found by making the same mistake on purpose.
+
+Encoder noise sits in the columns and, times a mass, in the residual; whitening cannot cure what both share. So the fitted
+baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs,
+and the whole preparation is repeated. What a cause explains of that misfit is the noncentrality that its score would have on a
+clean log: chance is then judged by a noncentral chi-square, with twice that noncentrality, as it is an estimate itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
+from tau_dyn.diagnose.parts import TRAIN
+from tau_dyn.diagnose.trials import Candidate, Library, one_sided
+from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
+from tau_dyn.model import Model
+
+MARGIN = 2.0
+
+Remake = Callable[[Sequence[Log]], Channel]
+"""Builds the channel of other logs as the first one was built: same filters, same parts, same baseline."""
+
+
+def noise_only(channel: ForceChannel, model: Model, smooth_hz: float, rng: np.random.Generator) -> list[Log]:
+    """Return the logs as the fitted baseline would have made them, with fresh encoder noise and none in the forces."""
+    found = []
+    joints = channel.outputs
+    for piece in channel.prepared:
+        m, log = piece.motion, piece.log
+        force = model.columns(model.motion(m.q, m.v, m.a, m.sign, t=m.t, signals=m.signals)) @ model.parameters.values
+        read = log.joint("q", joints)
+        q = m.q if smooth_hz < piece.preparation.position_cutoff_hz else lowpass(read, smooth_hz, log.rate_hz)
+        q = q + encoder_noise(read) * rng.standard_normal(q.shape)
+        step = quantisation_step(read)
+        q = np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
+        channels = dict(log.channels)
+        for k, joint in enumerate(joints):
+            channels |= {f"q_{joint}": q[:, k], f"tau_{joint}": force[:, k]}
+        found.append(replace(log, channels=channels))
+    return found
+
+
+def chance_with_encoders(
+    clean: Channel, ground: Ground, candidate: Candidate, others: Sequence[list[np.ndarray]]
+) -> float:
+    """Return the chance of a candidate's strongest group when encoder noise does to it what it does to `clean`.
+
+    Args:
+        clean: The channel of noise-only logs.
+        ground: The training part of the measured channel, for its noise model and scale.
+        candidate: The cause, on measured data.
+        others: Columns of the other causes on `clean`.
+    """
+    library = Library(clean)
+    blank = Ground.of(clean, (TRAIN,), ground.noise, others)
+    chances = []
+    for fit in candidate.fits:
+        bias = MARGIN * noncentrality(blank, ground, library.columns(fit.effect), one_sided(fit.effect))
+        tail = (
+            float(stats.ncx2.sf(fit.T / fit.inflation, fit.dof, bias))
+            if bias > 0
+            else float(stats.chi2.sf(fit.T, fit.dof))
+        )
+        chances.append(min(1.0, fit.tries * tail))
+    return float(min(chances) * len(candidate.tested))
+
+
+def noncentrality(
+    blank: Ground, ground: Ground, columns: list[np.ndarray], sided: np.ndarray, absorbed: float = ABSORBED
+) -> float:
+    """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise."""
+    C = blank.rows(columns)
+    s, G = C.T @ blank.e, blank.gram(C)
+    T = gains(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], np.zeros_like(sided), absorbed)
+    return float(T[0, 0]) * (blank.scale / ground.scale) ** 2

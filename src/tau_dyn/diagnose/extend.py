@@ -1,0 +1,126 @@
+"""The model extended by causes, refitted, and judged on the part that was used for nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
+from tau_dyn.diagnose.result import Errors, Gain
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import Estimate, Physics, Regression, solve_least_squares
+from tau_dyn.estimate.noise import BLOCK_S
+from tau_dyn.parameters import Parameters
+
+_DRAWS = 1000
+_INTERVAL = (2.5, 97.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A fitted model on the data used for nothing else.
+
+    Attributes:
+        estimate: The fit, on training and confirmation parts; None for values that were not fitted.
+        theta: All parameters (p,), the baseline's and then the effects'.
+        regression: Baseline and effects on all data.
+        residuals: Measured minus predicted (n, m) of each run, all parts.
+        errors: On the part used for nothing else.
+    """
+
+    estimate: Estimate | None
+    theta: np.ndarray
+    regression: Regression
+    residuals: list[np.ndarray]
+    errors: Errors
+
+
+def extended_regression(channel: Channel, effects: Sequence[Effect]) -> Regression:
+    """Return the baseline's regression with the columns of further effects."""
+    made = [channel.columns(effect) for effect in effects]
+    whole = [channel.whole_columns(effect) for effect in effects]
+    runs = tuple(
+        replace(
+            run,
+            W=np.concatenate([run.W, *(c[r] for c in made)], axis=2),
+            W_all=np.concatenate([run.W_all, *(c[r] for c in whole)], axis=2),
+        )
+        for r, run in enumerate(channel.runs)
+    )
+    parameters = channel.parameters + Parameters([p for effect in effects for p in effect.parameters])
+    return Regression(parameters, channel.outputs, channel.units, runs)
+
+
+def fitted(channel: Channel, effects: Sequence[Effect], physics: Physics | None, rng: np.random.Generator) -> Judged:
+    """Fit baseline and effects on training and confirmation parts, and judge them on the rest."""
+    regression = extended_regression(channel, effects)
+    estimate = solve_least_squares(masked(regression, channel, TRAIN, CONFIRM), physics=physics)
+    return judged(channel, regression, estimate.theta, estimate, rng)
+
+
+def judged(
+    channel: Channel, regression: Regression, theta: np.ndarray, estimate: Estimate | None, rng: np.random.Generator
+) -> Judged:
+    """Judge parameter values (p,)."""
+    residuals = regression.residuals(theta)
+    return Judged(estimate, theta, regression, residuals, errors_of(channel, residuals, rng))
+
+
+def masked(regression: Regression, channel: Channel, *parts: int) -> Regression:
+    """Return a regression that may use samples of these parts only."""
+    masks = channel.masks(*parts)
+    return replace(
+        regression, runs=tuple(replace(run, usable=m) for run, m in zip(regression.runs, masks, strict=True))
+    )
+
+
+def errors_of(channel: Channel, residuals: Sequence[np.ndarray], rng: np.random.Generator) -> Errors:
+    """Return rms and relative error on the part used for nothing else, with intervals from blocks."""
+    squares, counts = _blocks(channel, residuals)
+    power, _ = _blocks(channel, [run.y for run in channel.runs])
+    rms = np.sqrt(squares.sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
+    draws = _resample(squares, counts, rng)
+    ci95 = np.percentile(draws, _INTERVAL, axis=0).T
+    relative = 100 * float(np.sqrt(squares.sum() / max(power.sum(), 1e-300)))
+    return Errors(channel.outputs, rms, ci95, relative)
+
+
+def gain_of(
+    channel: Channel,
+    before: Sequence[np.ndarray],
+    after: Sequence[np.ndarray],
+    joints: Sequence[str],
+    rng: np.random.Generator,
+) -> Gain:
+    """Return how much smaller the error of some outputs is on the part used for nothing else, from paired blocks."""
+    which = [k for k, output in enumerate(channel.outputs) if output in joints] or list(range(len(channel.outputs)))
+    (b, counts), (a, _) = (_blocks(channel, x) for x in (before, after))
+    b, a, n = (x[:, which].sum(axis=1) for x in (b, a, counts))
+    pick = rng.integers(len(n), size=(_DRAWS, len(n)))
+    ratio = np.sqrt(a[pick].sum(axis=1) / np.maximum(b[pick].sum(axis=1), 1e-300))
+    low, high = np.percentile(100 * (1 - ratio), _INTERVAL)
+    total = max(float(n.sum()), 1.0)
+    rms_before, rms_after = (float(np.sqrt(x.sum() / total)) for x in (b, a))
+    reduction = 100 * (1 - rms_after / rms_before) if rms_before > 0 else 0.0
+    return Gain(rms_before, rms_after, reduction, (float(low), float(high)))
+
+
+def _blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums of squares and counts (blocks, m) over 2 s blocks of the part used for nothing else."""
+    squares, counts = [], []
+    for run, e, mask in zip(channel.runs, residuals, channel.masks(GAIN), strict=True):
+        number = ((run.t - run.t[0]) / BLOCK_S).astype(int)
+        for b in np.unique(number[mask.any(axis=1)]):
+            rows = number == b
+            squares.append(np.sum(np.where(mask[rows], e[rows], 0.0) ** 2, axis=0))
+            counts.append(mask[rows].sum(axis=0))
+    return np.array(squares), np.array(counts)
+
+
+def _resample(squares: np.ndarray, counts: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return rms (draws, m) over blocks drawn with replacement."""
+    pick = rng.integers(len(counts), size=(_DRAWS, len(counts)))
+    return np.sqrt(squares[pick].sum(axis=1) / np.maximum(counts[pick].sum(axis=1), 1))

@@ -1,0 +1,155 @@
+"""From a cause that the data show to what a person reads: parameters with errors, a plot, a sentence, twins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.confirm import Confirmation
+from tau_dyn.diagnose.ground import Ground
+from tau_dyn.diagnose.parts import CONFIRM, TRAIN
+from tau_dyn.diagnose.result import Finding, Gain, Signature
+from tau_dyn.diagnose.search import Found, Search, columns_of, tangents
+from tau_dyn.effects import Effect
+from tau_dyn.effects.effect import spelled
+from tau_dyn.parameters import Parameter, Parameters
+
+_POINTS = 2000
+_TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
+
+
+def finding_of(
+    channel: Channel,
+    search: Search,
+    found: Found,
+    confirmation: Confirmation,
+    values: Parameters,
+    gain: Gain | None,
+    signature: Signature | None,
+) -> Finding:
+    """Return the finding.
+
+    Args:
+        channel: Where it was found.
+        search: The whole search; the other causes count as accounted for.
+        found: The cause.
+        confirmation: Its test on held-out data.
+        values: Fitted values of its amplitudes.
+        gain: What it is worth.
+        signature: Its plot.
+    """
+    effects = found.candidate.effects
+    others = [e for other in search.found if other is not found for e in other.candidate.effects]
+    ground = Ground.of(channel, (TRAIN, CONFIRM), search.noise, columns_of(search.library, others))
+    inflation = max(fit.inflation for fit in found.candidate.fits)
+    parameters = uncertain(search, ground, effects, values, inflation)
+    joints = tuple(dict.fromkeys(j for effect in effects for j in effect.joints))
+    twins = tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *found.rivals]))
+    first = effects[0]
+    experiment = _TWIN_EXPERIMENT.format(reveals=first.reveals, twins=", ".join(twins)) if twins else ""
+    return Finding(
+        cause=found.candidate.cause,
+        joints=joints,
+        status="confirmed" if confirmation.holds else "suspected",
+        score=found.candidate.T,
+        p_value=found.p_value,
+        parameters=tuple(parameters),
+        gain=gain,
+        indistinguishable_from=twins,
+        equation=first.equation,
+        sentence=sentence_of(effects, parameters, gain),
+        experiment=experiment,
+        effects=effects,
+        signature=signature,
+        channel=channel.name,
+        confirmation=(confirmation.share, confirmation.stderr),
+    )
+
+
+def uncertain(
+    search: Search, ground: Ground, effects: Sequence[Effect], values: Parameters, inflation: float
+) -> Parameters:
+    """Return amplitudes and refined settings with standard errors that count each other's uncertainty."""
+    library, rows = search.library, []
+    columns = [ground.rows(library.columns(effect)) for effect in effects]
+    slopes = []
+    for effect in effects:
+        amplitude = values.select(effect.parameters.names).values
+        slopes += [ground.rows(x) for x in tangents(effect, amplitude, library)]
+    everything = np.concatenate([*columns, *slopes], axis=1)
+    norm = np.linalg.norm(everything, axis=0)
+    norm[norm == 0] = 1.0
+    covariance = np.linalg.pinv(ground.gram(everything / norm), rcond=1e-8) / np.outer(norm, norm)
+    stderr = iter(np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0)).tolist())
+    for effect in effects:
+        for p in values.select(effect.parameters.names):
+            rows.append(Parameter(p.name, p.value, p.unit, p.lower, p.upper, stderr=next(stderr), origin=effect.name))
+    for effect in effects:
+        owner, unit = "+".join(effect.joints), effect.units[effect.joints[0]]
+        for key in effect.refined:
+            name = f"{owner}.{effect.name}_{key}{effect.label}"
+            text = spelled(effect.setting_units.get(key, "1"), unit)
+            rows.append(Parameter(name, effect.settings[key], text, stderr=next(stderr), origin=effect.name))
+    return Parameters(rows)
+
+
+def sentence_of(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:
+    """Return what a colleague would say."""
+    said = []
+    for effect in effects:
+        where = ", ".join(effect.joints)
+        said.append(f"{where}: {effect.describe(parameters)}")
+    text = "; ".join(said)
+    if gain is not None:
+        text += f"; with it the model predicts held-out data {gain.reduction_percent:.0f} % better"
+    return text[0].upper() + text[1:] + "."
+
+
+def signature_of(
+    channel: Channel, effects: Sequence[Effect], residuals: Sequence[np.ndarray], values: Parameters
+) -> Signature | None:
+    """Return the residual without these effects, of the output that shows them best, against what it depends on."""
+    made = [channel.columns(effect) for effect in effects]
+    share = [
+        sum(c[r] @ values.select(e.parameters.names).values for e, c in zip(effects, made, strict=True))
+        for r in range(len(channel.runs))
+    ]
+    masks = channel.masks(0, 1, 2)
+    power = [sum(float(np.sum(np.where(m[:, k], s[:, k], 0) ** 2)) for s, m in zip(share, masks, strict=True))
+             for k in range(len(channel.outputs))]  # fmt: skip
+    k = int(np.argmax(power))
+    label, x = axis_of(channel, effects[0], channel.outputs[k])
+    xs, ys, fits = (
+        np.concatenate([v[m[:, k]] for v, m in zip(values_of, masks, strict=True)])
+        for values_of in (
+            x,
+            [e[:, k] + s[:, k] for e, s in zip(residuals, share, strict=True)],
+            [s[:, k] for s in share],
+        )
+    )
+    if not len(xs):
+        return None
+    keep = np.unique(np.linspace(0, len(xs) - 1, min(_POINTS, len(xs))).astype(int))
+    y_label = f"residual of {channel.outputs[k]} [{channel.units[k]}]"
+    return Signature(channel.outputs[k], label, y_label, xs[keep], ys[keep], fits[keep])
+
+
+def axis_of(channel: Channel, effect: Effect, output: str) -> tuple[str, list[np.ndarray]]:
+    """Return what a cause's plot shows on its horizontal axis, and its values (n,) for each run."""
+    variables = channel.variables()
+    position = "m" if channel.scene.units[0] == "N" else "rad"
+    joint = output if f"v_{output}" in variables[0] else effect.joints[0]
+    if "period" in effect.settings:
+        period = effect.settings["period"]
+        return f"position of {joint}, modulo {1e3 * period:.4g} {'mm' if position == 'm' else 'mrad'} [{position}]", [
+            np.mod(v[f"q_{joint}"], period) for v in variables
+        ]
+    if "temperature" in effect.needs:
+        return f"temperature at {joint} [degC]", [v[f"temp_{joint}"] for v in variables]
+    if effect.name in ("position_friction", "pinion_scale", "guideway_compliance", "cart_tilt"):
+        return f"position of {joint} [{position}]", [v[f"q_{joint}"] for v in variables]
+    if effect.name in ("delay", "joint_compliance", "transmission_error"):
+        return f"acceleration of {joint} [{position}/s^2]", [v[f"a_{joint}"] for v in variables]
+    return f"speed of {joint} [{position}/s]", [v[f"v_{joint}"] for v in variables]

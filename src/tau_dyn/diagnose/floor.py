@@ -1,0 +1,34 @@
+"""The noise floor: what is left of the residual when every output may depend smoothly on all its own variables.
+
+It is an estimate of what no model of these variables can get below; freedom spent on the smooth functions is given back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.extend import Judged, errors_of
+from tau_dyn.diagnose.noise import rich_columns
+from tau_dyn.diagnose.result import Errors
+from tau_dyn.diagnose.search import Search
+
+
+def noise_floor(channel: Channel, search: Search, extended: Judged, rng: np.random.Generator) -> Errors:
+    """Return the floor on the part used for nothing else."""
+    masks, variables = channel.masks(0, 1, 2), channel.variables()
+    left = [e.copy() for e in extended.residuals]
+    for k, output in enumerate(channel.outputs):
+        basis = [
+            np.concatenate([run.W[:, k], rich_columns(v, output)], axis=1)
+            for run, v in zip(extended.regression.runs, variables, strict=True)
+        ]
+        rows = np.concatenate([b[m[:, k]] for b, m in zip(basis, masks, strict=True)])
+        y = np.concatenate([e[m[:, k], k] for e, m in zip(left, masks, strict=True)])
+        norm = np.linalg.norm(rows, axis=0)
+        norm[norm == 0] = 1.0
+        theta, _, rank, _ = np.linalg.lstsq(rows / norm, y, rcond=1e-7)
+        given_back = np.sqrt(len(y) / max(1, len(y) - rank))
+        for e, b in zip(left, basis, strict=True):
+            e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
+    return errors_of(channel, left, rng)

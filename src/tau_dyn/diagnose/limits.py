@@ -1,0 +1,93 @@
+"""What was not found but would have been, and what these logs cannot show.
+
+A detection limit is the amplitude at which the test at the family-wise level has 95 % power (noncentral chi-square), at the
+setting in the middle of the grid and on the joint where the cause is hardest to see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import optimize, stats
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.ground import ABSORBED, Ground
+from tau_dyn.diagnose.result import Limit, Untestable
+from tau_dyn.diagnose.search import FAMILY_LEVEL, Search
+from tau_dyn.diagnose.trials import Candidate, Fit, Library
+from tau_dyn.effects import Effect
+
+POWER = 0.95
+_WHOLE = 0.5
+"""Share of an output's rms above which a limit says that the data show nothing of the cause."""
+
+
+def limits_of(
+    channel: Channel, search: Search, named: Sequence[str]
+) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
+    """Return detection limits of the causes that were tried and not found, and what could not be tried."""
+    limits, untestable = [], []
+    tried = {c.cause: c for c in search.last}
+    for cls in channel.causes:
+        if cls.name in named:
+            continue
+        reason = cls.untestable(channel.scene)
+        if reason is not None:
+            untestable.append(Untestable(cls.name, *reason))
+        elif cls.name not in tried:
+            untestable.append(Untestable(cls.name, "this motion covers too small a range to show it", cls.reveals))
+        else:
+            limit = _limit(channel, search.library, search.ground, tried[cls.name], len(search.last))
+            if limit is None:
+                why = "on this motion it cannot be told from what the refit of the baseline absorbs"
+                untestable.append(Untestable(cls.name, why, cls.reveals))
+            else:
+                limits.append(limit)
+    return tuple(limits), tuple(untestable)
+
+
+def noncentrality(level: float, dof: int, power: float = POWER) -> float:
+    """Return the noncentrality at which a chi-square test of this level has this power."""
+    critical = float(stats.chi2.isf(level, dof))
+    root = optimize.root_scalar(lambda x: float(stats.ncx2.sf(critical, dof, x)) - power, bracket=(1e-3, 1e5))
+    return float(root.root)
+
+
+def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candidate, causes: int) -> Limit | None:
+    found: list[tuple[float, str, str]] = []
+    for fit in candidate.tested:
+        if len(fit.effect.joints) > 1 and any(len(f.effect.joints) == 1 for f in candidate.tested):
+            continue
+        amplitude = _amplitude(channel, library, ground, fit, len(candidate.tested) * causes)
+        if amplitude is None:
+            return None
+        found.append(
+            (amplitude, fit.effect.parameters[fit.effect.parameters.names[0]].unit, "+".join(fit.effect.joints))
+        )
+    if not found:
+        return None
+    amplitude, unit, joint = max(found)
+    return Limit(
+        candidate.cause, amplitude, unit, f"{candidate.cause.replace('_', ' ')} of {amplitude:.2g} {unit} ({joint})"
+    )
+
+
+def _amplitude(channel: Channel, library: Library, ground: Ground, fit: Fit, families: int) -> float | None:
+    """Return the amplitude seen with 95 % power, or None where it would exceed half of what is measured."""
+    effect = _middle(channel, fit.effect)
+    C = ground.rows(library.columns(effect))
+    G, raw = ground.gram(C), C.T @ C
+    k = C.shape[1]
+    if not np.trace(G) > ABSORBED * np.trace(raw) or np.trace(raw) == 0:
+        return None
+    level = FAMILY_LEVEL / families / fit.tries * (2 if fit.one_sided else 1)
+    size = float(np.sqrt(noncentrality(min(level, 0.5), k) * fit.inflation * k / np.trace(G)))
+    force = size * float(np.sqrt(np.trace(raw) / k))
+    measured = float(np.linalg.norm(ground.whiten(channel.target) / ground.scale))
+    return None if force > _WHOLE * measured else size
+
+
+def _middle(channel: Channel, effect: Effect) -> Effect:
+    grid = type(effect).grid(channel.scene, effect.joints)
+    return effect.with_settings(**grid[len(grid) // 2])

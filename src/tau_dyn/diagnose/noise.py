@@ -1,0 +1,68 @@
+"""The noise of each output, judged on what a rich model leaves.
+
+Were it judged on the baseline's residual, a hidden effect would count as noise. So every output may depend smoothly on all
+variables of its own joint, times the direction of motion; an autoregressive model is fitted to what is then left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.estimate import Autoregression, fit_autoregression
+
+_DEGREE = 4
+_MAX_ORDER = 8
+
+
+def noise_models(
+    channel: Channel, parts: Sequence[int], extra: Sequence[list[np.ndarray]] = ()
+) -> tuple[Autoregression, ...]:
+    """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
+    masks = channel.masks(*parts)
+    variables = channel.variables()
+    models = []
+    for k, output in enumerate(channel.outputs):
+        columns = [
+            np.concatenate(
+                [c[r][:, k] for c in (channel.free_columns, *extra)] + [rich_columns(variables[r], output)], axis=1
+            )
+            for r in range(len(channel.runs))
+        ]
+        rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
+        y = np.concatenate([x[m[:, k], k] for x, m in zip(channel.target, masks, strict=True)])
+        norm = np.linalg.norm(rows, axis=0)
+        norm[norm == 0] = 1.0
+        theta = np.linalg.lstsq(rows / norm, y, rcond=1e-7)[0] / norm
+        stretches = []
+        for x, y_run, mask in zip(columns, channel.target, masks, strict=True):
+            e = y_run[:, k] - x @ theta
+            stretches += [e[s] for s in _stretches(mask[:, k])]
+        models.append(fit_autoregression(stretches, _MAX_ORDER))
+    return tuple(models)
+
+
+def rich_columns(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
+    """Return smooth functions (n, c) of an output's own variables, and the same times the direction of motion."""
+    own = [x for name, x in variables.items() if name.split("_", 1)[-1] == output or name == "t"]
+    sign = np.sign(variables.get(f"v_{output}", np.zeros(1)))
+    basis = [c for x in own for c in smooth(x)]
+    basis += [sign * c for c in basis] if np.any(sign) else []
+    return np.column_stack(basis)
+
+
+def smooth(x: np.ndarray, degree: int = _DEGREE) -> list[np.ndarray]:
+    """Return Legendre polynomials of degree 1 to `degree` of a variable (n,) scaled to its range; none if constant."""
+    low, high = float(x.min()), float(x.max())
+    if not high > low:
+        return []
+    scaled = 2 * (x - low) / (high - low) - 1
+    return list(legendre.legvander(scaled, degree).T[1:])
+
+
+def _stretches(mask: np.ndarray) -> list[slice]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,0 +1,108 @@
+"""Refitted parameters against their trusted nominal values: what only corrects a number of the robot file.
+
+A payload, a wrong link mass or a drive gain vanish in the baseline's refit, so no residual shows them; they show as masses
+that differ from the nominal beyond both uncertainties. All masses off by one factor is what a wrong motor constant does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.result import Finding
+from tau_dyn.estimate import Estimate
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
+
+LEVEL = 0.01
+
+
+def parameter_findings(model: Model, nominal: Parameters, estimate: Estimate) -> tuple[Finding, ...]:
+    """Return a finding for each mass that is off its nominal value, or one for a factor common to all.
+
+    Args:
+        model: Names links and units.
+        nominal: Values before the fit.
+        estimate: The fit of the final model.
+    """
+    rows = [(p, nominal[p.name]) for p in estimate.parameters if _trusted(p, nominal)]
+    if not rows:
+        return ()
+    z = np.array([(p.value - n.value) / _both(p, n) for p, n in rows])
+    p_values = 2 * stats.norm.sf(np.abs(z))
+    off = [k for k in range(len(rows)) if p_values[k] * len(rows) < LEVEL]
+    if not off:
+        return ()
+    if len(rows) > 1 and len(off) > 1 and _common_factor(rows):
+        return (_gain(rows, float(np.min(p_values)) * len(rows)),)
+    return tuple(_mass(model, *rows[k], float(z[k]), float(p_values[k]) * len(rows), len(rows) == 1) for k in off)
+
+
+def _trusted(p: Parameter, nominal: Parameters) -> bool:
+    if not p.free or p.stderr is None or not p.name.endswith(".mass") or p.name not in nominal:
+        return False
+    return nominal[p.name].value > 0 and p.stderr < 0.3 * abs(p.value)
+
+
+def _both(p: Parameter, n: Parameter) -> float:
+    trusted = n.prior_stderr if n.prior_stderr is not None else NOMINAL_MASS_STDERR * abs(n.value)
+    return float(np.hypot(p.stderr or 0.0, trusted))
+
+
+def _common_factor(rows: Sequence[tuple[Parameter, Parameter]]) -> bool:
+    """Tell whether one factor, far from one, explains all masses."""
+    ratio = np.array([p.value / n.value for p, n in rows])
+    sigma = np.array([_both(p, n) / n.value for p, n in rows])
+    weight = 1 / sigma**2
+    mean = float(ratio @ weight / weight.sum())
+    scatter = float(np.sum(((ratio - mean) / sigma) ** 2))
+    far = abs(mean - 1) * float(np.sqrt(weight.sum()))
+    return float(stats.chi2.sf(scatter, len(rows) - 1)) > 0.05 and far > 4
+
+
+def _gain(rows: Sequence[tuple[Parameter, Parameter]], p_value: float) -> Finding:
+    weight = np.array([1 / (_both(p, n) / n.value) ** 2 for p, n in rows])
+    mean = float(np.array([p.value / n.value for p, n in rows]) @ weight / weight.sum())
+    factor = Parameter(
+        "drive.gain", mean, "1", stderr=float(1 / np.sqrt(weight.sum())), origin="masses over nominal masses"
+    )
+    return Finding(
+        "drive_gain",
+        (),
+        "parameter",
+        float(((mean - 1) / (factor.stderr or 1.0)) ** 2),
+        min(1.0, p_value),
+        (factor,),
+        None,
+        ("link_mass",),
+        "tau_log = gain tau",
+        f"All masses come out {100 * (mean - 1):+.1f} % off their nominal values, which is what a wrong motor constant does.",
+        "weigh one moving part and fix it (--fix plate_link.mass=...): then the gain of the drives follows from the forces",
+    )
+
+
+def _mass(model: Model, p: Parameter, n: Parameter, z: float, p_value: float, only: bool) -> Finding:
+    link = p.name.rsplit(".", 1)[0]
+    carries = link == model.robot.plate or only
+    more = p.value > n.value
+    cause, twin = ("payload", "link_mass") if carries and more else ("link_mass", "payload")
+    twins = [twin] if carries and more else []
+    if only:
+        twins += ["drive_gain"]
+    error = f"{p.value:.4g} +- {p.stderr:.2g} kg instead of {n.value:.4g} kg"
+    return Finding(
+        cause,
+        (link,),
+        "parameter",
+        z**2,
+        min(1.0, p_value),
+        (p,),
+        None,
+        tuple(twins),
+        f"{p.name} differs from its nominal value",
+        f"{link.removesuffix('_link').capitalize()} moves like {error}.",
+        f"weigh {link.removesuffix('_link')} without and with what it carries, and fix it (--fix {p.name}=...)",
+    )

@@ -1,0 +1,321 @@
+"""What `diagnose` answers, and its JSON form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from tau_dyn.effects import Effect
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter
+
+Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
+Status = Literal["confirmed", "suspected", "parameter"]
+_Z95 = 1.959964
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """How far a model is from measurements that were used for nothing else.
+
+    Attributes:
+        outputs: What was measured: joints' forces, joints' deflections, or the tool's axes.
+        rms: Residual rms of each output (m,) [unit of the output].
+        ci95: Its 95 % interval (m, 2), from blocks.
+        relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+    """
+
+    outputs: tuple[str, ...]
+    rms: np.ndarray
+    ci95: np.ndarray
+    relative_error_percent: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return {
+            "rms_per_joint": dict(zip(self.outputs, map(float, self.rms), strict=True)),
+            "relative_error_percent": self.relative_error_percent,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One bar of the waterfall: `nominal`, `refitted`, a cause with its joints, or `noise_floor`."""
+
+    step: str
+    errors: Errors
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        ci95 = dict(zip(self.errors.outputs, self.errors.ci95.tolist(), strict=True))
+        return {"step": self.step, **self.errors.to_dict(), "ci95": ci95}
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a cause is worth on data used for nothing else: rms over its outputs before and after, and their ratio."""
+
+    rms_before: float
+    rms_after: float
+    reduction_percent: float
+    ci95: tuple[float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        rows = {"rms_before": self.rms_before, "rms_after": self.rms_after}
+        return {**rows, "reduction_percent": self.reduction_percent, "ci95": list(self.ci95)}
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """A plot that shows a cause at a glance: the residual of one output against the variable that matters.
+
+    Attributes:
+        output: The joint or axis shown.
+        x_label: What is on the horizontal axis, in words with its unit, such as `speed of cart1 [m/s]`.
+        y_label: What is on the vertical axis, in words with its unit.
+        x: Horizontal values of samples (n,), thinned to at most 2000.
+        y: Residual of the model without this cause but with all others (n,).
+        fitted: What the cause contributes at each sample (n,).
+    """
+
+    output: str
+    x_label: str
+    y_label: str
+    x: np.ndarray
+    y: np.ndarray
+    fitted: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """A cause that the data show.
+
+    Attributes:
+        cause: Its name in the contract.
+        joints: Joints it acts on.
+        status: `confirmed` on held-out data, `suspected`, or `parameter` (a refit off its trusted nominal).
+        score: Twice the gain in log-likelihood on the training part; large is strong.
+        p_value: Chance of such a score on clean data, all causes and settings tried taken into account.
+        parameters: Amplitudes and settings with their standard errors.
+        gain: What it is worth on data used for nothing else; None where the baseline's refit absorbs it.
+        indistinguishable_from: Causes that these data cannot tell from it.
+        equation: The law in one line.
+        sentence: What a colleague would say.
+        experiment: What would separate it from its twins; empty where there are none.
+        effects: The effects that extend the model; empty for `parameter`.
+        signature: Its plot; None for `parameter`.
+        channel: `force`, `tool` or `deflection`.
+        confirmation: Share of the predicted effect that the held-out part shows, with its standard error; 1 is all of it.
+    """
+
+    cause: str
+    joints: tuple[str, ...]
+    status: Status
+    score: float
+    p_value: float
+    parameters: tuple[Parameter, ...]
+    gain: Gain | None
+    indistinguishable_from: tuple[str, ...]
+    equation: str
+    sentence: str
+    experiment: str = ""
+    effects: tuple[Effect, ...] = ()
+    signature: Signature | None = None
+    channel: str = "force"
+    confirmation: tuple[float, float] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return {
+            "cause": self.cause,
+            "joints": list(self.joints),
+            "status": self.status,
+            "score": self.score,
+            "p_value": self.p_value,
+            "parameters": [_row(p) for p in self.parameters],
+            "gain": None if self.gain is None else self.gain.to_dict(),
+            "indistinguishable_from": list(self.indistinguishable_from),
+            "equation": self.equation,
+            "sentence": self.sentence,
+            "experiment": self.experiment,
+            "channel": self.channel,
+            "confirmation": None
+            if self.confirmation is None
+            else {"share": self.confirmation[0], "stderr": self.confirmation[1]},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Unexplained:
+    """Structure in the residual that no named cause explains.
+
+    Attributes:
+        joint: The joint whose force shows it.
+        depends_on: Variables it depends on, such as `v_cart1`, `q_cart2`, `t`.
+        share_of_residual_variance: Its part of the residual's variance, 0 to 1.
+        suggested_formula: A simple expression that fits, or empty.
+        p_value: Chance of it on clean data.
+        signature: Its plot.
+        status: `confirmed` on held-out data or `suspected`.
+    """
+
+    joint: str
+    depends_on: tuple[str, ...]
+    share_of_residual_variance: float
+    suggested_formula: str
+    p_value: float
+    status: Status
+    signature: Signature | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return {
+            "joint": self.joint,
+            "depends_on": list(self.depends_on),
+            "share_of_residual_variance": self.share_of_residual_variance,
+            "suggested_formula": self.suggested_formula or None,
+            "p_value": self.p_value,
+            "status": self.status,
+        }
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The smallest amplitude that would have been seen with 95 % power; `phrase` says it for people."""
+
+    cause: str
+    amplitude: float
+    unit: str
+    phrase: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return {"amplitude": self.amplitude, "unit": self.unit, "phrase": self.phrase}
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """A cause that these logs cannot show, why, and the experiment that would."""
+
+    cause: str
+    why: str
+    experiment: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return {"cause": self.cause, "why": self.why, "experiment": self.experiment}
+
+
+@dataclass(frozen=True, eq=False)
+class TimeTrace:
+    """One run for the time view, all at the regression's rate.
+
+    Attributes:
+        log: The log's name.
+        t: Time (n,) [s].
+        measured: Measured outputs (n, m).
+        before: Predicted by the refitted baseline (n, m).
+        after: Predicted by the extended model (n, m).
+        usable: Samples that count (n, m).
+        part: 0 trained, 1 confirmed, 2 gain measured, -1 neither (n,).
+    """
+
+    log: str
+    t: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    usable: np.ndarray
+    part: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a simulation gets wrong, why, and how much better it is with the cause.
+
+    Attributes:
+        verdict: `named`, `nothing_found`, `cannot_tell` or `unexplained`.
+        sentence: The answer in one or two sentences, for the top of the page.
+        channel: `force`, `tool` or `deflection`.
+        outputs: What was measured.
+        units: Units of the outputs.
+        baseline: Errors of the refitted model.
+        extended: Errors of the extended model.
+        noise_floor: What no model of these variables can get below.
+        waterfall: Nominal, refitted, plus each cause in the order found, noise floor.
+        findings: Strongest first.
+        unexplained: What no cause explains.
+        limits: What would have been seen, by cause.
+        untestable: What could not be tested and why.
+        model: The baseline, refitted.
+        extended_model: The model with the confirmed causes; the baseline where there are none.
+        traces: The time view.
+        n_parts: Seconds of usable data trained on, confirmed on, and measured on.
+        how: How the data were divided, in words.
+        warnings: What is doubtful.
+        seed: Seed of whatever was random.
+        experiment: What would tell, where `verdict` is `cannot_tell`.
+        simulation: Closed-loop simulation against the measured log, before and after, where a controller was given.
+        settings: How the data were prepared and tests calibrated, for the page's foot.
+    """
+
+    verdict: Verdict
+    sentence: str
+    channel: str
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    baseline: Errors
+    extended: Errors
+    noise_floor: Errors
+    waterfall: tuple[Step, ...]
+    findings: tuple[Finding, ...]
+    unexplained: tuple[Unexplained, ...]
+    limits: tuple[Limit, ...]
+    untestable: tuple[Untestable, ...]
+    model: Model
+    extended_model: Model
+    traces: tuple[TimeTrace, ...]
+    n_parts: tuple[float, float, float]
+    how: str
+    warnings: tuple[str, ...]
+    seed: int
+    experiment: str = ""
+    simulation: Mapping[str, Any] | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def exit_status(self) -> int:
+        """3 where the data cannot tell, else 0."""
+        return 3 if self.verdict == "cannot_tell" else 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's JSON result, without what the command adds (version, inputs)."""
+        return {
+            "seed": self.seed,
+            "status": "cannot_answer" if self.verdict == "cannot_tell" else "ok",
+            "warnings": list(self.warnings),
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "channel": self.channel,
+            "experiment": self.experiment or None,
+            "baseline": self.baseline.to_dict(),
+            "extended": self.extended.to_dict(),
+            "noise_floor": self.noise_floor.to_dict(),
+            "waterfall": [step.to_dict() for step in self.waterfall],
+            "findings": [finding.to_dict() for finding in self.findings],
+            "unexplained": [item.to_dict() for item in self.unexplained],
+            "detection_limits": {limit.cause: limit.to_dict() for limit in self.limits},
+            "untestable": [item.to_dict() for item in self.untestable],
+            "simulation": None if self.simulation is None else dict(self.simulation),
+            "divided": {"how": self.how, "seconds": list(self.n_parts)},
+            "settings": dict(self.settings),
+        }
+
+
+def _row(p: Parameter) -> dict[str, Any]:
+    ci95 = None if p.stderr is None else [p.value - _Z95 * p.stderr, p.value + _Z95 * p.stderr]
+    return {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr, "ci95": ci95}

@@ -1,0 +1,227 @@
+"""Causes found one after the other, then judged together.
+
+Each round tries every cause against what is accounted for, takes the one that explains most for its freedom among those
+that noise does not explain at the family-wise level, refines its settings, and goes on. Afterwards each one has to hold its
+ground beside all others, and what each could be mistaken for is written down: a rival that explains nearly as much alone and
+nothing any more beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.ground import Ground
+from tau_dyn.diagnose.noise import noise_models
+from tau_dyn.diagnose.parts import TRAIN
+from tau_dyn.diagnose.trials import DRAWS, Candidate, Fit, Library, judge, try_all, weighed
+from tau_dyn.diagnose.unknown import Structure, find_structure
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import Autoregression
+
+FAMILY_LEVEL = 0.05
+"""Chance of any cause on clean data on the training part; confirmation on other data multiplies it by its own level."""
+MOST = 5
+"""Causes looked for at most."""
+TWIN_MARGIN = 8.0
+"""Difference of merit (twice the log-likelihood) below which two causes are not told apart: odds of 50 to 1."""
+MIMIC_MARGIN = 12.0
+"""Merit by which an unnamed structure must beat a cause to unseat it: chance alone, over all sets of variables, gives 12."""
+MIMIC_RATIO = 1.5
+"""And how many times more it must explain; a cause that is most of the truth keeps its name, what is left gets none."""
+_STEPS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A cause that the training part shows.
+
+    Attributes:
+        candidate: Its fits, settings refined.
+        p_value: Family-wise.
+        rivals: Causes that explain as much in its place.
+    """
+
+    candidate: Candidate
+    p_value: float
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What the training part shows.
+
+    Attributes:
+        found: Causes in the order found.
+        noise: Noise model of each output.
+        ground: The training part with baseline and causes accounted for.
+        last: All causes tried beside those found, none significant.
+        library: Columns made on the way.
+        n_causes: Causes that could be tried.
+    """
+
+    found: tuple[Found, ...]
+    noise: tuple[Autoregression, ...]
+    ground: Ground
+    last: tuple[Candidate, ...]
+    library: Library
+    n_causes: int
+
+
+def search(
+    channel: Channel, rng: np.random.Generator, progress: Callable[[str], None], level: float = FAMILY_LEVEL
+) -> Search:
+    """Look for causes on the training part."""
+    library = Library(channel)
+    found: list[Found] = []
+    pending: list[
+        tuple[str, ...]
+    ] = []  # rivals of each, until the next round shows whether they still explain anything
+    while True:
+        noise, ground, candidates = _round(channel, library, [f.candidate for f in found], rng)
+        significant = [c for c in candidates if family(c, candidates) < level]
+        if pending and len(pending) == len(found):
+            still = {c.cause for c in significant}
+            found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
+        if not significant or len(found) >= MOST or len(pending) >= 2 * MOST:
+            break
+        best = max(significant, key=lambda c: c.merit)
+        progress(f"found {best.cause}")
+        pending.append(tuple(c.cause for c in significant if c is not best and c.merit > best.merit - TWIN_MARGIN))
+        found.append(Found(refined(best, library, ground), family(best, candidates), ()))
+        found = _merged(found)
+    kept = _eliminated(channel, library, found, noise, level)
+    kept = _adequate(channel, library, kept, noise, ground.draws(DRAWS, rng))
+    if kept != found:
+        noise, ground, candidates = _round(channel, library, [f.candidate for f in kept], rng)
+    return Search(tuple(kept), noise, ground, tuple(candidates), library, len(candidates))
+
+
+def _merged(found: list[Found]) -> list[Found]:
+    """Let a cause that was found again, on further joints, join what was found first."""
+    last = found[-1]
+    for k, one in enumerate(found[:-1]):
+        if one.candidate.cause == last.candidate.cause:
+            fits = (*one.candidate.fits, *last.candidate.fits)
+            joined = replace(one, candidate=replace(one.candidate, fits=fits))
+            return [*found[:k], joined, *found[k + 1 : -1]]
+    return found
+
+
+def family(candidate: Candidate, candidates: Sequence[Candidate]) -> float:
+    """Return a cause's p-value with all causes tried taken into account (Bonferroni)."""
+    return min(1.0, candidate.p_value * len(candidates))
+
+
+def columns_of(library: Library, effects: Sequence[Effect]) -> list[list[np.ndarray]]:
+    """Return the columns (n, m, k) of several effects."""
+    return [library.columns(effect) for effect in effects]
+
+
+def refined(candidate: Candidate, library: Library, ground: Ground) -> Candidate:
+    """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points."""
+    fits = []
+    for fit in candidate.fits:
+        for _ in range(_STEPS if fit.effect.refined else 0):
+            moved = _step(fit.effect, library, ground, fit.neighbours)
+            if moved is None:
+                break
+            better = weighed(replace(fit, effect=moved), library, ground)
+            if not better.T > fit.T + 0.01:
+                break
+            fit = better
+        fits.append(fit)
+    return replace(candidate, fits=tuple(fits))
+
+
+def tangents(effect: Effect, amplitude: np.ndarray, library: Library) -> list[list[np.ndarray]]:
+    """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
+    found = []
+    for key in effect.refined:
+        step = 1e-3 * abs(effect.settings[key]) or 1e-6
+        ends = [library.channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
+        found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
+    return found
+
+
+def _step(effect: Effect, library: Library, ground: Ground, limits: Sequence[dict[str, float]]) -> Effect | None:
+    C = ground.rows(library.columns(effect))
+    amplitude = np.linalg.lstsq(ground.gram(C), C.T @ ground.e, rcond=1e-9)[0]
+    if not np.any(amplitude):
+        return None
+    D = np.concatenate([ground.rows(x) for x in tangents(effect, amplitude, library)], axis=1)
+    both = np.concatenate([C, D], axis=1)
+    norm = np.linalg.norm(both, axis=0)
+    norm[norm == 0] = 1.0
+    solution = np.linalg.lstsq(ground.gram(both / norm), (both / norm).T @ ground.e, rcond=1e-8)[0] / norm
+    changed = {}
+    for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
+        values = [n[key] for n in limits] + [effect.settings[key]]
+        low, high = min(values), max(values)
+        new = float(np.clip(effect.settings[key] + change, low, high))
+        changed[key] = new if high > low else effect.settings[key]
+    return effect.with_settings(**changed) if changed != {k: effect.settings[k] for k in changed} else None
+
+
+def _round(
+    channel: Channel, library: Library, found: Sequence[Candidate], rng: np.random.Generator
+) -> tuple[tuple[Autoregression, ...], Ground, list[Candidate]]:
+    effects = [effect for candidate in found for effect in candidate.effects]
+    extra = columns_of(library, effects)
+    noise = noise_models(channel, (TRAIN,), extra)
+    ground = Ground.of(channel, (TRAIN,), noise, extra)
+    taken = {(effect.name, effect.joints) for effect in effects}
+    return noise, ground, try_all(library, ground, ground.draws(DRAWS, rng), channel.causes, taken)
+
+
+def _eliminated(
+    channel: Channel, library: Library, found: list[Found], noise: Sequence[Autoregression], level: float
+) -> list[Found]:
+    """Drop, weakest first, what no longer explains anything beside the others."""
+    kept = list(found)
+    while len(kept) > 1:
+        judged = []
+        for k, one in enumerate(kept):
+            others = [effect for j, other in enumerate(kept) if j != k for effect in other.candidate.effects]
+            ground = Ground.of(channel, (TRAIN,), noise, columns_of(library, others))
+            fits = [weighed(fit, library, ground) for fit in one.candidate.fits]
+            beside = judge(one.candidate.cause, fits)
+            chance = min(
+                1.0, float(stats.chi2.sf(beside.T, sum(f.dof for f in fits))) * np.prod([f.tries for f in fits])
+            )
+            judged.append((chance, k))
+        worst, k = max(judged)
+        if worst < level:
+            break
+        kept.pop(k)
+    return kept
+
+
+def _adequate(
+    channel: Channel, library: Library, found: list[Found], noise: Sequence[Autoregression], draws: np.ndarray
+) -> list[Found]:
+    """Drop what only mimics a structure without a name: where smooth functions of some variables explain far more.
+
+    A true cause leaves nothing behind, so no structure in its place explains much more than it does. Smooth functions that
+    beat a cause by far more than their freedom are a force that this cause resembles, and it would be a wrong name.
+    """
+    kept = []
+    for one in found:
+        others = [e for other in found if other is not one for e in other.candidate.effects]
+        ground = Ground.of(channel, (TRAIN,), noise, columns_of(library, others))
+        fits = [weighed(fit, library, ground) for fit in one.candidate.fits]
+        structure = find_structure(channel, ground, draws, level=1.0)
+        rivals = [f for f in fits if structure is not None and structure.output in f.effect.joints]
+        mimics = [f for f in rivals if structure is not None and _beaten(f, structure)]
+        left = tuple(f for f, new in zip(one.candidate.fits, fits, strict=True) if new not in mimics)
+        if left:
+            kept.append(replace(one, candidate=replace(one.candidate, fits=left)) if mimics else one)
+    return kept
+
+
+def _beaten(fit: Fit, structure: Structure) -> bool:
+    return structure.merit > fit.merit + MIMIC_MARGIN and structure.T > MIMIC_RATIO * fit.T / fit.inflation

@@ -1,0 +1,209 @@
+r"""The unknown unknown: structure in the residual that no named cause explains.
+
+The residual of each output is tried against smooth functions (Legendre, degree 4) of every variable, products (degree 2 by 2)
+of every pair, and both times the direction of motion, in the same white rows and against the same noise draws as the
+causes. What survives is confirmed like a cause. A formula is the single product of simple terms that explains nearly as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.encoders import MARGIN, noncentrality
+from tau_dyn.diagnose.ground import Ground, gains
+from tau_dyn.diagnose.noise import smooth
+from tau_dyn.diagnose.parts import TRAIN
+
+_PAIR_PRICE = 4.0
+"""What a second variable has to explain more than one alone, in twice the log-likelihood, beside its degrees of freedom."""
+_LEFT = 0.01
+"""Part of a function that the baseline must leave: the functions are not filtered as the baseline's columns are."""
+_SIMPLE = 0.85
+"""Share of the structure that one term must explain to be suggested as its formula."""
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Dependence of one output's residual on some variables.
+
+    Attributes:
+        output: The output.
+        variables: What it depends on.
+        signed: Whether it follows the direction of motion.
+        T: What it explains, in units of the noise.
+        p_value: Chance on clean data, all sets tried taken into account.
+        tries: Number of independent tries that the search over sets amounts to.
+        merit: `T` less the price of its freedom.
+        share: Its part of the output's residual variance.
+        columns: Its columns (n, m, k) of each run.
+        formula: A simple expression, or empty.
+    """
+
+    output: str
+    variables: tuple[str, ...]
+    signed: bool
+    T: float
+    p_value: float
+    tries: float
+    merit: float
+    share: float
+    columns: list[np.ndarray]
+    formula: str
+
+
+def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: float) -> Structure | None:
+    """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
+    values = channel.variables()
+    best: tuple[float, str, tuple[str, ...], bool, float, int] | None = None
+    chances, noise_chances = [], []
+    for k, output in enumerate(channel.outputs):
+        rows = np.flatnonzero(ground.whiten.index == k)
+        both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
+        for names, signed in _sets(values[0], output):
+            C = _rows(channel, ground, k, [_basis(v, names, signed, output) for v in values])
+            if C.shape[1] == 0:
+                continue
+            A = ground.Q[rows].T @ C
+            G, raw = C.T @ C - A.T @ A, np.sum(C**2, axis=0)
+            T = gains((C.T @ both)[None], G[None], raw[None], np.zeros(C.shape[1], bool), _LEFT)[0]
+            chance = stats.chi2.sf(T, C.shape[1])
+            chances.append(chance[0])
+            noise_chances.append(chance[1:])
+            merit = T[0] - 2 * C.shape[1] - _PAIR_PRICE * (len(names) - 1)
+            if best is None or merit > best[0]:
+                best = (merit, output, names, signed, float(T[0]), C.shape[1])
+    if best is None:
+        return None
+    smallest = np.min(noise_chances, axis=0)
+    tries = max(1.0, -len(smallest) / float(np.sum(np.log1p(-np.clip(smallest, 1e-12, 1 - 1e-12)))))
+    merit, output, names, signed, T, dof = best
+    inflation = _inflation(channel, ground, output, names, signed)
+    p_value = float(-np.expm1(tries * np.log1p(-min(float(stats.chi2.sf(T / inflation, dof)), 1 - 1e-16))))
+    if p_value >= level and level < 1:
+        return None
+    return _described(channel, ground, output, names, signed, T / inflation, p_value, tries, merit)
+
+
+def structure_chance(clean: Channel, ground: Ground, structure: Structure, others: Sequence[list[np.ndarray]]) -> float:
+    """Return a structure's chance when encoder noise does to it what it does to noise-only logs (see `encoders.py`)."""
+    k = clean.outputs.index(structure.output)
+    bases = [_basis(v, structure.variables, structure.signed, structure.output) for v in clean.variables()]
+    blank = Ground.of(clean, (TRAIN,), ground.noise, others)
+    columns = [_placed(b, k, len(clean.outputs)) for b in bases]
+    bias = MARGIN * noncentrality(blank, ground, columns, np.zeros(bases[0].shape[1], bool), _LEFT)
+    dof = bases[0].shape[1]
+    tail = stats.ncx2.sf(structure.T, dof, bias) if bias > 0 else stats.chi2.sf(structure.T, dof)
+    return min(1.0, structure.tries * float(tail))
+
+
+def _sets(values: Mapping[str, np.ndarray], output: str) -> list[tuple[tuple[str, ...], bool]]:
+    """Return the sets of variables to try, each with and without the direction of motion."""
+    names = [n for n, x in values.items() if np.ptp(x) > 0]
+    pairs = [p for p in combinations(names, 2) if "t" not in p]
+    signs = (False, True) if f"v_{output}" in values else (False,)
+    return [(s, signed) for s in [*((n,) for n in names), *pairs] for signed in signs]
+
+
+def _basis(values: Mapping[str, np.ndarray], names: tuple[str, ...], signed: bool, output: str) -> np.ndarray:
+    """Return smooth columns (n, k) of one variable, or of a pair."""
+    if len(names) == 1:
+        columns = smooth(values[names[0]])
+    else:
+        one, other = (smooth(values[n], 2) for n in names)
+        columns = [a * b for a in one for b in other]
+    sign = np.sign(values[f"v_{output}"]) if signed else 1.0
+    return np.column_stack([sign * c for c in columns]) if columns else np.zeros((len(next(iter(values.values()))), 0))
+
+
+def _rows(channel: Channel, ground: Ground, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
+    return ground.whiten.one(output, basis) / ground.scale
+
+
+def _inflation(channel: Channel, ground: Ground, output: str, names: tuple[str, ...], signed: bool) -> float:
+    """Return the scatter of blocks over what the noise model says, at least 1."""
+    k = channel.outputs.index(output)
+    rows = np.flatnonzero(ground.whiten.index == k)
+    C = _rows(channel, ground, k, [_basis(v, names, signed, output) for v in channel.variables()])
+    left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
+    gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
+    along = left @ gamma
+    square = float(along @ along)
+    if square <= 0:
+        return 1.0
+    scores = np.bincount(ground.whiten.block[rows], along * (ground.e[rows] - along))
+    count = len(np.unique(ground.whiten.block[rows]))
+    return max(1.0, (count * float(np.sum(scores**2)) / square + 10.0) / (count + 10.0))
+
+
+def _described(
+    channel: Channel,
+    ground: Ground,
+    output: str,
+    names: tuple[str, ...],
+    signed: bool,
+    T: float,
+    p_value: float,
+    tries: float,
+    merit: float,
+) -> Structure:
+    k = channel.outputs.index(output)
+    values = channel.variables()
+    bases = [_basis(v, names, signed, output) for v in values]
+    columns = [_placed(b, k, len(channel.outputs)) for b in bases]
+    rows = np.flatnonzero(ground.whiten.index == k)
+    share = min(1.0, T / max(float(ground.e[rows] @ ground.e[rows]), 1e-300))
+    formula = _formula(channel, ground, k, names, output, T)
+    return Structure(output, names, signed, T, p_value, tries, merit, share, columns, formula)
+
+
+def _formula(channel: Channel, ground: Ground, k: int, names: tuple[str, ...], output: str, T: float) -> str:
+    """Return the one product of simple terms that explains nearly all, or an empty text."""
+    rows = np.flatnonzero(ground.whiten.index == k)
+    best, text = _SIMPLE * T, ""
+    for label, bases in _terms(channel.variables(), names, output).items():
+        C = _rows(channel, ground, k, bases)
+        A = ground.Q[rows].T @ C
+        G = float(np.sum(C**2) - np.sum(A**2))
+        if G <= _LEFT * float(np.sum(C**2)):
+            continue
+        s = float(C[:, 0] @ ground.e[rows])
+        if s * s / G > best:
+            best, text = s * s / G, f"{s / G:.3g} * {label}"
+    return text
+
+
+def _terms(
+    values: Sequence[Mapping[str, np.ndarray]], names: tuple[str, ...], output: str
+) -> dict[str, list[np.ndarray]]:
+    """Return simple products (n, 1) of each run by what they are called."""
+    shapes = {
+        "{}": lambda x: x,
+        "{}^2": lambda x: x**2,
+        "{}^3": lambda x: x**3,
+        "|{}|": np.abs,
+        "{0} |{0}|": lambda x: x * np.abs(x),
+        "sign({})": np.sign,
+    }
+    found: dict[str, list[np.ndarray]] = {}
+    for first, f in shapes.items():
+        seconds = shapes.items() if len(names) == 2 else [("", lambda x: np.ones_like(x))]
+        for second, g in seconds:
+            label = " * ".join(x for x in (first.format(names[0]), second.format(names[-1])) if x)
+            product = [(f(v[names[0]]) * g(v[names[-1]]))[:, None] for v in values]
+            found[label] = product
+            if f"v_{output}" in values[0]:
+                signed = [p * np.sign(v[f"v_{output}"])[:, None] for p, v in zip(product, values, strict=True)]
+                found[f"sign(v_{output}) * {label}"] = signed
+    return found
+
+
+def _placed(basis: np.ndarray, output: int, n_outputs: int) -> np.ndarray:
+    out = np.zeros((len(basis), n_outputs, basis.shape[1]))
+    out[:, output] = basis
+    return out

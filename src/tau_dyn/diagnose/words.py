@@ -1,0 +1,33 @@
+"""The answer in one or two sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tau_dyn.diagnose.result import Errors, Finding, Unexplained, Verdict
+
+
+def verdict_sentence(
+    verdict: Verdict, findings: Sequence[Finding], unexplained: Sequence[Unexplained], before: Errors, after: Errors
+) -> str:
+    """Return what a colleague would say first."""
+    missed = f"The refitted model misses {before.relative_error_percent:.3g} % of the measured force"
+    confirmed = [f for f in findings if f.status == "confirmed"]
+    if confirmed:
+        causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in confirmed)
+        text = f"{missed}; with {causes} it misses {after.relative_error_percent:.3g} %."
+    elif verdict in ("named", "cannot_tell"):
+        f = next(f for f in findings if f.status == "parameter")
+        text = f"{missed}. {f.sentence}"
+        if verdict == "cannot_tell":
+            text += f" These data cannot tell {f.cause} from {', '.join(f.indistinguishable_from)}."
+    elif verdict == "nothing_found":
+        text = f"{missed}, and no cause that we know explains any of it."
+    else:
+        text = f"{missed}."
+    if any(u.status == "confirmed" for u in unexplained):
+        u = unexplained[0]
+        what = ", ".join(u.depends_on)
+        share = f"{100 * u.share_of_residual_variance:.0f} % of its residual"
+        text += f" A force at {u.joint} that depends on {what} has no name ({share})."
+    return text

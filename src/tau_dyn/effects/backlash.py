@@ -1,0 +1,56 @@
+"""Play between motor and load: after a reversal the encoder travels the play before the load follows.
+
+    encoder - load = (backlash / 2) s,    s = sign(v) min(1, 2 x / travel - 1)
+
+with x the encoder's distance since the joint reversed (a play operator). The play and the `travel` that closes it are one length
+physically; `travel` only shapes the few micrometres after a reversal, which most filters hide, so it is a setting of its own.
+Reference: Nordin & Gutman 2002; Dressler 2012, 4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tau_dyn.effects.effect import JointMotion, Scene
+from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
+from tau_dyn.effects.words import amount
+from tau_dyn.parameters import Parameter
+
+_SHARES = (1e-5, 1e-4, 1e-3)
+
+
+class Backlash(JointwiseDisplacement):
+    """A gap that the drive crosses at each reversal."""
+
+    name = "backlash"
+    cause = True
+    equation = "encoder - load = (backlash / 2) sign(v) min(1, 2 x / travel - 1), x the distance since the reversal"
+    reference = "Nordin & Gutman 2002; Dressler 2012, 4.2"
+    reveals = "the tool or the load side measured at the same places, approached from both directions"
+    mistaken_for = ("joint_compliance", "hysteresis", "coulomb_asymmetry")
+    plausible = "from zero to 0.2 mm or 2 mrad"
+    needs = ("inertia", "reversal")
+    nonnegative = True
+    quantities = (("backlash", "Q"),)
+    defaults = {"travel": 5e-5}
+    setting_units = {"travel": "Q"}
+    positive = ("travel",)
+    hidden = "forces show a play only within it, at the reversals, where no sign of the speed is sure"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return half the play's side: -1/2 or 1/2 once it is closed."""
+        closed = np.minimum(1.0, 2 * joint.signal("reversal") / self.settings["travel"] - 1)
+        return [0.5 * joint.sign * closed]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return the play."""
+        return f"a play of {amount(values['backlash'])} between encoder and load"
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return plays that close at once, soon and late on the way travelled."""
+        k = scene.index(joints[0])
+        way = float(scene.high[k] - scene.low[k])
+        return [{"travel": share * way} for share in _SHARES] if way > 0 else []

@@ -1,0 +1,55 @@
+"""Friction that is another one in one campaign: after a service, a change of grease, a year.
+
+    tau += [campaign = number] (coulomb_change sign(v) + viscous_change v)
+
+A campaign is one log, numbered from zero in the order given. Reference: Dressler 2012, 6.2 (friction a year apart).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tau_dyn.effects.effect import JointMotion, JointwiseEffect, Scene
+from tau_dyn.effects.words import amount
+from tau_dyn.parameters import Parameter
+
+
+class FrictionChange(JointwiseEffect):
+    """Coulomb and viscous friction that one log has beyond the others."""
+
+    name = "friction_change"
+    cause = True
+    equation = "tau += [campaign = number] (coulomb_change sign(v) + viscous_change v)"
+    reference = "Dressler 2012, 6.2"
+    reveals = "the same motion in two or more logs, recorded at the same temperature"
+    mistaken_for = ("thermal_drift", "drive_gain")
+    plausible = "within the friction of the other logs, either sign"
+    needs = ("campaign",)
+    quantities = (("coulomb_change", "F"), ("viscous_change", "F/(V)"))
+    defaults = {"number": 1.0}
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return sign and speed in the campaign, zero elsewhere."""
+        here = joint.signal("campaign") == self.settings["number"]
+        return [joint.sign * here, joint.v * here]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return what changed in which log."""
+        coulomb, viscous = values["coulomb_change"], values["viscous_change"]
+        return (
+            f"friction in log {1 + int(self.settings['number'])} that differs from the others' by "
+            f"{amount(coulomb)} and {amount(viscous)}"
+        )
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return each log; of two, the second, since the first differs from it by as much."""
+        first = 0 if scene.campaigns > 2 else 1
+        return [{"number": float(k)} for k in range(first, scene.campaigns)]
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return that one log has nothing to differ from."""
+        return ("there is only one log", cls.reveals) if scene.campaigns < 2 else super().untestable(scene)

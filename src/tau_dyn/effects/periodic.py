@@ -1,0 +1,51 @@
+"""What cyclic effects share: sine and cosine of the position, the periods worth trying, and their amplitude in words.
+
+The motion sees a period only where it travels several of them, and a low-pass leaves it only where the slowest usable speed
+brings it below the cutoff: `v / period < cutoff`. A scan in steps of a quarter of `1 / range` cannot miss a line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.effects.effect import Scene
+from tau_dyn.parameters import Parameter
+
+FEWEST_PERIODS = 4.0
+MOST_PERIODS = 500.0
+_STEPS = 4.0
+
+
+def waves(q: np.ndarray, period: float, harmonics: int) -> list[np.ndarray]:
+    """Return sine and cosine of `2 pi k q / period` for k = 1 .. harmonics, in pairs, each in the shape of `q`."""
+    phase = 2 * np.pi * q / period
+    return [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.sin, np.cos)]
+
+
+def wave_terms(name: str, unit: str, harmonics: int) -> tuple[tuple[str, str], ...]:
+    """Return the quantities that go with `waves`: `name_sin`, `name_cos`, then `name_sin_2`, ..."""
+    ends = ["" if k == 1 else f"_{k}" for k in range(1, harmonics + 1)]
+    return tuple((f"{name}_{wave}{end}", unit) for end in ends for wave in ("sin", "cos"))
+
+
+def periods(scene: Scene, joint: str) -> list[dict[str, float]]:
+    """Return the periods [m or rad] worth trying, the longest first; none where the joint hardly moves."""
+    k = scene.index(joint)
+    travel, slow = float(scene.high[k] - scene.low[k]), float(scene.slow[k])
+    if travel <= 0:
+        return []
+    highest = MOST_PERIODS / travel
+    if slow > 0:
+        highest = min(highest, scene.cutoff_hz / (2 * slow))
+    lines = np.arange(FEWEST_PERIODS / travel, highest, 1 / (_STEPS * travel))
+    return [{"period": float(1 / line)} for line in lines]
+
+
+def amplitude(sine: Parameter, cosine: Parameter) -> Parameter:
+    """Return the amplitude `hypot(sine, cosine)` as a parameter; its error is first order in theirs, taken as independent."""
+    size = float(np.hypot(sine.value, cosine.value))
+    known = sine.stderr is not None and cosine.stderr is not None and size > 0
+    error = (
+        float(np.hypot(sine.value * (sine.stderr or 0), cosine.value * (cosine.stderr or 0)) / size) if known else None
+    )
+    return Parameter("amplitude", size, sine.unit, stderr=error)

@@ -1,0 +1,72 @@
+"""Friction that differs along the way: a tight guideway, a worn stretch of a rack.
+
+    tau += sign(v) sum_k position_friction_k P_k(x),     x = (q - middle) / half,   k = 1 .. degree
+
+with Legendre polynomials P_k, nearly independent of each other where the joint visits its range evenly; P_0 is Coulomb friction
+itself. Beyond the range (|x| > 1) the friction stays as at its end. Amplitudes are changes, of either sign, of a
+friction that stays positive as a whole. Reference: Dressler 2012, 6.2 (place on the guideway); Khalil & Dombre 2002, 9.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from tau_dyn.effects.effect import JointMotion, JointwiseEffect, Scene
+from tau_dyn.effects.words import quantity
+from tau_dyn.parameters import Parameter
+
+_DEGREES = (2, 5)
+
+
+class PositionFriction(JointwiseEffect):
+    """Coulomb friction as a polynomial of the position."""
+
+    name = "position_friction"
+    cause = True
+    equation = "tau += sign(v) sum_k position_friction_k P_k((q - middle) / half), k = 1 .. degree"
+    reference = "Dressler 2012, 6.2; Khalil & Dombre 2002, 9.6"
+    reveals = "slow constant-speed strokes over the whole range, in both directions"
+    mistaken_for = ("load_friction", "thermal_drift", "cyclic_ripple", "passive_joint_friction")
+    plausible = "sum over the range below the joint's Coulomb friction"
+    quantities = ()
+    defaults = {"middle": 0.0, "half": 1.0, "degree": 2}
+    setting_units = {"middle": "Q", "half": "Q"}
+    positive = ("half",)
+    whole = ("degree",)
+
+    @property
+    def terms(self) -> tuple[tuple[str, str], ...]:
+        """One amplitude a degree, from one up."""
+        return tuple((f"position_friction_{k}", "F") for k in range(1, int(self.settings["degree"]) + 1))
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the sign times each polynomial."""
+        P = self._polynomials(joint.q)
+        return [joint.sign * P[:, k] for k in range(P.shape[1])]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return where friction is lowest and highest, relative to its mean over the range."""
+        q = self.settings["middle"] + self.settings["half"] * np.linspace(-1, 1, 201)
+        friction = self._polynomials(q) @ np.array([p.value for p in values.values()])
+        force, place = next(iter(values.values())).unit, "m" if self.units[joint] == "N" else "rad"
+        low, high = int(np.argmin(friction)), int(np.argmax(friction))
+        return (
+            f"friction {quantity(float(friction[high] - friction[low]), force)} higher at "
+            f"{quantity(float(q[high]), place)} than at {quantity(float(q[low]), place)}"
+        )
+
+    def _polynomials(self, q: np.ndarray) -> np.ndarray:
+        x = np.clip((q - self.settings["middle"]) / self.settings["half"], -1, 1)
+        return legendre.legvander(x, int(self.settings["degree"]))[:, 1:]
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return a parabola and a fifth-degree law over the range travelled."""
+        k = scene.index(joints[0])
+        low, high = float(scene.low[k]), float(scene.high[k])
+        if not low < high:
+            return []
+        return [{"middle": (low + high) / 2, "half": (high - low) / 2, "degree": n} for n in _DEGREES]

@@ -1,0 +1,83 @@
+"""An encoder that leads and lags its load periodically: eccentric pinions, tooth errors, a bent spindle.
+
+    encoder - load = sum_k error_sin_k sin(2 pi k q / period) + error_cos_k cos(2 pi k q / period),   k = 1 .. harmonics
+
+In the force channel the load's acceleration is missing, so the force grows with the speed squared, where a `cyclic_ripple` has
+the same size at all speeds. Without a sensor on the load side an encoder's own error (`resolver_error`) is the same thing.
+Reference: Dressler 2012, 4.2 (cyclic errors); Ozguven & Houser 1988.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tau_dyn.effects.effect import JointMotion, Motion, Scene
+from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
+from tau_dyn.effects.periodic import amplitude, periods, wave_terms, waves
+from tau_dyn.effects.words import amount
+from tau_dyn.parameters import Parameter
+
+
+class TransmissionError(JointwiseDisplacement):
+    """A periodic difference between encoder and load."""
+
+    name = "transmission_error"
+    cause = True
+    equation = "encoder - load = sum_k error_sin_k sin(2 pi k q / period) + error_cos_k cos(2 pi k q / period)"
+    reference = "Dressler 2012, 4.2; Ozguven & Houser 1988"
+    reveals = "strokes at several constant speeds, the fastest as fast as the drive allows; or a load-side encoder"
+    mistaken_for = ("resolver_error", "cyclic_ripple")
+    equivalent = ("resolver_error",)
+    plausible = "up to 50 um or 1 mrad; at least 4 periods in the range travelled"
+    quantities = ()
+    defaults = {"period": 0.02, "harmonics": 1}
+    setting_units = {"period": "Q"}
+    positive = ("period",)
+    whole = ("harmonics",)
+    refined = ("period",)
+    dense = True
+
+    @property
+    def terms(self) -> tuple[tuple[str, str], ...]:
+        """Sine and cosine amplitude of each harmonic."""
+        return wave_terms("error", "Q", int(self.settings["harmonics"]))
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return sine and cosine of each harmonic."""
+        return waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, p), differentiated on paper: short periods outrun a sampled derivative."""
+        M, n = motion.signal("inertia"), len(self.terms)
+        out = np.zeros((*motion.v.shape, n * len(self.joints)))
+        k = np.repeat(np.arange(1, n // 2 + 1), 2)
+        w = 2 * np.pi * k / self.settings["period"]
+        for place, index in enumerate(self._indices(motion)):
+            joint = JointMotion.of(motion, index)
+            d = np.stack(self.per_joint(joint), axis=1)
+            slope = w * np.stack([d[:, 1::2], -d[:, ::2]], axis=2).reshape(d.shape)
+            acceleration = slope * joint.a[:, None] - w**2 * d * joint.v[:, None] ** 2
+            out[:, :, n * place : n * (place + 1)] = -M[:, :, index, None] * acceleration[:, None, :]
+        return out
+
+    def local_frequency(self, motion: Motion) -> np.ndarray:
+        """Return at which frequency each sample feels the first harmonic (N, na) [Hz], also where other joints move."""
+        index = self._indices(motion)
+        fastest = np.max(np.abs(motion.v[:, index]), axis=1, keepdims=True) / self.settings["period"]
+        return np.repeat(fastest, motion.v.shape[1], axis=1)
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return amplitude and period, and the harmonics' amplitudes after them."""
+        p = list(values.values())
+        sizes = [amount(amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
+        more = f", with harmonics of {', '.join(sizes[1:])}" if len(sizes) > 1 else ""
+        return (
+            f"an error of {sizes[0]} between encoder and load that repeats every {self.setting('period', joint)}{more}"
+        )
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return periods from a quarter of the range down to what speed and low-pass still show."""
+        return periods(scene, joints[0])

@@ -1,0 +1,40 @@
+"""Viscous friction that differs between the two directions.
+
+    tau += viscous_asymmetry |v|,     viscous_asymmetry = (Fv_pos - Fv_neg) / 2
+
+beside symmetric viscous friction `(Fv_pos + Fv_neg) / 2`. Reference: Dressler 2012, (6.8)-(6.9) and Table 6.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tau_dyn.effects.effect import JointMotion, JointwiseEffect
+from tau_dyn.effects.words import quantity
+from tau_dyn.parameters import Parameter
+
+
+class ViscousAsymmetry(JointwiseEffect):
+    """Half the difference between the viscous coefficients of the two directions."""
+
+    name = "viscous_asymmetry"
+    cause = True
+    equation = "tau += viscous_asymmetry |v|, half of (Fv_pos - Fv_neg)"
+    reference = "Dressler 2012, (6.8)-(6.9), Table 6.1"
+    reveals = "constant-speed strokes at several speeds in both directions"
+    mistaken_for = ("coulomb_asymmetry", "torque_offset", "thermal_drift")
+    plausible = "up to the joint's viscous coefficient, either sign"
+    quantities = (("viscous_asymmetry", "F/(V)"),)
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the size of the speed."""
+        return [np.abs(joint.v)]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return how much more viscous friction one direction has."""
+        p = values["viscous_asymmetry"]
+        way = "forward" if p.value >= 0 else "backward"
+        more = quantity(2 * abs(p.value), p.unit, None if p.stderr is None else 2 * p.stderr)
+        return f"viscous friction {more} higher when moving {way} than the other way"

@@ -1,0 +1,58 @@
+"""Logs as users hand them over: one or many, some twice, some trained on and held out at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import Log, unit_warnings
+from tau_dyn.robot import Robot
+
+_MOST = 4  # warnings about one log before they are counted instead of listed
+
+
+def listed(logs: Log | Iterable[Log]) -> list[Log]:
+    """Return one log or many as a list; a path is refused."""
+    if isinstance(logs, Log):
+        return [logs]
+    if isinstance(logs, str | Path):
+        raise InputError(f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
+    return list(logs)
+
+
+def each_once(logs: list[Log], warnings: list[str]) -> list[Log]:
+    """Return the logs without repetitions: the same samples twice would look like twice the evidence."""
+    once: list[Log] = []
+    for log in logs:
+        if any(shares_samples(log, other) for other in once):
+            warnings.append(f"{log.name} is given twice, or overlaps with a log given before; it counts once")
+        else:
+            once.append(log)
+    return once
+
+
+def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
+    """Return what is doubtful about the logs' pieces; of many alike from one file the first two and their number."""
+    found: list[str] = []
+    for name in dict.fromkeys(log.name for log in logs):
+        pieces = [log for log in logs if log.name == name]
+        said = list(dict.fromkeys(w for log in pieces for w in (*log.warnings, *unit_warnings(log, robot))))
+        found += said if len(said) <= _MOST else [*said[:2], f"{name}: {len(said) - 2} more warnings like these"]
+    return found
+
+
+def without_trained(train: list[Log], held: list[Log], warnings: list[str]) -> list[Log]:
+    """Drop held-out logs that are also trained on, and say so; their errors would not be held-out errors."""
+    both = [log for log in held if any(shares_samples(log, other) for other in train)]
+    for log in both:
+        warnings.append(
+            f"{log.name} is both trained on and held out; its errors are not held-out errors and are left out"
+        )
+    return [log for log in held if log not in both]
+
+
+def shares_samples(one: Log, other: Log) -> bool:
+    """Return whether two logs hold the same samples; parts of one file that do not overlap in time are different data."""
+    same_file = one is other or bool(one.sha256 and one.sha256 == other.sha256)
+    return same_file and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1]

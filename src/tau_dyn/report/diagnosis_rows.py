@@ -1,0 +1,59 @@
+"""The extended model's parameters beside those of the model without the causes, as lines of the parameter table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.estimate import DETERMINED
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.report.rows import Row, against_nominal, bar_scale, doubt, group_of, row_of
+from tau_dyn.report.words import Z95, with_uncertainty
+from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
+
+
+def diagnosed_rows(diagnosis: Diagnosis) -> tuple[list[Row], float]:
+    """Return the table's lines for the extended model, and the bars' half-width as a share of the reference."""
+    model, before = diagnosis.extended_model, diagnosis.model.parameters
+    nominal = _nominal(model.robot)
+    raw = [_raw(p, nominal) for p in model.parameters if p.free]
+    scale = bar_scale(raw)
+    rows = [row_of(r, scale, group_of(model, r["name"]), _note(r, before)) for r in raw]
+    return [replace(row, before=_before(row.name, before)) for row in rows], scale
+
+
+def _nominal(robot: Robot) -> Parameters:
+    """Return the values of the robot's own file, which the model carries along."""
+    return robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
+
+
+def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
+    known = nominal[p.name] if p.name in nominal else None
+    sigma = p.stderr
+    trust = None
+    if known is not None:
+        mass = NOMINAL_MASS_STDERR * abs(known.value) if p.name.endswith(".mass") else None
+        trust = mass if known.prior_stderr is None else known.prior_stderr
+    return {
+        "name": p.name,
+        "value": p.value,
+        "unit": p.unit,
+        "stderr": sigma,
+        "ci95": None if sigma is None else [max(p.lower, p.value - Z95 * sigma), min(p.upper, p.value + Z95 * sigma)],
+        "determined": sigma is not None and bool(sigma < DETERMINED * abs(p.value)),
+        "nominal": None if known is None else known.value,
+        "nominal_stderr": trust,
+        "at_bound": sigma is not None and p.at_bound,
+    }
+
+
+def _note(r: dict[str, Any], before: Parameters) -> str:
+    if r["stderr"] is None:
+        return "not seen by itself; the value shown is one of many that fit"
+    return doubt(r) or ("new" if r["name"] not in before else against_nominal(r))
+
+
+def _before(name: str, before: Parameters) -> str:
+    return with_uncertainty(before[name].value, before[name].stderr) if name in before else ""

@@ -1,0 +1,123 @@
+"""A diagnosis in the terminal: the answer, the waterfall, what is uncertain, and where things are.
+
+Plain text when piped; bars and numbers stay whole in narrow terminals, only words wrap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+
+from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.report import diagnosis_words as said
+from tau_dyn.report.terminal import LEVEL_STYLE, MARGIN, bare_table, meter, plain, put, room, say
+from tau_dyn.report.waterfall import Rung, figures_of, ladder
+from tau_dyn.report.words import listed, percent
+
+BARS = {90: 24, 64: 16, 0: 10}
+"""Length of the longest bar by the columns that there are at least."""
+MARGINS = 2 + 3 * 3
+"""Columns that the left margin and the gaps of the waterfall take."""
+
+
+def print_diagnosis(console: Console, diagnosis: Diagnosis, written: Mapping[str, str] | None = None) -> None:
+    """Print a diagnosis for a person.
+
+    Args:
+        console: Where to.
+        diagnosis: The result.
+        written: What was written, such as `{"extended model": "m.yaml"}`, for the last line.
+    """
+    level, _ = said.badge(diagnosis)
+    say(console, f"{diagnosis.model.robot.name} · {said.summary(diagnosis)}", "dim")
+    say(console, diagnosis.sentence, "bold")
+    say(console, said.judgement(diagnosis).sentence, LEVEL_STYLE[level])
+    put(console, _waterfall(diagnosis, room(console)))
+    for title, items in _uncertain(diagnosis):
+        if len(items) == 1:
+            say(console, f"{title}: {items[0]}")
+        else:
+            put(console, _list(title, items))
+    if written:
+        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def _waterfall(diagnosis: Diagnosis, columns: int) -> Table:
+    """Return one line a step: name, bar, percentage, and as many figures as there is room for."""
+    whole = ladder(diagnosis)
+    table = bare_table()
+    table.show_header = False
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(justify="right", no_wrap=True)
+    table.add_column(no_wrap=True)
+    width = next(bar for least, bar in BARS.items() if columns >= least)
+    shares = [percent(r.left) for r in whole.rungs]
+    left = (
+        columns
+        - MARGINS
+        - width
+        - max((len(r.label) for r in whole.rungs), default=0)
+        - max(map(len, shares), default=0)
+    )
+    for r, share in zip(whole.rungs, shares, strict=True):
+        bar = plain(_bar(r.left / whole.end, width), _style(r))
+        table.add_row(plain(r.label), bar, plain(share, "bold"), plain(_fitting(r.about, left), "dim"))
+    return table
+
+
+def _bar(share: float, width: int) -> str:
+    """Return a step's bar; one that is longer than the axis shows that it was cut."""
+    return meter(share, width) if share <= 1 else f"{meter(1.0, width - 4)}╱╱{meter(1.0, 2)}"
+
+
+def _fitting(pieces: Sequence[str], columns: int) -> str:
+    """Return as many pieces as fit, each whole."""
+    text = ""
+    for piece in pieces:
+        longer = f"{text}, {piece}" if text else piece
+        if len(longer) > columns:
+            break
+        text = longer
+    return text
+
+
+def _style(rung: Rung) -> str:
+    return "cyan" if rung.kind == "cause" else "dim"
+
+
+def _list(title: str, items: list[str]) -> Table:
+    table = Table(box=None, show_header=False, padding=0, pad_edge=False)
+    table.add_column(overflow="fold")
+    table.add_row(plain(f"{title}:"))
+    for item in items:
+        table.add_row(Padding(plain(item), MARGIN))
+    return table
+
+
+def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
+    """Return headings and what stands under them, empty ones left out."""
+    suspected = [f for f in diagnosis.findings if f.status == "suspected"]
+    moved = [f for f in diagnosis.findings if f.status == "parameter"]
+    twins = [
+        f"{said.title(f)} and {listed(map(said.plain_name, f.indistinguishable_from))}"
+        + (f" ({f.experiment.rstrip('.')})" if f.experiment else "")
+        for f in diagnosis.findings
+        if f.indistinguishable_from
+    ]
+    groups = [
+        ("Suspected, not confirmed", [f"{said.title(f)}: {', '.join(figures_of(f))}" for f in suspected]),
+        ("Off its nominal value", [said.sentence(f.sentence) for f in moved]),
+        ("Unexplained", [said.unexplained_words(u) for u in diagnosis.unexplained]),
+        ("Cannot be told apart here", twins),
+        ("Not found, but would have been from", _joined(said.limits_words(diagnosis.limits))),
+        ("Not testable", [f"{listed(causes, 9)}: {why}" for why, causes in said.by_reason(diagnosis.untestable)]),
+    ]
+    return [(title, items) for title, items in groups if items]
+
+
+def _joined(texts: list[str]) -> list[str]:
+    return [f"{', '.join(texts)}."] if texts else []

@@ -1,0 +1,193 @@
+"""The headline picture: what each step from the nominal robot to the noise floor leaves unexplained.
+
+Errors are shown in percent of what was measured, so that joints of different size and unit compare. The interval over all
+outputs joins those of the outputs as if they were independent: with `S = sum_k n_k rms_k^2`, the upper end of S is
+`S + sqrt(sum_k n_k^2 (u_k^2 - rms_k^2)^2)` for the outputs' upper ends `u_k`, the lower end likewise (the method of
+variance estimates recovery: Zou & Donner 2008).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.diagnose.result import Diagnosis, Errors, Finding
+from tau_dyn.report.quantities import estimate, quantity
+from tau_dyn.report.words import listed, percent
+
+MEASURED_ON = 2
+"""Which part of a trace the errors are of."""
+CUT = 2.5
+"""How many times the longest other bar the first may be before it is cut."""
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step: what it is called and what it leaves, in percent of the measured output.
+
+    Attributes:
+        label: Its name.
+        about: What it adds, in pieces that may be left out from the end.
+        kind: `start`, `cause` or `floor`.
+        finding: Number of its finding, from 1; 0 for none.
+        joints: The joints of its finding.
+        left: What it leaves [%]; NaN where nothing tells how large the output is.
+        low: Lower end of the 95 % interval [%].
+        high: Upper end [%].
+        previous: What the step before leaves [%]; NaN for the first and for the noise floor.
+        rms: The residual's rms with its unit; empty over several outputs.
+    """
+
+    label: str
+    about: tuple[str, ...]
+    kind: str
+    finding: int
+    joints: tuple[str, ...]
+    left: float
+    low: float
+    high: float
+    previous: float
+    rms: str
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """All steps for one output, or for all together.
+
+    Attributes:
+        output: The output's name; empty for all.
+        rungs: The steps.
+        floor: The noise floor [%].
+        end: End of the axis [%].
+    """
+
+    output: str
+    rungs: tuple[Rung, ...]
+    floor: float
+    end: float
+
+    def at(self, value: float) -> float:
+        """Return where a percentage lies on the axis, 0 to 100, cut at its end."""
+        return float(np.clip(100 * value / self.end, 0, 100)) if np.isfinite(value) and self.end > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """How large the outputs are where the errors were judged: rms (m,) and number of samples (m,); NaN where unknown."""
+
+    rms: np.ndarray
+    count: np.ndarray
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> Yardstick:
+        """Measure the outputs on the samples that were used for nothing but the gain."""
+        squares, count = np.zeros((2, len(diagnosis.outputs)))
+        for trace in diagnosis.traces:
+            judged = trace.usable & (trace.part == MEASURED_ON)[:, None]
+            squares += np.sum(np.where(judged, trace.measured, 0.0) ** 2, axis=0)
+            count += judged.sum(axis=0)
+        rms = np.sqrt(squares / np.where(count > 0, count, np.nan))
+        return cls(np.where(rms > 0, rms, np.nan), count)
+
+    def share(self, errors: Errors, k: int) -> tuple[float, float, float]:
+        """Return one output's error and its 95 % interval [%]."""
+        scale = 100 / self.rms[k]
+        return scale * float(errors.rms[k]), scale * float(errors.ci95[k, 0]), scale * float(errors.ci95[k, 1])
+
+    def total(self, errors: Errors) -> tuple[float, float, float]:
+        """Return the error over all outputs and its 95 % interval [%]."""
+        n = np.where(self.count > 0, self.count, 0.0) if self.count.any() else np.ones(len(errors.rms))
+        squares = n * errors.rms**2
+        whole = float(squares.sum())
+        if not whole > 0:
+            return errors.relative_error_percent, errors.relative_error_percent, errors.relative_error_percent
+        ends = n[:, None] * errors.ci95**2
+        below, above = np.sqrt(np.sum((ends - squares[:, None]) ** 2, axis=0))
+        error = errors.relative_error_percent
+        return error, error * float(np.sqrt(max(0.0, 1 - below / whole))), error * float(np.sqrt(1 + above / whole))
+
+
+def ladder(diagnosis: Diagnosis) -> Ladder:
+    """Return the steps over all outputs."""
+    yardstick = Yardstick.of(diagnosis)
+    units = set(diagnosis.units)
+    single = len(diagnosis.outputs) == 1 and len(units) == 1
+    rungs = _rungs(diagnosis, yardstick.total, 0 if single else None)
+    return Ladder("", rungs, rungs[-1].left, _end(rungs))
+
+
+def ladders(diagnosis: Diagnosis) -> list[Ladder]:
+    """Return the steps of each output, all on one axis; nothing for a single output."""
+    yardstick, outputs = Yardstick.of(diagnosis), diagnosis.outputs
+    known = [k for k in range(len(outputs)) if np.isfinite(yardstick.rms[k])]
+    if len(outputs) < 2 or not known:
+        return []
+    found = {k: _rungs(diagnosis, lambda errors, k=k: yardstick.share(errors, k), k) for k in known}
+    end = max(_end(rungs) for rungs in found.values())
+    return [Ladder(outputs[k], rungs, rungs[-1].left, end) for k, rungs in found.items()]
+
+
+def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[Rung, ...]:
+    rungs: list[Rung] = []
+    for step in diagnosis.waterfall:
+        finding = finding_of(step.step, diagnosis.findings)
+        label, about, kind = _said(step.step, finding, diagnosis.findings)
+        left, low, high = share(step.errors)
+        previous = rungs[-1].left if rungs and kind != "floor" else float("nan")
+        rms = "" if k is None else quantity(float(step.errors.rms[k]), diagnosis.units[k], steadily=True)
+        place = 0 if finding is None else 1 + diagnosis.findings.index(finding)
+        joints = () if finding is None else finding.joints
+        rungs.append(Rung(label, about, kind, place, joints, left, low, high, previous, rms))
+    return tuple(rungs)
+
+
+def _end(rungs: tuple[Rung, ...]) -> float:
+    """Return where the axis ends: at the longest bar, or well before it where it dwarfs all others."""
+    ends = [r.high for r in rungs if np.isfinite(r.high)]
+    others = max(ends[1:], default=0.0)
+    first = ends[0] if ends else 1.0
+    return 1.45 * others if others > 0 and first > CUT * others else 1.04 * max([first, others, 1e-9])
+
+
+def finding_of(step: str, findings: tuple[Finding, ...]) -> Finding | None:
+    """Return the finding that a step's name stands for: its cause, then its joints; None where several could be meant."""
+    cause, *joints = re.split(r"[\s,:()+]+", step.strip(" +)")) or [""]
+    alike = [f for f in findings if f.cause == cause]
+    exact = [f for f in alike if set(f.joints) == set(joints)]
+    return exact[0] if exact else alike[0] if len(alike) == 1 else None
+
+
+def _said(step: str, finding: Finding | None, findings: tuple[Finding, ...]) -> tuple[str, tuple[str, ...], str]:
+    if step == "nominal":
+        return "nominal parameters", ("as in the robot file",), "start"
+    if step == "refitted":
+        return "refitted", ("masses and friction",), "start"
+    if step == "noise_floor":
+        return "noise floor", ("no model of these variables gets below",), "floor"
+    if finding is None:
+        return f"+ {step}", (), "cause"
+    several = sum(f.cause == finding.cause for f in findings) > 1
+    return f"+ {finding.cause}{f' {listed(finding.joints)}' if several else ''}", figures_of(finding), "cause"
+
+
+def figures_of(finding: Finding, most: int = 3) -> tuple[str, ...]:
+    """Return joints and main figures of a finding, such as `cart2`, `1.80 ± 0.10 N`, `period 20.9 mm`."""
+    owners = {p.name.rsplit(".", 1)[0] for p in finding.parameters if "." in p.name}
+    several = len([p for p in finding.parameters if p.unit == finding.parameters[0].unit]) > 1
+    parts = []
+    for k, p in enumerate(finding.parameters[:most]):
+        name = p.name if len(owners) > 1 else p.name.rsplit(".", 1)[-1]
+        parts.append(estimate(p) if not k and not several else f"{name} {estimate(p)}")
+    more = len(finding.parameters) - most
+    joints = [listed(finding.joints, 4)] if finding.joints else []
+    return (*joints, *parts, *([f"{more} more"] if more > 0 else []))
+
+
+def spread(rung: Rung) -> str:
+    """Return a step's 95 % interval."""
+    if not np.isfinite(rung.low):
+        return ""
+    low, high = percent(rung.low), percent(rung.high)
+    return f"{low.removesuffix(' %')} … {high}"
