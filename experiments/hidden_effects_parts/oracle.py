@@ -4,8 +4,9 @@ All errors are against the force without noise, put through the same filters, so
 
     gain ratio = (E_before^2 - E_found^2) / (E_before^2 - E_oracle^2)
 
-The oracle fits the base model's columns of the true motion and the shape to the measured force, on the parts that the
-extended model is fitted on. Filters are those the diagnosis says it used; where they do not give its trace, there is no ratio.
+The oracle takes the diagnosis' own base prediction, encoder noise included, and fits to what it leaves of the measured force the
+shape and the base model's columns, on the parts that the extended model is fitted on. Filters are those the diagnosis says it used;
+where they do not give its trace, there is no ratio.
 """
 
 from __future__ import annotations
@@ -54,11 +55,11 @@ def gain_ratio(found: Diagnosis, logs: Sequence[Log], runs: Sequence[Recording],
     fit = usable & np.isin(part, (0, 1))[:, None]
     own = np.linalg.norm(W[fit], axis=0)
     W = W[:, :, own > 0] / own[own > 0]
-    theta = np.linalg.lstsq(W[fit], tau[fit], rcond=1e-9)[0]
+    theta = np.linalg.lstsq(W[fit], (tau - before)[fit], rcond=1e-9)[0]
     judged = usable & (part == GAIN)[:, None]
 
     def square(prediction: np.ndarray) -> float:
         return float(np.sum((prediction - true)[judged] ** 2))
 
-    best = square(before) - square(W @ theta)
+    best = square(before) - square(before + W @ theta)
     return (square(before) - square(after)) / best if best > 0 else np.nan

@@ -74,7 +74,8 @@ def _clean(what: str, rows: pd.DataFrame) -> Iterator[str]:
     for coarse, part in rows.groupby(rows["position_sd"] > rows["position_sd"].median()):
         yield f"  {'coarse' if coarse else 'fine'} encoders: {int((part['claims'] > 0).sum())} of {len(part)}"
     known = rows[rows["nominal"].eq(True)]
-    yield f"  bodies within 2 % of the file: {int(known['false_parameter'].eq(True).sum())} of {len(known)} with a parameter finding"
+    false = int(known["false_parameter"].eq(True).sum())
+    yield f"  bodies within 2 % of the file: {false} of {len(known)} with a parameter finding"
 
 
 def _single(rows: pd.DataFrame) -> Iterator[str]:

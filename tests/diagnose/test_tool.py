@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -22,7 +20,6 @@ from tau_dyn.robot import load_robot
 
 NOISE = 4e-5  # [m] of the tool's measurement, each axis
 PERIOD = 0.0209  # [m] of a pinion's tooth
-Hidden = Callable[[np.ndarray], np.ndarray]
 
 robot = load_robot("gantry_tau")
 model = Model.of(robot)
@@ -110,11 +107,12 @@ def test_carts_shifted_by_their_load_are_found_in_poses(rng) -> None:
     size = np.linalg.norm(mechanism.guide_force(q, rest, rest)[:, 1], axis=1)
     found = diagnose_tool(model, [recorded(t, q, shifted_by_load(q), rng)])
     first = found.findings[0]
-    assert found.verdict == "named" and first.cause == "guideway_compliance" and first.joints[0] == "cart2"
-    value = first.parameters[0] if isinstance(first.parameters, tuple) else next(iter(first.parameters))
+    assert found.verdict == "named" and first.cause == "guideway_compliance" and first.joints == ("cart2",)
+    value = next(iter(first.parameters))
     assert value.value == pytest.approx(1e-4 / np.ptp(size), abs=4 * (value.stderr or 0))
     assert first.status == "confirmed" and first.gain is not None and first.gain.reduction_percent > 0
     assert "guideway_compliance" in {e.name for e in found.extended_model.effects}
+    assert len({limit.cause for limit in found.limits}) == len(found.limits)
 
 
 def test_backlash_is_found_while_moving(rng) -> None:
@@ -216,10 +214,18 @@ def test_quick_columns_are_the_exact_ones_through_the_filter(rng) -> None:
 
 
 def test_what_is_missing_is_said(rng) -> None:
-    """No tool columns, too few poses, a robot without a tool."""
+    """No tool columns, too few poses, a tool that was lost on the way; lost poses are left out."""
     t, q = poses(rng, 30)
     log = recorded(t, q, tool_at(q), rng)
     with pytest.raises(InputError, match="no column x_tool"):
         tool_channel(model, [Log(t, {k: x for k, x in log.channels.items() if "tool" not in k})])
     with pytest.raises(CannotAnswer, match="too few tool positions"):
         tool_channel(model, [log])
+    t, q = moving(rng, 10.0)
+    log = recorded(t, q, tool_at(q), rng)
+    with pytest.raises(InputError, match="missing in 3 samples"):
+        tool_channel(model, [log.with_channels(y_tool=np.where(np.arange(len(t)) < 3, np.nan, log.channels["y_tool"]))])
+    t, q = poses(rng)
+    log = recorded(t, q, tool_at(q), rng)
+    lost = log.with_channels(z_tool=np.where(np.arange(len(t)) % 50 == 7, np.nan, log.channels["z_tool"]))
+    assert len(tool_channel(model, [lost]).pieces[0].tool) == len(t) - 6

@@ -38,7 +38,7 @@ SETTINGS = {"stribeck": {"speed": 0.1}, "position_friction": {"half": 0.3}, "the
 
 def hidden(make, tmp_path, name: str, values: dict[str, float], robot=None, **settings: float) -> Model:
     """Return a robot with friction and one cause, read from an effects file."""
-    parallel = name in ("load_friction", "passive_joint_friction", "reducer_coupling")
+    parallel = name in ("drive_gain", "load_friction", "passive_joint_friction", "reducer_coupling")
     robot = robot or (make.gantry() if parallel else make.block(effort=2000.0))
     friction = {"coulomb_pos": 22, "coulomb_neg": 18, "viscous_pos": 60, "viscous_neg": 50}
     row = {"effect": name, "settings": {**SETTINGS.get(name, {}), **settings}, "parameters": values}

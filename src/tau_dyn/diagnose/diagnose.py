@@ -26,6 +26,7 @@ from tau_dyn.diagnose.force import (
     force_regression,
     prepared_pieces,
     smooth_cutoff,
+    thinned_log,
 )
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.nominal import parameter_findings
@@ -136,7 +137,7 @@ def _gather(
     warnings += [*model.robot.warnings, *log_warnings(model.robot, [*train, *held])]
     preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
     progress("columns")
-    pieces = [*train, *held]
+    pieces = [thinned_log(piece, preparation.position_cutoff_hz) for piece in (*train, *held)]
     smooth_hz = smooth_cutoff(model.robot, train)
     prepared = prepared_pieces(model, pieces, preparation, smooth_hz)
     regression = force_regression(model, prepared, preparation)
@@ -247,8 +248,8 @@ def _waterfall(
     for one in kept:
         effects += one.candidate.effects
         judgements.append(fitted(channel, effects, case.physics, rng))
-        steps.append(Step(one.candidate.cause, judgements[-1].errors))
-        joints = [j for e in one.candidate.effects for j in e.joints]
+        joints = list(dict.fromkeys(j for e in one.candidate.effects for j in e.joints))
+        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
         gains.append(gain_of(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng))
     return steps, judgements, gains
 

@@ -85,7 +85,12 @@ def errors_of(channel: Channel, residuals: Sequence[np.ndarray], rng: np.random.
     draws = _resample(squares, counts, rng)
     ci95 = np.percentile(draws, _INTERVAL, axis=0).T
     relative = 100 * float(np.sqrt(squares.sum() / max(power.sum(), 1e-300)))
-    return Errors(channel.outputs, rms, ci95, relative)
+    pick = rng.integers(len(counts), size=(_DRAWS, len(counts)))
+    shares = 100 * np.sqrt(
+        squares.sum(axis=1)[pick].sum(axis=1) / np.maximum(power.sum(axis=1)[pick].sum(axis=1), 1e-300)
+    )
+    low, high = np.percentile(shares, _INTERVAL)
+    return Errors(channel.outputs, rms, ci95, relative, (float(low), float(high)))
 
 
 def gain_of(

@@ -6,24 +6,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.parts import divide
-from tau_dyn.diagnose.periodogram import carried_back, explained_by_periods, lowpassed
+from tau_dyn.diagnose.periodogram import accelerated, carried_back, explained_by_periods, lowpassed
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.identify.preparation import Preparation, choose_preparation
+from tau_dyn.identify.preparation import (
+    MEMORY,
+    NOISE_FACTOR,
+    RATE_FACTOR,
+    Preparation,
+    choose_preparation,
+)
 from tau_dyn.identify.regression import Prepared, prepare
-from tau_dyn.log import Log, decimate, edge_samples, motion_band
-from tau_dyn.model import Model
+from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, motion_band, noise_gain
+from tau_dyn.model import COMPUTED, Model
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0
-"""A cause may act far above the motion's own band: the filter is as wide as the encoder's noise allows, up to this."""
-POSITION_FACTOR = 3.0
+"""Highest frequency looked at, in edges of the motion's own band; a tooth passes many times in one stroke."""
+SLOW_SHARE = 0.01
+OVERSAMPLING = 5.0
+"""Rate of a log that is worth keeping, in cutoffs of the position filter."""
 SMOOTH_FACTOR = 2.0
 """Of the frequency up to which the motion stands above the encoder's noise; a wider filter lets noise into the columns."""
 _SIGNALS = ("force", "inertia", "load", "passive")
@@ -60,27 +69,16 @@ class ForceChannel(Channel):
         joint = self.scene.index(first.joints[0])
         rows = np.flatnonzero(ground.whiten.index == joint)
         matrices = ground.whiten.rows[joint :: ground.whiten.n_outputs]
-        u = np.concatenate(carried_back(matrices, both[rows])) / ground.scale
+        u = np.concatenate(carried_back(matrices, both[rows]))
         q, v = (np.concatenate([getattr(m, key)[:, joint] for m in self.thinned]) for key in ("q", "v"))
         mask = np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in matrices])
-        weight = lowpassed(self.preparation.force_cutoff_hz)
+        cutoff = self.preparation.force_cutoff_hz
+        weight = lowpassed(cutoff)
         if isinstance(first, DisplacementEffect):
-            inertia = np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])
-            u, typical = u * inertia[:, None], float(np.sqrt(np.mean(inertia[mask] ** 2)))
-            plain = weight
-
-            def weight(speed: float, periods: np.ndarray) -> np.ndarray:
-                return plain(speed, periods) * (2 * np.pi * speed / periods) ** 2
-
-        else:
-            typical = 1.0
-        run = self.runs[0]
+            u = u * np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
+            weight = accelerated(cutoff)
         periods = np.array([effect.settings["period"] for effect in effects])
-        scale = ground.scale
-        found = explained_by_periods(
-            q, v, u, mask, periods, weight, ground.noise[joint], 1 / float(run.t[1] - run.t[0])
-        )
-        return found * (scale / typical) ** 2
+        return explained_by_periods(q, v, u, mask, periods, weight)
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds, accelerations, time and temperature of each run."""
@@ -98,8 +96,50 @@ class ForceChannel(Channel):
 
 
 def diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...]) -> Preparation:
-    """Choose filters for finding causes: as wide as encoder noise allows, where identification stays near the motion."""
-    return choose_preparation(robot, logs, exclude, band_factor=BAND_FACTOR, position_factor=POSITION_FACTOR)
+    """Choose filters for finding causes, which may act far above the motion's own band.
+
+    The band of the forces is as wide as encoder noise allows: above it, that noise times a mass is all there is to see, and a
+    noise model spends itself on it. Positions are low-passed as widely as leaves ten times the velocity's noise below 1 % of
+    the fast speeds, so that reversals are seen sharply.
+    """
+    plain = choose_preparation(robot, logs, exclude)
+    rate = min(log.rate_hz for log in logs)
+    q = [log.joint("q", robot.actuated) for log in logs]
+    noise = np.max([encoder_noise(x) for x in q], axis=0)
+    fast = np.max([_fast(x, plain.position_cutoff_hz, log) for x, log in zip(q, logs, strict=True)], axis=0)
+    moving = fast > plain.speed_threshold
+    cutoffs = np.geomspace(min(2 * plain.force_cutoff_hz, 0.4 * rate), 0.4 * rate, 40)
+    gains = np.array([noise_gain(rate, f) for f in cutoffs])
+    allowed = SLOW_SHARE * fast[moving] / np.maximum(NOISE_FACTOR * noise[moving], 1e-300)
+    within = gains <= allowed.min() if moving.any() else np.ones(1, bool)
+    position_cutoff = float(cutoffs[max(0, int(within.sum()) - 1)])
+    bands = [motion_band(x, log.rate_hz) for x, log in zip(q, logs, strict=True)]
+    edge = max(float(band.edge_hz.max()) for band in bands)
+    noise_edge = min((float(e) for b in bands for e in b.noise_edge_hz[b.edge_hz > 0]), default=rate)
+    force_cutoff = max(plain.force_cutoff_hz, min(0.16 * rate, BAND_FACTOR * edge, noise_edge))
+    threshold = NOISE_FACTOR * noise * noise_gain(rate, position_cutoff)
+    return Preparation(
+        position_cutoff, force_cutoff, RATE_FACTOR * force_cutoff, threshold, MEMORY / position_cutoff, exclude
+    )
+
+
+def _fast(q: np.ndarray, cutoff_hz: float, log: Log) -> np.ndarray:
+    """Return the speed that each joint exceeds in 2 % of the samples (na,)."""
+    v = differentiate(lowpass(q, cutoff_hz, log.rate_hz), log.dt)
+    return np.quantile(np.abs(v), _FASTEST, axis=0)
+
+
+def thinned_log(log: Log, cutoff_hz: float) -> Log:
+    """Return a log at a lower rate, where it is sampled far faster than a low-pass at `cutoff_hz` needs."""
+    factor = int(log.rate_hz // (OVERSAMPLING * cutoff_hz))
+    if factor < 2:
+        return log
+    safe = 0.4 * log.rate_hz / factor
+    channels = {
+        key: decimate(lowpass(x, safe, log.rate_hz) if key.startswith(("q_", "tau_")) else x, factor)
+        for key, x in log.channels.items()
+    }
+    return replace(log, t=decimate(log.t, factor), channels=channels)
 
 
 def smooth_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
@@ -154,6 +194,7 @@ def force_channel(
     cutoff, rate = preparation.force_cutoff_hz, prepared[0].log.rate_hz
     gap = 0.5 * edge_samples(cutoff, rate) / rate
     parts = divide(regression.runs, held, any(held), gap)
+    campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
     thinned = tuple(_thinned(piece) for piece in prepared)
     channel = ForceChannel(
         "force",
@@ -162,7 +203,7 @@ def force_channel(
         model.parameters,
         regression.runs,
         tuple(parts),
-        _scene(model, thinned, regression.runs, preparation),
+        _scene(model, thinned, regression.runs, preparation, campaigns),
         tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
@@ -178,20 +219,32 @@ def force_channel(
 
 
 def _with_signals(piece: Prepared, model: Model, needs: Sequence[str]) -> Prepared:
-    """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces."""
-    m = piece.motion
-    return replace(piece, motion=model.motion(m.q, m.v, m.a, m.sign, t=m.t, signals=m.signals, needs=needs))
+    """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
+
+    These are as smooth as the motion, so they are computed at the regression's rate and interpolated; friction is not.
+    """
+    m, t = piece.motion, piece.log.t
+    few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
+    q, v, a = m.q[few], m.v[few], m.a[few]
+    coarse = {name: COMPUTED[name](model.mechanism, q, v, a) for name in needs if name in COMPUTED}
+    coarse["force"] = model.mechanism.inverse_dynamics(q, v, a)
+    found = {name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in coarse.items()}
+    friction = model.effect_force(model.motion(m.q, m.v, m.a, m.sign, t=t, signals={**m.signals, **found}))
+    signals = {**m.signals, **found, "force": found["force"] + friction}
+    return replace(piece, motion=replace(m, signals=signals))
 
 
 def _thinned(piece: Prepared) -> Motion:
-    """Return a stretch's motion at the regression's rate."""
+    """Return a stretch's motion through the regression's low-pass, at its rate."""
     motion, factor = piece.motion, piece.factor
-    arrays = [decimate(x, factor) for x in (motion.q, motion.v, motion.a)]
+    arrays = [piece.passed(x) for x in (motion.q, motion.v, motion.a)]
     signals = {key: decimate(x, factor) for key, x in motion.signals.items()}
     return Motion.of(motion.joints, *arrays, t=decimate(piece.log.t, factor), signals=signals)
 
 
-def _scene(model: Model, motions: Sequence[Motion], runs: Sequence[Run], preparation: Preparation) -> Scene:
+def _scene(
+    model: Model, motions: Sequence[Motion], runs: Sequence[Run], preparation: Preparation, campaigns: int
+) -> Scene:
     q, v = (np.concatenate([getattr(m, key) for m in motions]) for key in ("q", "v"))
     signals = frozenset.intersection(*(frozenset(m.signals) for m in motions))
     if "temperature" in signals and max(float(np.ptp(m.signals["temperature"])) for m in motions) < 0.5:
@@ -206,4 +259,5 @@ def _scene(model: Model, motions: Sequence[Motion], runs: Sequence[Run], prepara
         preparation.force_cutoff_hz,
         sum(float(run.t[-1] - run.t[0]) for run in runs),
         signals,
+        campaigns,
     )

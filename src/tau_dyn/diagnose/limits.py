@@ -17,6 +17,7 @@ from tau_dyn.diagnose.result import Limit, Untestable
 from tau_dyn.diagnose.search import FAMILY_LEVEL, Search
 from tau_dyn.diagnose.trials import Candidate, Fit, Library
 from tau_dyn.effects import Effect
+from tau_dyn.effects.words import quantity
 
 POWER = 0.95
 _WHOLE = 0.5
@@ -68,15 +69,16 @@ def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candid
     if not found:
         return None
     amplitude, unit, joint = max(found)
-    return Limit(
-        candidate.cause, amplitude, unit, f"{candidate.cause.replace('_', ' ')} of {amplitude:.2g} {unit} ({joint})"
-    )
+    phrase = f"{candidate.cause.replace('_', ' ')} of {quantity(amplitude, unit)} at {joint}"
+    return Limit(candidate.cause, amplitude, unit, phrase)
 
 
 def _amplitude(channel: Channel, library: Library, ground: Ground, fit: Fit, families: int) -> float | None:
     """Return the amplitude seen with 95 % power, or None where it would exceed half of what is measured."""
     effect = _middle(channel, fit.effect)
     C = ground.rows(library.columns(effect))
+    units = [p.unit for p in effect.parameters]
+    C = C[:, [unit == units[0] for unit in units]]
     G, raw = ground.gram(C), C.T @ C
     k = C.shape[1]
     if not np.trace(G) > ABSORBED * np.trace(raw) or np.trace(raw) == 0:

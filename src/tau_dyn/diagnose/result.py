@@ -26,18 +26,21 @@ class Errors:
         rms: Residual rms of each output (m,) [unit of the output].
         ci95: Its 95 % interval (m, 2), from blocks.
         relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+        relative_ci95: Its 95 % interval, from blocks.
     """
 
     outputs: tuple[str, ...]
     rms: np.ndarray
     ci95: np.ndarray
     relative_error_percent: float
+    relative_ci95: tuple[float, float] = (float("nan"), float("nan"))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
         return {
             "rms_per_joint": dict(zip(self.outputs, map(float, self.rms), strict=True)),
             "relative_error_percent": self.relative_error_percent,
+            "relative_ci95": list(self.relative_ci95),
         }
 
 

@@ -90,8 +90,8 @@ def diagnose_tool(
         waterfall=(*steps, Step("noise_floor", floor)),
         findings=tuple(sorted(findings, key=lambda f: (f.status == "suspected", -f.score))),
         unexplained=(),
-        limits=limits,
-        untestable=untestable,
+        limits=tuple(dict.fromkeys(limits)),  # a cause was tried on one joint at a time
+        untestable=tuple(dict.fromkeys(untestable)),
         model=model,
         extended_model=_extended(model, extended, tuple(e for one in kept for e in one.candidate.effects)),
         traces=_traces(channel, baseline, extended),
@@ -146,7 +146,9 @@ def _finding(
     assert final.estimate is not None
     names = {n for e in effects for n in e.parameters.names}
     values = Parameters([p for p in final.estimate.parameters if p.name in names])
-    return finding_of(channel, hunt, one, test, values, gain, signature_of(channel, effects, final.residuals, values))
+    found = finding_of(channel, hunt, one, test, values, gain, signature_of(channel, effects, final.residuals, values))
+    others = tuple(cause for cause in found.indistinguishable_from if cause != found.cause)
+    return replace(found, indistinguishable_from=others, experiment=found.experiment if others else "")
 
 
 def _periods(channel: ToolChannel, hunt: Search, one: Found) -> tuple[float, ...]:

@@ -162,7 +162,15 @@ def groups(channel: Channel, cls: type[Effect], taken: set[tuple]) -> list[tuple
     """Return the groups of joints worth trying."""
     if cls.untestable(channel.scene) is not None:
         return []
-    return [group for group in cls.groups(channel.scene) if (cls.name, group) not in taken]
+    mine = {joint for cause, joints in taken if cause == cls.name for joint in joints}
+    return [
+        group for group in cls.groups(channel.scene) if (cls.name, group) not in taken and not _covered(group, mine)
+    ]
+
+
+def _covered(group: tuple[str, ...], taken: set[str]) -> bool:
+    """Tell whether a cause acts on all joints of a group already; pairs may share a joint with another pair."""
+    return set(group) <= taken
 
 
 def fit_group(

@@ -174,9 +174,12 @@ class TreeMechanism(Mechanism):
         return carried(tool) if tool is not None else np.zeros(len(ids)), np.array(loops).reshape(-1, len(ids)).T
 
     def _outside_forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> pin.StdVec_Force:
-        """Return the forces of loops and of mass that only gravity feels on every body, in joint frames."""
+        """Return the forces of loops and of mass that only gravity feels on every body, in joint frames, without moments.
+
+        Moments do not pass into the forces between bodies, which is all that is asked for here.
+        """
         model, data = self.model, self.data
-        forces = [np.zeros(6) for _ in range(model.njoints)]
+        forces = np.zeros((model.njoints, 6))
         tau = pin.rnea(model, data, q, v, a) + self._extra(q)
         points = [(name.rsplit(".", 1)[0], self.robot.parameters[name].value) for name in self._gravity_only]
         pushes = [(model.getFrameId(link), mass * model.gravity.linear) for link, mass in points]
@@ -187,9 +190,8 @@ class TreeMechanism(Mechanism):
             for loop, force in zip(self.robot.loops, multipliers, strict=True):
                 pushes += [(loop.frame_a, force), (loop.frame_b, -force)]
         for frame, force in pushes:
-            joint, at = model.frames[frame].parentJoint, model.frames[frame].placement.translation
-            local = data.oMi[joint].rotation.T @ force
-            forces[joint] += np.concatenate([local, np.cross(at, local)])
+            joint = model.frames[frame].parentJoint
+            forces[joint, :3] += data.oMi[joint].rotation.T @ force
         return pin.StdVec_Force([pin.Force(f) for f in forces])
 
     def _across(self, joint: int) -> np.ndarray:

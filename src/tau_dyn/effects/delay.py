@@ -1,9 +1,10 @@
 """Forces and positions that were not logged at the same instant.
 
-    tau_log(t) = tau(t - delay) ~ tau(t) + delay (F(t - about) - F(t)) / about
+    tau_log(t) = tau(t - delay) ~ tau(t) + delay (F(t - about) - F(t + about)) / (2 about)
 
-with F the force of the model without this effect. The law is linear in `delay` near `about`, a setting, and exact at
-`delay = about`; the best setting and the amplitude agree. Positive: forces were logged late. One clock mostly serves all drives,
+with F the force of the model without this effect. The law is linear in `delay` near `about`, a setting; the best setting and
+the amplitude agree. The difference is taken to both sides because its even part, a smoothed force less itself, is what any
+mismatch of filters looks like. Positive: forces were logged late. One clock mostly serves all drives,
 so an instance over all joints has one parameter, `drive.delay`; each joint alone has its own. A clock that is off
 between forces and positions is the same thing. Reference: Dressler 2012, 6.3.
 """
@@ -76,7 +77,8 @@ class Delay(Effect):
             )
         force, about, out = motion.signal("force"), self.settings["about"], np.zeros((*motion.v.shape, 1))
         for k in self._indices(motion):
-            out[:, k, 0] = (np.interp(motion.t - about, motion.t, force[:, k]) - force[:, k]) / about
+            before, after = (np.interp(motion.t + x, motion.t, force[:, k]) for x in (-about, about))
+            out[:, k, 0] = (before - after) / (2 * about)
         return out
 
     def describe(self, parameters: Parameters) -> str:

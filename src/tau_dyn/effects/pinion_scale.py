@@ -3,7 +3,7 @@
     encoder - load = pinion_scale q
 
 Forces see masses scaled by it, which a refit of the masses absorbs; only lengths measured otherwise show it.
-Reference: Dressler 2012, 4.2 and 5.3.
+Reference: Dressler 2012, (4.13) and (5.6).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class PinionScale(JointwiseDisplacement):
     name = "pinion_scale"
     cause = True
     equation = "encoder - load = pinion_scale q"
-    reference = "Dressler 2012, 4.2 and 5.3"
+    reference = "Dressler 2012, (4.13) and (5.6)"
     reveals = "the tool or the load side measured over the whole range"
     mistaken_for = ("guideway_nonparallel", "rod_length", "link_mass")
     plausible = "-0.005 to 0.005"

@@ -73,9 +73,6 @@ def choose_preparation(
     robot: Robot,
     logs: Sequence[Log],
     exclude: tuple[str, ...] = (),
-    *,
-    band_factor: float = BAND_FACTOR,
-    position_factor: float = POSITION_FACTOR,
 ) -> Preparation:
     """Choose filters and masks for logs that will be fitted together.
 
@@ -83,8 +80,6 @@ def choose_preparation(
         robot: Gives the actuated joints.
         logs: Even stretches.
         exclude: Columns whose nonzero samples are left out.
-        band_factor: Largest cutoff of forces and columns, in edges of the motion band.
-        position_factor: Cutoff of positions, in cutoffs of forces.
 
     Raises:
         CannotAnswer: No joint moves above its encoder's noise.
@@ -101,8 +96,8 @@ def choose_preparation(
         )
     moving = [band.noise_edge_hz[band.edge_hz > 0] for band in bands]
     noise_edge = min((float(x.min()) for x in moving if x.size), default=rate)
-    force_cutoff = max(min(band_factor * edge, noise_edge, 0.16 * rate), edge)
-    position_cutoff = min(position_factor * force_cutoff, 0.4 * rate)
+    force_cutoff = max(min(BAND_FACTOR * edge, noise_edge, 0.16 * rate), edge)
+    position_cutoff = min(POSITION_FACTOR * force_cutoff, 0.4 * rate)
     noise = [encoder_noise(log.joint("q", robot.actuated)) * noise_gain(log.rate_hz, position_cutoff) for log in logs]
     return Preparation(
         position_cutoff,

@@ -72,7 +72,7 @@ class Prepared:
     Attributes:
         log: The stretch.
         motion: Its motion at the log's rate, with the signals asked for.
-        force: Low-passed forces (N, na) [N or N m].
+        force: Forces (N, na) [N or N m].
         gate: 1 where a sample counts, 0 where not (N, na).
         preparation: Filters and masks.
         usable: Which decimated samples a fit may use (n, na).
@@ -140,11 +140,14 @@ def prepare(
         preparation: Filters and masks.
         signals: Signals of the motion beyond those that the log's own columns give.
         needs: Names of computed signals wanted beyond those that the model's effects need.
-        smooth_hz: Low-pass of the positions that the motion is given from [Hz], where it is to be smoother than
-            `preparation` says; the direction of motion and the gate stay as sharp.
+        smooth_hz: Low-pass of the positions from which speeds and accelerations are made [Hz], where they are to be smoother
+            than the direction of motion and the gate, which keep `preparation`'s; forces are then low-passed once only.
     """
     joints, rate, dt = model.robot.actuated, log.rate_hz, log.dt
-    q, force = (lowpass(log.joint(x, joints), preparation.position_cutoff_hz, rate) for x in ("q", "tau"))
+    q = lowpass(log.joint("q", joints), preparation.position_cutoff_hz, rate)
+    force = log.joint("tau", joints)
+    if smooth_hz is None:
+        force = lowpass(force, preparation.position_cutoff_hz, rate)
     v = differentiate(q, dt, accuracy=4)
     a = differentiate(v, dt, accuracy=4)
     measured = {**measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}

@@ -1,0 +1,240 @@
+r"""How well a motion would tell two causes apart, before anybody has driven it.
+
+Along a motion, with white rows `B` of what is refitted anyway, `x` of the force of cause A at its fitted amplitude and `C(s)`
+of the rival's columns at settings s,
+
+    lambda = min over s of | x - [B, C(s)] least squares |^2,
+
+the noncentrality of the test of A against its rival; the motion with the largest lambda is T-optimal. Rows of separate motions
+add: a motion put together of pieces has the sum of their Gram matrices, and every lambda follows from that sum by a Schur
+complement. Reference: Atkinson & Fedorov 1975.
+
+Nothing is low-passed here but the noise model: what is white in the diagnosed band is taken as white above it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from tau_dyn.diagnose.force import POSITION_FACTOR
+from tau_dyn.diagnose.ground import ABSORBED, gains
+from tau_dyn.diagnose.result import Diagnosis, TimeTrace
+from tau_dyn.diagnose.trials import one_sided
+from tau_dyn.effects import Effect, Motion
+from tau_dyn.estimate import Autoregression, Run, Whitener, fit_autoregression
+from tau_dyn.identify.regression import measured_signals
+from tau_dyn.log import Log, decimate, differentiate, lowpass
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameters
+from tau_dyn.simulate import Trajectory
+
+RATE_HZ = 100.0
+"""Rate of the rows, about [Hz]."""
+_SLOWEST_HZ = 80.0
+"""A residual kept at a lower rate than this gives the noise's density only."""
+_ROLL_OFF = 8
+_RANK = 1e-10
+_MOST_ORDER = 8
+
+Thing = Callable[[Motion], np.ndarray]
+"""Columns (N, na, k) along a motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a diagnosis says of how rows are made: the model, its noise, where the direction of motion is not sure.
+
+    Attributes:
+        model: The refitted baseline, at which loads and forces are computed.
+        noise: Noise of each joint's force at the rows' rate.
+        rate_hz: Rate of the rows.
+        threshold: Slowest speed with a sure sign (na,) [m/s or rad/s].
+        window_s: Time left out beside slow and reversing samples [s].
+        cutoff_hz: Low-pass of positions [Hz].
+    """
+
+    model: Model
+    noise: tuple[Autoregression, ...]
+    rate_hz: float
+    threshold: np.ndarray
+    window_s: float
+    cutoff_hz: float
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis) -> Setting:
+        """Read it off a diagnosis; noise is what its extended model leaves."""
+        prepared = diagnosis.settings["preparation"]
+        rate, noise = noise_of(diagnosis.traces)
+        threshold = np.asarray(prepared["speed_threshold"], float)
+        cutoff = float(prepared["position_cutoff_hz"])
+        return cls(diagnosis.model, noise, rate, threshold, float(prepared["window_s"]), cutoff)
+
+
+def noise_of(traces: Sequence[TimeTrace]) -> tuple[float, tuple[Autoregression, ...]]:
+    """Return a rate near 100 Hz and the noise of each output at it."""
+    rate = 1 / float(np.median(np.diff(traces[0].t)))
+    factor = max(1, round(rate / RATE_HZ))
+    models = []
+    for k in range(traces[0].measured.shape[1]):
+        stretches = []
+        for trace in traces:
+            e, usable = (trace.measured - trace.after)[:, k], trace.usable[:, k]
+            if factor > 1:
+                e = decimate(lowpass(np.where(usable, e, 0.0), 0.4 * rate / factor, rate), factor)
+                usable = decimate(usable, factor)
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(int), [0]])))
+            stretches += [e[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        models.append(fit_autoregression(stretches, _MOST_ORDER))
+    if rate >= _SLOWEST_HZ:
+        return rate / factor, tuple(models)
+    none = np.zeros(0)
+    return RATE_HZ, tuple(Autoregression(none, m.variance * RATE_HZ / rate) for m in models)
+
+
+def planned(setting: Setting, trajectory: Trajectory) -> tuple[Motion, np.ndarray]:
+    """Return the motion (n samples at the rows' rate) of a plan, without computed signals, and which samples count (n, na)."""
+    log = Log(trajectory.t, {f"q_{j}": trajectory.q[:, k] for k, j in enumerate(trajectory.joints)}, trajectory.name)
+    return _thinned(setting, log, trajectory.q, trajectory.v, trajectory.a)
+
+
+def measured(setting: Setting, log: Log, smooth_hz: float) -> tuple[Motion, np.ndarray]:
+    """Return the same of an even stretch of a log, its positions low-passed at `smooth_hz` [Hz]."""
+    rate = log.rate_hz
+    q = lowpass(log.joint("q", setting.model.robot.actuated), min(smooth_hz, setting.cutoff_hz, 0.4 * rate), rate)
+    v = differentiate(q, log.dt, accuracy=4)
+    return _thinned(setting, log, q, v, differentiate(v, log.dt, accuracy=4))
+
+
+def _thinned(setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[Motion, np.ndarray]:
+    joints, step = setting.model.robot.actuated, max(1, round(log.rate_hz / setting.rate_hz))
+    signals = {k: x[::step] for k, x in measured_signals(log, joints, q, v, setting.threshold).items()}
+    unsure = np.abs(v) < setting.threshold
+    unsure[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
+    half = int(np.ceil(setting.window_s * log.rate_hz))
+    counts = ~binary_dilation(unsure, np.ones((2 * half + 1, 1), bool))
+    return Motion.of(joints, q[::step], v[::step], a[::step], t=log.t[::step], signals=signals), counts[::step]
+
+
+def gram(
+    setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[Thing], needs: Iterable[str]
+) -> np.ndarray:
+    """Return the Gram matrix of white rows of all columns of all things, in their order."""
+    signals = {k: x for k, x in motion.signals.items()}
+    full = setting.model.motion(motion.q, motion.v, motion.a, motion.sign, t=motion.t, signals=signals, needs=needs)
+    W = np.concatenate([thing(full) for thing in things], axis=2)
+    assert motion.t is not None
+    blank = np.zeros(counts.shape)
+    run = Run("plan", motion.t, W, blank, counts, W, blank, {})
+    rows = Whitener.of([run], [counts], setting.noise)([W])
+    return rows.T @ rows
+
+
+def refitted(model: Model, others: Sequence[Effect]) -> Thing:
+    """Return the columns that are refitted anyway: the model's free ones, and those of causes that are sure."""
+    free = model.parameters.free
+
+    def columns(motion: Motion) -> np.ndarray:
+        return np.concatenate(
+            [model.columns(motion)[:, :, free], *(effect.columns(motion) for effect in others)], axis=2
+        )
+
+    return columns
+
+
+def seen(setting: Setting, effect: Effect) -> Thing:
+    """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
+    cutoff = setting.cutoff_hz / POSITION_FACTOR
+
+    def columns(motion: Motion) -> np.ndarray:
+        made = effect.columns(motion)
+        if not effect.dense:
+            return made
+        f = effect.local_frequency(motion)[:, :, None]  # type: ignore[attr-defined]
+        return made / (1 + (f / cutoff) ** _ROLL_OFF)
+
+    return columns
+
+
+def force(setting: Setting, effects: Sequence[Effect], values: Parameters) -> Thing:
+    """Return the force of effects at fitted values, as one column."""
+    things = [seen(setting, e) for e in effects]
+    amplitudes = [values.select(e.parameters.names).values for e in effects]
+
+    def columns(motion: Motion) -> np.ndarray:
+        return sum(thing(motion) @ x for thing, x in zip(things, amplitudes, strict=True))[:, :, None]
+
+    return columns
+
+
+@dataclass(frozen=True, eq=False)
+class Schur:
+    """What is left of columns beside those refitted anyway: `G` (n, n), and the columns' own squares `raw` (n,)."""
+
+    G: np.ndarray
+    raw: np.ndarray
+
+    @classmethod
+    def of(cls, total: np.ndarray, p: int) -> Schur:
+        """Project the first p columns out of a Gram matrix."""
+        raw = np.diag(total)[p:].copy()
+        norm = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        scaled = total / norm[:, None] / norm
+        values, vectors = np.linalg.eigh(scaled[:p, :p])
+        keep = values > _RANK * max(values.max(initial=0.0), 1e-300)
+        across = (vectors[:, keep] / np.sqrt(values[keep])).T @ scaled[:p, p:]
+        left = (scaled[p:, p:] - across.T @ across) * norm[p:, None] * norm[p:]
+        return cls(left, raw)
+
+    def without(self, columns: np.ndarray) -> Schur:
+        """Project further columns out."""
+        inverse = np.linalg.pinv(self.G[np.ix_(columns, columns)], rcond=ABSORBED, hermitian=True)
+        across = self.G[:, columns]
+        return replace(self, G=self.G - across @ inverse @ across.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A cause in place of another: its effects on each group of joints, one for each setting, and where their columns are."""
+
+    groups: tuple[tuple[Effect, ...], ...]
+    columns: tuple[tuple[np.ndarray, ...], ...]
+
+    def best(self, schur: Schur, x: int) -> tuple[float, list[tuple[Effect, np.ndarray]]]:
+        """Return what the rival leaves of column x at its best settings, and which they are, with amplitudes.
+
+        Groups are taken one by one, the one that explains most first; a joint belongs to one group only.
+        """
+        chosen: list[tuple[Effect, np.ndarray]] = []
+        open_groups = list(range(len(self.groups)))
+        while open_groups and schur.G[x, x] > 0:
+            T, k, setting = max(self._explained(schur, x, k) for k in open_groups)
+            if T <= 0:
+                break
+            effect, columns = self.groups[k][setting], self.columns[k][setting]
+            chosen.append((effect, columns))
+            rest = schur.G[x, x] - T
+            schur = schur.without(columns)
+            schur.G[x, x] = max(rest, schur.G[x, x])  # amplitudes that must not be negative leave more
+            open_groups = [j for j in open_groups if not set(self.groups[j][0].joints) & set(effect.joints)]
+        return max(float(schur.G[x, x]), 0.0), chosen
+
+    def _explained(self, schur: Schur, x: int, k: int) -> tuple[float, int, int]:
+        index = np.array(self.columns[k])
+        s, G = schur.G[index, x][:, :, None], schur.G[index[:, :, None], index[:, None, :]]
+        T = gains(s, G, schur.raw[index], one_sided(self.groups[k][0]))[:, 0]
+        best = int(np.argmax(T))
+        return float(T[best]), k, best
+
+
+def amplitudes(schur: Schur, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]) -> Parameters:
+    """Return the values at which chosen effects imitate column x best; none is negative that must not be."""
+    columns = np.concatenate([c for _, c in chosen])
+    G = schur.G[np.ix_(columns, columns)]
+    value = np.linalg.pinv(G, rcond=ABSORBED, hermitian=True) @ schur.G[columns, x]
+    parameters = [p for effect, _ in chosen for p in effect.parameters]
+    found = [replace(p, value=float(max(v, p.lower))) for p, v in zip(parameters, value, strict=True)]
+    return Parameters(found)

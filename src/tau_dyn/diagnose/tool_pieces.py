@@ -1,0 +1,153 @@
+r"""Logs with a measured tool, made ready for the tool channel: directions of motion, what effects feel, one frame.
+
+Logs sampled in time are low-passed like forces. Poses held still, recognised by a sampling too slow to show motion, count one
+by one; a joint's direction is that of its way from the pose before, on which it is taken not to turn back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.effects import Motion
+from tau_dyn.effects.cart_shift import SENSITIVITY
+from tau_dyn.effects.guideway_compliance import SIDE_FORCE
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify.preparation import SLOWEST_HZ, Preparation
+from tau_dyn.identify.regression import even_pieces, measured_signals
+from tau_dyn.log import Log, decimate, differentiate, edge_samples, lowpass
+from tau_dyn.model import Model
+
+OUTPUTS = ("x_tool", "y_tool", "z_tool")
+POSE_S = 1.0
+"""Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
+_SAME = 1e-4  # of a joint's range: it has not moved
+_LINE = 1e-6
+"""Squared width over squared length of all positions, below which they lie on a line and leave the turn about it open; the
+frames then have to agree beforehand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One stretch of a log with the tool measured.
+
+    Attributes:
+        log: The stretch.
+        motion: Motion of the encoders, at the log's rate, with the signals that effects feel.
+        tool: Measured tool positions (N, 3) [m], in the robot's frame as far as known.
+        predicted: Forward kinematics (N, 3) [m].
+        jacobian: Tool velocity per actuated speed (N, 3, na).
+        usable: Samples whose directions of motion are sure (N,).
+        cutoff_hz: Low-pass on both sides [Hz]; None for poses.
+        factor: Decimation.
+    """
+
+    log: Log
+    motion: Motion
+    tool: np.ndarray
+    predicted: np.ndarray
+    jacobian: np.ndarray
+    usable: np.ndarray
+    cutoff_hz: float | None
+    factor: int
+
+    def passed(self, x: np.ndarray) -> np.ndarray:
+        """Return an array (N, ...) as the fit sees it (n, ...)."""
+        if self.cutoff_hz is None:
+            return x
+        return decimate(lowpass(x, self.cutoff_hz, self.log.rate_hz), self.factor)
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which of the fit's samples count (n,)."""
+        mask = self.usable[:: self.factor].copy()
+        if self.cutoff_hz is not None:
+            edge = int(np.ceil(edge_samples(self.cutoff_hz, self.log.rate_hz) / self.factor))
+            mask[:edge] = mask[len(mask) - edge :] = False
+        return mask
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time of the fit's samples (n,) [s]."""
+        return POSE_S * np.arange(len(self.tool)) if self.cutoff_hz is None else decimate(self.log.t, self.factor)
+
+
+def cut(log: Log) -> list[Log]:
+    """Return a log's even stretches, or the log itself where it holds poses."""
+    missing = [c for c in OUTPUTS if c not in log.channels]
+    if missing:
+        raise InputError(f"{log.name} has no column {missing[0]}; the tool channel needs {', '.join(OUTPUTS)} [m]")
+    seen = np.all([np.isfinite(log.channels[c]) for c in OUTPUTS], axis=0)
+    if held_still(log):
+        return [replace(log, t=log.t[seen], channels={key: x[seen] for key, x in log.channels.items()})]
+    if not seen.all():
+        raise InputError(f"{log.name}: the tool is missing in {np.sum(~seen)} samples; cut the log there")
+    return even_pieces(log)
+
+
+def held_still(log: Log) -> bool:
+    """Tell whether a log holds poses: sampled too slowly to show motion."""
+    return log.rate_hz < SLOWEST_HZ
+
+
+def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:
+    """Return a stretch with directions of motion, what effects feel, and forward kinematics; low-passed unless of poses."""
+    joints, mechanism = model.robot.actuated, model.mechanism
+    tool = np.column_stack([log.channels[c] for c in OUTPUTS])
+    q = log.joint("q", joints)
+    if held_still(log) or preparation is None:
+        rest, t, cutoff, factor = np.zeros_like(q), None, None, 1
+        v, a = rest, rest
+        sign, travel = _approach(q)
+        signals, usable = {"reversal": travel}, np.arange(len(q)) > 0
+    else:
+        t, cutoff, factor = log.t, preparation.force_cutoff_hz, preparation.factor(log.rate_hz)
+        q = lowpass(q, preparation.position_cutoff_hz, log.rate_hz)
+        v = differentiate(q, log.dt, accuracy=4)
+        a = differentiate(v, log.dt, accuracy=4)
+        signals = measured_signals(log, joints, q, v, preparation.speed_threshold)
+        sign = np.column_stack([_kept(v[:, k], preparation.speed_threshold[k]) for k in range(len(joints))])
+        turned = np.any(np.diff(sign, axis=0, prepend=sign[:1]) != 0, axis=1)
+        half = int(np.ceil(preparation.window_s * log.rate_hz))
+        usable = np.convolve(turned, np.ones(2 * half + 1), mode="same") < 0.5
+    signals |= {SENSITIVITY: mechanism.cart_sensitivity(q), SIDE_FORCE: mechanism.guide_force(q, v, a)}
+    motion = model.motion(q, v, a, sign, t=t, signals=signals, needs=("force",))
+    predicted, jacobian = mechanism.tool_position(q), mechanism.tool_jacobian(q)
+    return Piece(log, motion, tool, predicted, jacobian, usable, cutoff, factor)
+
+
+def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return from which side each pose was approached (N, na), and the way since the last reversal (N, na)."""
+    way = np.diff(q, axis=0, prepend=q[:1])
+    way = np.where(np.abs(way) > _SAME * np.ptp(q, axis=0), way, 0.0)
+    sign, travel = np.zeros_like(q), np.zeros_like(q)
+    for k in range(1, len(q)):
+        goes = np.sign(way[k])
+        sign[k] = np.where(goes == 0, sign[k - 1], goes)  # a joint that stands stays on its side
+        onward = np.where((goes == 0) | (goes == sign[k - 1]), travel[k - 1], 0.0)
+        travel[k] = onward + np.abs(way[k])
+    return sign, travel
+
+
+def _kept(v: np.ndarray, threshold: float) -> np.ndarray:
+    """Return the direction (N,) of the last motion that was surely one; before the first, that of the first."""
+    sure = np.flatnonzero(np.abs(v) >= threshold)
+    if not len(sure):
+        return np.zeros_like(v)
+    last = np.searchsorted(sure, np.arange(len(v)), side="right") - 1
+    return np.sign(v[sure[np.maximum(last, 0)]])
+
+
+def aligned(pieces: Sequence[Piece]) -> list[Piece]:
+    """Lay the measuring frame on the robot's, over all pieces at once."""
+    measured = np.concatenate([p.tool[p.usable] for p in pieces])
+    predicted = np.concatenate([p.predicted[p.usable] for p in pieces])
+    if len(measured) < 3:
+        raise CannotAnswer("there are fewer than three tool positions", "measure a hundred poses or more")
+    m, p = measured.mean(axis=0), predicted.mean(axis=0)
+    U, s, Vt = np.linalg.svd((predicted - p).T @ (measured - m))
+    turned = s[1] > _LINE * s[0]
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt if turned else np.eye(3)
+    return [replace(piece, tool=(piece.tool - m) @ R.T + p) for piece in pieces]
