@@ -92,7 +92,7 @@ class TransmissionError(Form):
         """Draw a joint, a period of 30 to 250 mm (a turn over 5 to 40) and phases."""
         j = one(rig, rng)
         period = 2 * np.pi / log_uniform(rng, 5, 40) if rig.name == "arm" else log_uniform(rng, 0.03, 0.25)
-        inner = {"period": period, "second": float(rng.uniform(0.05, 0.3)), "phase": float(rng.uniform(0, 6))}
+        inner = {"period": period, "second": float(rng.uniform(0.02, 0.1)), "phase": float(rng.uniform(0, 6))}
         return cls((j,), inner, 2e-3 if rig.name == "arm" else 4e-4)
 
     def act(self, run: Recording, amplitude: float) -> Recording:

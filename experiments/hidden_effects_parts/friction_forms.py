@@ -22,7 +22,7 @@ class StribeckPower(Added):
         """Draw a joint, p from {0.7, 1.5, 2, 2} and vs from 2.5 to 15 % of the fast speeds."""
         j = one(rig, rng)
         inner = {"speed": places.fast[j] * log_uniform(rng, 0.025, 0.15), "power": float(rng.choice((0.7, 1.5, 2, 2)))}
-        return cls((j,), inner, 1.0 * rig.friction.coulomb[j])
+        return cls((j,), inner, 0.5 * rig.friction.coulomb[j])
 
     def unit(self, run: Recording) -> np.ndarray:
         """Return the peak."""

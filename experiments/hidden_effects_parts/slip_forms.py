@@ -28,7 +28,7 @@ class Lugre(Form):
         j = one(rig, rng)
         bend = (0.005 * places.fast[j]) ** 2 / (2 * places.hard[j]) / log_uniform(rng, 2, 10)
         inner = {"speed": places.fast[j] * log_uniform(rng, 0.025, 0.15), "bend": bend}
-        return cls((j,), inner, 1.0 * rig.friction.coulomb[j])
+        return cls((j,), inner, 0.5 * rig.friction.coulomb[j])
 
     def act(self, run: Recording, amplitude: float) -> Recording:
         """Return the run with bristles in place of Coulomb friction."""

@@ -229,3 +229,11 @@ def test_what_is_missing_is_said(rng) -> None:
     log = recorded(t, q, tool_at(q), rng)
     lost = log.with_channels(z_tool=np.where(np.arange(len(t)) % 50 == 7, np.nan, log.channels["z_tool"]))
     assert len(tool_channel(model, [lost]).pieces[0].tool) == len(t) - 6
+
+
+def test_logs_in_different_frames_are_refused(rng) -> None:
+    """A tracker set up anew between two logs leaves metres that no cause explains: said so, not diagnosed."""
+    t, q = poses(rng, 100)
+    one, other = recorded(t, q, tool_at(q), rng), recorded(t, q, tool_at(q)[:, [1, 2, 0]], rng)
+    with pytest.raises(InputError, match="measured in one frame"):
+        tool_channel(model, [one, other])

@@ -18,9 +18,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_toeplitz
 from scipy.ndimage import binary_dilation
 
-from tau_dyn.diagnose.force import POSITION_FACTOR
 from tau_dyn.diagnose.ground import ABSORBED, gains
 from tau_dyn.diagnose.result import Diagnosis, TimeTrace
 from tau_dyn.diagnose.trials import one_sided
@@ -28,17 +29,22 @@ from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, Run, Whitener, fit_autoregression
 from tau_dyn.identify.regression import measured_signals
 from tau_dyn.log import Log, decimate, differentiate, lowpass
-from tau_dyn.model import Model
+from tau_dyn.model import COMPUTED, Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.simulate import Trajectory
 
 RATE_HZ = 100.0
 """Rate of the rows, about [Hz]."""
+HIGHEST_HZ = 50.0
+"""Highest frequency that a diagnosis looks at where the motion is quick and positions are clean enough [Hz], about."""
 _SLOWEST_HZ = 80.0
 """A residual kept at a lower rate than this gives the noise's density only."""
 _ROLL_OFF = 8
+_IN_BAND = 0.28
+"""Share of the rate up to which neither low-pass weakens a residual."""
 _RANK = 1e-10
 _MOST_ORDER = 8
+_OF_PLACE = ("inertia", "passive")
 
 Thing = Callable[[Motion], np.ndarray]
 """Columns (N, na, k) along a motion."""
@@ -55,6 +61,7 @@ class Setting:
         threshold: Slowest speed with a sure sign (na,) [m/s or rad/s].
         window_s: Time left out beside slow and reversing samples [s].
         cutoff_hz: Low-pass of positions [Hz].
+        highest_hz: Frequency above which a diagnosis of quicker motion sees nothing either [Hz].
     """
 
     model: Model
@@ -63,36 +70,61 @@ class Setting:
     threshold: np.ndarray
     window_s: float
     cutoff_hz: float
+    highest_hz: float
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> Setting:
         """Read it off a diagnosis; noise is what its extended model leaves."""
         prepared = diagnosis.settings["preparation"]
-        rate, noise = noise_of(diagnosis.traces)
+        rate, noise = noise_of(diagnosis.traces, diagnosis.extended.rms)
         threshold = np.asarray(prepared["speed_threshold"], float)
         cutoff = float(prepared["position_cutoff_hz"])
-        return cls(diagnosis.model, noise, rate, threshold, float(prepared["window_s"]), cutoff)
+        highest = max(float(prepared["force_cutoff_hz"]), min(HIGHEST_HZ, cutoff / 2))
+        return cls(diagnosis.model, noise, rate, threshold, float(prepared["window_s"]), cutoff, highest)
 
 
-def noise_of(traces: Sequence[TimeTrace]) -> tuple[float, tuple[Autoregression, ...]]:
-    """Return a rate near 100 Hz and the noise of each output at it."""
+def noise_of(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple[Autoregression, ...]]:
+    """Return a rate near 100 Hz and the noise of each output at it.
+
+    Args:
+        traces: Colour is that of what the extended model leaves of them.
+        rms: Size of that residual (m,), from data that nothing of a reversal leaked into, as it does into traces.
+    """
     rate = 1 / float(np.median(np.diff(traces[0].t)))
     factor = max(1, round(rate / RATE_HZ))
     models = []
-    for k in range(traces[0].measured.shape[1]):
+    for k, size in enumerate(rms):
         stretches = []
+        left = np.concatenate([(x.measured - x.after)[x.usable[:, k], k] for x in traces])
+        scale = size / max(float(np.sqrt(np.mean(left**2))), 1e-300) if len(left) else 1.0
         for trace in traces:
-            e, usable = (trace.measured - trace.after)[:, k], trace.usable[:, k]
+            e, usable = scale * (trace.measured - trace.after)[:, k], trace.usable[:, k]
             if factor > 1:
                 e = decimate(lowpass(np.where(usable, e, 0.0), 0.4 * rate / factor, rate), factor)
                 usable = decimate(usable, factor)
             edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(int), [0]])))
             stretches += [e[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
-        models.append(fit_autoregression(stretches, _MOST_ORDER))
+        models.append(flattened(fit_autoregression(stretches, _MOST_ORDER)))
     if rate >= _SLOWEST_HZ:
         return rate / factor, tuple(models)
     none = np.zeros(0)
     return RATE_HZ, tuple(Autoregression(none, m.variance * RATE_HZ / rate) for m in models)
+
+
+def flattened(noise: Autoregression) -> Autoregression:
+    """Return a noise whose density goes on above the low-pass as it is just below it.
+
+    The residual was low-passed near the end of its band, candidate columns are not: whitened by what the low-pass left there
+    they would seem to show almost anything.
+    """
+    f = np.linspace(0, 0.5, 2049)
+    turn = np.exp(-2j * np.pi * np.outer(f, np.arange(1, len(noise.phi) + 1)))
+    density = 1 / np.abs(1 - turn @ noise.phi) ** 2
+    density *= noise.variance / np.fft.irfft(density)[0]
+    density[f > _IN_BAND] = density[f <= _IN_BAND][-1]
+    c = np.fft.irfft(density)[: _MOST_ORDER + 1]
+    phi = np.asarray(solve_toeplitz(c[:-1], c[1:])) if c[0] > 0 and len(noise.phi) else np.zeros(0)
+    return Autoregression(phi, float(c[0]))
 
 
 def planned(setting: Setting, trajectory: Trajectory) -> tuple[Motion, np.ndarray]:
@@ -119,17 +151,27 @@ def _thinned(setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.nda
     return Motion.of(joints, q[::step], v[::step], a[::step], t=log.t[::step], signals=signals), counts[::step]
 
 
-def gram(
-    setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[Thing], needs: Iterable[str]
-) -> np.ndarray:
-    """Return the Gram matrix of white rows of all columns of all things, in their order."""
-    signals = {k: x for k, x in motion.signals.items()}
-    full = setting.model.motion(motion.q, motion.v, motion.a, motion.sign, t=motion.t, signals=signals, needs=needs)
-    W = np.concatenate([thing(full) for thing in things], axis=2)
+def completed(setting: Setting, motion: Motion, needs: Iterable[str]) -> Motion:
+    """Return a motion with the loads and forces that effects feel, at the refitted baseline.
+
+    What depends on the place alone is computed at every fourth sample and interpolated.
+    """
     assert motion.t is not None
-    blank = np.zeros(counts.shape)
-    run = Run("plan", motion.t, W, blank, counts, W, blank, {})
-    rows = Whitener.of([run], [counts], setting.noise)([W])
+    few = np.unique(np.append(np.arange(0, len(motion.t), 4), len(motion.t) - 1))
+    still = np.zeros((len(few), motion.q.shape[1]))
+    places = {
+        name: COMPUTED[name](setting.model.mechanism, motion.q[few], still, still) for name in _OF_PLACE if name in needs
+    }
+    found = {name: np.asarray(CubicSpline(motion.t[few], x)(motion.t)) for name, x in places.items()}
+    signals = {**motion.signals, **found}
+    return setting.model.motion(motion.q, motion.v, motion.a, motion.sign, t=motion.t, signals=signals, needs=needs)
+
+
+def gram(setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[Thing]) -> np.ndarray:
+    """Return the Gram matrix of white rows of all columns of all things, in their order."""
+    assert motion.t is not None
+    W, blank = np.concatenate([thing(motion) for thing in things], axis=2), np.zeros(counts.shape)
+    rows = Whitener.of([Run("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
     return rows.T @ rows
 
 
@@ -147,14 +189,13 @@ def refitted(model: Model, others: Sequence[Effect]) -> Thing:
 
 def seen(setting: Setting, effect: Effect) -> Thing:
     """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
-    cutoff = setting.cutoff_hz / POSITION_FACTOR
 
     def columns(motion: Motion) -> np.ndarray:
         made = effect.columns(motion)
         if not effect.dense:
             return made
         f = effect.local_frequency(motion)[:, :, None]  # type: ignore[attr-defined]
-        return made / (1 + (f / cutoff) ** _ROLL_OFF)
+        return made / (1 + (f / setting.highest_hz) ** _ROLL_OFF)
 
     return columns
 

@@ -20,8 +20,8 @@ def noise_floor(channel: Channel, search: Search, extended: Judged, rng: np.rand
     left = [e.copy() for e in extended.residuals]
     for k, output in enumerate(channel.outputs):
         basis = [
-            np.concatenate([run.W[:, k], rich_columns(v, output)], axis=1)
-            for run, v in zip(extended.regression.runs, variables, strict=True)
+            np.concatenate([run.W[:, k], rich], axis=1)
+            for run, rich in zip(extended.regression.runs, rich_columns(variables, output), strict=True)
         ]
         rows = np.concatenate([b[m[:, k]] for b, m in zip(basis, masks, strict=True)])
         y = np.concatenate([e[m[:, k], k] for e, m in zip(left, masks, strict=True)])

@@ -60,7 +60,8 @@ def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candid
     for fit in candidate.tested:
         if len(fit.effect.joints) > 1 and any(len(f.effect.joints) == 1 for f in candidate.tested):
             continue
-        amplitude = _amplitude(channel, library, ground, fit, len(candidate.tested) * causes)
+        tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # each alone, and all together
+        amplitude = _amplitude(channel, library, ground, fit, tests * causes)
         if amplitude is None:
             return None
         found.append(

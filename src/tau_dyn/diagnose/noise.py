@@ -6,7 +6,7 @@ variables of its own joint, times the direction of motion; an autoregressive mod
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -26,10 +26,9 @@ def noise_models(
     variables = channel.variables()
     models = []
     for k, output in enumerate(channel.outputs):
+        rich = rich_columns(variables, output)
         columns = [
-            np.concatenate(
-                [c[r][:, k] for c in (channel.free_columns, *extra)] + [rich_columns(variables[r], output)], axis=1
-            )
+            np.concatenate([c[r][:, k] for c in (channel.free_columns, *extra)] + [rich[r]], axis=1)
             for r in range(len(channel.runs))
         ]
         rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
@@ -41,12 +40,27 @@ def noise_models(
         for x, y_run, mask in zip(columns, channel.target, masks, strict=True):
             e = y_run[:, k] - x @ theta
             stretches += [e[s] for s in _stretches(mask[:, k])]
-        models.append(fit_autoregression(stretches, _MAX_ORDER))
+        still = Autoregression(np.zeros(0), 1.0)  # an output without a usable sample has no rows to whiten
+        models.append(fit_autoregression(stretches, _MAX_ORDER) if stretches else still)
     return tuple(models)
 
 
-def rich_columns(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
-    """Return smooth functions (n, c) of an output's own variables, and the same times the direction of motion."""
+def rich_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
+    """Return smooth functions (n, c) of an output's own variables, and the same times the direction of motion, of each run."""
+    return over_runs(variables, lambda joined: _rich(joined, output))
+
+
+def over_runs(
+    variables: Sequence[Mapping[str, np.ndarray]], columns: Callable[[Mapping[str, np.ndarray]], np.ndarray]
+) -> list[np.ndarray]:
+    """Return columns (n, c) of each run, made of all runs' variables joined: one function, whatever range a run covers."""
+    common = [name for name in variables[0] if all(name in v for v in variables)]
+    joined = {name: np.concatenate([v[name] for v in variables]) for name in common}
+    lengths = [len(next(iter(v.values()))) for v in variables]
+    return np.split(columns(joined), np.cumsum(lengths)[:-1])
+
+
+def _rich(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
     own = [x for name, x in variables.items() if name.split("_", 1)[-1] == output or name == "t"]
     sign = np.sign(variables.get(f"v_{output}", np.zeros(1)))
     basis = [c for x in own for c in smooth(x)]

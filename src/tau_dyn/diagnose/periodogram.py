@@ -37,6 +37,8 @@ def explained_by_periods(
         periods: Periods (g,) [m or rad].
         weight: See `Weight`.
     """
+    if not mask.any():
+        return np.zeros((len(periods), u.shape[1]))
     lines = 1 / periods
     travel = float(np.ptp(q)) or 1.0
     size = int(2 ** np.ceil(np.log2(OVERSAMPLING * travel * _PER_PERIOD * lines.max())))

@@ -8,8 +8,7 @@ from dataclasses import replace
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
-from tau_dyn.simulate import replay
-from tau_dyn.simulate.controllers import CascadeLaw
+from tau_dyn.simulate import CascadeLaw, Replay, replay
 
 
 def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
@@ -43,11 +42,12 @@ def with_simulation(
     """
     log = log_with_references(logs, diagnosis.model.robot.actuated)
     models = {"before": diagnosis.model, "after": diagnosis.extended_model}
-    done = {}
+    done: dict[str, Replay] = {}
     for when, model in models.items():
-        if when == "after" and not any(f.status == "confirmed" for f in diagnosis.findings):
+        if when == "after" and len(model.effects) == len(diagnosis.model.effects):
             done[when] = done["before"]  # nothing was added
             continue
-        run = replay(model, log, law, progress=lambda share: progress(f"simulating {100 * share:.0f} %"))
-        done[when] = run.to_dict()
-    return replace(diagnosis, simulation={"log": log.name, **done})
+        done[when] = replay(model, log, law, progress=lambda share: progress(f"simulating {100 * share:.0f} %"))
+    doubts = tuple(dict.fromkeys([*diagnosis.warnings, *(w for run in done.values() for w in run.warnings)]))
+    simulation = {"log": log.name, **{when: run.to_dict() for when, run in done.items()}}
+    return replace(diagnosis, simulation=simulation, warnings=doubts)

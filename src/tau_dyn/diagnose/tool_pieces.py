@@ -24,6 +24,8 @@ OUTPUTS = ("x_tool", "y_tool", "z_tool")
 POSE_S = 1.0
 """Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
 _SAME = 1e-4  # of a joint's range: it has not moved
+_FAR = 0.05
+"""Distance from forward kinematics over the positions' own spread, above which the two do not belong together."""
 _LINE = 1e-6
 """Squared width over squared length of all positions, below which they lie on a line and leave the turn about it open; the
 frames then have to agree beforehand."""
@@ -150,4 +152,12 @@ def aligned(pieces: Sequence[Piece]) -> list[Piece]:
     U, s, Vt = np.linalg.svd((predicted - p).T @ (measured - m))
     turned = s[1] > _LINE * s[0]
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt if turned else np.eye(3)
-    return [replace(piece, tool=(piece.tool - m) @ R.T + p) for piece in pieces]
+    found = [replace(piece, tool=(piece.tool - m) @ R.T + p) for piece in pieces]
+    off, spread = (measured - m) @ R.T - (predicted - p), predicted - p
+    if np.linalg.norm(off) > _FAR * np.linalg.norm(spread):
+        size = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+        raise InputError(
+            f"the measured tool is {size:.2g} m from forward kinematics however the frames are laid; "
+            "were all logs measured in one frame, in m, and with this robot?"
+        )
+    return found

@@ -17,7 +17,7 @@ from scipy import stats
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.encoders import MARGIN, noncentrality
 from tau_dyn.diagnose.ground import Ground, gains
-from tau_dyn.diagnose.noise import smooth
+from tau_dyn.diagnose.noise import over_runs, smooth
 from tau_dyn.diagnose.parts import TRAIN
 
 _PAIR_PRICE = 4.0
@@ -65,8 +65,8 @@ def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: f
     for k, output in enumerate(channel.outputs):
         rows = np.flatnonzero(ground.whiten.index == k)
         both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
-        for names, signed in _sets(values[0], output):
-            C = _rows(channel, ground, k, [_basis(v, names, signed, output) for v in values])
+        for names, signed in _sets(values, output):
+            C = _rows(channel, ground, k, _bases(values, names, signed, output))
             if C.shape[1] == 0:
                 continue
             A = ground.Q[rows].T @ C
@@ -93,7 +93,7 @@ def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: f
 def structure_chance(clean: Channel, ground: Ground, structure: Structure, others: Sequence[list[np.ndarray]]) -> float:
     """Return a structure's chance when encoder noise does to it what it does to noise-only logs (see `encoders.py`)."""
     k = clean.outputs.index(structure.output)
-    bases = [_basis(v, structure.variables, structure.signed, structure.output) for v in clean.variables()]
+    bases = _bases(clean.variables(), structure.variables, structure.signed, structure.output)
     blank = Ground.of(clean, (TRAIN,), ground.noise, others)
     columns = [_placed(b, k, len(clean.outputs)) for b in bases]
     bias = MARGIN * noncentrality(blank, ground, columns, np.zeros(bases[0].shape[1], bool), _LEFT)
@@ -102,12 +102,20 @@ def structure_chance(clean: Channel, ground: Ground, structure: Structure, other
     return min(1.0, structure.tries * float(tail))
 
 
-def _sets(values: Mapping[str, np.ndarray], output: str) -> list[tuple[tuple[str, ...], bool]]:
+def _sets(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[tuple[tuple[str, ...], bool]]:
     """Return the sets of variables to try, each with and without the direction of motion."""
-    names = [n for n, x in values.items() if np.ptp(x) > 0]
+    common = [n for n in variables[0] if all(n in v for v in variables)]
+    names = [n for n in common if np.ptp(np.concatenate([v[n] for v in variables])) > 0]
     pairs = [p for p in combinations(names, 2) if "t" not in p]
-    signs = (False, True) if f"v_{output}" in values else (False,)
+    signs = (False, True) if f"v_{output}" in common else (False,)
     return [(s, signed) for s in [*((n,) for n in names), *pairs] for signed in signs]
+
+
+def _bases(
+    variables: Sequence[Mapping[str, np.ndarray]], names: tuple[str, ...], signed: bool, output: str
+) -> list[np.ndarray]:
+    """Return smooth columns (n, k) of one variable, or of a pair, of each run."""
+    return over_runs(variables, lambda joined: _basis(joined, names, signed, output))
 
 
 def _basis(values: Mapping[str, np.ndarray], names: tuple[str, ...], signed: bool, output: str) -> np.ndarray:
@@ -129,7 +137,7 @@ def _inflation(channel: Channel, ground: Ground, output: str, names: tuple[str, 
     """Return the scatter of blocks over what the noise model says, at least 1."""
     k = channel.outputs.index(output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    C = _rows(channel, ground, k, [_basis(v, names, signed, output) for v in channel.variables()])
+    C = _rows(channel, ground, k, _bases(channel.variables(), names, signed, output))
     left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
     gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
     along = left @ gamma
@@ -154,7 +162,7 @@ def _described(
 ) -> Structure:
     k = channel.outputs.index(output)
     values = channel.variables()
-    bases = [_basis(v, names, signed, output) for v in values]
+    bases = _bases(values, names, signed, output)
     columns = [_placed(b, k, len(channel.outputs)) for b in bases]
     rows = np.flatnonzero(ground.whiten.index == k)
     share = min(1.0, T / max(float(ground.e[rows] @ ground.e[rows]), 1e-300))

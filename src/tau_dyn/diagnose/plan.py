@@ -1,0 +1,241 @@
+"""What is compared along candidate motions: columns of causes and rivals, and how strongly a motion shows each line of the question."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tau_dyn.diagnose.design import Rival, Schur, Setting, Thing, amplitudes, force, gram, refitted, seen
+from tau_dyn.diagnose.ground import ABSORBED
+from tau_dyn.diagnose.question import Question, Suspect
+from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
+
+_MOST_SETTINGS = 60
+_FASTEST = 0.98
+_NEAR = 0.3
+"""Settings of a fine grid that lie this near the true cause's own are tried as a rival's."""
+_WEAK = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A motion at the rows' rate with all that effects feel, and which samples count (n, na)."""
+
+    motion: Motion
+    counts: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One line of the question: how much of the columns is left beside all else and, if there is one, a rival.
+
+    Attributes:
+        cause: The cause taken as true.
+        rival_name: What it is to be told from; empty for nothing but chance.
+        columns: Where its columns are: the force of a suspect, or an effect's per unit.
+        rival: The rival; None without one.
+    """
+
+    cause: str
+    rival_name: str
+    columns: np.ndarray
+    rival: Rival | None
+
+    def strength(self, schur: Schur) -> float:
+        """Return lambda, or of a cause per unit what is left of its columns' mean square."""
+        if self.rival is not None:
+            return self.rival.best(schur, int(self.columns[0]))[0]
+        return float(np.mean(np.diag(schur.G)[self.columns]))
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All columns and all lines.
+
+    Attributes:
+        setting: The diagnosis behind it.
+        question: What is open.
+        scene: What measured and candidate motions offer together.
+        things: Makers of columns; the first makes those that are refitted anyway.
+        lines: What is judged.
+        p: Number of columns refitted anyway.
+    """
+
+    setting: Setting
+    question: Question
+    scene: Scene
+    things: tuple[Thing, ...]
+    lines: tuple[Line, ...]
+    p: int
+    n: int
+
+    def schur(self, total: np.ndarray) -> Schur:
+        """Return what is left of a Gram matrix's columns beside those refitted anyway, prior knowledge counted."""
+        free = [q for q in self.setting.model.parameters if q.free]
+        known = np.array([1 / q.prior_stderr**2 if q.prior_stderr else 0.0 for q in free])
+        total = total.copy()
+        index = np.arange(len(free))
+        total[index, index] += known
+        return Schur.of(total, self.p)
+
+    def strengths(self, total: np.ndarray) -> np.ndarray:
+        """Return each line's strength along a motion whose rows have this Gram matrix."""
+        schur = self.schur(total)
+        return np.array([line.strength(schur) for line in self.lines])
+
+    def merit(self, total: np.ndarray, grams: np.ndarray, number: int) -> float:
+        """Return the smallest strength; of causes to be seen, relative to `number` times the most that one piece shows."""
+        found = self.strengths(total)
+        return float(np.min(found if self.question.pairs else found / (number * self._most(grams))))
+
+    def showing(self, total: np.ndarray) -> Plan:
+        """Return the plan with those lines of which all candidates together show anything."""
+        schur = self.schur(total)
+        kept = [ln for ln in self.lines if ln.strength(schur) > ABSORBED * max(float(np.mean(schur.raw[ln.columns])), _WEAK)]
+        return replace(self, lines=tuple(kept))
+
+    def _most(self, grams: np.ndarray) -> np.ndarray:
+        if "most" not in self._kept:
+            self._kept["most"] = np.maximum(np.max([self.strengths(one) for one in grams], axis=0), 1e-300)
+        return self._kept["most"]
+
+    @cached_property
+    def _kept(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def sight_notes(self, new: np.ndarray, old: np.ndarray | None) -> list[str]:
+        """Return in words how much smaller effects show than along the measured motion."""
+        causes = dict.fromkeys(line.cause for line in self.lines)
+        if old is None:
+            return [f"this motion shows {', '.join(causes)}"]
+        raw = [max(s, 0.0) for s in old]
+        ratio = {
+            c: float(min(np.sqrt(new[k] / max(raw[k], 1e-300)) for k, ln in enumerate(self.lines) if ln.cause == c)) for c in causes
+        }
+        fresh = [c for c in causes if ratio[c] > _FRESH]
+        seen_before = {c: x for c, x in ratio.items() if c not in fresh}
+        notes = [f"this motion shows what the measured one hardly does: {', '.join(fresh)}"] if fresh else []
+        if seen_before:
+            worst = min(seen_before, key=seen_before.__getitem__)
+            notes.append(
+                f"in the same time, detection limits fall to 1/{np.median(list(seen_before.values())):.2g} of the measured "
+                f"motion's (median of {len(seen_before)} causes; {worst}: 1/{seen_before[worst]:.2g})"
+            )
+        return notes
+
+
+_FRESH = 20.0
+"""Times smaller that an effect is seen, above which the measured motion did not show it."""
+
+
+def needs_of(question: Question) -> frozenset[str]:
+    """Return the computed signals that the question's effects feel."""
+    pairs = [cls for suspect, rival in question.pairs for cls in (*suspect.effects, *([EFFECTS[rival]] if rival else []))]
+    return frozenset(name for cls in (*pairs, *question.others, *question.causes) for name in cls.needs) - {"reversal"}
+
+
+def scene_of(setting: Setting, motions: Sequence[Motion], signals: frozenset[str]) -> Scene:
+    """Return what motions offer together."""
+    robot = setting.model.robot
+    q, v = (np.concatenate([getattr(m, key) for m in motions]) for key in ("q", "v"))
+    duration = len(q) / setting.rate_hz
+    fast = np.quantile(np.abs(v), _FASTEST, axis=0)
+    return Scene(
+        robot.actuated, robot.force_units, q.min(axis=0), q.max(axis=0), setting.threshold, fast, setting.highest_hz, duration, signals
+    )
+
+
+def pair_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
+    """Return the plan that tells suspects from their rivals."""
+    plan = _empty(setting, question, scene)
+    for suspect, rival in question.pairs:
+        plan = _with_pair(plan, suspect, rival, None)
+    return plan
+
+
+def with_mirrored(plan: Plan, recorded: Sequence[Prepared]) -> Plan:
+    """Return the plan with each rival taken as true as well, at the amplitudes with which it imitates the suspect so far."""
+    total = sum(gram(plan.setting, p.motion, p.counts, plan.things) for p in recorded)
+    schur = plan.schur(np.asarray(total))
+    for line, (suspect, rival) in zip(plan.lines, plan.question.pairs, strict=True):
+        if line.rival is None or any(s.cause == rival for s, _ in plan.question.pairs):
+            continue
+        _, chosen = line.rival.best(schur, int(line.columns[0]))
+        if chosen:
+            values = amplitudes(schur, int(line.columns[0]), chosen)
+            if np.any(values.values):
+                plan = _with_pair(plan, Suspect(rival, tuple(e for e, _ in chosen), values), suspect.cause, suspect)
+    return plan
+
+
+def sight_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
+    """Return the plan that shows causes, each on each group of joints at the setting in the middle of its grid."""
+    plan = _empty(setting, question, scene)
+    for cls in question.causes:
+        groups = cls.groups(scene)
+        alone = [g for g in groups if len(g) == 1]
+        for joints in alone or groups:
+            grid = cls.grid(scene, joints)
+            if grid and cls.untestable(scene) is None:
+                effect = _built(cls, scene, joints, grid[len(grid) // 2])
+                plan, columns = _added(plan, seen(setting, effect), len(effect.parameters))
+                plan = replace(plan, lines=(*plan.lines, Line(cls.name, "", columns, None)))
+    return plan
+
+
+def _empty(setting: Setting, question: Question, scene: Scene) -> Plan:
+    p = int(np.sum(setting.model.parameters.free)) + sum(len(e.parameters) for e in question.others)
+    return Plan(setting, question, scene, (refitted(setting.model, question.others),), (), p, 0)
+
+
+def _added(plan: Plan, thing: Thing, k: int) -> tuple[Plan, np.ndarray]:
+    """Return the plan with k more columns, and where they are after those refitted anyway."""
+    return replace(plan, things=(*plan.things, thing), n=plan.n + k), np.arange(plan.n, plan.n + k)
+
+
+def _with_pair(plan: Plan, suspect: Suspect, rival: str, found: Suspect | None) -> Plan:
+    """Return the plan with one more pair; where the rival itself was `found`, its settings are tried as they are, too."""
+    plan, x = _added(plan, force(plan.setting, suspect.effects, suspect.values), 1)
+    if not rival:
+        return replace(plan, lines=(*plan.lines, Line(suspect.cause, "", x, None)))
+    groups, columns = [], []
+    for options in _options(EFFECTS[rival], plan.scene, suspect, found):
+        places = []
+        for effect in options:
+            plan, where = _added(plan, seen(plan.setting, effect), len(effect.parameters))
+            places.append(where)
+        groups.append(options)
+        columns.append(tuple(places))
+    line = Line(suspect.cause, rival, x, Rival(tuple(groups), tuple(columns)))
+    return replace(plan, lines=(*plan.lines, line))
+
+
+def _options(cls: type[Effect], scene: Scene, suspect: Suspect, found: Suspect | None) -> list[tuple[Effect, ...]]:
+    """Return a rival's effects for each group that shares joints with a suspect, one for each setting."""
+    made = []
+    for joints in cls.groups(scene):
+        if not set(joints) & set(suspect.joints):
+            continue
+        grid = cls.grid(scene, joints)
+        own = {k: x for e in suspect.effects for k, x in e.settings.items() if k in cls.defaults}
+        if len(grid) > _MOST_SETTINGS:
+            grid = _fewer(grid, own)
+            grid.append(own | {k: x for k, x in grid[0].items() if k not in own})
+        grid += [dict(e.settings) for e in (found.effects if found else ()) if e.joints == joints]
+        if grid:
+            made.append(tuple(_built(cls, scene, joints, settings) for settings in grid))
+    return made
+
+
+def _fewer(grid: list[dict[str, float]], own: dict[str, float]) -> list[dict[str, float]]:
+    """Return at most `_MOST_SETTINGS` of a grid: those near the true cause's own settings where it has the same ones."""
+    near = [g for g in grid if own and all(abs(g[k] / x - 1) < _NEAR for k, x in own.items() if x and k in g)]
+    near = near or grid
+    return near[:: -(-len(near) // _MOST_SETTINGS)]
+
+
+def _built(cls: type[Effect], scene: Scene, joints: tuple[str, ...], settings: dict[str, float]) -> Effect:
+    return cls(joints, [scene.units[scene.index(j)] for j in joints], **settings)

@@ -1,0 +1,74 @@
+"""How data are divided, so that no sample serves two purposes."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN, divide
+from tau_dyn.estimate import Run
+
+RATE_HZ = 100.0
+
+
+def run_of(duration: float, start: float = 0.0) -> Run:
+    """Return a run of this length [s]."""
+    n = round(duration * RATE_HZ)
+    none, y = np.zeros((n, 1, 0)), np.zeros((n, 1))
+    return Run("made", start + np.arange(n) / RATE_HZ, none, y, np.ones((n, 1), bool), none, y)
+
+
+def share(parts: np.ndarray, number: int) -> float:
+    return float(np.mean(parts[parts >= 0] == number))
+
+
+@pytest.mark.parametrize("duration", [40.0, 110.0, 600.0])
+def test_a_log_is_divided_three_to_one_to_one(duration):
+    """60 % trains, 20 % confirms, 20 % measures, whatever the length and the start of the clock."""
+    (parts,) = divide([run_of(duration, start=1e4)], [False], False, 0.0)
+    for number, expected in ((TRAIN, 0.6), (CONFIRM, 0.2), (GAIN, 0.2)):
+        assert_allclose(share(parts, number), expected, atol=0.01)
+
+
+def test_parts_take_turns_through_the_whole_log():
+    """Every third of a two-minute log holds all three parts, so each part sees the warm and the cold robot."""
+    (parts,) = divide([run_of(120.0)], [False], False, 0.1)
+    for third in np.array_split(parts, 3):
+        assert set(third) >= {TRAIN, CONFIRM, GAIN}
+
+
+def test_a_gap_separates_parts_on_both_sides():
+    """Within the filter's memory of a border nothing counts, so no filtered sample holds two parts' measurements."""
+    gap = 0.25
+    (parts,) = divide([run_of(110.0)], [False], False, gap)
+    t = np.arange(len(parts)) / RATE_HZ
+    used = np.flatnonzero(parts >= 0)
+    apart = np.diff(t[used])[np.diff(parts[used]) != 0]
+    assert len(apart) > 5
+    assert np.all(apart >= 2 * gap - 1.5 / RATE_HZ)
+    (plain,) = divide([run_of(110.0)], [False], False, 0.0)
+    assert_array_equal(parts[used], plain[used])  # the gaps are taken away from both and moved nowhere
+    borders = np.sum(np.diff(plain) != 0)
+    assert_allclose(np.sum(parts < 0) / RATE_HZ, borders * 2 * gap, rtol=0.05)
+
+
+def test_held_out_logs_confirm_and_measure_in_turn_and_the_others_only_train():
+    """With held-out logs a training log is used as a whole; a held-out one is halved between confirmation and gain."""
+    train, held = divide([run_of(60.0), run_of(60.0)], [False, True], True, 0.0)
+    assert_array_equal(train, TRAIN)
+    assert_allclose([share(held, CONFIRM), share(held, GAIN)], 0.5, atol=0.01)
+    assert TRAIN not in held
+
+
+def test_many_short_pieces_together_have_all_parts():
+    """Pieces of 3 s, as lost samples leave them, still give every part its share."""
+    parts = np.concatenate(divide([run_of(3.0)] * 40, [False] * 40, False, 0.02))
+    for number, expected in ((TRAIN, 0.6), (CONFIRM, 0.2), (GAIN, 0.2)):
+        assert_allclose(share(parts, number), expected, atol=0.05)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_a_scrap_of_a_log_does_not_fail(n):
+    """One sample, or a few, get some part each."""
+    (parts,) = divide([run_of(n / RATE_HZ)], [False], False, 0.1)
+    assert parts.shape == (n,)
+    assert set(parts) <= {-1, TRAIN, CONFIRM, GAIN}
