@@ -161,7 +161,7 @@ class Compliance(Form):
         (j,), m = self.joints, self.inner["inertia"]
         w = np.sqrt(1 / (amplitude * m))
         b, a = bilinear([-1.0, 0, 0], [1, 2 * self.inner["damping"] * w, w**2], RATE_HZ)
-        swing = lfilter(b, a, run.motion.a[:, j])
+        swing = np.asarray(lfilter(b, a, run.motion.a[:, j]))
         return run.plus(run.column(j, m * swing[:: run.step]))
 
     def truth(self, amplitude: float) -> dict[str, float]:

@@ -4,9 +4,9 @@ All errors are against the force without noise, put through the same filters, so
 
     gain ratio = (E_before^2 - E_found^2) / (E_before^2 - E_oracle^2)
 
-The oracle takes the diagnosis' own base prediction, encoder noise included, and fits to what it leaves of the measured force the
-shape and the base model's columns, on the parts that the extended model is fitted on. Filters are those the diagnosis says it used;
-where they do not give its trace, there is no ratio.
+The oracle takes the diagnosis' own base prediction, encoder noise included, and fits to what it leaves of the measured force
+the shape and the base model's columns, on the parts that the extended model is fitted on. Its last low-pass is put
+on the true force; where that does not give its trace, there is no ratio.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from hidden_effects_parts.recording import Recording
 from hidden_effects_parts.strength import base_columns
 from tau_dyn.diagnose import Diagnosis
 from tau_dyn.log import Log, decimate, lowpass
+
+FAITHFUL = 0.2
+"""Largest difference between a trace and our filter's, as a share of the noise; the diagnosis thins logs in steps of its own."""
 
 GAIN = 2
 """The part of a trace that the gain is measured on; 0 and 1 were fitted on."""
@@ -35,22 +38,24 @@ def gain_ratio(found: Diagnosis, logs: Sequence[Log], runs: Sequence[Recording],
     """
     if len(found.traces) != len(logs):
         return np.nan
-    preparation = found.settings["preparation"]
+    cutoff = found.settings["preparation"]["force_cutoff_hz"]
     rows: list[tuple[np.ndarray, ...]] = []
     for trace, log, run, shape in zip(found.traces, logs, runs, shapes, strict=True):
         factor = max(1, round(log.rate_hz * float(np.median(np.diff(trace.t)))))
 
         def passed(x: np.ndarray, log: Log = log, factor: int = factor) -> np.ndarray:
-            return decimate(lowpass(x, preparation["force_cutoff_hz"], log.rate_hz), factor)
+            return decimate(lowpass(x, cutoff, log.rate_hz), factor)
 
-        def measured(x: np.ndarray, log: Log = log, passed=passed) -> np.ndarray:
-            return passed(lowpass(x, preparation["position_cutoff_hz"], log.rate_hz))
-
-        tau = measured(log.joint("tau", run.rig.joints))
-        if tau.shape != trace.measured.shape or np.max(np.abs(tau - trace.measured)) > 1e-6 * np.max(np.abs(tau)):
+        tau = log.joint("tau", run.rig.joints)
+        noise = passed(tau - run.tau)
+        if noise.shape != trace.measured.shape:
+            return np.nan
+        odd = (passed(tau) - trace.measured)[trace.usable]
+        if np.std(odd) > FAITHFUL * np.std(noise[trace.usable]):
             return np.nan
         columns = np.concatenate([base_columns(run), shape], axis=2)
-        rows.append((passed(columns), tau, measured(run.tau), trace.before, trace.after, trace.usable, trace.part))
+        clean = trace.measured - noise
+        rows.append((passed(columns), trace.measured, clean, trace.before, trace.after, trace.usable, trace.part))
     W, tau, true, before, after, usable, part = (np.concatenate(x) for x in zip(*rows, strict=True))
     fit = usable & np.isin(part, (0, 1))[:, None]
     own = np.linalg.norm(W[fit], axis=0)

@@ -46,7 +46,7 @@ class Whitener:
     def of(cls, run: Recording, sensing: Sensing, *, encoder: bool = True) -> Whitener:
         """Return the whitener of one run; without `encoder` only force noise counts."""
         n, na = run.tau.shape
-        length = next_fast_len(n, real=True)  # motions end where they start, at rest
+        length = int(next_fast_len(n, real=True) or n)  # motions end where they start, at rest
         w = 2 * np.pi * rfftfreq(length, 1 / sensing.rate_hz)
         w = w[w < 2 * np.pi * HIGHEST_HZ]
         c = sensing.colour

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import yaml
 
 from tau_dyn.dynamics import Mechanism, build_mechanism
 from tau_dyn.effects import EFFECTS, Effect, Motion
+from tau_dyn.effects.state import beyond_a_state
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.parameters import Parameters
@@ -30,6 +31,9 @@ COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np
     "inertia": lambda mechanism, q, v, a: mechanism.inertia(q),
 }
 """Signals of a motion that the mechanism gives."""
+
+BY_STATE = frozenset({*COMPUTED, "force"})
+"""Signals that a single state determines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,18 +95,66 @@ class Model:
             raise InputError(f"{robot.source}: parameter '{odd}' is of the model or of the robot, but not of both")
         return replace(self, robot=untied.with_parameters(self.robot.parameters))
 
-    def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
-        """Return all columns (N, na, p) along a motion (N, na); `sign` replaces `sign(v)` in friction."""
-        return self.columns(self.motion(q, v, a, sign))
+    def only(self, effects: Iterable[Effect]) -> Model:
+        """Return the model with some of its effects, at their values."""
+        kept = tuple(effects)
+        names = [name for effect in kept for name in effect.parameters.names]
+        return replace(self, effects=kept, effect_parameters=self.effect_parameters.select(names))
 
-    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
-        """Return actuated forces (N, na) [N or N m] along a motion (N, na)."""
-        return self.mechanism.inverse_dynamics(q, v, a) + self.effect_force(self.motion(q, v, a, sign))
+    def steady(self, signals: Iterable[str] = ()) -> Model:
+        """Return the model with those of its effects whose force a single state determines, and the signals given with it.
+
+        What distorts a recording (a delay, an encoder's error) or asks for a history is left out.
+        """
+        given = BY_STATE | set(signals)
+        return self.only(effect for effect in self.effects if not beyond_a_state(effect, given))
+
+    def regressor(
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        sign: np.ndarray | None = None,
+        *,
+        t: np.ndarray | None = None,
+        signals: Mapping[str, np.ndarray] | None = None,
+    ) -> np.ndarray:
+        """Return all columns (N, na, p) along a motion; see `torque`."""
+        self._refuse_states(t)
+        return self.columns(self.motion(q, v, a, sign, t=t, signals=signals))
+
+    def torque(
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        sign: np.ndarray | None = None,
+        *,
+        t: np.ndarray | None = None,
+        signals: Mapping[str, np.ndarray] | None = None,
+    ) -> np.ndarray:
+        """Return actuated forces (N, na) [N or N m] along a motion, as the log would hold them.
+
+        Args:
+            q: Positions (N, na) [m or rad].
+            v: Velocities (N, na).
+            a: Accelerations (N, na).
+            sign: Replaces `sign(v)` in friction (N, na).
+            t: Time (N,) [s] of samples in order, evenly spaced; None for single states, in no order.
+            signals: What the effects feel and the model cannot compute, such as `temperature` (N, na) [degC].
+
+        Raises:
+            InputError: An effect needs a signal that is not given, or acts on a recording while these are single states;
+                `model.steady()` is the model without such effects.
+        """
+        self._refuse_states(t)
+        motion = self.motion(q, v, a, sign, t=t, signals=signals)
+        return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a) + self.effect_force(motion)
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return all columns (N, na, p) along a motion that has the signals its effects need."""
         rigid = self.mechanism.regressor(motion.q, motion.v, motion.a)
-        return np.concatenate([rigid, *(effect.columns(motion) for effect in self.effects)], axis=2)
+        return np.concatenate([rigid, *(_asked(effect, effect.columns, motion) for effect in self.effects)], axis=2)
 
     def motion(
         self,
@@ -133,9 +185,7 @@ class Model:
             if name in COMPUTED:
                 found[name] = COMPUTED[name](self.mechanism, q, v, a)
         if wanted & {"force"} and "force" not in found:
-            calm = tuple(e for e in self.effects if "force" not in e.needs)
-            names = [n for e in calm for n in e.parameters.names]
-            plain = replace(self, effects=calm, effect_parameters=self.effect_parameters.select(names))
+            plain = self.only(e for e in self.effects if "force" not in e.needs)
             found["force"] = plain.mechanism.inverse_dynamics(q, v, a) + plain.effect_force(
                 Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
             )
@@ -145,8 +195,16 @@ class Model:
         """Return the effects' share of the force (N, na) [N or N m]."""
         force = np.zeros(motion.v.shape)
         for effect in self.effects:
-            force += effect.force(motion, self.effect_parameters)
+            force += _asked(effect, partial(effect.force, parameters=self.effect_parameters), motion)
         return force
+
+    def _refuse_states(self, t: np.ndarray | None) -> None:
+        """Refuse single states where an effect acts on a recording."""
+        odd = [effect.name for effect in self.effects if effect.measured] if t is None else []
+        if odd:
+            raise InputError(
+                f"effect {odd[0]} needs samples in the order of time; it acts on a recording, not on a single state"
+            )
 
     def save(self, path: str | Path) -> None:
         """Write the model file; it appears whole or not at all."""
@@ -225,6 +283,14 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
         settings = {str(key): value for key, value in settings.items()}
         found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints], label=label, **settings))
     return tuple(found)
+
+
+def _asked(effect: Effect, ask: Callable[[Motion], np.ndarray], motion: Motion) -> np.ndarray:
+    """Return what an effect answers, and name it where the motion lacks what it feels."""
+    try:
+        return ask(motion)
+    except InputError as fault:
+        raise InputError(str(fault).replace("this effect", f"effect {effect.name}", 1)) from fault
 
 
 def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> None:

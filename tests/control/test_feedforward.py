@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.control import Feedforward
-from tau_dyn.effects import ReducerCoupling, friction_model
+from tau_dyn.effects import EFFECTS, ReducerCoupling, friction_model
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -113,3 +113,102 @@ def test_joints_that_share_a_motor_keep_their_law_outside_the_width(two_link) ->
     model = model.with_values(values)
     q, v, a = np.zeros((1, 2)), np.array([[1.0, -0.6]]), np.zeros((1, 2))
     assert_allclose(Feedforward(model, width=0.01)(q, v, a), model.torque(q, v, a), rtol=1e-12)
+
+
+SIZES = {
+    "coulomb_asymmetry": 20.0, "viscous_asymmetry": 40.0, "stribeck": 30.0, "load_friction": 0.05, "position_friction": 10.0,
+    "passive_joint_friction": 2.0, "quadratic_drag": 40.0, "torque_offset": 4.0, "drive_gain": 0.05, "cyclic_ripple": 5.0,
+    "reducer_coupling": 6.0,
+}  # fmt: skip
+NOT_BY_A_STATE = {
+    "delay", "thermal_drift", "hysteresis", "friction_change", "backlash", "transmission_error", "pinion_scale",
+    "joint_compliance", "guideway_compliance", "cart_tilt",
+}  # fmt: skip
+ROBOTS = ("gantry_tau", "linear_axis")
+
+
+def extended(name: str, cause: str, size: float = 1e-3) -> Model:
+    """Return a robot with asymmetric friction and one cause."""
+    robot, cls = load_robot(name), EFFECTS[cause]
+    joints = robot.actuated[:2] if cause == "reducer_coupling" else robot.actuated
+    effect = cls(joints, robot.force_units[: len(joints)])
+    plain = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), effect])
+    values = dict.fromkeys(plain.effects[0].parameters.names, 80.0)
+    return plain.with_values(values | dict.fromkeys(effect.parameters.names, SIZES.get(cause, size)))
+
+
+def test_every_cause_enters_the_feedforward_or_is_left_out() -> None:
+    """Nobody adds a cause without deciding whether a controller can compensate it."""
+    assert set(SIZES) | NOT_BY_A_STATE == {name for name, cls in EFFECTS.items() if cls.cause}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("cause", SIZES)
+def test_what_a_state_determines_is_compensated_without_a_jump(robot: str, cause: str, rng) -> None:
+    """Outside the width the extended model's own force; through standstill no step, in any direction of motion."""
+    if robot == "linear_axis" and cause == "reducer_coupling":
+        pytest.skip("a shared motor takes two joints")
+    model = extended(robot, cause)
+    na = model.robot.na
+    v = rng.choice([-1, 1], (20, na)) * rng.uniform(0.02, 0.5, (20, na)) * rng.uniform(1, 2, na)
+    v[0] = 0.02  # where a peak at low speed stands
+    q, a = model.robot.home + rng.uniform(-0.05, 0.05, v.shape), rng.uniform(-1, 1, v.shape)
+    feedforward = Feedforward(model, width=1e-4)
+    assert not feedforward.left_out and not feedforward.warnings
+    force = model.torque(q, v, a)
+    assert_allclose(feedforward(q, v, a), force, rtol=1e-9, atol=1e-9)
+    unfelt = robot == "linear_axis" and cause in (
+        "passive_joint_friction",
+        "load_friction",
+    )  # no bearings, no load across
+    assert (np.abs(force - model.only(model.effects[:1]).torque(q, v, a)).max() > 0.1) != unfelt
+    for shape in ("ramp", "tanh"):
+        share = np.linspace(-1, 1, 801)[:, None]
+        for way in (np.ones(na), np.resize([1.0, -1.0], na), np.resize([0.0, 1.0, 1.0], na)):
+            path = 0.04 * share * way + (0.3 if not way.all() else 0.0) * (way == 0)
+            tau = Feedforward(model, width=0.01, shape=shape)(*at(model, path))
+            assert np.abs(np.diff(tau, axis=0)).max() < 10.0  # a jump would be 80 N or more, or the cause's own
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("cause", sorted(NOT_BY_A_STATE))
+def test_what_a_state_does_not_tell_is_left_out_and_named_once(robot: str, cause: str) -> None:
+    """The force is that of the model without the cause, and one sentence says so."""
+    model = extended(robot, cause)
+    feedforward = Feedforward(model)
+    assert [e.name for e in feedforward.left_out] == [cause]
+    assert len(feedforward.warnings) == 1 and f"leaves out {cause}: it " in feedforward.warnings[0]
+    states = at(model, np.full((2, model.robot.na), 0.2))
+    assert_allclose(feedforward(*states), model.only(model.effects[:1]).torque(*states), rtol=1e-12)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_given_temperature_brings_thermal_drift_in(robot: str) -> None:
+    """At 10 K above the reference, friction is larger by ten times its change a kelvin; without it the drift stays out."""
+    model = extended(robot, "thermal_drift", size=2.0)
+    states = at(model, np.full((3, model.robot.na), 0.2))
+    feedforward = Feedforward(model)
+    warm = feedforward(*states, signals={"temperature": 30.0}) - feedforward(*states)
+    assert_allclose(warm, 10 * (2.0 + 2.0 * 0.2), rtol=1e-9)
+    one = feedforward(*(x[0] for x in states), signals={"temperature": np.full(model.robot.na, 30.0)})
+    assert_allclose(one - feedforward(*(x[0] for x in states)), warm[0], rtol=1e-9)
+    with pytest.raises(InputError, match="signal temperature must be a number, one a joint"):
+        feedforward(*states, signals={"temperature": np.zeros(7)})
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_drive_that_reports_too_much_is_asked_for_as_much(robot: str, rng) -> None:
+    """With a gain error of 5 % the drive's scale is 1.05 times the force, smoothed friction included."""
+    model = extended(robot, "drive_gain")
+    v = rng.uniform(-0.02, 0.02, (20, model.robot.na))
+    plain = Feedforward(model.only(model.effects[:1]))(*at(model, v))
+    assert_allclose(Feedforward(model)(*at(model, v)), 1.05 * plain, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", ["ramp", "tanh"])
+def test_rods_that_do_not_turn_take_no_passive_friction(shape: str) -> None:
+    """All carts alike at 0.2 m/s: the bearings stand still, and their direction, a rounding error, must not reach the drives."""
+    model = extended("gantry_tau", "passive_joint_friction")
+    straight = at(model, np.full((3, 3), 0.2))
+    plain = Feedforward(model.only(model.effects[:1]), shape=shape)(*straight)
+    assert_allclose(Feedforward(model, shape=shape)(*straight), plain, atol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import EFFECTS, friction_model
+from tau_dyn.effects import EFFECTS, Motion, friction_model
 from tau_dyn.exceptions import InputError, TauDynError, UnknownName
 from tau_dyn.files import write_whole, writing_whole
 from tau_dyn.model import Model
@@ -156,3 +156,63 @@ def test_files_appear_whole_or_not_at_all(tmp_path) -> None:
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
     with pytest.raises(InputError, match="cannot be written: No such file or directory"):
         write_whole(tmp_path / "nowhere" / "m.yaml", "x")
+
+
+TWO_ON_ONE_JOINT = (
+    ("stribeck", {"speed": 0.031}, ""), ("stribeck", {"speed": 0.4}, "_b"), ("cyclic_ripple", {"period": 0.02}, ""),
+    ("position_friction", {}, ""), ("load_friction", {}, ""), ("drive_gain", {}, ""),
+)  # fmt: skip
+
+
+def extended(name: str, *causes: tuple[str, dict[str, float], str], size: float = 0.02) -> Model:
+    """Return a robot with causes on its first joint."""
+    robot = load_robot(name)
+    effects = [EFFECTS[c](robot.actuated[:1], robot.force_units[:1], label=label, **s) for c, s, label in causes]
+    model = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), *effects])
+    return model.with_values({n: size * (k + 1) for k, n in enumerate(model.effect_parameters.names)})
+
+
+@pytest.mark.parametrize("name", ["gantry_tau", "linear_axis"])
+def test_an_extended_model_survives_its_file(name: str, rng, tmp_path) -> None:
+    """Settings and labels come back, two instances of one effect stay apart, and forces are equal."""
+    model = extended(name, *TWO_ON_ONE_JOINT)
+    model.save(tmp_path / "m.yaml")
+    back = Model.load(tmp_path / "m.yaml")
+    assert [(e.name, e.settings, e.label) for e in back.effects] == [
+        (e.name, e.settings, e.label) for e in model.effects
+    ]
+    assert list(back.parameters) == list(model.parameters)
+    q = model.robot.home + rng.uniform(-0.1, 0.1, (6, model.robot.na))
+    v, a = rng.standard_normal((2, *q.shape))
+    assert_allclose(back.torque(q, v, a), model.torque(q, v, a), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["gantry_tau", "linear_axis"])
+@pytest.mark.parametrize("cause", [name for name, cls in EFFECTS.items() if cls.cause and name != "reducer_coupling"])
+def test_forces_at_states_are_given_or_refused_by_name(name: str, cause: str) -> None:
+    """A state determines the force, or one sentence names the effect and what is missing; nothing is silently zero."""
+    model = extended(name, (cause, {}, ""))
+    q = np.tile(model.robot.home, (6, 1))
+    v, a = np.full_like(q, 0.2), np.full_like(q, 0.3)
+    try:
+        assert np.all(np.isfinite(model.torque(q, v, a)))
+        assert cause in {e.name for e in model.steady().effects} | {"guideway_compliance", "cart_tilt"}
+    except InputError as fault:
+        assert cause not in {e.name for e in model.steady().effects}
+        assert str(fault).startswith(f"effect {cause} ") and "\n" not in str(fault)
+    signals = {"temperature": q, "reversal": np.ones_like(q), "campaign": np.ones(6)}
+    along = model.torque(q, v, a, t=0.01 * np.arange(6), signals=signals)  # a recording has everything
+    assert along.shape == q.shape and np.all(np.isfinite(along))
+    assert_allclose(
+        model.regressor(q, v, a, t=0.01 * np.arange(6), signals=signals) @ model.parameters.values, along, atol=1e-7
+    )
+
+
+def test_a_missing_signal_names_the_effect_that_feels_it(two_link) -> None:
+    """A motion built without the model says which effect it is too poor for."""
+    effect = EFFECTS["load_friction"](two_link.actuated, two_link.force_units)
+    model = Model.of(two_link, [effect])
+    motion = Motion.of(two_link.actuated, *np.ones((3, 2, 2)))
+    for ask in (model.effect_force, model.columns):
+        with pytest.raises(InputError, match="^effect load_friction feels load, which the motion does not give$"):
+            ask(motion)

@@ -166,7 +166,8 @@ class _Screen(Console):
 def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: argparse.Namespace) -> int:
     """Run a command, print, write, and return the exit status."""
     out = getattr(args, "out", None) if command != "demo" else None  # the demo makes its folder
-    destinations = [p for p in (args.json, args.report, out) if p is not None]
+    proposed = getattr(args, "propose", None)
+    destinations = [p for p in (args.json, args.report, out, proposed) if p is not None]
     for path in destinations:
         if not path.resolve().parent.is_dir():
             raise InputError(f"{path}: the folder {path.parent} does not exist")
@@ -196,7 +197,9 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
 
 def _given(args: argparse.Namespace) -> set[Path]:
     """Return every file that the arguments name as an input."""
-    single = (getattr(args, name, None) for name in ("robot", "log", "columns", "effects", "model", "motion"))
+    single = (
+        getattr(args, name, None) for name in ("robot", "log", "columns", "effects", "model", "motion", "controller")
+    )
     many = [*getattr(args, "logs", []), *getattr(args, "holdout", [])]
     return {Path(item).resolve() for item in (*single, *many) if item is not None and Path(item).is_file()}
 

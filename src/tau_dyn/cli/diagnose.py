@@ -1,15 +1,18 @@
 """What the simulation gets wrong, which physical cause explains it, and how much better the model is with that cause.
 
 The model is fitted first; what it misses is searched for causes, confirmed on a second part of the data, and the gain is
-measured on a third. Where the data cannot tell, the answer says which experiment would, and the exit status is 3.
+measured on a third. Where the data cannot tell, the answer says which experiment would, and the exit status is 3; so it is
+where a motion is asked for and none would tell.
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, csv_file, load_robot_from, progress
 from tau_dyn.cli.fitting import add_fitting, fitting_inputs, fitting_options, read_fitting_logs
+from tau_dyn.exceptions import CannotAnswer
 
 HELP = "what the simulation gets wrong, and the cause"
 
@@ -25,6 +28,19 @@ def add(parser: argparse.ArgumentParser) -> None:
         "the logs do, 60/20/20)",
         out="write the model extended by the confirmed causes here; simulate, identify and the feedforward read it",
     )
+    parser.add_argument(
+        "--propose",
+        metavar="MOTION.csv",
+        type=csv_file,
+        help="write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what these "
+        "logs could not",
+    )
+    parser.add_argument(
+        "--controller",
+        metavar="LAW.yaml",
+        type=Path,
+        help="the rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after",
+    )
     add_common(parser)
 
 
@@ -36,23 +52,65 @@ def run(args: argparse.Namespace) -> Outcome:
 
         robot = load_robot_from(args)
         logs, held = read_fitting_logs(args)
+        law = _law(args, robot, logs)
         found = diagnose(robot, logs, holdout=held, progress=step, **fitting_options(args))
+        if law is not None:
+            from tau_dyn.diagnose.simulated import with_simulation
+
+            found = with_simulation(found, logs, law, step)
+        result, files, warnings, status = found.to_dict(), {}, list(found.warnings), found.exit_status
+        if args.propose:
+            motion, refusal, answer = _proposed(found, logs, args, step)
+            result |= answer
+            warnings += refusal
+            files |= {args.propose: motion.to_csv} if motion else {}
+            status = status if motion else CannotAnswer.exit_status
+    if args.out:
+        files[args.out] = found.extended_model.save
     return Outcome(
-        result=found.to_dict(),
-        warnings=found.warnings,
-        inputs=fitting_inputs(args, logs, held),
-        show=lambda console: _show(console, found, args),
-        files={args.out: found.extended_model.save} if args.out else {},
+        result=result,
+        warnings=warnings,
+        inputs=[*fitting_inputs(args, logs, held), *([args.controller] if args.controller else [])],
+        show=lambda console: _show(console, found, args, result),
+        files=files,
         report=lambda: _page(found),
-        exit_status=found.exit_status,
+        exit_status=status,
     )
 
 
-def _show(console, found, args: argparse.Namespace) -> None:
+def _law(args: argparse.Namespace, robot, logs):
+    """Return the controller, sure that a log can be simulated with it, or None."""
+    if not args.controller:
+        return None
+    from tau_dyn.diagnose.simulated import log_with_references
+    from tau_dyn.simulate import read_law_file
+
+    log_with_references(logs, robot.actuated)
+    return read_law_file(args.controller, robot)
+
+
+def _proposed(found, logs, args: argparse.Namespace, step):
+    """Return the proposed motion or None, warnings, and what the result says of it."""
+    from tau_dyn.diagnose.propose import propose_motion
+
+    try:
+        motion = propose_motion(found, logs, seed=args.seed, progress=step)
+    except CannotAnswer as fault:
+        text = f"no motion is proposed: {fault.missing}. The experiment that would: {fault.experiment}"
+        answer = {"out": None, "missing": fault.missing, "experiment": fault.experiment}
+        return None, [text], {"status": "cannot_answer", "proposal": answer}
+    answer = {"out": str(args.propose), "duration_s": motion.duration, "notes": list(motion.notes)}
+    return motion, [], {"proposal": answer}
+
+
+def _show(console, found, args: argparse.Namespace, result: dict) -> None:
     from tau_dyn.report import print_diagnosis
 
-    written = {"extended model": args.out, "report": args.report, "result": args.json}
+    proposed = result.get("proposal", {})
+    written = {"extended model": args.out, "report": args.report, "result": args.json, "motion": proposed.get("out")}
     print_diagnosis(console, found, {k: str(v) for k, v in written.items() if v})
+    for note in proposed.get("notes", ()):
+        console.print(f"proposed: {note}", markup=False)
 
 
 def _page(found) -> str:

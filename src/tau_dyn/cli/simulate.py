@@ -8,7 +8,7 @@ from pathlib import Path
 from tau_dyn.cli.common import (
     Outcome,
     add_common,
-    add_robot,
+    add_robot_options,
     command_line,
     csv_file,
     load_robot_from,
@@ -17,13 +17,22 @@ from tau_dyn.cli.common import (
     progress,
     robot_file,
 )
+from tau_dyn.exceptions import InputError
 
 HELP = "a log from the model, its controller and sensors"
+
+_MODEL_FILES = (".yaml", ".yml")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_robot(parser)
+    parser.add_argument(
+        "robot",
+        metavar="ROBOT",
+        help="a .urdf or .urdf.xacro file, the short name of a robot that comes along (a xacro is code: it evaluates Python), or "
+        "a model file MODEL.yaml of identify or diagnose, which carries its robot, its effects and their values",
+    )
+    add_robot_options(parser)
     parser.add_argument(
         "--motion",
         metavar="M",
@@ -37,7 +46,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     truth = parser.add_mutually_exclusive_group()
     truth.add_argument("--effects", metavar="E.yaml", type=Path, help="effects and parameter values of the true robot")
     truth.add_argument(
-        "--model", metavar="FILE", type=Path, help="simulate this model file instead of the nominal robot"
+        "--model", metavar="FILE", type=Path, help="put the effects and values of this model file on ROBOT"
     )
     sensors = parser.add_argument_group("controller and sensors")
     sensors.add_argument("--rate", metavar="HZ", type=positive, default=1000.0, help="control rate (default 1000)")
@@ -64,17 +73,11 @@ def run(args: argparse.Namespace) -> Outcome:
     """Simulate."""
     with progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.identify import build_model
-        from tau_dyn.model import Model
-        from tau_dyn.simulate import Sensors, Trajectory, named_motion, read_effects_file, simulate
+        from tau_dyn.simulate import Sensors, Trajectory, named_motion, simulate
 
-        robot = load_robot_from(args)
-        if args.effects:
-            model = read_effects_file(args.effects, robot)
-        else:
-            model = build_model(robot, args.model) if args.model else Model.of(robot)
+        model = _model(args)
         if Path(args.motion).suffix:
-            motion = Trajectory.from_csv(args.motion, robot.actuated)
+            motion = Trajectory.from_csv(args.motion, model.robot.actuated)
         else:
             motion = named_motion(args.motion, model, args.duration, args.seed)
         sensors = Sensors(
@@ -97,14 +100,42 @@ def run(args: argparse.Namespace) -> Outcome:
     given = [args.effects, args.model, Path(args.motion)]
     return Outcome(
         result={"n_samples": log.n_samples, "duration_s": log.duration, "rate_hz": log.rate_hz, "out": str(args.out)},
-        warnings=[*robot.warnings, *log.warnings],
-        inputs=[*robot_file(args), *(p for p in given if p is not None and p.is_file())],
+        warnings=[*model.robot.warnings, *log.warnings],
+        inputs=[
+            *([Path(args.robot)] if _is_model(args) else robot_file(args)),
+            *(p for p in given if p is not None and p.is_file()),
+        ],
         show=lambda console: console.print(
-            f"{log.duration:.4g} s of {robot.name} at {log.rate_hz:g} Hz -> {args.out}", markup=False
+            f"{log.duration:.4g} s of {model.robot.name} at {log.rate_hz:g} Hz -> {args.out}", markup=False
         ),
         files={args.out: log.to_csv},
         report=lambda: _page(log, model, sensors, args),
     )
+
+
+def _is_model(args: argparse.Namespace) -> bool:
+    return Path(args.robot).suffix.lower() in _MODEL_FILES
+
+
+def _model(args: argparse.Namespace):
+    """Return what is simulated: a model file's robot as it is, or ROBOT with hidden effects, a model's values, or nominal."""
+    from tau_dyn.identify import build_model
+    from tau_dyn.model import Model
+    from tau_dyn.simulate import read_effects_file
+
+    if _is_model(args):
+        options = {"--set": args.set, "--actuated": args.actuated, "--effects": args.effects, "--model": args.model}
+        given = [name for name, value in options.items() if value]
+        if given:
+            raise InputError(
+                f"{args.robot} is a model file, which carries its own robot, effects and values; leave {given[0]} out, or "
+                f"name the robot and give the file with --model"
+            )
+        return Model.load(args.robot)
+    robot = load_robot_from(args)
+    if args.effects:
+        return read_effects_file(args.effects, robot)
+    return build_model(robot, args.model) if args.model else Model.of(robot)
 
 
 def _page(log, model, sensors, args: argparse.Namespace) -> str:

@@ -3,18 +3,26 @@
 A friction law jumps at zero velocity; a drive fed with that jump shakes. Two smooth laws are offered, both over a width `w`
 [m/s or rad/s]. `ramp` joins the law at -w and at +w by a straight line, the piecewise-linear law of Dressler 2012, Figure
 3.6; outside the width it is the identified law exactly. `tanh` mixes both directions by `s(v) = tanh(2 v / w)`. Inside the
-width friction is under-compensated, never over-compensated, so the feedback is not asked to fight it.
+width friction is under-compensated, never over-compensated, so the feedback is not asked to fight it. Friction whose
+direction is not its joint's (a motor shared by two joints, a passive bearing) fades in the same way with its own speed.
+
+The force is in the drive's own scale, as logs hold it: a `drive_gain` enters, since a drive that reports `(1 + gain_error) tau`
+for the force tau must be asked for just that. (If a force sensor beside the drive was logged and it is the sensor that is
+off, leave the effect out of the model.) What a single state does not determine is left out and named once, in `warnings`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.effects import Motion
+from tau_dyn.effects import Effect, Motion
+from tau_dyn.effects.state import beyond_a_state
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.model import Model
+from tau_dyn.model import BY_STATE, Model
 
 SHAPES = ("ramp", "tanh")
 
@@ -26,6 +34,8 @@ class Feedforward:
         model: The model.
         width: Speed over which the sign changes, one a joint (na,) [m/s or rad/s].
         shape: 'ramp' or 'tanh'.
+        left_out: Effects that a single state does not determine; a call with the signals that they feel has them.
+        warnings: A sentence for each of them.
     """
 
     def __init__(self, model: Model, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> None:
@@ -51,19 +61,32 @@ class Feedforward:
         if not np.all(np.isfinite(widths) & (widths > 0)):
             raise InputError(f"the width of the smoothed sign must be a positive speed, not {width}")
         self.model, self.width, self.shape = model, widths, shape
+        why = {effect: beyond_a_state(effect, BY_STATE) for effect in model.effects}
+        self.left_out = tuple(effect for effect, reason in why.items() if reason)
+        self.warnings = tuple(f"the feedforward leaves out {e.name}: {why[e]}" for e in self.left_out)
+        self._parts = {frozenset(): self._sorted(frozenset())}
 
     @classmethod
     def load(cls, path: str | Path, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> Feedforward:
         """Load from a model file that `identify` wrote; see `__init__` for the rest."""
         return cls(Model.load(path), width=width, shape=shape)
 
-    def __call__(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    def __call__(
+        self,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        *,
+        signals: Mapping[str, float | np.ndarray] | None = None,
+    ) -> np.ndarray:
         """Return actuator forces [N or N m].
 
         Args:
             q: Actuated positions (na,) or (N, na) [m or rad].
             v: Velocities, the same shape.
             a: Accelerations, the same shape.
+            signals: What a state does not tell and some effects feel: `temperature` [degC] (past the lag of its
+                `thermal_drift`), `campaign`, `reversal` [m or rad]; each a number, (na,), or the shape of `q`.
 
         Returns:
             Forces in the shape of `q`.
@@ -77,20 +100,66 @@ class Feedforward:
             na = self.model.robot.na
             raise InputError(f"q, v and a must have one shape, ({na},) or (N, {na}) for {joints}")
         many = [np.atleast_2d(x) for x in (q, v, a)]
-        rigid = self.model.mechanism.inverse_dynamics(*many)
-        return (rigid + self._friction(*many)).reshape(q.shape)
+        felt = {name: np.atleast_2d(_shaped(name, x, q.shape)) for name, x in (signals or {}).items()}
+        by_joint, turning, scaling = self._parts_with(frozenset(felt))
+        motion = by_joint.motion(*many, signals=felt, needs={name for e in turning.effects for name in e.needs})
+        force = self.model.mechanism.inverse_dynamics(*many) + self._by_joint(by_joint, motion)
+        force += self._turning(turning, motion)
+        if scaling.effects:
+            force += scaling.effect_force(replace(motion, signals={**motion.signals, "force": force}))
+        return force.reshape(q.shape)
 
-    def _friction(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return the effects' forces (N, na) with both directions' laws mixed around standstill."""
-        sign, joints = self.smooth_sign(v), self.model.robot.actuated
+    def _parts_with(self, given: frozenset[str]) -> tuple[Model, Model, Model]:
+        if given not in self._parts:
+            self._parts[given] = self._sorted(given)
+        return self._parts[given]
+
+    def _sorted(self, given: frozenset[str]) -> tuple[Model, Model, Model]:
+        """Return the model with its effects by direction: the joints' own, another, and those that scale the whole force."""
+        model = self.model.steady(given)
+        scaling = [e for e in model.effects if "force" in e.needs and "force" not in given]
+        turning = [e for e in model.effects if e not in scaling and type(e).other_speeds is not Effect.other_speeds]
+        by_joint = [e for e in model.effects if e not in scaling and e not in turning]
+        return model.only(by_joint), model.only(turning), model.only(scaling)
+
+    def _by_joint(self, model: Model, motion: Motion) -> np.ndarray:
+        """Return forces (N, na) with both directions' laws mixed around each joint's standstill."""
+        v, sign = motion.v, self.smooth_sign(motion.v)
         if self.shape == "tanh":
-            return self.model.effect_force(Motion.of(joints, q, v, a, sign))
+            return model.effect_force(replace(motion, sign=sign))
         slow, ones = np.abs(v) < self.width, np.ones_like(v)
-        ahead = Motion.of(joints, q, np.where(slow, self.width, v), a, np.where(slow, ones, sign))
-        back = Motion.of(joints, q, np.where(slow, -self.width, v), a, np.where(slow, -ones, sign))
-        return (1 + sign) / 2 * self.model.effect_force(ahead) + (1 - sign) / 2 * self.model.effect_force(back)
+        ahead = replace(motion, v=np.where(slow, self.width, v), sign=np.where(slow, ones, sign))
+        back = replace(motion, v=np.where(slow, -self.width, v), sign=np.where(slow, -ones, sign))
+        return (1 + sign) / 2 * model.effect_force(ahead) + (1 - sign) / 2 * model.effect_force(back)
+
+    def _turning(self, model: Model, motion: Motion) -> np.ndarray:
+        """Return forces (N, na) whose dry part fades with the slowest of the speeds that give it its direction.
+
+        The dry part is what does not change as all speeds double: `2 F(v) - F(2 v) - F(0)` of a law that is otherwise linear.
+        """
+        force = np.zeros_like(motion.v)
+        for effect in model.effects:
+            one = model.only([effect])
+            still, plain, fast = (
+                one.effect_force(replace(motion, v=k * motion.v, sign=np.sign(motion.v))) for k in (0, 1, 2)
+            )
+            shares = [speed / np.hypot.reduce(self.width[index]) for speed, index in effect.other_speeds(motion)]
+            fade = np.min(np.abs(self._smooth(np.array(shares))), axis=0)[:, None] if shares else 1.0
+            force += plain - (1 - fade) * (2 * plain - fast - still)
+        return force
 
     def smooth_sign(self, v: np.ndarray) -> np.ndarray:
         """Return the smoothed direction of motion (N, na), in [-1, 1]."""
-        share = np.asarray(v, float) / self.width
+        return self._smooth(np.asarray(v, float) / self.width)
+
+    def _smooth(self, share: np.ndarray) -> np.ndarray:
+        """Return the smoothed sign of speeds in widths."""
         return np.clip(share, -1, 1) if self.shape == "ramp" else np.tanh(2 * share)
+
+
+def _shaped(name: str, value: float | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a signal in the shape of the positions."""
+    try:
+        return np.broadcast_to(np.asarray(value, float), shape)
+    except ValueError as fault:
+        raise InputError(f"signal {name} must be a number, one a joint, or of the positions' shape {shape}") from fault

@@ -1,4 +1,4 @@
-"""Random pieces of motion that a proposal is put together from: every kind there is, with other speeds and frequencies each time."""
+"""Random pieces that a proposal is put together from: every kind of motion, at other speeds and frequencies each time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
-from tau_dyn.simulate import Trajectory, fourier_motion, multisine_on_stroke, random_binary_motion, slow_motion, stroke_motion
+from tau_dyn.simulate import (
+    Trajectory,
+    fourier_motion,
+    multisine_on_stroke,
+    random_binary_motion,
+    slow_motion,
+    stroke_motion,
+)
 from tau_dyn.simulate.fourier import top_speed
 
 _Maker = Callable[[Model, float, int, np.random.Generator], Trajectory]
@@ -22,13 +29,13 @@ def _fourier(model: Model, duration: float, seed: int, rng: np.random.Generator)
 
 def _very_slow(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return strokes of 0.3 to 6 % of the highest speed."""
-    return stroke_motion(model, duration, seed, speeds=np.geomspace(0.003, 0.06, 6) * rng.uniform(0.7, 1.4, 6))
+    return stroke_motion(model, duration, seed, speeds=tuple(np.geomspace(0.003, 0.06, 6) * rng.uniform(0.7, 1.4, 6)))
 
 
 def _strokes(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return strokes from slow to full speed."""
     lowest = 0.01 * 20 ** rng.uniform()
-    return stroke_motion(model, duration, seed, speeds=np.geomspace(lowest, 1.0, int(rng.integers(4, 9))))
+    return stroke_motion(model, duration, seed, speeds=tuple(np.geomspace(lowest, 1.0, int(rng.integers(4, 9)))))
 
 
 def _multisine(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:

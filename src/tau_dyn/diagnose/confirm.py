@@ -5,8 +5,9 @@ With `C gamma` the effect fitted on the training part and `B` everything else, t
     x = C gamma - B (B_t^+ C_t gamma),
 
 what the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on `x`, with
-`B` free to move as far as the training fit was uncertain (its information as prior rows). The coefficient is 1 if all of the
-effect is there and 0 if none; a one-sided t-test with one degree of freedom.
+`B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by what the effect
+shifted it: were the effect in the training part alone, that shift would stand in the residual and look like some of `x`. The
+coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test with one degree of freedom.
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.ground import Ground, gains
 from tau_dyn.diagnose.parts import CONFIRM, TRAIN
 from tau_dyn.diagnose.trials import _PRIOR_BLOCKS
 from tau_dyn.estimate import Autoregression, Whitener
 
 LEVEL = 0.02
+_LEFT = 0.01
+"""Part of a column that everything else must leave for it to count."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +69,12 @@ def confirm(
     gamma = np.linalg.lstsq(gamma_columns, y_t - B_t @ theta, rcond=1e-7)[0]
     shift = inverse @ np.concatenate([C_t @ gamma, blank])
     x, r = C_c @ gamma - B_c @ shift, y_c - B_c @ theta
-    return _regress(x, r, B_c, np.linalg.qr(B_all, mode="r"), held)
+    return _regress(np.column_stack([x, B_c @ shift]), r, B_c, np.linalg.qr(B_all, mode="r"), held)
 
 
-def _regress(x: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener) -> Confirmation:
-    rows = np.concatenate([np.column_stack([x, B]), np.column_stack([np.zeros(len(R)), R])])
+def _regress(free: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener) -> Confirmation:
+    """Regress `r` (n,) on free columns (n, 2), of which the first is tested, and on `B` (n, k) with prior rows `R`."""
+    rows = np.concatenate([np.column_stack([free, B]), np.column_stack([np.zeros((len(R), 2)), R])])
     y = np.concatenate([r, np.zeros(len(R))])
     norm = np.linalg.norm(rows, axis=0)
     norm[norm == 0] = 1.0
@@ -88,3 +93,17 @@ def _regress(x: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: W
     stderr = float(np.sqrt(inflation * variance / square))
     dof = max(2.0, count + _PRIOR_BLOCKS - 1)
     return Confirmation(float(solution[0]), stderr, float(stats.t.sf(solution[0] / stderr, dof)))
+
+
+def present(
+    channel: Channel,
+    noise: Sequence[Autoregression],
+    effect_columns: Sequence[list[np.ndarray]],
+    other_columns: Sequence[list[np.ndarray]],
+) -> Confirmation:
+    """Test whether columns explain anything of the held-out part, with amplitudes of their own there."""
+    ground = Ground.of(channel, (CONFIRM,), noise, other_columns)
+    C = np.concatenate([ground.rows(c) for c in effect_columns], axis=1)
+    s, G = C.T @ ground.e, ground.gram(C)
+    T = float(gains(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], np.zeros(C.shape[1], bool), _LEFT)[0, 0])
+    return Confirmation(1.0, np.nan, float(stats.chi2.sf(T, C.shape[1])))

@@ -15,16 +15,14 @@ Nothing is low-passed here but the noise model: what is white in the diagnosed b
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import binary_dilation
 
-from tau_dyn.diagnose.ground import ABSORBED, gains
 from tau_dyn.diagnose.result import Diagnosis, TimeTrace
-from tau_dyn.diagnose.trials import one_sided
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, Run, Whitener, fit_autoregression
 from tau_dyn.identify.regression import measured_signals
@@ -42,7 +40,6 @@ _SLOWEST_HZ = 80.0
 _ROLL_OFF = 8
 _IN_BAND = 0.28
 """Share of the rate up to which neither low-pass weakens a residual."""
-_RANK = 1e-10
 _MOST_ORDER = 8
 _OF_PLACE = ("inertia", "passive")
 
@@ -147,7 +144,7 @@ def _thinned(setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.nda
     unsure = np.abs(v) < setting.threshold
     unsure[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
     half = int(np.ceil(setting.window_s * log.rate_hz))
-    counts = ~binary_dilation(unsure, np.ones((2 * half + 1, 1), bool))
+    counts = np.logical_not(binary_dilation(unsure, np.ones((2 * half + 1, 1), bool)))
     return Motion.of(joints, q[::step], v[::step], a[::step], t=log.t[::step], signals=signals), counts[::step]
 
 
@@ -160,7 +157,9 @@ def completed(setting: Setting, motion: Motion, needs: Iterable[str]) -> Motion:
     few = np.unique(np.append(np.arange(0, len(motion.t), 4), len(motion.t) - 1))
     still = np.zeros((len(few), motion.q.shape[1]))
     places = {
-        name: COMPUTED[name](setting.model.mechanism, motion.q[few], still, still) for name in _OF_PLACE if name in needs
+        name: COMPUTED[name](setting.model.mechanism, motion.q[few], still, still)
+        for name in _OF_PLACE
+        if name in needs
     }
     found = {name: np.asarray(CubicSpline(motion.t[few], x)(motion.t)) for name, x in places.items()}
     signals = {**motion.signals, **found}
@@ -172,7 +171,8 @@ def gram(setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[
     assert motion.t is not None
     W, blank = np.concatenate([thing(motion) for thing in things], axis=2), np.zeros(counts.shape)
     rows = Whitener.of([Run("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
-    return rows.T @ rows
+    rate = (len(motion.t) - 1) / float(motion.t[-1] - motion.t[0])
+    return rows.T @ rows * (setting.rate_hz / rate)  # the noise belongs to the rows' rate, which a log meets nearly
 
 
 def refitted(model: Model, others: Sequence[Effect]) -> Thing:
@@ -206,76 +206,7 @@ def force(setting: Setting, effects: Sequence[Effect], values: Parameters) -> Th
     amplitudes = [values.select(e.parameters.names).values for e in effects]
 
     def columns(motion: Motion) -> np.ndarray:
-        return sum(thing(motion) @ x for thing, x in zip(things, amplitudes, strict=True))[:, :, None]
+        shares = [thing(motion) @ x for thing, x in zip(things, amplitudes, strict=True)]
+        return np.sum(shares, axis=0)[:, :, None]
 
     return columns
-
-
-@dataclass(frozen=True, eq=False)
-class Schur:
-    """What is left of columns beside those refitted anyway: `G` (n, n), and the columns' own squares `raw` (n,)."""
-
-    G: np.ndarray
-    raw: np.ndarray
-
-    @classmethod
-    def of(cls, total: np.ndarray, p: int) -> Schur:
-        """Project the first p columns out of a Gram matrix."""
-        raw = np.diag(total)[p:].copy()
-        norm = np.sqrt(np.maximum(np.diag(total), 1e-300))
-        scaled = total / norm[:, None] / norm
-        values, vectors = np.linalg.eigh(scaled[:p, :p])
-        keep = values > _RANK * max(values.max(initial=0.0), 1e-300)
-        across = (vectors[:, keep] / np.sqrt(values[keep])).T @ scaled[:p, p:]
-        left = (scaled[p:, p:] - across.T @ across) * norm[p:, None] * norm[p:]
-        return cls(left, raw)
-
-    def without(self, columns: np.ndarray) -> Schur:
-        """Project further columns out."""
-        inverse = np.linalg.pinv(self.G[np.ix_(columns, columns)], rcond=ABSORBED, hermitian=True)
-        across = self.G[:, columns]
-        return replace(self, G=self.G - across @ inverse @ across.T)
-
-
-@dataclass(frozen=True, eq=False)
-class Rival:
-    """A cause in place of another: its effects on each group of joints, one for each setting, and where their columns are."""
-
-    groups: tuple[tuple[Effect, ...], ...]
-    columns: tuple[tuple[np.ndarray, ...], ...]
-
-    def best(self, schur: Schur, x: int) -> tuple[float, list[tuple[Effect, np.ndarray]]]:
-        """Return what the rival leaves of column x at its best settings, and which they are, with amplitudes.
-
-        Groups are taken one by one, the one that explains most first; a joint belongs to one group only.
-        """
-        chosen: list[tuple[Effect, np.ndarray]] = []
-        open_groups = list(range(len(self.groups)))
-        while open_groups and schur.G[x, x] > 0:
-            T, k, setting = max(self._explained(schur, x, k) for k in open_groups)
-            if T <= 0:
-                break
-            effect, columns = self.groups[k][setting], self.columns[k][setting]
-            chosen.append((effect, columns))
-            rest = schur.G[x, x] - T
-            schur = schur.without(columns)
-            schur.G[x, x] = max(rest, schur.G[x, x])  # amplitudes that must not be negative leave more
-            open_groups = [j for j in open_groups if not set(self.groups[j][0].joints) & set(effect.joints)]
-        return max(float(schur.G[x, x]), 0.0), chosen
-
-    def _explained(self, schur: Schur, x: int, k: int) -> tuple[float, int, int]:
-        index = np.array(self.columns[k])
-        s, G = schur.G[index, x][:, :, None], schur.G[index[:, :, None], index[:, None, :]]
-        T = gains(s, G, schur.raw[index], one_sided(self.groups[k][0]))[:, 0]
-        best = int(np.argmax(T))
-        return float(T[best]), k, best
-
-
-def amplitudes(schur: Schur, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]) -> Parameters:
-    """Return the values at which chosen effects imitate column x best; none is negative that must not be."""
-    columns = np.concatenate([c for _, c in chosen])
-    G = schur.G[np.ix_(columns, columns)]
-    value = np.linalg.pinv(G, rcond=ABSORBED, hermitian=True) @ schur.G[columns, x]
-    parameters = [p for effect, _ in chosen for p in effect.parameters]
-    found = [replace(p, value=float(max(v, p.lower))) for p, v in zip(parameters, value, strict=True)]
-    return Parameters(found)

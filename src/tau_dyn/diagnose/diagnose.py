@@ -7,17 +7,15 @@ No part of the data serves two purposes: what was searched is not what confirms,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.confirm import Confirmation, confirm
+from tau_dyn.diagnose.deflection import diagnose_deflection
 from tau_dyn.diagnose.encoders import chance_with_encoders, noise_only
-from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged
-from tau_dyn.diagnose.findings import finding_of, signature_of
 from tau_dyn.diagnose.floor import noise_floor
 from tau_dyn.diagnose.force import (
     ForceChannel,
@@ -29,13 +27,28 @@ from tau_dyn.diagnose.force import (
     thinned_log,
 )
 from tau_dyn.diagnose.limits import limits_of
+from tau_dyn.diagnose.merge import merged
 from tau_dyn.diagnose.nominal import parameter_findings
-from tau_dyn.diagnose.result import Diagnosis, Finding, Gain, Step, TimeTrace, Unexplained, Untestable, Verdict
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of, search
+from tau_dyn.diagnose.result import Diagnosis, Finding, Step, Unexplained, Untestable, Verdict
+from tau_dyn.diagnose.search import FAMILY_LEVEL, Search, columns_of, search
+from tau_dyn.diagnose.stages import (
+    HELD_OUT,
+    SHARED,
+    confirmation,
+    effects_of,
+    estimated,
+    extended_model,
+    findings_of,
+    seconds,
+    strength,
+    traces,
+    unexplained_of,
+    waterfall,
+)
+from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.diagnose.trials import DRAWS, Library
 from tau_dyn.diagnose.unknown import Structure, find_structure, structure_chance
 from tau_dyn.diagnose.words import verdict_sentence
-from tau_dyn.effects import Effect
 from tau_dyn.estimate import Physics, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Choices, Identification
@@ -46,10 +59,10 @@ from tau_dyn.identify.regression import even_pieces
 from tau_dyn.identify.structure import physics_of
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
 Progress = Callable[[str], None]
+TOOL = ("x_tool", "y_tool", "z_tool")
 
 
 def diagnose(
@@ -88,11 +101,39 @@ def diagnose(
         prepared = (choices or Choices()).apply(build_model(robot, model))
         if (choices or Choices()).gains(prepared.robot.actuated):
             raise InputError("diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map")
-        case = _gather(prepared, listed(logs), listed(holdout), preparation, exclude, progress, warnings)
-        return _diagnose(case, seed, progress, warnings)
+        train, held = each_once(listed(logs), warnings), listed(holdout)
+        held = each_once(without_trained(train, held, warnings), warnings)
+        if not train:
+            raise InputError("no log was given")
+        found = []
+        if has_forces(prepared.robot, train) or not (has_tool(prepared.robot, train) or has_links(train)):
+            case = _gather(prepared, train, held, preparation, exclude, progress, warnings)
+            found.append(_diagnose(case, seed, progress, warnings))
+        base = found[0].model if found else prepared
+        if has_tool(base.robot, train):
+            with_tool = [log for log in held if has_tool(base.robot, [log])]
+            found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
+        if has_links(train):
+            found.append(diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress))
+        return merged(found)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
+
+
+def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:
+    """Tell whether all logs have the force of every actuated joint."""
+    return all(log.has("tau", robot.actuated) for log in logs)
+
+
+def has_tool(robot: Robot, logs: Sequence[Log]) -> bool:
+    """Tell whether all logs have tool positions that forward kinematics can be held against."""
+    return robot.tool_frame is not None and all(set(TOOL) <= set(log.channels) for log in logs)
+
+
+def has_links(logs: Sequence[Log]) -> bool:
+    """Tell whether all logs have link-side encoders."""
+    return all(log.joints("q_link") for log in logs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +170,7 @@ def _gather(
     progress: Progress,
     warnings: list[str],
 ) -> _Case:
-    train_logs = each_once(train_logs, warnings)
-    held_logs = each_once(without_trained(train_logs, held_logs, warnings), warnings)
     train, held = ([piece for log in logs for piece in even_pieces(log)] for logs in (train_logs, held_logs))
-    if not train:
-        raise InputError("no log was given")
     warnings += [*model.robot.warnings, *log_warnings(model.robot, [*train, *held])]
     preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
     progress("columns")
@@ -148,11 +185,7 @@ def _gather(
     fit = model.with_parameters(estimate.parameters)
     is_held = (*[False] * len(train), *[True] * len(held))
     channel = force_channel(fit, prepared, is_held, preparation, regression)
-    how = (
-        "held-out logs, blocks in turn: one half confirms, the other measures the gain"
-        if held
-        else "60 % of each log trains, 20 % confirms, 20 % measures the gain, in blocks that take turns"
-    )
+    how = (HELD_OUT if held else SHARED).format(what="logs")
     channel = replace(channel, parameters=model.parameters)
     return _Case(model, fit, channel, physics, preparation, smooth_hz, is_held, how)
 
@@ -166,22 +199,19 @@ def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -
         progress("what encoder noise would do")
         hunt, structure = _sifted(case.noise_only(rng), hunt, structure)
     progress("confirming")
-    tests = [_confirmation(channel, hunt, one) for one in hunt.found]
+    tests = [confirmation(channel, hunt, one) for one in hunt.found]
     kept = [one for one, test in zip(hunt.found, tests, strict=True) if test.holds]
     progress("measuring the gain")
-    steps, judgements, gains = _waterfall(case, kept, hunt, rng)
+    nominal = case.nominal.parameters
+    steps, judgements, gains = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
     baseline, extended = judgements[0], judgements[-1]
-    findings = _findings(case, hunt, tests, kept, judgements, gains)
-    assert extended.estimate is not None
-    findings += parameter_findings(case.nominal, case.nominal.parameters, extended.estimate)
-    unexplained = _unexplained(channel, hunt, structure)
+    findings = findings_of(channel, hunt, tests, kept, extended, gains, rng)
+    findings += parameter_findings(case.nominal, nominal, estimated(extended))
+    unexplained = unexplained_of(channel, hunt, structure)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     untestable = _with_drift(untestable, unexplained)
     verdict = _verdict(findings, unexplained)
     floor = noise_floor(channel, hunt, extended, rng)
-    effects = tuple(e for one in kept for e in one.candidate.effects)
-    extended_model = _model_of(case.nominal, extended, effects)
-    assert baseline.estimate is not None
     return Diagnosis(
         verdict=verdict,
         sentence=verdict_sentence(verdict, findings, unexplained, baseline.errors, extended.errors),
@@ -192,14 +222,14 @@ def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -
         extended=extended.errors,
         noise_floor=floor,
         waterfall=(*steps, Step("noise_floor", floor)),
-        findings=tuple(sorted(findings, key=_strength)),
+        findings=tuple(sorted(findings, key=strength)),
         unexplained=unexplained,
         limits=limits,
         untestable=untestable,
-        model=_model_of(case.nominal, baseline, ()),
-        extended_model=extended_model,
-        traces=_traces(channel, baseline, extended),
-        n_parts=_seconds(channel),
+        model=extended_model(case.nominal, baseline, ()),
+        extended_model=extended_model(case.nominal, extended, effects_of(kept)),
+        traces=traces(channel, baseline, extended),
+        n_parts=seconds(channel),
         how=case.how,
         warnings=tuple(dict.fromkeys(warnings)),
         seed=seed,
@@ -217,85 +247,15 @@ def _sifted(clean: Channel, hunt: Search, structure: Structure | None) -> tuple[
     """Leave out what encoder noise alone could have made."""
     library, kept = Library(clean), []
     for one in hunt.found:
-        others = [e for other in hunt.found if other is not one for e in other.candidate.effects]
+        others = effects_of([other for other in hunt.found if other is not one])
         chance = chance_with_encoders(clean, hunt.ground, one.candidate, columns_of(library, others))
         if chance * hunt.n_causes < FAMILY_LEVEL:
             kept.append(one)
     if structure is not None:
-        found = columns_of(library, [e for one in hunt.found for e in one.candidate.effects])
+        found = columns_of(library, effects_of(hunt.found))
         if structure_chance(clean, hunt.ground, structure, found) > FAMILY_LEVEL:
             structure = None
     return replace(hunt, found=tuple(kept)), structure
-
-
-def _confirmation(channel: Channel, hunt: Search, one: Found) -> Confirmation:
-    others = [e for other in hunt.found if other is not one for e in other.candidate.effects]
-    mine = columns_of(hunt.library, one.candidate.effects)
-    return confirm(channel, hunt.noise, mine, columns_of(hunt.library, others))
-
-
-def _waterfall(
-    case: _Case, kept: list[Found], hunt: Search, rng: np.random.Generator
-) -> tuple[list[Step], list[Judged], list[Gain]]:
-    """Return the bars, the fits behind all but the first, and each cause's gain over the bar before it."""
-    channel = case.channel
-    plain = extended_regression(channel, ())
-    steps = [Step("nominal", judged(channel, plain, case.nominal.parameters.values, None, rng).errors)]
-    judgements = [fitted(channel, (), case.physics, rng)]
-    steps.append(Step("refitted", judgements[0].errors))
-    effects: list[Effect] = []
-    gains = []
-    for one in kept:
-        effects += one.candidate.effects
-        judgements.append(fitted(channel, effects, case.physics, rng))
-        joints = list(dict.fromkeys(j for e in one.candidate.effects for j in e.joints))
-        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
-        gains.append(gain_of(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng))
-    return steps, judgements, gains
-
-
-def _findings(
-    case: _Case,
-    hunt: Search,
-    tests: list[Confirmation],
-    kept: list[Found],
-    judgements: list[Judged],
-    gains: list[Gain],
-) -> tuple[Finding, ...]:
-    found = []
-    rng = np.random.default_rng(0)
-    for one, test in zip(hunt.found, tests, strict=True):
-        effects = one.candidate.effects
-        if one in kept:
-            final, gain = judgements[-1], gains[kept.index(one)]
-        else:
-            final, gain = (
-                fitted(case.channel, [e for k in kept for e in k.candidate.effects] + list(effects), None, rng),
-                None,
-            )
-        assert final.estimate is not None
-        names = [n for e in effects for n in e.parameters.names]
-        values = Parameters([p for p in final.estimate.parameters if p.name in names])
-        signature = signature_of(case.channel, effects, final.residuals, values)
-        found.append(finding_of(case.channel, hunt, one, test, values, gain, signature))
-    return tuple(found)
-
-
-def _unexplained(channel: Channel, hunt: Search, structure: Structure | None) -> tuple[Unexplained, ...]:
-    if structure is None:
-        return ()
-    others = columns_of(hunt.library, [e for one in hunt.found for e in one.candidate.effects])
-    test = confirm(channel, hunt.noise, [structure.columns], others)
-    return (
-        Unexplained(
-            structure.output,
-            structure.variables,
-            structure.share,
-            structure.formula,
-            structure.p_value,
-            "confirmed" if test.holds else "suspected",
-        ),
-    )
 
 
 def _with_drift(untestable: tuple[Untestable, ...], unexplained: tuple[Unexplained, ...]) -> tuple[Untestable, ...]:
@@ -312,14 +272,7 @@ def _with_drift(untestable: tuple[Untestable, ...], unexplained: tuple[Unexplain
     )
 
 
-def _strength(finding: Finding) -> tuple[bool, bool, float]:
-    """Order findings: confirmed ones first, by how much they take off the held-out error; the rest by score."""
-    gain = finding.gain
-    worth = gain.rms_before**2 - gain.rms_after**2 if gain is not None else 0.0
-    return finding.status == "parameter", finding.status == "suspected", -worth if gain is not None else -finding.score
-
-
-def _verdict(findings: tuple[Finding, ...], unexplained: tuple[Unexplained, ...]) -> Verdict:
+def _verdict(findings: Sequence[Finding], unexplained: tuple[Unexplained, ...]) -> Verdict:
     if any(f.status == "confirmed" for f in findings):
         return "named"
     parameters = [f for f in findings if f.status == "parameter"]
@@ -328,33 +281,5 @@ def _verdict(findings: tuple[Finding, ...], unexplained: tuple[Unexplained, ...]
     return "unexplained" if any(u.status == "confirmed" for u in unexplained) else "nothing_found"
 
 
-def _experiment(verdict: Verdict, findings: tuple[Finding, ...]) -> str:
+def _experiment(verdict: Verdict, findings: Sequence[Finding]) -> str:
     return next((f.experiment for f in findings if f.experiment), "") if verdict == "cannot_tell" else ""
-
-
-def _model_of(nominal: Model, fit: Judged, effects: tuple[Effect, ...]) -> Model:
-    """Return the model with further effects at fitted values."""
-    assert fit.estimate is not None
-    more = Parameters([p for effect in effects for p in effect.parameters])
-    extended = replace(
-        nominal, effects=(*nominal.effects, *effects), effect_parameters=nominal.effect_parameters + more
-    )
-    return extended.with_parameters(fit.estimate.parameters)
-
-
-def _traces(channel: Channel, baseline: Judged, extended: Judged) -> tuple[TimeTrace, ...]:
-    found = []
-    for k, run in enumerate(channel.runs):
-        before, after = (j.regression.runs[k].W_all @ j.theta for j in (baseline, extended))
-        found.append(TimeTrace(run.name, run.t, run.y_all, before, after, run.usable, channel.parts[k]))
-    return tuple(found)
-
-
-def _seconds(channel: Channel) -> tuple[float, float, float]:
-    """Return how long each part is [s]."""
-    steps = [float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0 for run in channel.runs]
-    one, two, three = (
-        sum(dt * int(np.sum(part == number)) for dt, part in zip(steps, channel.parts, strict=True))
-        for number in range(3)
-    )
-    return one, two, three

@@ -18,6 +18,7 @@ from tau_dyn.parameters import Parameter, Parameters
 
 _POINTS = 2000
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
+_EQUIVALENT = "no log of this kind separates it from {twins}, which is the same force by another name"
 
 
 def finding_of(
@@ -48,7 +49,12 @@ def finding_of(
     joints = tuple(dict.fromkeys(j for effect in effects for j in effect.joints))
     twins = tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *found.rivals]))
     first = effects[0]
-    experiment = _TWIN_EXPERIMENT.format(reveals=first.reveals, twins=", ".join(twins)) if twins else ""
+    rivals = [twin for twin in found.rivals if twin not in first.equivalent]
+    experiment = "; ".join(
+        text.format(reveals=first.reveals, twins=", ".join(names).replace("_", " "))
+        for text, names in ((_TWIN_EXPERIMENT, rivals), (_EQUIVALENT, first.equivalent))
+        if names
+    )
     return Finding(
         cause=found.candidate.cause,
         joints=joints,

@@ -20,6 +20,7 @@ from tau_dyn.effects import Effect
 from tau_dyn.effects.words import quantity
 
 POWER = 0.95
+OWNED = 1e-9
 _WHOLE = 0.5
 """Share of an output's rms above which a limit says that the data show nothing of the cause."""
 
@@ -40,8 +41,10 @@ def limits_of(
             untestable.append(Untestable(cls.name, "this motion covers too small a range to show it", cls.reveals))
         else:
             limit = _limit(channel, search.library, search.ground, tried[cls.name], len(search.last))
+            if limit is None and _owned(search.library, search.ground, tried[cls.name]):
+                continue  # the baseline has it, under another name
             if limit is None:
-                why = "on this motion it cannot be told from what the refit of the baseline absorbs"
+                why = "on this motion the refit of the baseline absorbs nearly all of it"
                 untestable.append(Untestable(cls.name, why, cls.reveals))
             else:
                 limits.append(limit)
@@ -89,6 +92,27 @@ def _amplitude(channel: Channel, library: Library, ground: Ground, fit: Fit, fam
     force = size * float(np.sqrt(np.trace(raw) / k))
     measured = float(np.linalg.norm(ground.whiten(channel.target) / ground.scale))
     return None if force > _WHOLE * measured else size
+
+
+def _owned(library: Library, ground: Ground, candidate: Candidate) -> bool:
+    """Tell whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
+    for fit in candidate.tested:
+        C = ground.rows(library.columns(fit.effect))
+        if np.trace(ground.gram(C)) > OWNED * np.trace(C.T @ C):
+            return False
+    joints = {joint for fit in candidate.tested for joint in fit.effect.joints}
+    return not any(_one_way(ground.channel, joint) for joint in joints)
+
+
+def _one_way(channel: Channel, joint: str) -> bool:
+    """Tell whether a joint's usable samples all go the same way, or there are none."""
+    speed, mine = f"v_{joint}", channel.outputs.index(joint) if joint in channel.outputs else None
+    v = [
+        row[speed][mask[:, mine]]
+        for row, mask in zip(channel.variables(), channel.masks(0, 1, 2), strict=True)
+        if speed in row and mine is not None
+    ]
+    return bool(v) and len(np.unique(np.sign(np.concatenate(v)))) < 2
 
 
 def _middle(channel: Channel, effect: Effect) -> Effect:

@@ -12,7 +12,6 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.result import Finding
-from tau_dyn.estimate import Estimate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
@@ -20,25 +19,25 @@ from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 LEVEL = 0.01
 
 
-def parameter_findings(model: Model, nominal: Parameters, estimate: Estimate) -> tuple[Finding, ...]:
+def parameter_findings(model: Model, nominal: Parameters, fitted: Parameters) -> list[Finding]:
     """Return a finding for each mass that is off its nominal value, or one for a factor common to all.
 
     Args:
         model: Names links and units.
         nominal: Values before the fit.
-        estimate: The fit of the final model.
+        fitted: Values of the final model, with standard errors.
     """
-    rows = [(p, nominal[p.name]) for p in estimate.parameters if _trusted(p, nominal)]
+    rows = [(p, nominal[p.name]) for p in fitted if _trusted(p, nominal)]
     if not rows:
-        return ()
+        return []
     z = np.array([(p.value - n.value) / _both(p, n) for p, n in rows])
     p_values = 2 * stats.norm.sf(np.abs(z))
     off = [k for k in range(len(rows)) if p_values[k] * len(rows) < LEVEL]
     if not off:
-        return ()
+        return []
     if len(rows) > 1 and len(off) > 1 and _common_factor(rows):
-        return (_gain(rows, float(np.min(p_values)) * len(rows)),)
-    return tuple(_mass(model, *rows[k], float(z[k]), float(p_values[k]) * len(rows), len(rows) == 1) for k in off)
+        return [_gain(rows, float(np.min(p_values)) * len(rows))]
+    return [_mass(model, *rows[k], float(z[k]), float(p_values[k]) * len(rows), len(rows) == 1) for k in off]
 
 
 def _trusted(p: Parameter, nominal: Parameters) -> bool:

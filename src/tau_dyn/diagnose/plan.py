@@ -1,16 +1,16 @@
-"""What is compared along candidate motions: columns of causes and rivals, and how strongly a motion shows each line of the question."""
+"""What is compared along candidate motions, and how strongly one shows each line of the question."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.diagnose.design import Rival, Schur, Setting, Thing, amplitudes, force, gram, refitted, seen
+from tau_dyn.diagnose.design import Setting, Thing, force, gram, refitted, seen
 from tau_dyn.diagnose.ground import ABSORBED
 from tau_dyn.diagnose.question import Question, Suspect
+from tau_dyn.diagnose.rivals import Rival, Schur, amplitudes
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 
 _MOST_SETTINGS = 60
@@ -34,20 +34,20 @@ class Line:
 
     Attributes:
         cause: The cause taken as true.
-        rival_name: What it is to be told from; empty for nothing but chance.
+        rival: What it is to be told from; empty for nothing but chance.
         columns: Where its columns are: the force of a suspect, or an effect's per unit.
-        rival: The rival; None without one.
+        instead: The rival's columns; None without one.
     """
 
     cause: str
-    rival_name: str
+    rival: str
     columns: np.ndarray
-    rival: Rival | None
+    instead: Rival | None
 
     def strength(self, schur: Schur) -> float:
         """Return lambda, or of a cause per unit what is left of its columns' mean square."""
-        if self.rival is not None:
-            return self.rival.best(schur, int(self.columns[0]))[0]
+        if self.instead is not None:
+            return self.instead.best(schur, int(self.columns[0]))[0]
         return float(np.mean(np.diag(schur.G)[self.columns]))
 
 
@@ -62,6 +62,7 @@ class Plan:
         things: Makers of columns; the first makes those that are refitted anyway.
         lines: What is judged.
         p: Number of columns refitted anyway.
+        n: Number of further columns.
     """
 
     setting: Setting
@@ -86,54 +87,29 @@ class Plan:
         schur = self.schur(total)
         return np.array([line.strength(schur) for line in self.lines])
 
-    def merit(self, total: np.ndarray, grams: np.ndarray, number: int) -> float:
-        """Return the smallest strength; of causes to be seen, relative to `number` times the most that one piece shows."""
+    def merit(self, total: np.ndarray, most: np.ndarray) -> float:
+        """Return the smallest strength; of causes to be seen, relative to the most that can be expected."""
         found = self.strengths(total)
-        return float(np.min(found if self.question.pairs else found / (number * self._most(grams))))
+        return float(np.min(found if self.question.pairs else found / most))
+
+    def most(self, grams: np.ndarray) -> np.ndarray:
+        """Return the largest strength of each line among single pieces."""
+        return np.maximum(np.max([self.strengths(one) for one in grams], axis=0), 1e-300)
 
     def showing(self, total: np.ndarray) -> Plan:
         """Return the plan with those lines of which all candidates together show anything."""
         schur = self.schur(total)
-        kept = [ln for ln in self.lines if ln.strength(schur) > ABSORBED * max(float(np.mean(schur.raw[ln.columns])), _WEAK)]
+        kept = [
+            ln for ln in self.lines if ln.strength(schur) > ABSORBED * max(float(np.mean(schur.raw[ln.columns])), _WEAK)
+        ]
         return replace(self, lines=tuple(kept))
-
-    def _most(self, grams: np.ndarray) -> np.ndarray:
-        if "most" not in self._kept:
-            self._kept["most"] = np.maximum(np.max([self.strengths(one) for one in grams], axis=0), 1e-300)
-        return self._kept["most"]
-
-    @cached_property
-    def _kept(self) -> dict[str, np.ndarray]:
-        return {}
-
-    def sight_notes(self, new: np.ndarray, old: np.ndarray | None) -> list[str]:
-        """Return in words how much smaller effects show than along the measured motion."""
-        causes = dict.fromkeys(line.cause for line in self.lines)
-        if old is None:
-            return [f"this motion shows {', '.join(causes)}"]
-        raw = [max(s, 0.0) for s in old]
-        ratio = {
-            c: float(min(np.sqrt(new[k] / max(raw[k], 1e-300)) for k, ln in enumerate(self.lines) if ln.cause == c)) for c in causes
-        }
-        fresh = [c for c in causes if ratio[c] > _FRESH]
-        seen_before = {c: x for c, x in ratio.items() if c not in fresh}
-        notes = [f"this motion shows what the measured one hardly does: {', '.join(fresh)}"] if fresh else []
-        if seen_before:
-            worst = min(seen_before, key=seen_before.__getitem__)
-            notes.append(
-                f"in the same time, detection limits fall to 1/{np.median(list(seen_before.values())):.2g} of the measured "
-                f"motion's (median of {len(seen_before)} causes; {worst}: 1/{seen_before[worst]:.2g})"
-            )
-        return notes
-
-
-_FRESH = 20.0
-"""Times smaller that an effect is seen, above which the measured motion did not show it."""
 
 
 def needs_of(question: Question) -> frozenset[str]:
     """Return the computed signals that the question's effects feel."""
-    pairs = [cls for suspect, rival in question.pairs for cls in (*suspect.effects, *([EFFECTS[rival]] if rival else []))]
+    pairs = [
+        cls for suspect, rival in question.pairs for cls in (*suspect.effects, *([EFFECTS[rival]] if rival else []))
+    ]
     return frozenset(name for cls in (*pairs, *question.others, *question.causes) for name in cls.needs) - {"reversal"}
 
 
@@ -144,7 +120,15 @@ def scene_of(setting: Setting, motions: Sequence[Motion], signals: frozenset[str
     duration = len(q) / setting.rate_hz
     fast = np.quantile(np.abs(v), _FASTEST, axis=0)
     return Scene(
-        robot.actuated, robot.force_units, q.min(axis=0), q.max(axis=0), setting.threshold, fast, setting.highest_hz, duration, signals
+        robot.actuated,
+        robot.force_units,
+        q.min(axis=0),
+        q.max(axis=0),
+        setting.threshold,
+        fast,
+        setting.highest_hz,
+        duration,
+        signals,
     )
 
 
@@ -158,12 +142,14 @@ def pair_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
 
 def with_mirrored(plan: Plan, recorded: Sequence[Prepared]) -> Plan:
     """Return the plan with each rival taken as true as well, at the amplitudes with which it imitates the suspect so far."""
-    total = sum(gram(plan.setting, p.motion, p.counts, plan.things) for p in recorded)
-    schur = plan.schur(np.asarray(total))
+    if not plan.question.pairs:
+        return plan
+    total = np.sum([gram(plan.setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
+    schur = plan.schur(total)
     for line, (suspect, rival) in zip(plan.lines, plan.question.pairs, strict=True):
-        if line.rival is None or any(s.cause == rival for s, _ in plan.question.pairs):
+        if line.instead is None or any(s.cause == rival for s, _ in plan.question.pairs):
             continue
-        _, chosen = line.rival.best(schur, int(line.columns[0]))
+        _, chosen = line.instead.best(schur, int(line.columns[0]))
         if chosen:
             values = amplitudes(schur, int(line.columns[0]), chosen)
             if np.any(values.values):
@@ -238,4 +224,4 @@ def _fewer(grid: list[dict[str, float]], own: dict[str, float]) -> list[dict[str
 
 
 def _built(cls: type[Effect], scene: Scene, joints: tuple[str, ...], settings: dict[str, float]) -> Effect:
-    return cls(joints, [scene.units[scene.index(j)] for j in joints], **settings)
+    return cls(joints, [scene.units[scene.index(j)] for j in joints], label="", **settings)

@@ -1,12 +1,12 @@
-r"""The motion that answers what a diagnosis left open, within the robot's limits.
+"""The motion that answers what a diagnosis left open, within the robot's limits.
 
-Random pieces of every kind of motion are judged by `design.py`; the proposal is the combination of pieces, found by exchanging one
-at a time, whose smallest lambda over all pairs of causes is largest (Atkinson & Fedorov 1975; exchange: Fedorov 1972). Either cause
-of a pair is taken as the true one in turn: the one that was found at its fitted amplitude, its twin at the amplitude with which it
-imitates the first on the measured motion.
+Random pieces of every kind of motion are judged by `design.py`; the proposal is the combination of pieces, found by exchanging
+one at a time, whose smallest lambda over all pairs of causes is largest (Atkinson & Fedorov 1975; exchange: Fedorov 1972).
+Either cause of a pair is taken as true in turn: the one that was found at its fitted amplitude, its twin at the amplitude with
+which it imitates the first on the measured motion.
 
-Where nothing is confused, each cause not seen counts by what a motion shows of it over the most that any piece shows (standardised
-maximin, Dette 1997), and the worst cause decides.
+Where nothing is confused, each cause not seen counts by what a motion shows of it over the most that any piece shows
+(standardised maximin, Dette 1997), and the worst cause decides.
 """
 
 from __future__ import annotations
@@ -15,23 +15,20 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from tau_dyn.diagnose.candidates import candidate_pieces
 from tau_dyn.diagnose.design import Setting, completed, gram, measured, planned
 from tau_dyn.diagnose.force import smooth_cutoff
-from tau_dyn.diagnose.plan import Line, Plan, Prepared, needs_of, pair_plan, scene_of, sight_plan, with_mirrored
+from tau_dyn.diagnose.plan import Plan, Prepared, needs_of, pair_plan, scene_of, sight_plan, with_mirrored
+from tau_dyn.diagnose.proposal_words import notes_of
 from tau_dyn.diagnose.question import Question, beyond_motion, other_experiment, question_of
 from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.search import FAMILY_LEVEL, TWIN_MARGIN
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.regression import even_pieces
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory, concatenate
 
-TRAINED = 0.6
-"""Share of a log that is searched for causes; the rest confirms and measures."""
 PIECE_S = 14.0
 """Length of a piece, about [s]."""
 _SHORTEST_S = 6.0
@@ -39,7 +36,6 @@ _REST_S = 0.5
 _STILL_S = 0.1  # the move between two pieces that end and start at home
 _LOOKED_AT_S = 120.0
 _SWEEPS = 5
-_TRIES = 300
 
 
 def propose_motion(
@@ -84,10 +80,9 @@ def propose_motion(
     recorded = _measured(setting, logs, needs)
     offered = [_prepared(setting, piece, needs) for piece in pieces]
     scene = scene_of(setting, [*(p.motion for p in offered), *(p.motion for p in recorded)], signals)
-    if question.pairs:
-        plan = with_mirrored(pair_plan(setting, question, scene), recorded) if recorded else pair_plan(setting, question, scene)
-    else:
-        plan = sight_plan(setting, question, scene)
+    plan = pair_plan(setting, question, scene) if question.pairs else sight_plan(setting, question, scene)
+    if recorded:
+        plan = with_mirrored(plan, recorded)
     grams = np.array([gram(setting, p.motion, p.counts, plan.things) for p in offered])
     plan = _answerable(plan, grams, question)
     progress("choosing")
@@ -98,36 +93,25 @@ def propose_motion(
     old = _of_measured(setting, plan, recorded, motion.duration)
     kinds = ", ".join(pieces[k].name for k in sorted(chosen))
     made = f"put together of {kinds}, the best of {len(pieces)} random pieces by exchange"
-    return replace(motion, notes=(*_notes(plan, question, new, old), made))
+    return replace(motion, notes=(*notes_of(plan, question, new, old), made))
 
 
 def exchanged(plan: Plan, grams: np.ndarray, number: int) -> list[int]:
     """Return the pieces (with repetition) whose sum has the largest merit, by exchanging one at a time until nothing helps."""
-    merits = [plan.merit(number * one, grams, number) for one in grams]
+    most = number * plan.most(grams)
+    merits = [plan.merit(number * one, most) for one in grams]
     chosen = [int(np.argmax(merits))] * number
     best = max(merits)
     for _ in range(_SWEEPS):
         before = best
         for slot in range(number):
             rest = sum((grams[k] for j, k in enumerate(chosen) if j != slot), np.zeros_like(grams[0]))
-            found = [plan.merit(rest + one, grams, number) for one in grams]
+            found = [plan.merit(rest + one, most) for one in grams]
             if max(found) > best * (1 + 1e-9):
                 chosen[slot], best = int(np.argmax(found)), max(found)
         if best <= before * (1 + 1e-3):
             break
     return chosen
-
-
-def chance_of_telling(strength: float, rival: bool = True) -> float:
-    """Return how probably a search on a log of this lambda ranks the true cause clearly above its rival.
-
-    Twice the log-likelihood ratio of the two is normal about lambda with variance 4 lambda (Cox 1962); twins are told apart
-    from `TWIN_MARGIN` up. Without a rival it is the power of the search itself, about `_TRIES` tries counted.
-    """
-    trained = TRAINED * strength
-    if not rival:
-        return float(stats.ncx2.sf(stats.chi2.isf(FAMILY_LEVEL / _TRIES, 1), 1, trained))
-    return float(stats.norm.cdf((trained - TWIN_MARGIN) / (2 * np.sqrt(trained)))) if trained > 0 else 0.0
 
 
 def _signals(model: Model) -> frozenset[str]:
@@ -150,7 +134,9 @@ def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> l
         motion, counts = measured(setting, log, smooth_hz)
         n = max(16, int(_LOOKED_AT_S * setting.rate_hz / len(stretches)))
         arrays = {key: x[:n] for key, x in motion.signals.items()}
-        part = replace(motion, **{key: getattr(motion, key)[:n] for key in ("q", "v", "a", "sign", "t")}, signals=arrays)
+        part = replace(
+            motion, **{key: getattr(motion, key)[:n] for key in ("q", "v", "a", "sign", "t")}, signals=arrays
+        )
         found.append(Prepared(completed(setting, part, needs), counts[:n]))
     return found
 
@@ -159,8 +145,8 @@ def _of_measured(setting: Setting, plan: Plan, recorded: Sequence[Prepared], dur
     """Return strengths of the measured motion, in the time that the proposal takes [s]."""
     if not recorded:
         return None
-    total = sum(gram(setting, p.motion, p.counts, plan.things) for p in recorded)
-    took = sum(len(p.counts) for p in recorded) / setting.rate_hz
+    total = np.sum([gram(setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
+    took = sum(float(p.motion.t[-1] - p.motion.t[0]) for p in recorded if p.motion.t is not None)
     return plan.strengths(total * (duration / took))
 
 
@@ -178,23 +164,3 @@ def _answerable(plan: Plan, grams: np.ndarray, question: Question) -> Plan:
     cause = question.pairs[0][0].cause
     twins = dict.fromkeys(rival for _, rival in question.pairs if rival and rival != cause)
     raise beyond_motion(cause, [*((t, other_experiment(cause, t)) for t in twins), *question.beyond])
-
-
-def _notes(plan: Plan, question: Question, new: np.ndarray, old: np.ndarray | None) -> list[str]:
-    if not question.pairs:
-        return plan.sight_notes(new, old)
-    notes = []
-    for k, line in enumerate(plan.lines):
-        against = f"from {line.rival_name}" if line.rival_name else "from chance"
-        text = f"if {line.cause} is the cause, this motion tells it {against} with lambda = {_sure(new[k], line)}"
-        notes.append(text if old is None else f"{text}; the measured one, in the same time, with {_sure(old[k], line)}")
-    told = {line.rival_name for line in plan.lines} | {line.cause for line in plan.lines}
-    cause = question.pairs[0][0].cause
-    lost = [(r, other_experiment(cause, r)) for _, r in question.pairs if r and r not in told]
-    return [*notes, *(f"no motion tells {cause} from {twin}: {how}" for twin, how in (*lost, *question.beyond))]
-
-
-def _sure(strength: float, line: Line) -> str:
-    chance = 100 * chance_of_telling(strength, bool(line.rival_name))
-    size = "over 99 %" if chance > 99 else "under 1 %" if chance < 1 else f"{chance:.0f} %"
-    return f"{strength:.3g} (a diagnosis names it with a chance of {size})"

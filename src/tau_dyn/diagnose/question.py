@@ -18,7 +18,9 @@ from tau_dyn.parameters import Parameters
 _MOST = 3
 """Suspected causes that are told from each other."""
 
-_WEIGHING = "weigh one moving part or a payload and fix its mass (--fix NAME.mass=...); forces cannot give the drives' gain"
+_WEIGHING = (
+    "weigh one moving part or a payload and fix its mass (--fix NAME.mass=...); forces cannot give the drives' gain"
+)
 _OTHER_EXPERIMENTS = {
     "torque_offset": "read the drive's force at rest with the joint uncoupled, without gear and seals, for an offset alone",
     "coulomb_asymmetry": "read the drive's force at rest with the joint uncoupled, without gear and seals, for an offset alone",
@@ -142,7 +144,8 @@ def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> Question:
     if not causes:
         raise CannotAnswer(
             "nothing is left open that a motion would show",
-            "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable)) or "record the motion that matters to you",
+            "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable))
+            or "record the motion that matters to you",
         )
     return Question(others=_sure(diagnosis, ()), causes=causes)
 

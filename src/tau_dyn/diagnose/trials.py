@@ -259,9 +259,13 @@ def _explained(effects: list[Effect], library: Library, ground: Ground, both: np
 
 
 def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
-    """Return the number of independent tries `m` with `P(T <= t) = F(t)^m`, by maximum likelihood."""
+    """Return the number of independent tries `m` with `P(T <= t) = F(t)^m`, by maximum likelihood.
+
+    Where all amplitudes of a one-sided column come out negative `T` is zero: a draw seen only as `T <= 0`.
+    """
     tail = stats.chi2.sf(noise, dof) / (2 if simple else 1)
-    return float(max(1.0, -len(noise) / np.sum(np.log1p(-np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12)))))
+    seen = np.sum(noise > 0) if simple else len(noise)
+    return float(max(1.0, -seen / np.sum(np.log1p(-np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12)))))
 
 
 def _together(fits: list[Fit]) -> float:

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 
 from tau_dyn.diagnose.result import Errors, Finding, Unexplained, Verdict
 
+_MOST = 3
+
 
 def verdict_sentence(
     verdict: Verdict, findings: Sequence[Finding], unexplained: Sequence[Unexplained], before: Errors, after: Errors
 ) -> str:
     """Return what a colleague would say first."""
-    missed = f"The refitted model misses {before.relative_error_percent:.3g} % of the measured force"
+    missed = f"The refitted model misses {before.relative_error_percent:.2g} % of the measured force"
     confirmed = [f for f in findings if f.status == "confirmed"]
     if confirmed:
-        causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in confirmed)
-        text = f"{missed}; with {causes} it misses {after.relative_error_percent:.3g} %."
+        text = f"{missed}; with {_listed(confirmed)} it misses {after.relative_error_percent:.2g} %."
     elif verdict in ("named", "cannot_tell"):
         f = next(f for f in findings if f.status == "parameter")
         text = f"{missed}. {f.sentence}"
@@ -31,3 +32,11 @@ def verdict_sentence(
         share = f"{100 * u.share_of_residual_variance:.0f} % of its residual"
         text += f" A force at {u.joint} that depends on {what} has no name ({share})."
     return text
+
+
+def _listed(findings: Sequence[Finding]) -> str:
+    """Return causes with their joints, at most three of them."""
+    said = [f"{f.cause.replace('_', ' ')} ({', '.join(f.joints)})" for f in findings[:_MOST]]
+    if len(findings) > _MOST:
+        said.append(f"{len(findings) - _MOST} more")
+    return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"

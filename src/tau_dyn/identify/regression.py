@@ -14,26 +14,32 @@ are masked; the rest are decimated.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_dilation, convolve1d
 
-from tau_dyn.effects import Motion
+from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, reversals, segments
 from tau_dyn.log.names import ROOM_TEMPERATURE
-from tau_dyn.model import Model
+from tau_dyn.model import COMPUTED, Model
 
 MIN_SHARE = 0.5
 """Share of the filter's weight that must lie on usable samples."""
 
 
 def build_regression(
-    model: Model, logs: Iterable[Log], *, preparation: Preparation | None = None, exclude: tuple[str, ...] = ()
+    model: Model,
+    logs: Iterable[Log],
+    *,
+    preparation: Preparation | None = None,
+    exclude: tuple[str, ...] = (),
+    at: Model | None = None,
+    campaigns: Sequence[str] = (),
 ) -> Regression:
     """Build the regression of a model on torque logs.
 
@@ -42,18 +48,26 @@ def build_regression(
         logs: Logs with `q_J` and `tau_J` for every actuated joint; never joined across their ends.
         preparation: Filters and masks; by default chosen from the logs themselves.
         exclude: Columns whose nonzero samples are left out, where no preparation is given.
+        at: The same model at the values from which signals such as forces and loads are computed; by default `model`'s own.
+        campaigns: Names of logs that are numbered before these, for effects that tell one recording from others.
 
     Raises:
-        InputError: A log lacks a column, or the robot cannot reach a logged position.
+        InputError: A log lacks a column that the robot or an effect needs, or the robot cannot reach a logged position.
         CannotAnswer: The masks leave nothing.
     """
     pieces = [piece for log in logs for piece in even_pieces(log)]
     if not pieces:
         raise InputError("no log was given")
     preparation = preparation or choose_preparation(model.robot, pieces, exclude)
-    runs = tuple(prepare(model, piece, preparation).run(model) for piece in pieces)
+    names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
+    if not campaigns:
+        _refuse_missing_campaign(model, names)
+    runs = []
+    for piece in pieces:
+        number = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))}
+        runs.append(prepare(at or model, piece, preparation, signals=number).run(model))
     regression = Regression(
-        model.parameters, model.robot.actuated, model.robot.force_units, runs, {"preparation": preparation}
+        model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), {"preparation": preparation}
     )
     if regression.n_samples == 0:
         raise _nothing_left(model, pieces, preparation)
@@ -151,6 +165,7 @@ def prepare(
     v = differentiate(q, dt, accuracy=4)
     a = differentiate(v, dt, accuracy=4)
     measured = {**measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
+    _refuse_missing_temperature(model, log, measured)
     gate = _gate(log, Motion.of(joints, q, v, a), model, preparation)
     sign = np.sign(v)
     if smooth_hz is not None and smooth_hz < preparation.position_cutoff_hz:
@@ -170,7 +185,7 @@ def measured_signals(
     log: Log, joints: tuple[str, ...], q: np.ndarray, v: np.ndarray, threshold: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Return what a log says beyond positions and forces: temperatures, and travel since each joint's last reversal."""
-    found = {"reversal": np.column_stack([_travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
+    found = {"reversal": np.column_stack([travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
     if log.has("temp", joints):
         found["temperature"] = log.joint("temp", joints)
     elif ROOM_TEMPERATURE in log.channels:
@@ -178,7 +193,7 @@ def measured_signals(
     return found
 
 
-def _travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
+def travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
     """Return the distance (N,) since a joint last reversed, from the turning point of each stretch of one direction."""
     starts = np.concatenate([[0], reversals(v, threshold), [len(q)]])
     out = np.zeros(len(q))
@@ -190,12 +205,38 @@ def _travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
     return out
 
 
+def _refuse_missing_temperature(model: Model, log: Log, measured: Mapping[str, np.ndarray]) -> None:
+    """Refuse a log without the temperatures that an effect of the model follows."""
+    feeling = [effect.name for effect in model.effects if "temperature" in effect.needs]
+    if not feeling:
+        return
+    columns = f"{ROOM_TEMPERATURE} or {', '.join(f'temp_{j}' for j in model.robot.actuated)}"
+    if "temperature" not in measured:
+        raise InputError(f"{log.name} has no column {columns}, which effect {feeling[0]} of the model needs")
+    if not np.all(np.isfinite(measured["temperature"])):
+        raise InputError(f"{log.name}: a sample of {columns}, which effect {feeling[0]} needs, is no finite number")
+
+
+def _refuse_missing_campaign(model: Model, names: Sequence[str]) -> None:
+    """Refuse fewer logs than an effect tells apart."""
+    for effect in model.effects:
+        number = int(effect.settings.get("number", 0))
+        if "campaign" in effect.needs and number >= len(names):
+            raise InputError(
+                f"effect {effect.name} sets log {number + 1} apart from others, and there is only {len(names)}: give the logs "
+                "in the order in which it was found, or fit the model without it"
+            )
+
+
 def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> np.ndarray:
     """Return 1 where each joint's sample may be used and 0 where not (N, na), at the log's own rate."""
     threshold = preparation.speed_threshold
     shut = np.column_stack([_unsure(motion.v[:, k], threshold[k]) for k in range(len(threshold))])
     for effect in model.effects:
-        for speed, indices in effect.other_speeds(motion):
+        if type(effect).other_speeds is Effect.other_speeds:
+            continue
+        felt = {name: COMPUTED[name](model.mechanism, motion.q, motion.v, motion.a) for name in effect.needs}
+        for speed, indices in effect.other_speeds(replace(motion, signals=felt)):
             shut[:, indices] |= _unsure(speed, float(np.hypot.reduce(threshold[indices])))[:, None]
     shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
     half = int(np.ceil(preparation.window_s * log.rate_hz))

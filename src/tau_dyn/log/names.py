@@ -7,8 +7,9 @@ here interprets them. The list is the contract's; how files are read lives in `t
 
 from collections.abc import Iterable
 
-SIGNALS = ("q_ref", "temp", "tau", "q", "v", "a")
-"""Signals a joint may have; `q_ref` stands before `q`, so that `q_ref_J` is not read as `q` of `ref_J`."""
+SIGNALS = ("q_ref", "q_link", "temp", "tau", "q", "v", "a")
+"""Signals a joint may have; `q_ref` stands before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
+the position read behind the drive, on the load side."""
 
 TOOL_COLUMNS = (
     "x_tool", "y_tool", "z_tool",

@@ -11,30 +11,17 @@ not affine in the acceleration, takes the acceleration as it is known so far. Wh
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from tau_dyn.effects import DisplacementEffect, Effect, Hysteresis, JointMotion, JointwiseEffect, Motion
+from tau_dyn.effects import Effect, Hysteresis, JointMotion, JointwiseEffect, Motion
+from tau_dyn.effects.state import on_recording
 from tau_dyn.exceptions import InputError
-from tau_dyn.model import COMPUTED, Model
+from tau_dyn.model import BY_STATE, COMPUTED, Model
 from tau_dyn.simulate.memory import Memory, Surroundings, batch
 
 _PROBES = 8  # states, by chance, at which an effect is asked whether it feels accelerations; sin(q) a is silent at zero
 _REMEMBERED = frozenset({"temperature", "campaign", "reversal"})
-_KNOWN = _REMEMBERED | {"force"} | set(COMPUTED)
-
-
-def on_recording(effect: Effect) -> bool:
-    """Return whether an effect only distorts what is recorded, so that the robot moves as it would without it."""
-    return effect.measured or (isinstance(effect, DisplacementEffect) and not isinstance(effect, Hysteresis))
-
-
-def steady(model: Model) -> Model:
-    """Return the model with those of its effects that have a force at a single state: no history, no recording."""
-    kept = tuple(e for e in model.effects if not on_recording(e) and not _REMEMBERED & set(e.needs))
-    names = [name for effect in kept for name in effect.parameters.names]
-    return replace(model, effects=kept, effect_parameters=model.effect_parameters.select(names))
+_KNOWN = _REMEMBERED | BY_STATE
 
 
 class SampledForces:

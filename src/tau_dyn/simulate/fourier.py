@@ -114,8 +114,9 @@ def exciting_motion(
 def base_condition(model: Model, motion: Trajectory, samples: int = 400) -> float:
     """Return the condition number of the base regressor along a motion, columns scaled to unit length.
 
-    Columns are those of the model's free parameters, dependent ones regrouped (Gautier 1991).
+    Columns are those of the free parameters that a single state shows, dependent ones regrouped (Gautier 1991).
     """
+    model = model.steady()
     few = motion.every(motion.n_samples // samples)
     free = [p for p in model.parameters if p.free]
     W = model.regressor(few.q, few.v, few.a)[:, :, model.parameters.free].reshape(-1, len(free))

@@ -14,7 +14,6 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
-from tau_dyn.simulate.forces import steady
 from tau_dyn.simulate.trajectory import Trajectory
 
 CHECKED_SAMPLES = 400
@@ -51,7 +50,7 @@ def broken_limit(
     loops = _broken_loops(model, few, condition_bound(model) if condition is None else condition)
     if loops or not forces:
         return loops
-    tau = steady(model).torque(few.q, few.v, few.a)
+    tau = model.steady().torque(few.q, few.v, few.a)
     excess = np.abs(tau) - share * robot.effort_limit
     return _sentence(model, few, excess, tau, "force", robot.effort_limit) if np.max(excess) > _SLACK else None
 

@@ -16,10 +16,10 @@ import numpy as np
 from tau_dyn.effects import Delay, DisplacementEffect, Motion
 from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
+from tau_dyn.effects.state import on_recording
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.names import ROOM_TEMPERATURE
 from tau_dyn.model import COMPUTED, Model
-from tau_dyn.simulate.forces import on_recording
 from tau_dyn.simulate.memory import Memory, batch, warming_up
 from tau_dyn.simulate.plant import PlantRun
 

@@ -11,7 +11,6 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
-from tau_dyn.simulate.forces import steady
 from tau_dyn.simulate.limits import broken_limit
 from tau_dyn.simulate.log_effects import EncoderErrors, recorded
 from tau_dyn.simulate.plant import PlantRun, Progress, run_plant
@@ -80,7 +79,7 @@ def drive(
     fault = broken_limit(model, reference, condition=np.inf)
     if fault:
         raise InputError(f"{motion.name}: {fault}")
-    controller = controller or CascadeController(CascadeLaw.for_model(model), start=steady(model))
+    controller = controller or CascadeController(CascadeLaw.for_model(model), start=model.steady())
     if feedback == "ideal":
         return recorded(run_plant(model, reference, controller, progress=progress))
     if feedback != "encoder":

@@ -1,0 +1,101 @@
+"""Logs with two encoders a joint, made ready for the deflection channel: the deflection, and the motion that effects feel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.diagnose.deflection_clock import LOAD_SPEED
+from tau_dyn.effects import Motion
+from tau_dyn.estimate import Run
+from tau_dyn.exceptions import InputError
+from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify.regression import measured_signals
+from tau_dyn.log import Log, decimate, differentiate, edge_samples, lowpass
+from tau_dyn.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One even stretch of a log, at the log's rate.
+
+    Attributes:
+        log: The stretch.
+        motion: Motion of the motor-side encoders of the joints that have two, with what effects feel.
+        deflection: Motor side minus load side (N, n) [m or rad], less its mean.
+        usable: Samples whose direction of motion is known (N, n).
+        preparation: Filters.
+    """
+
+    log: Log
+    motion: Motion
+    deflection: np.ndarray
+    usable: np.ndarray
+    preparation: Preparation
+
+    @property
+    def factor(self) -> int:
+        """Decimation."""
+        return self.preparation.factor(self.log.rate_hz)
+
+    def passed(self, x: np.ndarray) -> np.ndarray:
+        """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
+        return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.log.rate_hz), self.factor)
+
+    def run(self, W: np.ndarray) -> Run:
+        """Return the baseline's regression with these columns (n, m, p)."""
+        usable = self.usable[:: self.factor].copy()
+        edge = int(np.ceil(edge_samples(self.preparation.force_cutoff_hz, self.log.rate_hz) / self.factor))
+        usable[:edge] = usable[len(usable) - edge :] = False
+        y, t = self.passed(self.deflection), decimate(self.log.t, self.factor)
+        signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
+        return Run(self.log.name, t, W, y, usable, W, y, signals)
+
+
+def joints_of(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
+    """Return the joints with two encoders; the first log decides.
+
+    Raises:
+        InputError: There is none, or another log lacks `q_J`, `q_link_J` or `tau_J` of one of them.
+    """
+    found = tuple(j for j in robot.actuated if f"q_link_{j}" in logs[0].channels)
+    if not found:
+        raise InputError(
+            f"{logs[0].name} has no column q_link_{robot.actuated[0]}; the deflection channel needs q_link_J [m or rad] of "
+            "some joint, the position on the load side"
+        )
+    for log in logs:
+        for signal in ("q", "tau", "q_link"):
+            log.joint(signal, found)
+    return found
+
+
+def piece_of(joints: tuple[str, ...], log: Log, preparation: Preparation) -> Piece:
+    """Return a stretch with its deflection and the motion of the motor side."""
+    read, load, force = (log.joint(key, joints) for key in ("q", "q_link", "tau"))
+    for name, x in (("q_link", load), ("tau", force)):
+        if not np.isfinite(x).all():
+            raise InputError(
+                f"{log.name}: {name} is missing in {int(np.sum(~np.isfinite(x)))} samples; cut the log there"
+            )
+    q, far = (lowpass(x, preparation.position_cutoff_hz, log.rate_hz) for x in (read, load))
+    v, load_speed = (differentiate(x, log.dt, accuracy=4) for x in (q, far))
+    a = differentiate(v, log.dt, accuracy=4)
+    threshold = preparation.speed_threshold
+    sides = [_side(v[:, k], threshold[k]) for k in range(len(joints))]
+    sign, usable = (np.column_stack([side[k] for side in sides]) for k in (0, 1))
+    signals = measured_signals(log, joints, q, v, threshold) | {"force": force, LOAD_SPEED: load_speed}
+    motion = Motion.of(joints, q, v, a, sign, t=log.t, signals=signals)
+    deflection = read - load
+    return Piece(log, motion, deflection - deflection.mean(axis=0), usable, preparation)
+
+
+def _side(v: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the direction (N,) of the last motion that was surely one, and where there was any (N,)."""
+    sure = np.flatnonzero(np.abs(v) >= threshold)
+    if not len(sure):
+        return np.zeros_like(v), np.zeros(len(v), bool)
+    last = np.searchsorted(sure, np.arange(len(v)), side="right") - 1
+    return np.sign(v[sure[np.maximum(last, 0)]]), last >= 0

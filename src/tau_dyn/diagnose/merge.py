@@ -1,0 +1,62 @@
+"""Diagnoses of several kinds of measurement of one robot as one: forces lead, tool positions and deflections add to them.
+
+Baseline, waterfall and time view stay those of the first channel; a finding says which channel it comes from. What one
+channel cannot test another may.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from tau_dyn.diagnose.result import Diagnosis, Verdict
+from tau_dyn.diagnose.stages import strength
+from tau_dyn.parameters import Parameters
+
+
+def merged(found: Sequence[Diagnosis]) -> Diagnosis:
+    """Return several channels' diagnoses as one, the first leading."""
+    first, others = found[0], found[1:]
+    if not others:
+        return first
+    limits = {limit.cause: limit for one in reversed(found) for limit in one.limits}
+    findings = sorted(
+        (f for one in found for f in one.findings), key=lambda f: (*strength(f)[:2], f.channel != first.channel)
+    )
+    named = {f.cause for f in findings}
+    untestable = {u.cause: u for one in reversed(found) for u in one.untestable}
+    told = [one for one in others if one.verdict != "nothing_found"]
+    return replace(
+        first,
+        verdict=_verdict(found),
+        sentence=" ".join([first.sentence, *(one.sentence for one in told)]),
+        findings=tuple(findings),
+        unexplained=tuple(u for one in found for u in one.unexplained),
+        limits=tuple(x for cause, x in sorted(limits.items()) if cause not in named),
+        untestable=tuple(u for cause, u in untestable.items() if cause not in limits and cause not in named),
+        extended_model=_extended(first, others),
+        warnings=tuple(dict.fromkeys(w for one in found for w in one.warnings)),
+        experiment=next((one.experiment for one in found if one.experiment), ""),
+        settings={**first.settings, **{one.channel: dict(one.settings) for one in others}},
+    )
+
+
+def _verdict(found: Sequence[Diagnosis]) -> Verdict:
+    order: tuple[Verdict, ...] = ("named", "cannot_tell", "unexplained", "nothing_found")
+    return min((one.verdict for one in found), key=order.index)
+
+
+def _extended(first: Diagnosis, others: Sequence[Diagnosis]):
+    """Return the first channel's extended model with the effects that the others add."""
+    model = first.extended_model
+    for one in others:
+        known = {tuple(e.parameters.names) for e in model.effects}
+        new = [e for e in one.extended_model.effects if tuple(e.parameters.names) not in known]
+        names = [n for e in new for n in e.parameters.names]
+        values = one.extended_model.effect_parameters.select(names)
+        model = replace(
+            model,
+            effects=(*model.effects, *new),
+            effect_parameters=model.effect_parameters + Parameters(list(values)),
+        )
+    return model

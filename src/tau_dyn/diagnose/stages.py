@@ -1,0 +1,151 @@
+"""What every channel goes through after its search: confirmation, the waterfall, findings, and what a page draws.
+
+Forces, tool positions and deflections differ in how their channel is built and in what is said about them; the stages here are
+the same for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.confirm import Confirmation, confirm, present
+from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged
+from tau_dyn.diagnose.findings import finding_of, signature_of
+from tau_dyn.diagnose.result import Finding, Gain, Step, TimeTrace, Unexplained
+from tau_dyn.diagnose.search import Found, Search, columns_of
+from tau_dyn.diagnose.unknown import Structure
+from tau_dyn.effects import Effect
+from tau_dyn.estimate import Physics
+from tau_dyn.model import Model
+from tau_dyn.parameters import Parameters
+
+HELD_OUT = "held-out {what}, blocks in turn: one half confirms, the other measures the gain"
+SHARED = "60 % of the {what} train, 20 % confirm, 20 % measure the gain, in blocks that take turns"
+
+
+def effects_of(found: Sequence[Found]) -> list[Effect]:
+    """Return the effects of several causes."""
+    return [effect for one in found for effect in one.candidate.effects]
+
+
+def confirmation(channel: Channel, hunt: Search, one: Found) -> Confirmation:
+    """Test one cause on the confirmation part, the others accounted for."""
+    others = effects_of([other for other in hunt.found if other is not one])
+    return confirm(
+        channel, hunt.noise, columns_of(hunt.library, one.candidate.effects), columns_of(hunt.library, others)
+    )
+
+
+def waterfall(
+    channel: Channel,
+    kept: Sequence[Found],
+    rng: np.random.Generator,
+    *,
+    nominal: np.ndarray | None = None,
+    physics: Physics | None = None,
+) -> tuple[list[Step], list[Judged], list[Gain]]:
+    """Return the bars, the fits behind all but the first, and each cause's gain over the bar before it.
+
+    Args:
+        channel: The data.
+        kept: Confirmed causes in the order found.
+        rng: For intervals.
+        nominal: The baseline's values before any fit (p,); by default its parameters' own.
+        physics: What makes the baseline's values physical.
+    """
+    values = channel.parameters.values if nominal is None else nominal
+    steps = [Step("nominal", judged(channel, extended_regression(channel, ()), values, None, rng).errors)]
+    judgements = [fitted(channel, (), physics, rng)]
+    steps.append(Step("refitted", judgements[0].errors))
+    gains = []
+    for k, one in enumerate(kept):
+        judgements.append(fitted(channel, effects_of(kept[: k + 1]), physics, rng))
+        joints = list(dict.fromkeys(j for e in one.candidate.effects for j in e.joints))
+        steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
+        gains.append(gain_of(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng))
+    return steps, judgements, gains
+
+
+def findings_of(
+    channel: Channel,
+    hunt: Search,
+    tests: Sequence[Confirmation],
+    kept: Sequence[Found],
+    final: Judged,
+    gains: Sequence[Gain],
+    rng: np.random.Generator,
+) -> list[Finding]:
+    """Return what is said of every cause found, confirmed or not."""
+    found = []
+    for one, test in zip(hunt.found, tests, strict=True):
+        effects, fit, gain = one.candidate.effects, final, None
+        if one in kept:
+            gain = gains[list(kept).index(one)]
+        else:
+            fit = fitted(channel, [*effects_of(kept), *effects], None, rng)
+        names = {n for e in effects for n in e.parameters.names}
+        values = Parameters([p for p in estimated(fit) if p.name in names])
+        signature = signature_of(channel, effects, fit.residuals, values)
+        found.append(finding_of(channel, hunt, one, test, values, gain, signature))
+    return found
+
+
+def unexplained_of(channel: Channel, hunt: Search, structure: Structure | None) -> tuple[Unexplained, ...]:
+    """Return the structure without a name, confirmed or not.
+
+    A drift in time is another one in another log; there it only has to be present, not to be the same.
+    """
+    if structure is None:
+        return ()
+    others = columns_of(hunt.library, effects_of(hunt.found))
+    test = present if "t" in structure.variables else confirm
+    holds = test(channel, hunt.noise, [structure.columns], others).holds
+    s = structure
+    status = "confirmed" if holds else "suspected"
+    return (Unexplained(s.output, s.variables, s.share, s.formula, s.p_value, status),)
+
+
+def extended_model(model: Model, fit: Judged, effects: Sequence[Effect]) -> Model:
+    """Return a model with further effects and all values that the fit has; what belongs to the recording stays out."""
+    more = Parameters([p for effect in effects for p in effect.parameters])
+    extended = replace(model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more)
+    values = estimated(fit)
+    return extended.with_parameters(
+        Parameters([values[p.name] if p.name in values else p for p in extended.parameters])
+    )
+
+
+def estimated(fit: Judged) -> Parameters:
+    """Return a fit's parameters."""
+    assert fit.estimate is not None  # only the nominal bar has none
+    return fit.estimate.parameters
+
+
+def strength(finding: Finding) -> tuple[bool, bool, float]:
+    """Order findings: confirmed ones first, by how much they take off the held-out error; the rest by score."""
+    gain = finding.gain
+    worth = finding.score if gain is None else gain.rms_before**2 - gain.rms_after**2
+    return finding.status == "parameter", finding.status == "suspected", -worth
+
+
+def traces(channel: Channel, before: Judged, after: Judged) -> tuple[TimeTrace, ...]:
+    """Return what the time view draws."""
+    found = []
+    for k, run in enumerate(channel.runs):
+        one, other = (j.regression.runs[k].W_all @ j.theta for j in (before, after))
+        found.append(TimeTrace(run.name, run.t, run.y_all, one, other, run.usable, channel.parts[k]))
+    return tuple(found)
+
+
+def seconds(channel: Channel) -> tuple[float, float, float]:
+    """Return how long each part is [s]."""
+    steps = [float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0 for run in channel.runs]
+    one, two, three = (
+        sum(dt * int(np.sum(part == number)) for dt, part in zip(steps, channel.parts, strict=True))
+        for number in range(3)
+    )
+    return one, two, three

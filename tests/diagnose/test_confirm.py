@@ -1,0 +1,118 @@
+"""Confirmation: does what the training part shows stand, in its predicted size, in data that nothing was fitted to?"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+from tau_dyn.diagnose.confirm import confirm
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
+from tau_dyn.effects import Stribeck, ViscousAsymmetry
+
+EFFECT = ViscousAsymmetry(("x",), ("N",))
+
+
+def confirmed(make, channel, effect=EFFECT, others=()):
+    return confirm(channel, (make.noise,), [channel.columns(effect)], others)
+
+
+def test_of_a_true_effect_all_of_it_is_seen(make):
+    """Over 40 logs the share is 1, scattering by its standard error, and each of them is confirmed."""
+    found = [
+        confirmed(make, make.bench(np.random.default_rng(seed), lambda m: 12 * np.abs(m.v), n=3000))
+        for seed in range(40)
+    ]
+    share, stderr = np.array([(c.share, c.stderr) for c in found]).T
+    assert all(c.holds for c in found)
+    assert_allclose(np.median(share), 1.0, atol=0.1)
+    # the training amplitude is uncertain as well, three times as long as the confirming part
+    assert 0.8 < np.std((share - 1) / stderr) < 1.6
+
+
+@pytest.fixture(scope="module")
+def clean(make):
+    """Confirmations of a cause on 200 clean logs of one motion."""
+    rng = np.random.default_rng(3)
+    channel = make.bench(rng, n=2500)
+    found = []
+    for _ in range(200):
+        y = channel.runs[0].W @ [20.0, 15.0, 30.0] + make.coloured(rng, 2500, 1)
+        found.append(confirmed(make, make.measuring(channel, y)))
+    return found
+
+
+def test_of_no_effect_nothing_is_seen(clean):
+    """The size of a chance fit does not repeat: on clean logs the share has a median near 0, well below 1."""
+    share = np.array([c.share for c in clean])
+    assert abs(np.median(share)) < 0.35
+
+
+def test_p_is_uniform_where_nothing_hides(clean):
+    """The t-test's p-value is uniform on clean logs, and 2 % of them are confirmed, within 2.5 sigma."""
+    p = [c.p_value for c in clean]
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+    assert np.mean([c.holds for c in clean]) < 0.02 + 2.5 * np.sqrt(0.02 * 0.98 / 200)
+
+
+def test_what_only_the_training_part_has_is_not_confirmed(make):
+    """An effect of 30 sigma during training that is gone in the confirming blocks: share 0 within 4 stderr, no confirmation."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        here = make.turns(4000) == TRAIN
+        channel = make.bench(rng, lambda m, here=here: 15 * np.abs(m.v) * here[:, None])
+        found = confirmed(make, channel)
+        assert not found.holds
+        assert abs(found.share) < 4 * found.stderr < 0.9
+
+
+def test_half_of_an_effect_is_half(make, rng):
+    """An effect that is half as strong in the confirming blocks has a share of one half."""
+    part = make.turns(8000)
+    size = np.where(part == CONFIRM, 10.0, 20.0)[:, None]
+    found = confirmed(make, make.bench(rng, lambda m: size * np.abs(m.v), n=8000))
+    assert_allclose(found.share, 0.5, atol=4 * found.stderr)
+    assert found.stderr < 0.1
+
+
+def test_the_part_that_measures_the_gain_is_not_looked_at(make, rng):
+    """Whatever the third part holds, training and confirmation do not know."""
+    channel = make.bench(rng, lambda m: 12 * np.abs(m.v))
+    y = channel.runs[0].y.copy()
+    y[channel.parts[0] == GAIN] = 1e6
+    assert confirmed(make, make.measuring(channel, y)) == confirmed(make, channel)
+
+
+def test_only_what_the_baseline_leaves_of_an_effect_counts(make, rng):
+    """Without its own refit a Stribeck peak would be mostly Coulomb friction; the share is 1 of what is left of it."""
+    effect = Stribeck(("x",), ("N",), speed=0.1)
+    channel = make.bench(rng, lambda m: 12 * effect.columns(m)[:, :, 0], n=6000)
+    found = confirmed(make, channel, effect)
+    assert found.holds
+    assert_allclose(found.share, 1.0, atol=4 * found.stderr)
+    assert 0.02 < found.stderr < 0.5
+    absorbed = confirm(channel, (make.noise,), [[channel.runs[0].W[:, :, :1]]], ())
+    assert not absorbed.holds
+
+
+def test_another_cause_takes_its_own(make, rng):
+    """Where the other cause is accounted for, a mimic of it is no longer confirmed; unaccounted for it is."""
+    peak = Stribeck(("x",), ("N",), speed=0.1)
+    mimic = replace_speed(peak, 0.2)
+    channel = make.bench(rng, lambda m: 12 * peak.columns(m)[:, :, 0], n=6000)
+    assert confirmed(make, channel, mimic).holds
+    assert not confirmed(make, channel, mimic, [channel.columns(peak)]).holds
+
+
+def replace_speed(effect, speed):
+    return effect.with_settings(speed=speed)
+
+
+def test_noise_that_is_larger_than_stated_makes_the_error_larger(make):
+    """The variance is taken from the held-out rows themselves: three times the noise, three times the standard error."""
+    plain, loud = (
+        confirmed(make, make.bench(np.random.default_rng(1), lambda m: 40 * np.abs(m.v), noise=x)) for x in (1.0, 3.0)
+    )
+    assert_allclose(loud.stderr / plain.stderr, 3.0, rtol=0.15)
+    assert replace(loud, p_value=0.0).holds

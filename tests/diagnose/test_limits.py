@@ -1,0 +1,154 @@
+"""What would have been seen, and what could not: detection limits held against draws, and absorbed causes said to be so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+from tau_dyn.diagnose.limits import limits_of, noncentrality
+from tau_dyn.diagnose.search import FAMILY_LEVEL, Search, family
+from tau_dyn.diagnose.trials import DRAWS, Library, try_all
+from tau_dyn.effects import (
+    CoulombAsymmetry,
+    FrictionChange,
+    PinionScale,
+    QuadraticDrag,
+    Stribeck,
+    ThermalDrift,
+    ViscousAsymmetry,
+)
+
+
+def searched(make, channel, rng) -> Search:
+    """Return a search that found nothing."""
+    ground, library = make.ground(channel), Library(channel)
+    last = tuple(try_all(library, ground, ground.draws(DRAWS, rng), channel.causes, set()))
+    return Search((), (make.noise,), ground, last, library, len(last))
+
+
+@pytest.mark.parametrize("dof", [1, 2, 5])
+def test_at_the_noncentrality_the_power_is_what_was_asked_for(rng, dof):
+    """Of chi-square draws with it 95 % exceed the critical value of the level; with none of it, the level's share."""
+    level = 1e-3
+    strength = noncentrality(level, dof)
+    critical = stats.chi2.isf(level, dof)
+    draws = rng.noncentral_chisquare(dof, strength, 20000)
+    assert_allclose(np.mean(draws > critical), 0.95, atol=4 * np.sqrt(0.05 * 0.95 / 20000))
+    assert noncentrality(level, dof, 0.99) > strength > noncentrality(level, dof, 0.5)
+    assert noncentrality(level / 100, dof) > strength
+
+
+@pytest.mark.parametrize("name", ["viscous_asymmetry", "quadratic_drag", "stribeck", "bump"])
+def test_an_effect_at_its_limit_is_found_in_95_of_100_draws(make, rng, name):
+    """Put at the limit's amplitude into noise on the same rows, a cause passes the family-wise level 95 times in 100.
+
+    Inflation costs some, a neighbouring setting that fits by chance adds some: 88 to 99 of 100 are taken.
+    """
+    causes = (ViscousAsymmetry, QuadraticDrag, Stribeck, make.Bump)
+    channel = make.bench(rng, causes=causes)
+    search = searched(make, channel, rng)
+    limits, untestable = limits_of(channel, search, ())
+    assert untestable == () and [x.cause for x in limits] == [cls.name for cls in causes]
+    limit = next(x for x in limits if x.cause == name)
+    cls = next(cls for cls in causes if cls.name == name)
+    grid = cls.grid(channel.scene, ("x",))
+    effect = cls(("x",), ("N",), **grid[len(grid) // 2])
+    force = search.ground.left(search.ground.rows(channel.columns(effect)))[:, 0]
+    found = []
+    for noise in search.ground.draws(120, rng).T:
+        ground = replace(search.ground, e=noise + limit.amplitude * force)
+        (candidate,) = try_all(search.library, ground, ground.draws(DRAWS, rng), [cls], set())
+        found.append(family(candidate, search.last) < FAMILY_LEVEL)
+    assert 0.88 < np.mean(found) < 0.995
+
+
+def test_half_the_noise_halves_the_limit(make):
+    """A limit is in the cause's unit: with half the noise, half as much is seen."""
+    amplitudes = []
+    for noise in (1.0, 0.5):
+        rng = np.random.default_rng(4)
+        channel = make.bench(rng, noise=noise, causes=(ViscousAsymmetry,))
+        (limit,), _ = limits_of(channel, searched(make, channel, rng), ())
+        amplitudes.append(limit.amplitude)
+    assert_allclose(amplitudes[1], amplitudes[0] / 2, rtol=0.05)
+    assert limit.unit == "N/(m/s)" and "viscous asymmetry of" in limit.phrase and "at x" in limit.phrase
+
+
+def test_the_limit_is_that_of_the_joint_where_it_is_hardest_to_see(make, rng):
+    """A joint that moves a third as much shows less of a drag: its limit is the one that is said."""
+    motion = make.moving(rng, ("brisk", "lazy"), 4000)
+    for array in (motion.q, motion.v, motion.a):
+        array[:, 1] /= 3
+    channel = make.bench(rng, motions=[motion], causes=(QuadraticDrag,))
+    (limit,), _ = limits_of(channel, searched(make, channel, rng), ())
+    assert "at lazy" in limit.phrase
+
+
+def test_a_cause_with_a_name_has_no_limit(make, rng):
+    """What was found is not listed as what would have been."""
+    channel = make.bench(rng, causes=(ViscousAsymmetry, QuadraticDrag))
+    limits, _ = limits_of(channel, searched(make, channel, rng), ["viscous_asymmetry"])
+    assert [x.cause for x in limits] == ["quadratic_drag"]
+
+
+class Twin(ViscousAsymmetry):
+    """A force that the baseline has already."""
+
+    name = "twin"
+
+    def per_joint(self, joint):
+        """Return friction's own sign."""
+        return [joint.sign]
+
+
+class Cousin(ViscousAsymmetry):
+    """A force that the baseline takes nearly all of."""
+
+    name = "cousin"
+
+    def per_joint(self, joint):
+        """Return friction's own sign, and a little else."""
+        return [joint.sign + 0.003 * np.abs(joint.v)]
+
+
+def test_what_the_baseline_has_under_another_name_is_neither_seen_nor_missed(make, rng):
+    """Coulomb friction once more is part of the model: no limit, and nothing to complain about."""
+    channel = make.bench(rng, causes=(Twin,))
+    assert limits_of(channel, searched(make, channel, rng), ()) == ((), ())
+
+
+def test_absorbed_causes_are_untestable_and_say_why(make, rng):
+    """What the refit takes up, what needs a thermometer or a second log, and what the motion does not cover: never a limit."""
+    causes = (Cousin, ThermalDrift, FrictionChange, PinionScale, Stribeck)
+    channel = make.bench(rng, causes=causes)
+    channel = replace(channel, scene=replace(channel.scene, fast=channel.scene.slow))
+    limits, untestable = limits_of(channel, searched(make, channel, rng), ())
+    assert limits == ()
+    why = {u.cause: u.why for u in untestable}
+    assert "absorbs" in why["cousin"]
+    assert "temperature" in why["thermal_drift"]
+    assert "only one log" in why["friction_change"]
+    assert "absorbs" in why["pinion_scale"]
+    assert "too small a range" in why["stribeck"]
+    assert all(u.experiment for u in untestable)
+
+
+def test_without_reversals_what_the_refit_takes_is_missed(make, rng):
+    """Always forward, a constant is Coulomb friction itself: an asymmetry is untestable, not part of the model."""
+    motion = make.moving(rng, ("x",), 3000)
+    motion.v[:] = 0.5 + 0.1 * motion.v
+    motion.sign[:] = 1.0
+    channel = make.bench(rng, motions=[motion], causes=(CoulombAsymmetry, ViscousAsymmetry))
+    limits, untestable = limits_of(channel, searched(make, channel, rng), ())
+    assert limits == () and [u.cause for u in untestable] == ["coulomb_asymmetry", "viscous_asymmetry"]
+
+
+def test_a_limit_of_half_of_what_was_measured_is_none(make):
+    """Where an effect would have to be half of all force to be seen, the data say nothing of it."""
+    for noise, known in ((1.0, True), (300.0, False)):
+        rng = np.random.default_rng(6)
+        channel = make.bench(rng, n=1500, noise=noise, causes=(Stribeck,))
+        limits, untestable = limits_of(channel, searched(make, channel, rng), ())
+        assert bool(limits) == known and bool(untestable) != known

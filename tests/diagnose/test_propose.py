@@ -1,0 +1,226 @@
+"""Proposed motions: causes that a dull motion confuses are told apart, and what no motion tells is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tau_dyn.diagnose.design import Setting, flattened, force, gram, refitted, seen
+from tau_dyn.diagnose.diagnose import diagnose
+from tau_dyn.diagnose.plan import pair_plan, scene_of
+from tau_dyn.diagnose.propose import propose_motion
+from tau_dyn.diagnose.question import Question, Suspect, question_of
+from tau_dyn.diagnose.result import Diagnosis, Finding
+from tau_dyn.effects import DriveGain, QuadraticDrag, Stribeck
+from tau_dyn.estimate import Autoregression, fit_autoregression
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify import build_model
+from tau_dyn.log import Log, lowpass
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot import load_robot
+from tau_dyn.simulate import Trajectory, broken_limit, slow_motion, stroke_motion
+
+robot = load_robot("linear_axis")
+model = build_model(robot, "asymmetric")
+JOINT, UNIT = robot.actuated[0], robot.force_units[0]
+PEAK, SPEED = 3.0, 0.02  # [N], [m/s] of the hidden Stribeck friction
+NOISE = 2.0  # [N] at 500 Hz
+
+
+def hidden(v: np.ndarray) -> np.ndarray:
+    """Return Stribeck friction (N,) [N]."""
+    return PEAK * np.sign(v) * np.exp(-np.abs(v) / SPEED)
+
+
+def record(motion: Trajectory, seed: int, strength: float = 1.0) -> Log:
+    """Return a log at 500 Hz of 95 kg with Coulomb and viscous friction and the hidden one, written without the library."""
+    rng = np.random.default_rng(seed)
+    t, q, v, a = motion.t[::2], motion.q[::2, 0], motion.v[::2, 0], motion.a[::2, 0]
+    tau = 95 * a + 8 * np.sign(v) + 30 * v + strength * hidden(v) + NOISE * rng.standard_normal(len(t))
+    return Log(t, {f"q_{JOINT}": q + 2e-6 * rng.standard_normal(len(t)), f"tau_{JOINT}": tau}, motion.name)
+
+
+def told(motion: Trajectory, x: np.ndarray, rival: np.ndarray) -> float:
+    """Return by plain least squares what baseline and a rival leave of a force (N,), in a second of white noise [1/s]."""
+    v, a = motion.v[:, 0], motion.a[:, 0]
+    here = np.abs(v) > 0.005
+    columns = [a, v * (v > 0), v * (v < 0), 1.0 * (v > 0), 1.0 * (v < 0), rival]
+    B = np.column_stack(columns)[here]
+    B = B / np.linalg.norm(B, axis=0)
+    left = x[here] - B @ np.linalg.lstsq(B, x[here], rcond=1e-10)[0]
+    return float(left @ left) / NOISE**2 / 2 / motion.duration  # the noise is white at 500 Hz, motions stand at 1 kHz
+
+
+@pytest.fixture(scope="module")
+def dull() -> Trajectory:
+    """A slow circle of at most 0.1 m/s."""
+    return slow_motion(model, 40.0, 0, speed=0.1)
+
+
+@pytest.fixture(scope="module")
+def log(dull) -> Log:
+    """Its log."""
+    return record(dull, 0)
+
+
+@pytest.fixture(scope="module")
+def confused(log) -> Diagnosis:
+    """What the dull motion lets one say."""
+    return diagnose(robot, [log])
+
+
+@pytest.fixture(scope="module")
+def motion(confused, log) -> Trajectory:
+    """What is proposed to tell more."""
+    return propose_motion(confused, [log], duration=40, seed=0)
+
+
+def _finding(effect, value: float, twins: tuple[str, ...], status="confirmed") -> Finding:
+    p = Parameters([replace(p, value=value) for p in effect.parameters])
+    return Finding(effect.name, effect.joints, status, 50.0, 1e-9, tuple(p), None, twins, "", "", "", (effect,))
+
+
+def test_a_dull_motion_confuses_what_the_proposed_one_tells(confused, log, dull, motion):
+    """Below 0.1 m/s a drag and a Stribeck term bend the friction law alike; the proposal shows where they part."""
+    names = {f.cause for f in confused.findings}
+    twins = {t for f in confused.findings for t in f.indistinguishable_from}
+    assert {"stribeck", "quadratic_drag"} <= names | twins and "stribeck" in twins | names and twins
+    v, before = motion.v[:, 0], dull.v[:, 0]
+    assert told(motion, hidden(v), v * np.abs(v)) > 10 * told(dull, hidden(before), before * np.abs(before))
+    answer = diagnose(robot, [record(motion, 10)])
+    assert answer.findings[0].cause == "stribeck" and answer.findings[0].status == "confirmed"
+    assert "quadratic_drag" not in answer.findings[0].indistinguishable_from
+    peak = next(p for p in answer.findings[0].parameters if p.name == f"{JOINT}.stribeck")
+    assert abs(peak.value - PEAK) < 4 * (peak.stderr or 0)
+
+
+def test_notes_say_how_sure_the_answer_will_be(motion):
+    """Both causes are taken as true in turn, and lambda is given beside that of the measured motion."""
+    for one, other in (("stribeck", "quadratic_drag"), ("quadratic_drag", "stribeck")):
+        note = next(n for n in motion.notes if n.startswith(f"if {one} is the cause") and f"from {other} " in n)
+        assert note.count("lambda") == 1 and "over 99 %" in note and "the measured one" in note
+
+
+def test_the_motion_can_be_driven(motion, confused, tmp_path):
+    """It has the length asked for, starts and ends at rest at home, and keeps within the robot's limits, also read from its file."""
+    assert broken_limit(confused.extended_model, motion) is None
+    assert motion.duration == pytest.approx(40, rel=0.02) and np.allclose(motion.v[[0, -1]], 0)
+    assert_allclose(motion.q[[0, -1]], np.tile(robot.home, (2, 1)), atol=1e-9)
+    motion.to_csv(tmp_path / "m.csv")
+    again = Trajectory.from_csv(tmp_path / "m.csv", robot.actuated)
+    assert_allclose(again.a, motion.a, atol=1e-8)
+
+
+def test_the_seed_gives_the_motion(confused):
+    """The same seed proposes the same motion, another seed another one."""
+    one, two, other = (propose_motion(confused, duration=12, trials=4, seed=s) for s in (3, 3, 4))
+    assert np.array_equal(one.q, two.q) and not np.array_equal(one.q, other.q)
+    assert not any("the measured one" in note for note in one.notes)  # nothing to compare with was given
+
+
+def test_lambda_is_what_least_squares_leaves(confused):
+    """By Schur complements of a Gram matrix comes the same lambda as by projecting the rows, at the rival's worst setting."""
+    setting = Setting.of(confused)
+    stribeck = Stribeck((JOINT,), (UNIT,), speed=SPEED)
+    values = Parameters([replace(p, value=PEAK) for p in stribeck.parameters])
+    from tau_dyn.diagnose.design import completed, planned
+
+    plain, counts = planned(setting, stroke_motion(model, 20.0, 1))
+    motion = completed(setting, plain, {"inertia"})
+    suspect = Suspect("stribeck", (stribeck,), values)
+    scene = scene_of(setting, [motion], frozenset({"reversal", "inertia"}))
+    plan = pair_plan(setting, Question(((suspect, "hysteresis"),)), scene)
+    (found,) = plan.strengths(gram(setting, motion, counts, plan.things))
+    white = replace(setting, noise=(Autoregression(np.zeros(0), setting.noise[0].variance),))
+    (in_white,) = plan.strengths(gram(white, motion, counts, plan.things))
+    used, sigma = counts[:, 0], np.sqrt(setting.noise[0].variance)
+    B = refitted(model, ())(motion)[used, 0] / sigma
+    x = force(setting, (stribeck,), values)(motion)[used, 0, 0] / sigma
+    left = []
+    for effect in plan.lines[0].instead.groups[0]:
+        A = np.column_stack([B, seen(setting, effect)(motion)[used, 0] / sigma])
+        A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        e, amplitude = x - A @ np.linalg.lstsq(A, x, rcond=1e-7)[0], np.linalg.lstsq(A, x, rcond=1e-7)[0][-1]
+        without = x - B @ np.linalg.lstsq(B, x, rcond=1e-7)[0]
+        left.append(float(e @ e) if amplitude > 0 else float(without @ without))
+    rate = (len(motion.t) - 1) / (motion.t[-1] - motion.t[0])
+    assert_allclose(in_white, min(left) * setting.rate_hz / rate, rtol=1e-4)
+    assert 0.2 < found / in_white < 5  # coloured noise changes the size, not the idea
+
+
+def test_the_noise_goes_on_above_the_low_pass(rng):
+    """White noise that a low-pass took the upper end of counts as white again, of the density it has below."""
+    x = rng.standard_normal(200_000)
+    cut = fit_autoregression([lowpass(x, 40.0, 100.0)], 8)
+    whole = flattened(cut)
+    response = np.abs(1 - np.exp(-2j * np.pi * np.outer([0.02, 0.1, 0.3, 0.48], np.arange(1, 9))) @ whole.phi) ** -2.0
+    shape = response / response[0]
+    assert_allclose(shape, 1, atol=0.25)
+    assert whole.variance == pytest.approx(1, rel=0.1) and cut.variance < 0.9
+
+
+def test_what_was_not_shown_is_shown(dull):
+    """Where nothing is found, the motion shows what the slow one could not: a drag is seen at a fraction of the size."""
+    nothing = diagnose(robot, [record(dull, 5, strength=0.0)])
+    assert not [f for f in nothing.findings if f.effects]
+    better = propose_motion(nothing, [record(dull, 5, strength=0.0)], duration=40, seed=1)
+    v, before = better.v[:, 0], dull.v[:, 0]
+    constant, slow_constant = np.zeros_like(v), np.zeros_like(before)
+    gained = told(better, v * np.abs(v), constant) / told(dull, before * np.abs(before), slow_constant)
+    assert gained > 100 and any("quadratic_drag" in note for note in better.notes)
+
+
+@pytest.mark.parametrize(
+    ("cause", "twins", "experiment"),
+    [("drive_gain", ("payload",), "weigh"), ("payload", ("link_mass", "drive_gain"), "weigh")],
+)
+def test_numbers_that_no_motion_settles_are_refused(confused, cause, twins, experiment):
+    """A payload and a drive's gain scale the forces of every motion alike; a weighing is named instead."""
+    p = Parameter("drive.gain", 1.2, "1")
+    finding = Finding(cause, (), "parameter", 50.0, 1e-9, (p,), None, twins, "", "", "weigh the plate")
+    with pytest.raises(CannotAnswer, match=f"tells {cause} from") as refusal:
+        propose_motion(replace(confused, findings=(finding,), verdict="cannot_tell"), duration=12, trials=4)
+    assert experiment in refusal.value.experiment
+
+
+def test_equal_effects_are_refused(confused):
+    """A gain beside a model that is all masses and friction is nothing that any motion shows: lambda is zero, and it says so."""
+    gain = _finding(DriveGain((JOINT,), (UNIT,)), 0.1, ("quadratic_drag",))
+    with pytest.raises(CannotAnswer, match="no motion of this robot tells drive_gain from quadratic_drag"):
+        propose_motion(replace(confused, findings=(gain,)), duration=12, trials=6)
+
+
+def test_a_twin_by_law_is_named_beside_one_that_motion_tells(confused):
+    """Of two twins one may be a matter of motion and the other not: the motion is for the one, the note for the other."""
+    finding = _finding(QuadraticDrag((JOINT,), (UNIT,)), 100.0, ("stribeck", "resolver_error"))
+    motion = propose_motion(replace(confused, findings=(finding,)), duration=12, trials=6)
+    assert any("from stribeck with lambda" in note for note in motion.notes)
+    assert any(note.startswith("no motion tells quadratic_drag from resolver_error") for note in motion.notes)
+
+
+def test_suspects_are_told_from_each_other(confused):
+    """Of two causes that held-out data left open each one is the other's rival; one alone is told from chance."""
+    drag = _finding(QuadraticDrag((JOINT,), (UNIT,)), 100.0, (), "suspected")
+    peak = _finding(Stribeck((JOINT,), (UNIT,)), 3.0, (), "suspected")
+    both = question_of(replace(confused, findings=(drag, peak)), {"reversal"})
+    assert [(s.cause, rival) for s, rival in both.pairs] == [
+        ("quadratic_drag", "stribeck"),
+        ("stribeck", "quadratic_drag"),
+    ]
+    alone = question_of(replace(confused, findings=(peak,)), {"reversal"})
+    assert [(s.cause, rival) for s, rival in alone.pairs] == [("stribeck", "")]
+    sure = question_of(replace(confused, findings=(replace(drag, status="confirmed"), peak)), {"reversal"})
+    assert [e.name for e in sure.others] == ["quadratic_drag"]
+
+
+def test_refusals(confused):
+    """A length or a number of trials that cannot be is refused, and so are measurements that are not forces."""
+    with pytest.raises(InputError, match="between 6 s and an hour"):
+        propose_motion(confused, duration=2)
+    with pytest.raises(InputError, match="at least one trial"):
+        propose_motion(confused, trials=0)
+    with pytest.raises(CannotAnswer, match="forces only"):
+        propose_motion(replace(confused, channel="tool"))

@@ -1,0 +1,178 @@
+"""Tries counted: what the best of many settings, joints and groups is worth under noise alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+from tau_dyn.diagnose.trials import DRAWS, Library, fit_group, groups, judge, try_all
+from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
+
+CLEAN = 300
+
+
+@pytest.fixture(scope="module")
+def one(make):
+    """A joint's ground on a clean log, its library, and clean residuals (R, CLEAN) on the same motion."""
+    rng = np.random.default_rng(11)
+    ground = make.ground(make.bench(rng, n=3000))
+    return ground, Library(ground.channel), ground.draws(CLEAN, rng)
+
+
+def clean_fits(one, cls, rng):
+    """Return the fit of a cause on each clean residual, each with its own noise draws."""
+    ground, library, clean = one
+    found = []
+    for e in clean.T:
+        again = replace(ground, e=e)
+        found.append(fit_group(library, again, again.draws(DRAWS, rng), cls, ("x",)))
+    return found
+
+
+@pytest.mark.parametrize("kind", ["OneBump", "Bump", "ManyBumps"])
+def test_p_values_of_clean_residuals_are_uniform(make, one, rng, kind):
+    """The best of 1, 8 or 40 places in noise: its p-value is uniform, whatever the number of settings."""
+    p = [fit.p_value for fit in clean_fits(one, getattr(make, kind), rng)]
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+    assert np.mean(np.array(p) < 0.05) < 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / CLEAN)
+
+
+@pytest.mark.parametrize("cls", [Stribeck, QuadraticDrag])
+def test_small_p_values_of_a_one_sided_cause_are_as_rare_as_they_say(one, rng, cls):
+    """A peak and a drag have one sign: of clean residuals 5 % have p < 0.05 and 20 % p < 0.2, each within 2.6 sigma."""
+    p = np.array([fit.p_value for fit in clean_fits(one, cls, rng)])
+    for level in (0.05, 0.2):
+        assert abs(np.mean(p < level) - level) < 2.6 * np.sqrt(level * (1 - level) / CLEAN)
+
+
+def test_forms_with_few_and_many_columns_share_one_level(one, rng):
+    """Friction of the place, parabola or fifth degree: the better of both is paid for, so p errs to the safe side."""
+    p = np.array([fit.p_value for fit in clean_fits(one, PositionFriction, rng)])
+    for level in (0.05, 0.2):
+        assert level / 4 < np.mean(p < level) < level + 2 * np.sqrt(level * (1 - level) / CLEAN)
+
+
+def test_multiplicity_grows_with_the_grid(make, one, rng):
+    """One place is one try; 8 and 40 places that do not overlap are about as many; a smooth grid is far fewer."""
+    ground, library, _ = one
+    draws = ground.draws(600, rng)
+    single, some, many = (
+        fit_group(library, ground, draws, cls, ("x",)).tries for cls in (make.OneBump, make.Bump, make.ManyBumps)
+    )
+    drag = fit_group(library, ground, draws, QuadraticDrag, ("x",)).tries
+    assert_allclose([single, drag], 1.0, atol=0.15)
+    assert_allclose(some, 8, rtol=0.3)
+    assert_allclose(many, 40, rtol=0.35)
+    smooth = fit_group(library, ground, draws, Stribeck, ("x",))
+    assert 1.0 <= smooth.tries < 0.8 * len(Stribeck.grid(ground.channel.scene, ("x",)))
+
+
+def test_the_best_setting_is_the_hidden_one(make, rng):
+    """Of 40 places the one with a force is taken, T is exact there, and its neighbours in the grid are named."""
+    place = make.ManyBumps.grid(make.bench(np.random.default_rng(5)).scene, ("x",))[11]
+    effect = make.ManyBumps(("x",), ("N",), **place)
+    channel = make.bench(np.random.default_rng(5), lambda m: 4 * effect.columns(m)[:, :, 0])
+    ground = make.ground(channel)
+    fit = fit_group(Library(channel), ground, ground.draws(DRAWS, rng), make.ManyBumps, ("x",))
+    assert fit.effect.settings == effect.settings
+    C = ground.rows(channel.columns(effect))
+    assert_allclose(fit.T, (C[:, 0] @ ground.e) ** 2 / ground.gram(C)[0, 0], rtol=1e-9)
+    assert fit.p_value < 1e-6
+    grid = make.ManyBumps.grid(channel.scene, ("x",))
+    assert fit.neighbours == (grid[10], grid[12])
+
+
+def test_scatter_that_the_noise_model_misses_inflates(make, rng):
+    """An effect that comes and goes block by block is worth less than its T: inflation above 1.5; with white noise about 1."""
+    channel = make.bench(rng, n=8000)
+    ground = make.ground(channel)
+    library, drag = Library(channel), QuadraticDrag
+    steady = ground.left(ground.rows(channel.columns(drag(("x",), ("N",)))))[:, 0]
+    blocks = len(np.unique(ground.whiten.block))
+    fickle = rng.standard_normal(ground.whiten.block.max() + 1)[ground.whiten.block] * steady
+    fickle *= 2 * np.sqrt(blocks) / np.linalg.norm(steady)
+    found = []
+    for extra in (0.0, fickle):
+        e = ground.draws(1, rng)[:, 0] + 8 * steady / np.linalg.norm(steady) + extra
+        fit = fit_group(library, replace(ground, e=e), ground.draws(DRAWS, rng), drag, ("x",))
+        found.append(fit)
+    assert found[0].inflation < 1.3 and found[1].inflation > 1.5
+    assert found[1].p_value > stats.chi2.sf(found[1].T, 1)
+
+
+def three(make, rng, size):
+    """Return three joints' ground, each with a bump of this size at the third of eight places."""
+    joints = ("x", "y", "z")
+    plain = make.bench(np.random.default_rng(2), joints=joints, n=2000)
+    force = 0.0
+    for j in joints:
+        effect = make.Bump((j,), ("N",), **make.Bump.grid(plain.scene, (j,))[2])
+        force = force + size * effect.columns(plain.motions[0])[:, :, 0]
+    return make.ground(make.bench(rng, lambda m: force, motions=plain.motions))
+
+
+def test_joints_together_show_what_none_shows_alone(make, rng):
+    """The same weak effect in three joints: p of all together is mostly below a tenth of the best one's alone."""
+    ratio = []
+    for _ in range(8):
+        ground = three(make, rng, 1.8)
+        (found,) = try_all(Library(ground.channel), ground, ground.draws(DRAWS, rng), [make.Bump], set())
+        ratio.append(min(1.0, 3 * min(f.p_value for f in found.tested)) / found.p_value)
+    assert np.median(ratio) > 10
+
+
+def test_together_or_alone_stays_at_its_level(make, rng):
+    """Of clean residuals on three joints 5 % and 2.5 sigma at most have p < 0.05: the better of two is paid for."""
+    ground = three(make, rng, 0.0)
+    library, p = Library(ground.channel), []
+    for e in ground.draws(120, rng).T:
+        again = replace(ground, e=e)
+        p.append(try_all(library, again, again.draws(DRAWS, rng), [make.Bump], set())[0].p_value)
+    assert 0.01 < np.mean(np.array(p) < 0.05) < 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 120)
+
+
+def test_a_weak_joint_waits_for_the_next_round(make, rng):
+    """A joint with a twentieth of the strongest one's evidence does not join at once; strong ones do, strongest first."""
+    ground = three(make, rng, 12.0)
+    (found,) = try_all(Library(ground.channel), ground, ground.draws(DRAWS, rng), [make.Bump], set())
+    assert len(found.fits) == 3
+    assert [f.merit for f in found.fits] == sorted((f.merit for f in found.fits), reverse=True)
+    strong, *others = found.fits
+    weak = replace(others[0], T=0.05 * strong.T)
+    assert weak.T > weak.threshold  # strong enough to be seen, were it alone
+    assert [f.effect.joints for f in judge("bump", [strong, weak]).fits] == [strong.effect.joints]
+
+
+def test_one_delay_for_all_drives_competes_with_one_for_each(make, rng):
+    """Overlapping groups never act at once: all together where they agree, each alone where that explains much more."""
+    ground = three(make, rng, 6.0)
+    fits = try_all(Library(ground.channel), ground, ground.draws(DRAWS, rng), [make.Bump], set())[0].tested
+    whole = replace(fits[0], effect=make.Bump(("x", "y", "z"), ("N",) * 3), T=1.05 * sum(f.T for f in fits))
+    assert [len(f.effect.joints) for f in judge("bump", [whole, *fits]).fits] == [3]
+    poor = replace(whole, T=1.1 * max(f.T for f in fits))
+    assert sorted(f.effect.joints for f in judge("bump", [poor, *fits]).fits) == [("x",), ("y",), ("z",)]
+
+
+def test_groups_that_are_covered_are_not_tried_again(make, rng):
+    """What acts on all joints of a group is not tried there; a pair may share a joint with another pair."""
+    channel = make.bench(rng, joints=("x", "y", "z"), n=500)
+    channel = replace(channel, scene=replace(channel.scene, signals=frozenset({"force"})))
+    everyone = ("x", "y", "z")
+    assert groups(channel, Delay, set()) == [everyone, ("x",), ("y",), ("z",)]
+    assert groups(channel, Delay, {("delay", everyone)}) == []
+    assert groups(channel, Delay, {("delay", ("x",))}) == [everyone, ("y",), ("z",)]
+    assert groups(channel, Delay, {("stribeck", everyone)}) == groups(channel, Delay, set())
+    assert groups(channel, ReducerCoupling, {("reducer_coupling", ("x", "y"))}) == [("x", "z"), ("y", "z")]
+
+
+def test_what_the_motion_cannot_show_is_not_tried(make, rng):
+    """Without a temperature thermal drift has no groups; a joint that never left its slow speeds has no Stribeck grid."""
+    channel = make.bench(rng, n=500)
+    ground = make.ground(channel)
+    assert groups(channel, ThermalDrift, set()) == []
+
+    library = Library(replace(channel, scene=replace(channel.scene, fast=channel.scene.slow)))
+    assert fit_group(library, ground, ground.draws(4, rng), Stribeck, ("x",)) is None
+    assert try_all(library, ground, ground.draws(4, rng), [ThermalDrift, Stribeck], set()) == []
