@@ -2,8 +2,9 @@
 
     python identification/emps_diagnosis.py [DATA_EMPS.csv [OUT_DIR]]
 
-In: the EMPS log (Janot, Gautier & Brunot 2019), by default in $TAU_DYN_DATA/emps. Out, for the symmetric and the asymmetric
-baseline: `emps_diagnosis_MODEL.json`, `emps_diagnosis_MODEL.html` and `emps_extended_MODEL.yaml`, the model with the causes found.
+In: the EMPS log (Janot, Gautier & Brunot 2019), by default in $TAU_DYN_DATA/emps. Out, for the symmetric and the
+asymmetric baseline: `emps_diagnosis_MODEL.json`, `emps_diagnosis_MODEL.html` and `emps_extended_MODEL.yaml`, the model with
+the causes found.
 """
 
 import json

@@ -1,13 +1,15 @@
-"""Identify robot dynamics from torque logs, closed loops included, and say how far to trust the answer.
+"""Identify robot dynamics from torque logs, closed loops included, name what the model leaves out, and say how far to trust it.
 
 robot = load_robot("gantry_tau", prototype="l1")
 found = identify(robot, read_log("monday.csv"), holdout=read_log("tuesday.csv"))
-found.model.save("model.yaml")
-tau = Feedforward.load("model.yaml")(q, v, a)
+why = diagnose(found, holdout=read_log("tuesday.csv"))
+why.extended_model.save("extended.yaml")
+tau = Feedforward.load("extended.yaml")(q, v, a)
 """
 
-# Bound here and at once, so that `tau_dyn.identify` is the function and never the room of the same name.
+# Bound here and at once, so that `tau_dyn.identify` and `tau_dyn.diagnose` are functions and never the rooms of the same names.
 from tau_dyn.control import Feedforward
+from tau_dyn.diagnose import diagnose
 from tau_dyn.dynamics import build_mechanism
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.identify import Choices, build_regression, identify
@@ -30,6 +32,7 @@ __all__ = [
     "build_mechanism",
     "build_regression",
     "check_log",
+    "diagnose",
     "identify",
     "load_robot",
     "read_log",

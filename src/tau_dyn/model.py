@@ -16,7 +16,8 @@ import numpy as np
 import yaml
 
 from tau_dyn.dynamics import Mechanism, build_mechanism
-from tau_dyn.effects import EFFECTS, Effect, Motion
+from tau_dyn.effects import Effect, Motion
+from tau_dyn.effects.read import read_effects
 from tau_dyn.effects.state import beyond_a_state
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
@@ -254,35 +255,6 @@ class Model:
             odd = min(set(saved.names) ^ set(model.parameters.names))
             raise InputError(f"{path}: parameter '{odd}' does not belong to this robot and these effects")
         return model.with_parameters(saved.select(model.parameters.names))
-
-
-def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
-    """Build effects from a file's list of `{effect: NAME, joints: [...], settings: {...}}`.
-
-    Joints default to all actuated ones, settings to the effect's own defaults.
-    """
-    if not isinstance(rows, list):
-        raise InputError(f"{where}: 'effects' must be a list")
-    units = dict(zip(robot.actuated, robot.force_units, strict=True))
-    found = []
-    for row in rows:
-        if not isinstance(row, dict) or str(row.get("effect")) not in EFFECTS:
-            name = row.get("effect") if isinstance(row, dict) else row
-            raise UnknownName("effect", str(name), EFFECTS, where)
-        joints = row.get("joints", list(robot.actuated))
-        if not isinstance(joints, list):
-            raise InputError(f"{where}: 'joints' of effect {row['effect']} must be a list of names, not {joints!r}")
-        joints = [str(joint) for joint in joints]
-        for joint in joints:
-            if joint not in units:
-                raise UnknownName("actuated joint", joint, units, where)
-        settings = row.get("settings") or {}
-        if not isinstance(settings, dict):
-            raise InputError(f"{where}: 'settings' of effect {row['effect']} must be a mapping from names to numbers")
-        label = str(row.get("label") or "")
-        settings = {str(key): value for key, value in settings.items()}
-        found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints], label=label, **settings))
-    return tuple(found)
 
 
 def _asked(effect: Effect, ask: Callable[[Motion], np.ndarray], motion: Motion) -> np.ndarray:

@@ -76,4 +76,4 @@ def test_a_log_without_the_column_that_an_effect_needs_exits_2(tmp_path, capsys)
     assert main(["simulate", "linear_axis", *QUIET, "--out", str(log)]) == 0
     assert main(["identify", "linear_axis", str(log), "--model", str(tmp_path / "m.yaml"), "--quiet"]) == 2
     said = capsys.readouterr().err
-    assert "has no column temp_room or temp_axis, which effect thermal_drift" in said and said.count("\n") == 1
+    assert "has no column temp_room or temp_axis, which effect thermal_drift" in said

@@ -151,7 +151,7 @@ def test_what_a_state_determines_is_compensated_without_a_jump(robot: str, cause
     model = extended(robot, cause)
     na = model.robot.na
     v = rng.choice([-1, 1], (20, na)) * rng.uniform(0.02, 0.5, (20, na)) * rng.uniform(1, 2, na)
-    v[0] = 0.02  # where a peak at low speed stands
+    v[0, 0] = 0.02  # where a peak at low speed stands
     q, a = model.robot.home + rng.uniform(-0.05, 0.05, v.shape), rng.uniform(-1, 1, v.shape)
     feedforward = Feedforward(model, width=1e-4)
     assert not feedforward.left_out and not feedforward.warnings

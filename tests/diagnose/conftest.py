@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from tau_dyn.diagnose.channel import Channel
@@ -20,8 +21,10 @@ from tau_dyn.parameters import Parameter, Parameters
 
 RATE_HZ = 50.0
 SLOW = 0.02  # [m/s] below which samples do not count
+GAP = 15  # samples left out between parts and around reversals, over which the noise forgets
 PHI = 0.8  # of the noise, whose standard deviation is 1 N
 NOISE = Autoregression(np.array([PHI]), 1.0)
+KNOWN = {"mass": 20.0, "coulomb": 15.0, "viscous": 30.0, "offset": 5.0}
 Force = Callable[[Motion], np.ndarray]
 
 
@@ -67,18 +70,25 @@ def coloured(rng: np.random.Generator, n: int, m: int) -> np.ndarray:
 
 
 def taking_turns(n: int) -> np.ndarray:
-    """Return parts (n,) in 4 s blocks, 3 : 1 : 1, a tenth of a second apart."""
+    """Return parts (n,) in 4 s blocks, 3 : 1 : 1, `GAP` samples apart."""
     length = round(4 * RATE_HZ)
     out = np.array([0, 1, 0, 2, 0])[np.arange(n) // length % 5]
-    return np.where(np.arange(n) % length < 5, -1, out)
+    return np.where(np.arange(n) % length < GAP, -1, out)
+
+
+def sure(motion: Motion) -> np.ndarray:
+    """Return which samples (n, m) move, and stand off from those that do not as a filter's memory would demand."""
+    slow = (np.abs(motion.v) < SLOW).astype(float)
+    return uniform_filter1d(slow, GAP, axis=0) < 1e-9
 
 
 def baseline(motion: Motion) -> np.ndarray:
-    """Return acceleration, direction and speed of each joint (n, m, 3 m): mass, Coulomb and viscous friction."""
+    """Return acceleration, direction, speed and one for each joint (n, m, 4 m): mass, friction and offset."""
     n, m = motion.v.shape
-    W = np.zeros((n, m, 3 * m))
+    W = np.zeros((n, m, 4 * m))
     for k in range(m):
-        W[:, k, 3 * k : 3 * k + 3] = np.column_stack([motion.a[:, k], motion.sign[:, k], motion.v[:, k]])
+        own = motion.a[:, k], motion.sign[:, k], motion.v[:, k], np.ones(n)
+        W[:, k, 4 * k : 4 * k + 4] = np.column_stack(own)
     return W
 
 
@@ -95,19 +105,19 @@ def bench(
     noise: float = 1.0,
     **known: dict[str, Any],
 ) -> Bench:
-    """Return a channel of joints with mass 20, Coulomb friction 15 and viscous friction 30, a hidden force and noise.
+    """Return a channel of joints with mass 20, Coulomb friction 15, viscous friction 30 and offset 5, a hidden force and noise.
 
     `known` changes attributes of baseline parameters, such as `x_mass={"free": False}`.
     """
     motions = tuple(motions) or (moving(rng, joints, n),)
     joints = motions[0].joints
-    theta = np.tile([20.0, 15.0, 30.0], len(joints))
+    theta = np.tile(list(KNOWN.values()), len(joints))
     runs = []
     for k, motion in enumerate(motions):
         W = baseline(motion)
         y = W @ theta + hidden(motion) + noise * coloured(rng, *motion.v.shape)
-        runs.append(Run(f"log{k}", np.asarray(motion.t), W, y, np.abs(motion.v) > SLOW, W, y))
-    names = [(f"{j}_{what}", x) for j in joints for what, x in (("mass", 20.0), ("coulomb", 15.0), ("viscous", 30.0))]
+        runs.append(Run(f"log{k}", np.asarray(motion.t), W, y, sure(motion), W, y))
+    names = [(f"{j}_{what}", x) for j in joints for what, x in KNOWN.items()]
     q, v = (np.concatenate([getattr(m, key) for m in motions]) for key in "qv")
     signals = frozenset.intersection(*(frozenset(m.signals) for m in motions))
     scene = Scene(

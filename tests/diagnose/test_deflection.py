@@ -153,15 +153,29 @@ def test_a_cyclic_error_is_found_with_its_period(rng) -> None:
     assert np.hypot(sine.value, cosine.value) == pytest.approx(2e-5, rel=0.15)
 
 
+def test_every_log_has_its_own_zeros(rng) -> None:
+    """Two logs of two joints have four zeros, each in its own log; gaps within a log do not make further ones."""
+    t, q, tau = motion(rng)
+    one, other = (recorded(t, q, tau, q, rng, name) for name in "ab")
+    whole = np.abs(t - 20) > 1
+    cut = Log(t[whole], {key: x[whole] for key, x in one.channels.items()}, name="a")
+    channel = deflection_channel(robot, [cut], [other])
+    assert channel.parameters.names == ("shoulder.zero_1", "elbow.zero_1", "shoulder.zero_2", "elbow.zero_2")
+    assert [run.name for run in channel.runs] == ["a", "a", "b"]
+    for run, own, rest in zip(channel.runs, (0, 0, 2), (2, 2, 0), strict=True):
+        assert_allclose(run.W[0, :, own : own + 2], np.eye(2))
+        assert not run.W[:, :, rest : rest + 2].any()
+
+
 def test_quick_scan_explains_what_the_exact_columns_do(rng) -> None:
     """Periods are scanned by Fourier transforms: nearly what the exact columns explain, and the period stands out."""
     t, q, tau = motion(rng)
     load = q.copy()
-    load[:, 0] -= 2e-5 * np.sin(2 * np.pi * q[:, 0] / 0.04)
+    load[:, 1] -= 2e-5 * np.sin(2 * np.pi * q[:, 1] / 0.04)
     channel = deflection_channel(robot, [recorded(t, q, tau, load, rng)])
     ground = Ground.of(channel, (0,), noise_models(channel, (0,)))
     make = EFFECTS["transmission_error"]
-    effects = [make(["shoulder"], ["N m"], **s) for s in make.grid(channel.scene, ("shoulder",))]
+    effects = [make(["elbow"], ["N m"], **s) for s in make.grid(channel.scene, ("elbow",))]
     quick = channel.scan(effects, ground, np.column_stack([ground.e, ground.draws(8, np.random.default_rng(0))]))
     assert quick is not None
     best = effects[int(np.argmax(quick[:, 0]))]

@@ -10,6 +10,7 @@ from tau_dyn.diagnose.simulated import with_simulation
 from tau_dyn.effects import TorqueOffset, friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
+from tau_dyn.robot import load_robot
 from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, fourier_motion, simulate
 
 LAW = CascadeLaw.of(20.0, 240.0, na=1, limit=500.0)
@@ -29,11 +30,9 @@ def _answer(model: Model, extended: Model) -> Diagnosis:
 @pytest.fixture(scope="module")
 def models() -> tuple[Model, Model]:
     """A linear axis with friction, and the same with a constant push on it."""
-    from tau_dyn.robot import load_robot
-
     robot = load_robot("linear_axis")
     plain = friction_model("asymmetric", robot.actuated, robot.force_units)
-    values = {f"axis.{x}": y for x, y in zip(("coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg"), (8, 8, 30, 30), strict=True)}  # fmt: skip
+    values = {"axis.coulomb_pos": 8.0, "axis.coulomb_neg": 8.0, "axis.viscous_pos": 30.0, "axis.viscous_neg": 30.0}
     model = Model.of(robot, plain).with_values(values)
     pushed = Model.of(robot, (*plain, TorqueOffset(robot.actuated, robot.force_units)))
     return model, pushed.with_values({**values, "axis.offset": OFFSET})
@@ -48,8 +47,7 @@ def log(models):
 
 def test_the_extended_model_repeats_what_the_baseline_does_not(models, log):
     """A push that the baseline lacks bends its simulated path; with it the recording is repeated."""
-    without = log.with_channels(**{}) if False else log
-    found = with_simulation(_answer(*models), [without], LAW)
+    found = with_simulation(_answer(*models), [log], LAW)
     assert found.simulation is not None and found.simulation["log"] == "recorded"
     before, after = (
         found.simulation[when]["errors"]["following"]["axis"]["relative_error_percent"] for when in ("before", "after")

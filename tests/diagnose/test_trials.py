@@ -33,9 +33,13 @@ def clean_fits(one, cls, rng):
 
 @pytest.mark.parametrize("kind", ["OneBump", "Bump", "ManyBumps"])
 def test_p_values_of_clean_residuals_are_uniform(make, one, rng, kind):
-    """The best of 1, 8 or 40 places in noise: its p-value is uniform, whatever the number of settings."""
+    """The best of 1, 8 or 40 places in noise: its p-value is uniform, whatever the number of settings.
+
+    Inflation is never below 1, so p may be a little too large, never too small.
+    """
     p = [fit.p_value for fit in clean_fits(one, getattr(make, kind), rng)]
-    assert stats.kstest(p, "uniform").pvalue > 0.01
+    assert stats.kstest(p, "uniform", alternative="greater").pvalue > 0.01
+    assert stats.kstest(p, "uniform").statistic < 0.14
     assert np.mean(np.array(p) < 0.05) < 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / CLEAN)
 
 
@@ -130,7 +134,8 @@ def test_together_or_alone_stays_at_its_level(make, rng):
     for e in ground.draws(120, rng).T:
         again = replace(ground, e=e)
         p.append(try_all(library, again, again.draws(DRAWS, rng), [make.Bump], set())[0].p_value)
-    assert 0.01 < np.mean(np.array(p) < 0.05) < 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 120)
+    assert np.mean(np.array(p) < 0.5) > 0.15
+    assert np.mean(np.array(p) < 0.05) < 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 120)
 
 
 def test_a_weak_joint_waits_for_the_next_round(make, rng):

@@ -57,7 +57,7 @@ def test_friction_of_another_joints_place_follows_the_direction(make):
 
 def test_a_force_without_a_simple_formula_gets_none(make):
     """Two humps along another joint's way are found, but no product of simple terms explains 85 % of them."""
-    found = structure(make, 3, at("one", lambda m: 4 * np.cos(2 * np.pi * m.q[:, 1] / 0.12)))
+    found = structure(make, 3, at("one", lambda m: 12 * np.cos(2 * np.pi * m.q[:, 1] / 0.3)))
     assert found.output == "one" and found.variables == ("q_two",) and found.formula == ""
 
 

@@ -47,7 +47,7 @@ def test_no_loop_is_claimed_beside_the_late_encoders(out, way):
 
 
 def test_stiffness_depends_on_what_one_believes_in(stiffness):
-    """Without the clock offset axes read a third to a half of the published stiffness; with it, axes 2 and 3 more than all of it."""
+    """Without the clock offset axes read a third to a half of the published stiffness; with it, axes 2 and 3 exceed it."""
     plain = stiffness.loc["joint_compliance"]
     late = stiffness.loc["joint_compliance + clock_offset"]
     assert np.all(plain.of_published < 0.6)
@@ -61,7 +61,9 @@ def test_both_runs_agree_once_the_clocks_are_set_right(stiffness):
     for axis in ("axis2", "axis3"):
         a, b = late.loc[("A", axis)], late.loc[("B", axis)]
         assert abs(a.stiffness_MNm_per_rad - b.stiffness_MNm_per_rad) < 2 * np.hypot(a.stderr, b.stderr)
-    assert not np.any(late.xs("axis1", level="joint").stderr < 0.3 * late.xs("axis1", level="joint").stiffness_MNm_per_rad)
+    assert not np.any(
+        late.xs("axis1", level="joint").stderr < 0.3 * late.xs("axis1", level="joint").stiffness_MNm_per_rad
+    )
 
 
 def test_both_runs_have_their_report(out):

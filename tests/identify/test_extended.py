@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
 from tau_dyn.effects import EFFECTS, friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import build_regression, identify
-from tau_dyn.identify.regression import travel
+from tau_dyn.identify.signals import travel
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import named_motion
@@ -32,7 +34,7 @@ CASES = [(r, c) for r in ROBOTS for c in AMPLITUDES if (r, c) not in NOT_ON]
 def extended(robot, cause: str, size: float, **settings: float) -> Model:
     """Return a robot with friction and one cause on its first joint, or on as many as it takes."""
     count = {"reducer_coupling": 2, "passive_joint_friction": robot.na}.get(cause, 1)
-    effect = EFFECTS[cause](robot.actuated[:count], robot.force_units[:count], **settings)
+    effect = EFFECTS[cause](robot.actuated[:count], robot.force_units[:count], **cast("Any", settings))
     model = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), effect])
     values = dict.fromkeys(model.effects[0].parameters.names, 40.0)
     return model.with_values(values | dict.fromkeys(effect.parameters.names, size))
@@ -118,6 +120,9 @@ def test_held_out_logs_are_campaigns_of_their_own(axis) -> None:
     regression = build_regression(model, [held], campaigns=["first.csv", "second.csv"])
     assert not regression.runs[0].W[:, :, -2:].any()
     assert build_regression(model, [held], campaigns=["first.csv"]).runs[0].W[:, :, -2:].any()
+    two = [made(model, 1, 10.0, 0.0, "first.csv"), made(model, 2, 10.0, 1.0, "second.csv")]
+    judged = identify(axis, two, holdout=held, model=model)
+    assert judged.held is not None and not judged.held.runs[0].W[:, :, -2:].any()
 
 
 def test_loads_are_those_of_the_masses_found(l1) -> None:

@@ -2,10 +2,10 @@ r"""The deflection channel: a motor-side encoder, divided by the gear, against a
 
     q - q_link = zero + sum of effects' displacements + noise
 
-Each joint of each log has a zero of its own, as encoders are referenced anew. The force that an elastic joint feels is the measured
-one, low-passed like the deflection, and not a model's. It is the motor's: what friction and inertia on the motor's side of the
-spring take of it is not subtracted, as nothing measured here tells where the friction sits; they make a spring look stiffer than it
-is. A compliance is quasi-static: it holds below the resonance of load and spring.
+Each joint of each log has a zero of its own, as encoders are referenced anew. The force that an elastic joint feels is the
+measured one, low-passed like the deflection, and not a model's. It is the motor's: what friction and inertia on the motor's
+side of the spring take of it is not subtracted, as nothing measured here tells where the friction sits; they make a spring look
+stiffer than it is. A compliance is quasi-static: it holds below the resonance of load and spring.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     encoder - load = clock_offset (v + v_load) / 2
 
-A load-side encoder whose reading is `clock_offset` old says `q(t - clock_offset)`; the difference follows the speed, whatever the
-force. Negative: the motor side is the older one. It belongs to the recording, and not to the robot. With the mean of both sides' speeds,
-`v(t)` and `v(t - clock_offset)`, the law is the trapezoidal rule, exact up to the offset's third power.
+A load-side encoder whose reading is `clock_offset` old says `q(t - clock_offset)`; the difference follows the speed, whatever
+the force. Negative: the motor side is the older one. It belongs to the recording, and not to the robot. With the mean of both
+sides' speeds, `v(t)` and `v(t - clock_offset)`, the law is the trapezoidal rule, exact up to the offset's third power.
 """
 
 from __future__ import annotations

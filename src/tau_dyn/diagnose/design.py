@@ -109,7 +109,7 @@ def noise_of(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple
 
 
 def flattened(noise: Autoregression) -> Autoregression:
-    """Return a noise whose density goes on above the low-pass as it is just below it.
+    """Return a noise whose density goes on above the low-pass as it is below it.
 
     The residual was low-passed near the end of its band, candidate columns are not: whitened by what the low-pass left there
     they would seem to show almost anything.
@@ -118,7 +118,7 @@ def flattened(noise: Autoregression) -> Autoregression:
     turn = np.exp(-2j * np.pi * np.outer(f, np.arange(1, len(noise.phi) + 1)))
     density = 1 / np.abs(1 - turn @ noise.phi) ** 2
     density *= noise.variance / np.fft.irfft(density)[0]
-    density[f > _IN_BAND] = density[f <= _IN_BAND][-1]
+    density[f > _IN_BAND] = np.mean(density[(f > _IN_BAND / 2) & (f <= _IN_BAND)])
     c = np.fft.irfft(density)[: _MOST_ORDER + 1]
     phi = np.asarray(solve_toeplitz(c[:-1], c[1:])) if c[0] > 0 and len(noise.phi) else np.zeros(0)
     return Autoregression(phi, float(c[0]))

@@ -18,6 +18,7 @@ _FASTEST = 0.98
 _NEAR = 0.3
 """Settings of a fine grid that lie this near the true cause's own are tried as a rival's."""
 _WEAK = 1e-12
+_IMITATED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,10 @@ def pair_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
 
 
 def with_mirrored(plan: Plan, recorded: Sequence[Prepared]) -> Plan:
-    """Return the plan with each rival taken as true as well, at the amplitudes with which it imitates the suspect so far."""
+    """Return the plan with rivals taken as true as well, at the amplitudes with which they imitate the suspect so far.
+
+    A rival that imitates less than half of it on the measured motion could not be behind what was measured.
+    """
     if not plan.question.pairs:
         return plan
     total = np.sum([gram(plan.setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
@@ -149,11 +153,11 @@ def with_mirrored(plan: Plan, recorded: Sequence[Prepared]) -> Plan:
     for line, (suspect, rival) in zip(plan.lines, plan.question.pairs, strict=True):
         if line.instead is None or any(s.cause == rival for s, _ in plan.question.pairs):
             continue
-        _, chosen = line.instead.best(schur, int(line.columns[0]))
-        if chosen:
-            values = amplitudes(schur, int(line.columns[0]), chosen)
-            if np.any(values.values):
-                plan = _with_pair(plan, Suspect(rival, tuple(e for e, _ in chosen), values), suspect.cause, suspect)
+        x = int(line.columns[0])
+        left, chosen = line.instead.best(schur, x)
+        if chosen and left < _IMITATED * schur.G[x, x]:
+            values = amplitudes(schur, x, chosen)
+            plan = _with_pair(plan, Suspect(rival, tuple(e for e, _ in chosen), values), suspect.cause, suspect)
     return plan
 
 

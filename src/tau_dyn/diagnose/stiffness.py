@@ -2,8 +2,9 @@
 
     deflection = zero + compliance tau [+ loop] [+ clock_offset v]
 
-The loop is a play that closes at once, in effect `sign(v)`, or a hysteresis that builds up over the distance that fits best. What a reading is worth shows in what it leaves on data used for nothing else. This finds no cause; it shows how far the stiffness
-depends on the causes that one believes in.
+The loop is a play that closes at once, in effect `sign(v)`, or a hysteresis that builds up over the distance that fits best.
+What a reading is worth shows in what it leaves on data used for nothing else. This finds no cause; it shows how far the
+stiffness depends on the causes that one believes in.
 """
 
 from __future__ import annotations
@@ -77,10 +78,10 @@ def _on(channel: DeflectionChannel, causes: Sequence[type[Effect]], joint: str) 
     unit = channel.scene.units[channel.scene.index(joint)]
     grids = [cls.grid(channel.scene, (joint,)) or [{}] for cls in causes]
     grids = [grid if cls.refined else grid[:1] for cls, grid in zip(causes, grids, strict=True)]
-    tried = [[cls((joint,), (unit,), **grid[0]) for cls, grid in zip(causes, grids, strict=True)]]
-    for k, (cls, grid) in enumerate(zip(causes, grids, strict=True)):
-        for settings in grid[1:]:
-            tried.append([*tried[0][:k], cls((joint,), (unit,), **settings), *tried[0][k + 1 :]])
+    first = [cls((joint,), (unit,)).with_settings(**grid[0]) for cls, grid in zip(causes, grids, strict=True)]
+    tried = [first]
+    for k, grid in enumerate(grids):
+        tried += [[*first[:k], first[k].with_settings(**settings), *first[k + 1 :]] for settings in grid[1:]]
     return min(tried, key=lambda effects: _left(channel, effects, joint))
 
 

@@ -87,7 +87,7 @@ def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: f
     p_value = float(-np.expm1(tries * np.log1p(-min(float(stats.chi2.sf(T / inflation, dof)), 1 - 1e-16))))
     if p_value >= level and level < 1:
         return None
-    return _described(channel, ground, output, names, signed, T / inflation, p_value, tries, merit)
+    return _described(channel, ground, output, names, signed, T, inflation, p_value, tries, merit)
 
 
 def structure_chance(clean: Channel, ground: Ground, structure: Structure, others: Sequence[list[np.ndarray]]) -> float:
@@ -156,6 +156,7 @@ def _described(
     names: tuple[str, ...],
     signed: bool,
     T: float,
+    inflation: float,
     p_value: float,
     tries: float,
     merit: float,
@@ -167,7 +168,7 @@ def _described(
     rows = np.flatnonzero(ground.whiten.index == k)
     share = min(1.0, T / max(float(ground.e[rows] @ ground.e[rows]), 1e-300))
     formula = _formula(channel, ground, k, names, output, T)
-    return Structure(output, names, signed, T, p_value, tries, merit, share, columns, formula)
+    return Structure(output, names, signed, T / inflation, p_value, tries, merit, share, columns, formula)
 
 
 def _formula(channel: Channel, ground: Ground, k: int, names: tuple[str, ...], output: str, T: float) -> str:

@@ -3,8 +3,8 @@ r"""A cart that turns a little as it travels, and carries the end of its rod alo
     u = angle(q) x lever = tilt_sin sin(2 pi q / period) + tilt_cos cos(2 pi q / period)
 
 Tool positions show only the product of angle and lever, so its two amplitude vectors (3,) [m], in base axes, are the
-parameters. A constant angle is part of the guideway's place, one that grows evenly with q is a scale or a skew guideway: what is left
-to a tilt is the wave, half a wave to four waves over the travel (shorter ones along the way are `transmission_error`). A
+parameters. A constant angle is part of the guideway's place, one that grows evenly with q is a scale or a skew guideway: what is
+left to a tilt is the wave, half a wave to four waves over the travel (shorter ones along the way are `transmission_error`). A
 crooked guideway displaces the rod's end just so: only a measured orientation of the cart, or a second rod on it, tells them
 apart. Reference: Dressler 2012, 4.2 (orientation was not measured) and 5.3 (0.03 degrees on D1).
 """

@@ -24,17 +24,11 @@ from tau_dyn.identify.logs import each_once, listed, log_warnings, without_train
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import build_regression, even_pieces
 from tau_dyn.identify.result import Identification
+from tau_dyn.identify.settle import settled
 from tau_dyn.identify.structure import physics_of, structural_base
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-
-FELT = frozenset({"force", "load", "inertia"})
-"""Signals that follow from the parameters' values, so that a fit changes the columns it was made with."""
-
-PASSES = 8
-SETTLED = 0.01
-"""A fit is repeated until the predicted force moves by less than this share of what it leaves unexplained."""
 
 TRAIN_SHARE = 0.7
 """Where no held-out log is given, a fit of this first part of each log predicts the rest."""
@@ -123,7 +117,7 @@ def _identify(
     structural = structural_base(prepared, seed)
     solve = _Solver(prepared, structural, {j: sigma for j, (_, sigma) in gains.items()})
     progress("estimate")
-    training, estimate = _settled(prepared, training, solve, build, warnings)
+    training, estimate = settled(prepared, training, solve, build, warnings)
     progress("held-out errors")
     if held_logs:
         held = _scaled(
@@ -192,41 +186,6 @@ class _Solver:
             structural=self.structural,
             gains=self.gains,
         )
-
-
-def _settled(
-    model: Model,
-    training: Regression,
-    solve: _Solver,
-    build: Callable[[Model], Regression],
-    warnings: list[str],
-) -> tuple[Regression, Estimate]:
-    """Return the fit and its regression, repeated where effects feel what the fitted values make of forces and loads."""
-    estimate = solve(training)
-    feeling = [effect.name for effect in model.effects if FELT & set(effect.needs)]
-    if not feeling:
-        return training, estimate
-    for _ in range(PASSES):
-        before = training.residuals(estimate.theta)
-        training = build(model.with_parameters(estimate.parameters))
-        estimate = solve(training)
-        after = training.residuals(estimate.theta)
-        moved, left = (np.sqrt(sum(_squares(training, x))) for x in (_differences(after, before), after))
-        if moved <= SETTLED * left:
-            return training, estimate
-    warnings.append(
-        f"the fit did not settle in {PASSES} passes: effect {feeling[0]} feels a force or load that moves with the estimate"
-    )
-    return training, estimate
-
-
-def _differences(one: list[np.ndarray], other: list[np.ndarray]) -> list[np.ndarray]:
-    return [x - y for x, y in zip(one, other, strict=True)]
-
-
-def _squares(regression: Regression, residuals: list[np.ndarray]) -> list[float]:
-    """Return the sum of squares of each run over the samples that a fit may use."""
-    return [float(np.sum(x[run.usable] ** 2)) for run, x in zip(regression.runs, residuals, strict=True)]
 
 
 def _scaled(regression: Regression, gains: dict[str, tuple[float, float]]) -> Regression:

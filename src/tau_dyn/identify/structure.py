@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.estimate import BaseParameters, Body, Physics, find_base
-from tau_dyn.identify.regression import travel
+from tau_dyn.identify.signals import travel
 from tau_dyn.log import differentiate
 from tau_dyn.model import Model
 

@@ -1,0 +1,64 @@
+"""A fit whose columns depend on what it finds: friction in proportion to a load, a gain of the model's own force.
+
+The columns are made with the signals of the last estimate and the fit is repeated. Each pass brings a gain error `g` closer by a
+factor `g`, and a load's friction by the share of the force that it is; two or three passes are the rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tau_dyn.estimate import Estimate, Regression
+from tau_dyn.model import Model
+
+FELT = frozenset({"force", "load", "inertia"})
+"""Signals that follow from the parameters' values, so that a fit changes the columns it was made with."""
+
+PASSES = 8
+SETTLED = 0.01
+"""A fit is repeated until the predicted force moves by less than this share of what it leaves unexplained."""
+
+
+def settled(
+    model: Model,
+    training: Regression,
+    solve: Callable[[Regression], Estimate],
+    build: Callable[[Model], Regression],
+    warnings: list[str],
+) -> tuple[Regression, Estimate]:
+    """Return the fit and its regression, repeated where effects feel what the fitted values make of forces and loads.
+
+    Args:
+        model: What is fitted, at the values to start from.
+        training: Its regression with signals at those values.
+        solve: The estimation.
+        build: Makes the regression with signals at a model's values.
+        warnings: Told where the fit does not settle.
+    """
+    estimate = solve(training)
+    feeling = [effect.name for effect in model.effects if FELT & set(effect.needs)]
+    if not feeling:
+        return training, estimate
+    for _ in range(PASSES):
+        before = training.residuals(estimate.theta)
+        training = build(model.with_parameters(estimate.parameters))
+        estimate = solve(training)
+        after = training.residuals(estimate.theta)
+        moved, left = (np.sqrt(sum(_squares(training, x))) for x in (_differences(after, before), after))
+        if moved <= SETTLED * left:
+            return training, estimate
+    warnings.append(
+        f"the fit did not settle in {PASSES} passes: effect {feeling[0]} feels a force or load that moves with the estimate"
+    )
+    return training, estimate
+
+
+def _differences(one: list[np.ndarray], other: list[np.ndarray]) -> list[np.ndarray]:
+    return [x - y for x, y in zip(one, other, strict=True)]
+
+
+def _squares(regression: Regression, residuals: list[np.ndarray]) -> list[float]:
+    """Return the sum of squares of each run over the samples that a fit may use."""
+    return [float(np.sum(x[run.usable] ** 2)) for run, x in zip(regression.runs, residuals, strict=True)]
