@@ -228,6 +228,8 @@ def test_suspects_are_told_from_each_other(confused):
     assert [(s.cause, rival) for s, rival in alone.pairs] == [("stribeck", "")]
     sure = question_of(replace(confused, findings=(replace(drag, status="confirmed"), peak)), {"reversal"})
     assert [e.name for e in sure.others] == ["quadratic_drag"]
+    elsewhere = question_of(replace(confused, findings=(replace(peak, channel="tool"),)), {"reversal"})
+    assert not elsewhere.pairs and elsewhere.causes  # what tool positions show is no question to forces
 
 
 def test_refusals(confused):

@@ -116,9 +116,7 @@ def hidden_model(model):
     joints, units = model.robot.actuated, model.robot.force_units
     effects = (CyclicRipple(joints[1:2], units[1:2], period=TOOTH), Stribeck(joints, units, speed=0.025))
     more = Parameters([p for effect in effects for p in effect.parameters])
-    extended = replace(
-        model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more
-    )
+    extended = replace(model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more)
     peaks = {f"{joint}.stribeck": value for joint, value in PEAK.items()}
     return extended.with_values({f"{joints[1]}.ripple_sin": RIPPLE, **peaks})
 
@@ -126,5 +124,7 @@ def hidden_model(model):
 def _show(console, found, written: dict[str, str]) -> None:
     from tau_dyn.report import print_diagnosis
 
-    console.print("Hidden in the made logs: a ripple of 2 N every 20.9 mm on cart2, and Stribeck friction on all carts.")
+    console.print(
+        "Hidden in the made logs: a ripple of 2 N every 20.9 mm on cart2, and Stribeck friction on all carts."
+    )
     print_diagnosis(console, found, written)

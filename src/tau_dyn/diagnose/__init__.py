@@ -1,6 +1,7 @@
 """What a simulation gets wrong, which physical cause explains it, and how much better the model is with it."""
 
 from tau_dyn.diagnose.diagnose import diagnose
+from tau_dyn.diagnose.propose import propose_motion
 from tau_dyn.diagnose.result import (
     Diagnosis,
     Errors,
@@ -13,6 +14,7 @@ from tau_dyn.diagnose.result import (
     Unexplained,
     Untestable,
 )
+from tau_dyn.diagnose.simulated import with_simulation
 
 __all__ = [
     "Diagnosis",
@@ -26,4 +28,6 @@ __all__ = [
     "Unexplained",
     "Untestable",
     "diagnose",
+    "propose_motion",
+    "with_simulation",
 ]

@@ -11,26 +11,21 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.floor import noise_floor
 from tau_dyn.diagnose.limits import limits_of
-from tau_dyn.diagnose.result import Diagnosis, Errors, Finding, Step, Unexplained, Verdict
+from tau_dyn.diagnose.result import Diagnosis, Errors, Finding, Unexplained
 from tau_dyn.diagnose.search import FAMILY_LEVEL, search
 from tau_dyn.diagnose.stages import (
     HELD_OUT,
     SHARED,
+    Answer,
+    assembled,
     confirmation,
-    effects_of,
-    extended_model,
     findings_of,
-    seconds,
-    strength,
-    traces,
     unexplained_of,
     waterfall,
 )
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import find_structure
-from tau_dyn.effects import EFFECTS
 from tau_dyn.effects.words import quantity
 from tau_dyn.model import Model
 
@@ -63,37 +58,22 @@ def diagnose_channel(
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
     unexplained = unexplained_of(channel, hunt, structure)
     progress("measuring the gain")
-    steps, judgements, gains = waterfall(channel, kept, rng)
-    baseline, extended = judgements[0], judgements[-1]
-    findings = findings_of(channel, hunt, tests, kept, extended, gains, rng)
+    bars = waterfall(channel, kept, rng)
+    findings = findings_of(channel, hunt, tests, kept, bars, rng)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
-    floor = noise_floor(channel, hunt, extended, rng)
     named = [f for f in findings if f.status == "confirmed"]
     open_end = any(u.status == "confirmed" for u in unexplained)
-    verdict: Verdict = "named" if named else "unexplained" if open_end else "nothing_found"
-    return Diagnosis(
-        verdict=verdict,
-        sentence=_sentence(channel, baseline.errors, extended.errors, named, unexplained),
-        channel=channel.name,
-        outputs=channel.outputs,
-        units=channel.units,
-        baseline=baseline.errors,
-        extended=extended.errors,
-        noise_floor=floor,
-        waterfall=(*steps, Step("noise_floor", floor)),
-        findings=tuple(sorted(findings, key=strength)),
-        unexplained=unexplained,
-        limits=limits,
-        untestable=untestable,
-        model=model,
-        extended_model=extended_model(model, extended, [e for e in effects_of(kept) if e.name in EFFECTS]),
-        traces=traces(channel, baseline, extended),
-        n_parts=seconds(channel),
-        how=(HELD_OUT if held else SHARED).format(what="logs"),
-        warnings=tuple(dict.fromkeys(warnings)),
-        seed=seed,
-        settings={"noise_draws": DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": hunt.n_causes},
+    answer = Answer(
+        "named" if named else "unexplained" if open_end else "nothing_found",
+        _sentence(channel, bars.judgements[0].errors, bars.judgements[-1].errors, named, unexplained),
+        (HELD_OUT if held else SHARED).format(what="logs"),
+        findings,
+        unexplained,
+        limits,
+        untestable,
+        warnings=warnings,
     )
+    return assembled(channel, hunt, kept, bars, model, answer, seed)
 
 
 def _sentence(

@@ -69,7 +69,7 @@ def confirm(
     gamma = np.linalg.lstsq(gamma_columns, y_t - B_t @ theta, rcond=1e-7)[0]
     shift = inverse @ np.concatenate([C_t @ gamma, blank])
     x, r = C_c @ gamma - B_c @ shift, y_c - B_c @ theta
-    return _regress(np.column_stack([x, B_c @ shift]), r, B_c, np.linalg.qr(B_all, mode="r"), held)
+    return _regress(np.column_stack([x, B_c @ shift]), r, B_c, np.asarray(np.linalg.qr(B_all, mode="r")), held)
 
 
 def _regress(free: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener) -> Confirmation:

@@ -16,7 +16,6 @@ import numpy as np
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.deflection import diagnose_deflection
 from tau_dyn.diagnose.encoders import chance_with_encoders, noise_only
-from tau_dyn.diagnose.floor import noise_floor
 from tau_dyn.diagnose.force import (
     ForceChannel,
     diagnosis_preparation,
@@ -29,19 +28,17 @@ from tau_dyn.diagnose.force import (
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.merge import merged
 from tau_dyn.diagnose.nominal import parameter_findings
-from tau_dyn.diagnose.result import Diagnosis, Finding, Step, Unexplained, Untestable, Verdict
+from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.search import FAMILY_LEVEL, Search, columns_of, search
 from tau_dyn.diagnose.stages import (
     HELD_OUT,
     SHARED,
+    Answer,
+    assembled,
     confirmation,
     effects_of,
     estimated,
-    extended_model,
     findings_of,
-    seconds,
-    strength,
-    traces,
     unexplained_of,
     waterfall,
 )
@@ -57,12 +54,14 @@ from tau_dyn.identify.logs import each_once, listed, log_warnings, without_train
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import even_pieces
 from tau_dyn.identify.structure import physics_of
-from tau_dyn.log import Log
+from tau_dyn.log import Log, encoder_noise
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
 Progress = Callable[[str], None]
 TOOL = ("x_tool", "y_tool", "z_tool")
+_LOOKED_AT = 400
+_ENCODERS = 3.0
 
 
 def diagnose(
@@ -110,7 +109,7 @@ def diagnose(
             case = _gather(prepared, train, held, preparation, exclude, progress, warnings)
             found.append(_diagnose(case, seed, progress, warnings))
         base = found[0].model if found else prepared
-        if has_tool(base.robot, train):
+        if has_tool(base.robot, train) and (not found or tool_disagrees(base, train)):
             with_tool = [log for log in held if has_tool(base.robot, [log])]
             found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
         if has_links(train):
@@ -129,6 +128,23 @@ def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:
 def has_tool(robot: Robot, logs: Sequence[Log]) -> bool:
     """Tell whether all logs have tool positions that forward kinematics can be held against."""
     return robot.tool_frame is not None and all(set(TOOL) <= set(log.channels) for log in logs)
+
+
+def tool_disagrees(model: Model, logs: Sequence[Log]) -> bool:
+    """Tell whether measured tools are farther from forward kinematics than the encoders' noise puts them.
+
+    Where they are not, there is nothing to explain: the tool was computed from the encoders, or agrees with them.
+    """
+    joints = model.robot.actuated
+    for log in logs:
+        read = log.joint("q", joints)
+        few = slice(None, None, max(1, log.n_samples // _LOOKED_AT))
+        away = np.column_stack([log.channels[c][few] for c in TOOL]) - model.mechanism.tool_position(read[few])
+        spread = float(np.sqrt(np.mean(np.sum((away - away.mean(axis=0)) ** 2, axis=1))))
+        noise = model.mechanism.tool_jacobian(read[few]) * encoder_noise(read)
+        if spread > _ENCODERS * float(np.sqrt(np.mean(np.sum(noise**2, axis=(1, 2))))):
+            return True
+    return False
 
 
 def has_links(logs: Sequence[Log]) -> bool:
@@ -203,44 +219,26 @@ def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -
     kept = [one for one, test in zip(hunt.found, tests, strict=True) if test.holds]
     progress("measuring the gain")
     nominal = case.nominal.parameters
-    steps, judgements, gains = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
-    baseline, extended = judgements[0], judgements[-1]
-    findings = findings_of(channel, hunt, tests, kept, extended, gains, rng)
-    findings += parameter_findings(case.nominal, nominal, estimated(extended))
+    bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
+    before, after = bars.judgements[0], bars.judgements[-1]
+    findings = findings_of(channel, hunt, tests, kept, bars, rng)
+    findings += parameter_findings(case.nominal, nominal, estimated(after))
     unexplained = unexplained_of(channel, hunt, structure)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
-    untestable = _with_drift(untestable, unexplained)
     verdict = _verdict(findings, unexplained)
-    floor = noise_floor(channel, hunt, extended, rng)
-    return Diagnosis(
-        verdict=verdict,
-        sentence=verdict_sentence(verdict, findings, unexplained, baseline.errors, extended.errors),
-        channel=channel.name,
-        outputs=channel.outputs,
-        units=channel.units,
-        baseline=baseline.errors,
-        extended=extended.errors,
-        noise_floor=floor,
-        waterfall=(*steps, Step("noise_floor", floor)),
-        findings=tuple(sorted(findings, key=strength)),
-        unexplained=unexplained,
-        limits=limits,
-        untestable=untestable,
-        model=extended_model(case.nominal, baseline, ()),
-        extended_model=extended_model(case.nominal, extended, effects_of(kept)),
-        traces=traces(channel, baseline, extended),
-        n_parts=seconds(channel),
-        how=case.how,
-        warnings=tuple(dict.fromkeys(warnings)),
-        seed=seed,
-        experiment=_experiment(verdict, findings),
-        settings={
-            "preparation": case.preparation.to_dict(),
-            "noise_draws": DRAWS,
-            "family_level": FAMILY_LEVEL,
-            "causes_tried": hunt.n_causes,
-        },
+    answer = Answer(
+        verdict,
+        verdict_sentence(verdict, findings, unexplained, before.errors, after.errors),
+        case.how,
+        findings,
+        unexplained,
+        limits,
+        _with_drift(untestable, unexplained),
+        _experiment(verdict, findings),
+        warnings,
+        {"preparation": case.preparation.to_dict()},
     )
+    return assembled(channel, hunt, kept, bars, case.nominal, answer, seed)
 
 
 def _sifted(clean: Channel, hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:

@@ -41,7 +41,8 @@ def finding_of(
         gain: What it is worth.
         signature: Its plot.
     """
-    effects = found.candidate.effects
+    place = channel.scene.joints.index
+    effects = tuple(sorted(found.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
     others = [e for other in search.found if other is not found for e in other.candidate.effects]
     ground = Ground.of(channel, (TRAIN, CONFIRM), search.noise, columns_of(search.library, others))
     inflation = max(fit.inflation for fit in found.candidate.fits)
@@ -95,7 +96,7 @@ def uncertain(
     for effect in effects:
         owner, unit = "+".join(effect.joints), effect.units[effect.joints[0]]
         for key in effect.refined:
-            name = f"{owner}.{effect.name}_{key}{effect.label}"
+            name = f"{owner}.{key}{effect.label}"
             text = spelled(effect.setting_units.get(key, "1"), unit)
             rows.append(Parameter(name, effect.settings[key], text, stderr=next(stderr), origin=effect.name))
     return Parameters(rows)
@@ -119,7 +120,7 @@ def signature_of(
     """Return the residual without these effects, of the output that shows them best, against what it depends on."""
     made = [channel.columns(effect) for effect in effects]
     share = [
-        sum(c[r] @ values.select(e.parameters.names).values for e, c in zip(effects, made, strict=True))
+        np.sum([c[r] @ values.select(e.parameters.names).values for e, c in zip(effects, made, strict=True)], axis=0)
         for r in range(len(channel.runs))
     ]
     masks = channel.masks(0, 1, 2)

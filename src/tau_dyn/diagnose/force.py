@@ -227,7 +227,7 @@ def _with_signals(piece: Prepared, model: Model, needs: Sequence[str]) -> Prepar
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
     q, v, a = m.q[few], m.v[few], m.a[few]
     coarse = {name: COMPUTED[name](model.mechanism, q, v, a) for name in needs if name in COMPUTED}
-    coarse["force"] = model.mechanism.inverse_dynamics(q, v, a)
+    coarse["force"] = model.mechanism.regressor(q, v, a) @ model.robot.parameters.values  # holds with a mass of zero
     found = {name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in coarse.items()}
     friction = model.effect_force(model.motion(m.q, m.v, m.a, m.sign, t=t, signals={**m.signals, **found}))
     signals = {**m.signals, **found, "force": found["force"] + friction}

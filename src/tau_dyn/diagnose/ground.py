@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any, cast
 
 import numpy as np
 from scipy import linalg
@@ -97,7 +98,7 @@ def orthonormal(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     B = B[:, norm > 0] / norm[norm > 0]
     if B.size == 0:
         return np.zeros((len(B), 0))
-    Q, R, _ = linalg.qr(B, mode="economic", pivoting=True)
+    Q, R, _ = cast(Any, linalg.qr(B, mode="economic", pivoting=True))
     diagonal = np.abs(np.diag(R))
     return Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
 

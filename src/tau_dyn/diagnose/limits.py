@@ -66,7 +66,7 @@ def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candid
         tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # each alone, and all together
         amplitude = _amplitude(channel, library, ground, fit, tests * causes)
         if amplitude is None:
-            return None
+            continue  # a joint that hardly moves says nothing of the others
         found.append(
             (amplitude, fit.effect.parameters[fit.effect.parameters.names[0]].unit, "+".join(fit.effect.joints))
         )

@@ -43,7 +43,8 @@ def merged(found: Sequence[Diagnosis]) -> Diagnosis:
 
 def _verdict(found: Sequence[Diagnosis]) -> Verdict:
     order: tuple[Verdict, ...] = ("named", "cannot_tell", "unexplained", "nothing_found")
-    return min((one.verdict for one in found), key=order.index)
+    said = {one.verdict for one in found}
+    return next(verdict for verdict in order if verdict in said)
 
 
 def _extended(first: Diagnosis, others: Sequence[Diagnosis]):

@@ -72,8 +72,5 @@ def accelerated(cutoff_hz: float) -> Weight:
 
 def carried_back(rows: Sequence[sparse.csr_matrix], white: np.ndarray) -> list[np.ndarray]:
     """Return white rows (R, d) of one output carried back to the samples of each run (n, d)."""
-    found, start = [], 0
-    for L in rows:
-        found.append(L.T @ white[start : start + L.shape[0]])
-        start += L.shape[0]
-    return found
+    borders = np.cumsum([0, *(len(L.indptr) - 1 for L in rows)])
+    return [L.T @ white[a:b] for L, a, b in zip(rows, borders[:-1], borders[1:], strict=True)]

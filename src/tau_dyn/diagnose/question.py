@@ -85,7 +85,7 @@ def question_of(diagnosis: Diagnosis, signals: Collection[str]) -> Question:
             f"motions are proposed for measured forces only, and this diagnosis is of {diagnosis.channel} measurements",
             diagnosis.experiment or _first(diagnosis) or "measure more places, at uneven steps, from both directions",
         )
-    found = [f for f in diagnosis.findings if f.effects]
+    found = [f for f in diagnosis.findings if f.effects and f.channel == "force"]
     for finding in found:
         if finding.indistinguishable_from:
             return _twins(diagnosis, finding, signals)
@@ -151,8 +151,8 @@ def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> Question:
 
 
 def _sure(diagnosis: Diagnosis, questioned: Sequence[Finding]) -> tuple[Effect, ...]:
-    rest = [f for f in diagnosis.findings if f.status == "confirmed" and f not in questioned]
-    return tuple(e for f in rest for e in f.effects)
+    sure = [f for f in diagnosis.findings if f.status == "confirmed" and f.channel == "force"]
+    return tuple(e for f in sure if f not in questioned for e in f.effects)
 
 
 def _first(diagnosis: Diagnosis) -> str:

@@ -6,8 +6,9 @@ the same for all.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,16 +16,36 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation, confirm, present
 from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged
 from tau_dyn.diagnose.findings import finding_of, signature_of
-from tau_dyn.diagnose.result import Finding, Gain, Step, TimeTrace, Unexplained
-from tau_dyn.diagnose.search import Found, Search, columns_of
+from tau_dyn.diagnose.floor import noise_floor
+from tau_dyn.diagnose.result import (
+    Diagnosis,
+    Finding,
+    Gain,
+    Limit,
+    Step,
+    TimeTrace,
+    Unexplained,
+    Untestable,
+    Verdict,
+)
+from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of
+from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import Structure
-from tau_dyn.effects import Effect
+from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.estimate import Physics
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 
 HELD_OUT = "held-out {what}, blocks in turn: one half confirms, the other measures the gain"
 SHARED = "60 % of the {what} train, 20 % confirm, 20 % measure the gain, in blocks that take turns"
+
+
+class Bars(NamedTuple):
+    """The waterfall: its steps, the fits behind all but the first, and each cause's gain over the bar before it."""
+
+    steps: list[Step]
+    judgements: list[Judged]
+    gains: list[Gain]
 
 
 def effects_of(found: Sequence[Found]) -> list[Effect]:
@@ -47,8 +68,8 @@ def waterfall(
     *,
     nominal: np.ndarray | None = None,
     physics: Physics | None = None,
-) -> tuple[list[Step], list[Judged], list[Gain]]:
-    """Return the bars, the fits behind all but the first, and each cause's gain over the bar before it.
+) -> Bars:
+    """Fit and judge the baseline, then with one cause more each time.
 
     Args:
         channel: The data.
@@ -64,10 +85,10 @@ def waterfall(
     gains = []
     for k, one in enumerate(kept):
         judgements.append(fitted(channel, effects_of(kept[: k + 1]), physics, rng))
-        joints = list(dict.fromkeys(j for e in one.candidate.effects for j in e.joints))
+        joints = sorted({j for e in one.candidate.effects for j in e.joints}, key=channel.scene.joints.index)
         steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
         gains.append(gain_of(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng))
-    return steps, judgements, gains
+    return Bars(steps, judgements, gains)
 
 
 def findings_of(
@@ -75,16 +96,15 @@ def findings_of(
     hunt: Search,
     tests: Sequence[Confirmation],
     kept: Sequence[Found],
-    final: Judged,
-    gains: Sequence[Gain],
+    bars: Bars,
     rng: np.random.Generator,
 ) -> list[Finding]:
     """Return what is said of every cause found, confirmed or not."""
     found = []
     for one, test in zip(hunt.found, tests, strict=True):
-        effects, fit, gain = one.candidate.effects, final, None
+        effects, fit, gain = one.candidate.effects, bars.judgements[-1], None
         if one in kept:
-            gain = gains[list(kept).index(one)]
+            gain = bars.gains[list(kept).index(one)]
         else:
             fit = fitted(channel, [*effects_of(kept), *effects], None, rng)
         names = {n for e in effects for n in e.parameters.names}
@@ -149,3 +169,72 @@ def seconds(channel: Channel) -> tuple[float, float, float]:
         for number in range(3)
     )
     return one, two, three
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a channel says of its data in its own words; see `Diagnosis`."""
+
+    verdict: Verdict
+    sentence: str
+    how: str
+    findings: Sequence[Finding]
+    unexplained: tuple[Unexplained, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    untestable: tuple[Untestable, ...] = ()
+    experiment: str = ""
+    warnings: Sequence[str] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def assembled(
+    channel: Channel,
+    hunt: Search,
+    kept: Sequence[Found],
+    bars: Bars,
+    model: Model,
+    answer: Answer,
+    seed: int,
+) -> Diagnosis:
+    """Put a diagnosis together from its stages.
+
+    Args:
+        channel: The data.
+        hunt: The search.
+        kept: Confirmed causes in the order found.
+        bars: What `waterfall` returned.
+        model: The model before any fit.
+        answer: What is said.
+        seed: Seed of whatever was random.
+    """
+    before, after = bars.judgements[0], bars.judgements[-1]
+    floor = noise_floor(channel, hunt, after, np.random.default_rng(seed))
+    return Diagnosis(
+        verdict=answer.verdict,
+        sentence=answer.sentence,
+        channel=channel.name,
+        outputs=channel.outputs,
+        units=channel.units,
+        baseline=before.errors,
+        extended=after.errors,
+        noise_floor=floor,
+        waterfall=(*bars.steps, Step("noise_floor", floor)),
+        findings=tuple(sorted(answer.findings, key=strength)),
+        unexplained=answer.unexplained,
+        limits=tuple(dict.fromkeys(answer.limits)),
+        untestable=tuple(dict.fromkeys(answer.untestable)),
+        model=extended_model(model, before, ()),
+        extended_model=extended_model(model, after, [e for e in effects_of(kept) if e.name in EFFECTS]),
+        traces=traces(channel, before, after),
+        n_parts=seconds(channel),
+        how=answer.how,
+        warnings=tuple(dict.fromkeys(answer.warnings)),
+        seed=seed,
+        experiment=answer.experiment,
+        settings={
+            **answer.settings,
+            "noise_draws": DRAWS,
+            "family_level": FAMILY_LEVEL,
+            "causes_tried": hunt.n_causes,
+        },
+    )

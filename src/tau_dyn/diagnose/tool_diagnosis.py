@@ -12,26 +12,21 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.diagnose.aliases import alias_periods, spacing
-from tau_dyn.diagnose.floor import noise_floor
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.parts import TRAIN
-from tau_dyn.diagnose.result import Diagnosis, Errors, Finding, Step, Verdict
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of, search
+from tau_dyn.diagnose.result import Diagnosis, Errors, Finding
+from tau_dyn.diagnose.search import Found, Search, columns_of, search
 from tau_dyn.diagnose.stages import (
     HELD_OUT,
     SHARED,
+    Answer,
+    assembled,
     confirmation,
-    effects_of,
-    extended_model,
     findings_of,
-    seconds,
-    strength,
-    traces,
     waterfall,
 )
 from tau_dyn.diagnose.tool import ToolChannel, tool_channel
-from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.effects.words import quantity
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -74,8 +69,8 @@ def diagnose_tool(
     periods = [_periods(channel, hunt, one) for one in hunt.found]
     kept = [x for x, test, open_to in zip(hunt.found, tests, periods, strict=True) if test.holds and len(open_to) < 2]
     progress("measuring the gain")
-    steps, judgements, gains = waterfall(channel, kept, rng)
-    said = findings_of(channel, hunt, tests, kept, judgements[-1], gains, rng)
+    bars = waterfall(channel, kept, rng)
+    said = findings_of(channel, hunt, tests, kept, bars, rng)
     findings = [
         _open(channel, one, finding, open_to) if len(open_to) > 1 else finding
         for one, finding, open_to in zip(hunt.found, said, periods, strict=True)
@@ -83,33 +78,16 @@ def diagnose_tool(
     aliased = [f for f, open_to in zip(findings, periods, strict=True) if len(open_to) > 1]
     named = [f for f in findings if f.status == "confirmed"]
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
-    baseline, extended = judgements[0], judgements[-1]
-    floor = noise_floor(channel, hunt, extended, rng)
-    verdict: Verdict = "named" if named else "cannot_tell" if aliased else "nothing_found"
-    return Diagnosis(
-        verdict=verdict,
-        sentence=_sentence(baseline.errors, extended.errors, named, aliased),
-        channel=channel.name,
-        outputs=channel.outputs,
-        units=channel.units,
-        baseline=baseline.errors,
-        extended=extended.errors,
-        noise_floor=floor,
-        waterfall=(*steps, Step("noise_floor", floor)),
-        findings=tuple(sorted(findings, key=strength)),
-        unexplained=(),
-        limits=tuple(dict.fromkeys(limits)),  # a cause was tried on one joint at a time
-        untestable=tuple(dict.fromkeys(untestable)),
-        model=model,
-        extended_model=extended_model(model, extended, effects_of(kept)),
-        traces=traces(channel, baseline, extended),
-        n_parts=seconds(channel),
-        how=(HELD_OUT if held else SHARED).format(what="poses" if channel.poses else "logs"),
-        warnings=(),
-        seed=seed,
-        experiment=aliased[0].experiment if verdict == "cannot_tell" else "",
-        settings={"noise_draws": DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": hunt.n_causes},
+    answer = Answer(
+        "named" if named else "cannot_tell" if aliased else "nothing_found",
+        _sentence(bars.judgements[0].errors, bars.judgements[-1].errors, named, aliased),
+        (HELD_OUT if held else SHARED).format(what="poses" if channel.poses else "logs"),
+        findings,
+        limits=limits,
+        untestable=untestable,
+        experiment=aliased[0].experiment if aliased and not named else "",
     )
+    return assembled(channel, hunt, kept, bars, model, answer, seed)
 
 
 def _periods(channel: ToolChannel, hunt: Search, one: Found) -> tuple[float, ...]:

@@ -182,7 +182,8 @@ def fit_group(
     if not grid:
         return None
     units = [scene.units[scene.index(j)] for j in group]
-    effects = [cls(group, units, **setting) for setting in grid]
+    plain = cls(group, units)
+    effects = [plain.with_settings(**setting) for setting in grid]
     both = np.concatenate([ground.e[:, None], draws], axis=1)
     if getattr(cls, "dense", False):
         return _fit_alike(effects, library, ground, both[:, : 1 + DENSE_DRAWS])
@@ -264,7 +265,7 @@ def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
     Where all amplitudes of a one-sided column come out negative `T` is zero: a draw seen only as `T <= 0`.
     """
     tail = stats.chi2.sf(noise, dof) / (2 if simple else 1)
-    seen = np.sum(noise > 0) if simple else len(noise)
+    seen = int(np.sum(noise > 0)) if simple else len(noise)
     return float(max(1.0, -seen / np.sum(np.log1p(-np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12)))))
 
 

@@ -159,7 +159,9 @@ class TreeMechanism(Mechanism):
         frame = self.robot.tool_frame
         if frame is None:
             raise InputError(f"{self.robot.source}: the robot file has no frame named tool")
-        return pin.computeFrameJacobian(self.model, self.data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        jacobian = pin.computeFrameJacobian(self.model, self.data, q, frame, axes)
+        return jacobian.reshape(6, self.model.nv)[:3]  # eigenpy hands a single column out as a vector
 
     def _carried_by(self) -> tuple[np.ndarray, np.ndarray]:
         """Return whether each actuated link carries the tool (na,), and each loop's end A (1), B (-1) or both (0) (na, loops)."""
