@@ -20,6 +20,7 @@ from tau_dyn.diagnose.stages import (
     Answer,
     assembled,
     confirmation,
+    confirmed,
     findings_of,
     unexplained_of,
     waterfall,
@@ -54,7 +55,7 @@ def diagnose_channel(
     hunt = search(channel, rng, progress)
     progress("confirming")
     tests = [confirmation(channel, hunt, one) for one in hunt.found]
-    kept = [one for one, test in zip(hunt.found, tests, strict=True) if test.holds]
+    kept = confirmed(channel, hunt, tests)
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
     unexplained = unexplained_of(channel, hunt, structure)
     progress("measuring the gain")

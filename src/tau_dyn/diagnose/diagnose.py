@@ -36,6 +36,7 @@ from tau_dyn.diagnose.stages import (
     Answer,
     assembled,
     confirmation,
+    confirmed,
     effects_of,
     estimated,
     findings_of,
@@ -216,7 +217,7 @@ def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -
         hunt, structure = _sifted(case.noise_only(rng), hunt, structure)
     progress("confirming")
     tests = [confirmation(channel, hunt, one) for one in hunt.found]
-    kept = [one for one, test in zip(hunt.found, tests, strict=True) if test.holds]
+    kept = confirmed(channel, hunt, tests, physics=case.physics)
     progress("measuring the gain")
     nominal = case.nominal.parameters
     bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)

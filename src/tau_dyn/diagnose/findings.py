@@ -29,6 +29,8 @@ def finding_of(
     values: Parameters,
     gain: Gain | None,
     signature: Signature | None,
+    *,
+    kept: bool,
 ) -> Finding:
     """Return the finding.
 
@@ -40,6 +42,7 @@ def finding_of(
         values: Fitted values of its amplitudes.
         gain: What it is worth.
         signature: Its plot.
+        kept: Whether it is part of the extended model.
     """
     place = channel.scene.joints.index
     effects = tuple(sorted(found.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
@@ -59,7 +62,7 @@ def finding_of(
     return Finding(
         cause=found.candidate.cause,
         joints=joints,
-        status="confirmed" if confirmation.holds else "suspected",
+        status="confirmed" if kept else "suspected",
         score=found.candidate.T,
         p_value=found.p_value,
         parameters=tuple(parameters),

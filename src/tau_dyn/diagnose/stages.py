@@ -14,9 +14,10 @@ import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation, confirm, present
-from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged
+from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged, masked
 from tau_dyn.diagnose.findings import finding_of, signature_of
 from tau_dyn.diagnose.floor import noise_floor
+from tau_dyn.diagnose.parts import CONFIRM, TRAIN
 from tau_dyn.diagnose.result import (
     Diagnosis,
     Finding,
@@ -32,10 +33,12 @@ from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import Structure
 from tau_dyn.effects import EFFECTS, Effect
-from tau_dyn.estimate import Physics
+from tau_dyn.estimate import Physics, solve_least_squares
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 
+WORSE = 0.005
+"""By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
 HELD_OUT = "held-out {what}, blocks in turn: one half confirms, the other measures the gain"
 SHARED = "60 % of the {what} train, 20 % confirm, 20 % measure the gain, in blocks that take turns"
 
@@ -59,6 +62,39 @@ def confirmation(channel: Channel, hunt: Search, one: Found) -> Confirmation:
     return confirm(
         channel, hunt.noise, columns_of(hunt.library, one.candidate.effects), columns_of(hunt.library, others)
     )
+
+
+def confirmed(
+    channel: Channel, hunt: Search, tests: Sequence[Confirmation], *, physics: Physics | None = None
+) -> list[Found]:
+    """Return the causes that the held-out part shows and that do not make its prediction worse.
+
+    A cause may be there and yet, with many amplitudes from a short log, predict badly where the training part never was.
+    """
+    kept: list[Found] = []
+    before = _missed(channel, kept, physics) if any(test.holds for test in tests) else 0.0
+    for one, test in zip(hunt.found, tests, strict=True):
+        if test.holds:
+            after = _missed(channel, [*kept, one], physics)
+            if after <= (1 + WORSE) * before:
+                kept.append(one)
+                before = after
+    return kept
+
+
+def _missed(channel: Channel, found: Sequence[Found], physics: Physics | None) -> float:
+    """Return the rms on the confirmation part, outputs by their own size, of a fit of the training part."""
+    regression = extended_regression(channel, effects_of(found))
+    theta = solve_least_squares(masked(regression, channel, TRAIN), physics=physics).theta
+    masks = channel.masks(CONFIRM)
+    shares = []
+    for k in range(len(channel.outputs)):
+        e, y = (
+            np.concatenate([x[m[:, k], k] for x, m in zip(values, masks, strict=True)])
+            for values in (regression.residuals(theta), channel.target)
+        )
+        shares.append(float(np.sum(e**2)) / max(float(np.sum((y - y.mean()) ** 2)), 1e-300) if len(y) else 0.0)
+    return float(np.sqrt(np.sum(shares)))
 
 
 def waterfall(
@@ -110,7 +146,7 @@ def findings_of(
         names = {n for e in effects for n in e.parameters.names}
         values = Parameters([p for p in estimated(fit) if p.name in names])
         signature = signature_of(channel, effects, fit.residuals, values)
-        found.append(finding_of(channel, hunt, one, test, values, gain, signature))
+        found.append(finding_of(channel, hunt, one, test, values, gain, signature, kept=one in kept))
     return found
 
 

@@ -23,6 +23,7 @@ from tau_dyn.diagnose.stages import (
     Answer,
     assembled,
     confirmation,
+    confirmed,
     findings_of,
     waterfall,
 )
@@ -67,7 +68,8 @@ def diagnose_tool(
     progress("confirming")
     tests = [confirmation(channel, hunt, one) for one in hunt.found]
     periods = [_periods(channel, hunt, one) for one in hunt.found]
-    kept = [x for x, test, open_to in zip(hunt.found, tests, periods, strict=True) if test.holds and len(open_to) < 2]
+    told = {id(one) for one, open_to in zip(hunt.found, periods, strict=True) if len(open_to) < 2}
+    kept = [one for one in confirmed(channel, hunt, tests) if id(one) in told]
     progress("measuring the gain")
     bars = waterfall(channel, kept, rng)
     said = findings_of(channel, hunt, tests, kept, bars, rng)
