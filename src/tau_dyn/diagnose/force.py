@@ -17,7 +17,6 @@ from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.preparation import (
-    MEMORY,
     NOISE_FACTOR,
     RATE_FACTOR,
     Preparation,
@@ -31,6 +30,11 @@ from tau_dyn.robot import Robot
 BAND_FACTOR = 20.0
 """Highest frequency looked at, in edges of the motion's own band; a tooth passes many times in one stroke."""
 SLOW_SHARE = 0.01
+SURE = 5.0
+"""Speeds whose direction is sure, in the velocity's noise."""
+NEAR = 0.5
+"""Time gated out beside a reversal, in periods of the position filter: forces do not pass that filter here, as they do in
+identification, so only the direction's own uncertainty counts."""
 OVERSAMPLING = 5.0
 """Rate of a log that is worth keeping, in cutoffs of the position filter."""
 SMOOTH_FACTOR = 2.0
@@ -117,9 +121,9 @@ def diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str,
     edge = max(float(band.edge_hz.max()) for band in bands)
     noise_edge = min((float(e) for b in bands for e in b.noise_edge_hz[b.edge_hz > 0]), default=rate)
     force_cutoff = max(plain.force_cutoff_hz, min(0.16 * rate, BAND_FACTOR * edge, noise_edge))
-    threshold = NOISE_FACTOR * noise * noise_gain(rate, position_cutoff)
+    threshold = SURE * noise * noise_gain(rate, position_cutoff)
     return Preparation(
-        position_cutoff, force_cutoff, RATE_FACTOR * force_cutoff, threshold, MEMORY / position_cutoff, exclude
+        position_cutoff, force_cutoff, RATE_FACTOR * force_cutoff, threshold, NEAR / position_cutoff, exclude
     )
 
 
