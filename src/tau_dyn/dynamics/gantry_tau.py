@@ -189,7 +189,7 @@ class GantryTauMechanism(Mechanism):
         """Intersect three spheres around the carts; of the two points take the one on home's side (the sign of det D)."""
         A = self.origin + q[:, :, None] * self.direction
         if len(q) <= _FEW:
-            return np.array([self._tool_of(*one) for one in zip(A, q, strict=True)])
+            return np.array([self._tool_of(*one) for one in zip(A, q, strict=True)]).reshape(-1, 3)
         u, w = A[:, 1] - A[:, 0], A[:, 2] - A[:, 0]
         normal = np.cross(u, w)
         n2 = np.sum(normal**2, axis=1)
