@@ -57,8 +57,8 @@ def told(motion: Trajectory, x: np.ndarray, rival: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def dull() -> Trajectory:
-    """A slow circle of at most 0.1 m/s."""
-    return slow_motion(model, 40.0, 0, speed=0.1)
+    """A slow circle of at most 0.06 m/s."""
+    return slow_motion(model, 40.0, 0, speed=0.06)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def _finding(effect, value: float, twins: tuple[str, ...], status="confirmed") -
 
 
 def test_a_dull_motion_confuses_what_the_proposed_one_tells(confused, log, dull, motion):
-    """Below 0.1 m/s a drag and a Stribeck term bend the friction law alike; the proposal shows where they part."""
+    """Below 0.06 m/s a drag and a Stribeck term bend the friction law alike; the proposal shows where they part."""
     names = {f.cause for f in confused.findings}
     twins = {t for f in confused.findings for t in f.indistinguishable_from}
     assert {"stribeck", "quadratic_drag"} <= names | twins and "stribeck" in twins | names and twins
