@@ -13,6 +13,7 @@ from tau_dyn.diagnose.result import Errors, Gain
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import Estimate, Physics, Regression, solve_least_squares
 from tau_dyn.estimate.noise import BLOCK_S
+from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
 _DRAWS = 1000
@@ -57,8 +58,17 @@ def extended_regression(channel: Channel, effects: Sequence[Effect]) -> Regressi
 def fitted(channel: Channel, effects: Sequence[Effect], physics: Physics | None, rng: np.random.Generator) -> Judged:
     """Fit baseline and effects on training and confirmation parts, and judge them on the rest."""
     regression = extended_regression(channel, effects)
-    estimate = solve_least_squares(masked(regression, channel, TRAIN, CONFIRM), physics=physics)
+    estimate = solved(masked(regression, channel, TRAIN, CONFIRM), physics)
     return judged(channel, regression, estimate.theta, estimate, rng)
+
+
+def solved(regression: Regression, physics: Physics | None) -> Estimate:
+    """Return the fit within physics and bounds, or the plain one where the program for them gives up on its numbers."""
+    try:
+        return solve_least_squares(regression, physics=physics)
+    except InputError:
+        opened = {p.name: {"lower": -np.inf, "upper": np.inf} for p in regression.parameters}
+        return solve_least_squares(regression.with_parameters(regression.parameters.update(opened)))
 
 
 def judged(

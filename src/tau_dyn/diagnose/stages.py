@@ -14,7 +14,7 @@ import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation, confirm, present
-from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged, masked
+from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged, masked, solved
 from tau_dyn.diagnose.findings import finding_of, signature_of
 from tau_dyn.diagnose.floor import noise_floor
 from tau_dyn.diagnose.parts import CONFIRM, TRAIN
@@ -33,7 +33,7 @@ from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import Structure
 from tau_dyn.effects import EFFECTS, Effect
-from tau_dyn.estimate import Physics, solve_least_squares
+from tau_dyn.estimate import Physics
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 
@@ -85,7 +85,7 @@ def confirmed(
 def _missed(channel: Channel, found: Sequence[Found], physics: Physics | None) -> float:
     """Return the rms on the confirmation part, outputs by their own size, of a fit of the training part."""
     regression = extended_regression(channel, effects_of(found))
-    theta = solve_least_squares(masked(regression, channel, TRAIN), physics=physics).theta
+    theta = solved(masked(regression, channel, TRAIN), physics).theta
     masks = channel.masks(CONFIRM)
     shares = []
     for k in range(len(channel.outputs)):
