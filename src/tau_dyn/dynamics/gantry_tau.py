@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from tau_dyn.dynamics.gantry_arrays import BLOCK, Pose, carts, dot, intersect, pose, tool_acceleration, weighted
 from tau_dyn.dynamics.mechanism import Mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.robot import Robot
@@ -75,24 +76,35 @@ class GantryTauMechanism(Mechanism):
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, 3, p); see `Mechanism.regressor`."""
         q, v, a = self._checked(q, v, a)
-        k = self._kinematics(q, v, a)
-        e, n = self.direction, self.robot.parameters.names
-        Y = np.zeros((len(q), 3, len(n)))
-        lift = k.tool_acceleration - self.gravity
+        Y = np.zeros((3, len(self.robot.parameters), len(q)))
+        for start in range(0, len(q), BLOCK):
+            part = slice(start, start + BLOCK)
+            self._fill(Y[:, :, part], q[part], np.ascontiguousarray(v[part].T), np.ascontiguousarray(a[part].T))
+        return Y.transpose(2, 0, 1)
+
+    def _fill(self, Y: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+        """Write the columns (3, p, N) at carts (N, 3), their velocities and accelerations (3, N)."""
+        at = self._pose(q)
+        e, g, n = self.direction, self.gravity, self.robot.parameters.names
+        acceleration = tool_acceleration(at, e, v, a)
+        moved = np.stack([dot(at.J[j], acceleration) for j in range(3)])  # J' T''
+        weight = np.stack([weighted(g, at.J[j]) for j in range(3)])  # J' g
         for i, arm in enumerate(self.robot.arms):
             alpha, beta, gamma, c = self.ends[i]
-            cart_acceleration = a[:, i, None] * e[i]
-            Y[:, i, n.index(f"{arm.cart_link}.mass")] = a[:, i] - e[i] @ self.gravity
-            Y[:, i, n.index(f"{arm.cart_joint}.armature")] = a[:, i]
-            at_tool = beta * cart_acceleration + gamma * k.tool_acceleration - c * self.gravity
-            at_cart = alpha * cart_acceleration + beta * k.tool_acceleration - (1 - c) * self.gravity
+            Y[i, n.index(f"{arm.cart_link}.mass")] = a[i] - e[i] @ g
+            Y[i, n.index(f"{arm.cart_joint}.armature")] = a[i]
             rod = n.index(f"{arm.rod_link}.mass")
-            Y[:, :, rod] = np.einsum("nij,ni->nj", k.J, at_tool)
-            Y[:, i, rod] += at_cart @ e[i]
-        Y[:, :, n.index(f"{self.robot.plate}.mass")] = np.einsum("nij,ni->nj", k.J, lift)
+            for j in range(3):
+                Y[j, rod] = beta * a[i] * weighted(e[i], at.J[j]) + gamma * moved[j] - c * weight[j]
+            Y[i, rod] += alpha * (e[i] @ e[i]) * a[i] + beta * weighted(e[i], acceleration) - (1 - c) * (e[i] @ g)
+        Y[:, n.index(f"{self.robot.plate}.mass")] = moved - weight
         if f"{self.robot.plate}.gravity_mass" in n:
-            Y[:, :, n.index(f"{self.robot.plate}.gravity_mass")] = -np.einsum("nij,i->nj", k.J, self.gravity)
-        return Y
+            Y[:, n.index(f"{self.robot.plate}.gravity_mass")] = -weight
+
+    def _pose(self, q: np.ndarray) -> Pose:
+        """Return where carts at `q` (N, 3) put the tool."""
+        A = carts(self.origin, self.direction, np.ascontiguousarray(q.T))
+        return pose(A, np.ascontiguousarray(self._trilaterate(q).T), self.direction)
 
     def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `M` and `h` of one sample; see `Mechanism.mass_and_bias`."""
@@ -176,31 +188,22 @@ class GantryTauMechanism(Mechanism):
         return tool[:, None, :] - (self.origin + q[:, :, None] * self.direction)
 
     def _kinematics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _Kinematics:
-        D = self._rods(q, self._trilaterate(q))
-        along = np.einsum("nij,ij->ni", D, self.direction)
-        inverse = np.linalg.inv(D)
-        J = inverse * along[:, None, :]
-        velocity = np.einsum("nij,nj->ni", J, v)
-        relative = velocity[:, None, :] - v[:, :, None] * self.direction
-        acceleration = np.einsum("nij,nj->ni", inverse, along * a - np.sum(relative**2, axis=2))
-        return _Kinematics(D, inverse, J, acceleration)
+        at = self._pose(q)
+        acceleration = tool_acceleration(at, self.direction, v.T, a.T)
+        D, inverse, J = at.rods.transpose(2, 0, 1), at.inverse.transpose(2, 1, 0), at.J.transpose(2, 1, 0)
+        return _Kinematics(D, inverse, J, acceleration.T)
 
     def _trilaterate(self, q: np.ndarray) -> np.ndarray:
         """Intersect three spheres around the carts; of the two points take the one on home's side (the sign of det D)."""
-        A = self.origin + q[:, :, None] * self.direction
         if len(q) <= _FEW:
+            A = self.origin + q[:, :, None] * self.direction
             return np.array([self._tool_of(*one) for one in zip(A, q, strict=True)]).reshape(-1, 3)
-        u, w = A[:, 1] - A[:, 0], A[:, 2] - A[:, 0]
-        normal = np.cross(u, w)
-        n2 = np.sum(normal**2, axis=1)
-        L2 = self.length**2
-        p = 0.5 * (np.sum(u**2, axis=1) + L2[0] - L2[1])
-        r = 0.5 * (np.sum(w**2, axis=1) + L2[0] - L2[2])
-        foot = (p[:, None] * np.cross(w, normal) + r[:, None] * np.cross(normal, u)) / n2[:, None]
-        height2 = (L2[0] - np.sum(foot**2, axis=1)) / n2
+        tool, height2 = intersect(
+            carts(self.origin, self.direction, np.ascontiguousarray(q.T)), self.length, float(self._side)
+        )
         if not np.all(height2 > 0):
             self._out_of_reach(q[int(np.argmin(np.where(np.isfinite(height2), height2, -np.inf)))])
-        return A[:, 0] + foot + self._side * np.sqrt(height2)[:, None] * normal
+        return tool.T
 
     def _tool_of(self, A: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Return what `_trilaterate` returns, of one sample (3,) with carts at `A` (3, 3): floats cost a simulator less."""
