@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from tau_dyn.cli import vibration
 from tau_dyn.cli.common import (
     Outcome,
     add_common,
@@ -49,7 +50,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--model", metavar="FILE", type=Path, help="put the effects and values of this model file on ROBOT"
     )
     sensors = parser.add_argument_group("controller and sensors")
-    sensors.add_argument("--rate", metavar="HZ", type=positive, default=1000.0, help="control rate (default 1000)")
+    sensors.add_argument("--rate", metavar="HZ", type=positive, help="control rate (default 1000)")
     sensors.add_argument(
         "--log-rate", metavar="HZ", type=positive, help="log rate, the control rate over a whole number"
     )
@@ -66,11 +67,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--encoder-resolution", metavar="M", type=not_negative, default=0.0, help="[m or rad] (default none)"
     )
     sensors.add_argument("--tool-noise", metavar="M", type=not_negative, default=0.0, help="tool position noise [m]")
+    vibration.add_options(parser)
     add_common(parser)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Simulate."""
+    if args.vibration:
+        return vibration.run(args)
     with progress(args.quiet) as step:
         step("loading")
         from tau_dyn.simulate import Sensors, Trajectory, named_motion, simulate
@@ -93,7 +97,7 @@ def run(args: argparse.Namespace) -> Outcome:
             motion,
             sensors=sensors,
             seed=args.seed,
-            rate_hz=args.rate,
+            rate_hz=args.rate or 1000.0,
             name=args.out.name,
             progress=lambda share: step(f"simulating {100 * share:.0f} %"),
         )

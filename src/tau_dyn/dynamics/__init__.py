@@ -2,7 +2,11 @@
 
 import numpy as np
 
+from tau_dyn.dynamics.drive import L1_DRIVES, PositionDrives
+from tau_dyn.dynamics.flexible import FlexibleModel
 from tau_dyn.dynamics.gantry_tau import GantryTauMechanism
+from tau_dyn.dynamics.linear_system import ContinuousModel, SampledModel, Stepper
+from tau_dyn.dynamics.linearised import Linearised, NaturalMode
 from tau_dyn.dynamics.mechanism import SINGULAR, Mechanism
 from tau_dyn.dynamics.tree import TreeMechanism
 from tau_dyn.robot import Robot
@@ -24,4 +28,18 @@ def build_mechanism(robot: Robot) -> Mechanism:
     return closed if same_forces and same_tool else tree
 
 
-__all__ = ["SINGULAR", "GantryTauMechanism", "Mechanism", "TreeMechanism", "build_mechanism"]
+__all__ = [
+    "L1_DRIVES",
+    "SINGULAR",
+    "ContinuousModel",
+    "FlexibleModel",
+    "GantryTauMechanism",
+    "Linearised",
+    "Mechanism",
+    "NaturalMode",
+    "PositionDrives",
+    "SampledModel",
+    "Stepper",
+    "TreeMechanism",
+    "build_mechanism",
+]

@@ -1,7 +1,8 @@
 """Robots: from a xacro file to a tree with loops, actuated joints and nominal parameters."""
 
+from tau_dyn.robot.annotations import Spring
 from tau_dyn.robot.expand import short_names
 from tau_dyn.robot.load import load_robot, robot_from_urdf
 from tau_dyn.robot.robot import INERTIAL, LinkInertia, Loop, Robot
 
-__all__ = ["INERTIAL", "LinkInertia", "Loop", "Robot", "load_robot", "robot_from_urdf", "short_names"]
+__all__ = ["INERTIAL", "LinkInertia", "Loop", "Robot", "Spring", "load_robot", "robot_from_urdf", "short_names"]

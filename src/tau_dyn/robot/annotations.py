@@ -2,7 +2,7 @@
 
 Read from the expanded URDF. `<drake:ball_constraint>` closes loops (the same element Drake reads). `<tau_dyn:...>`
 elements are hints no other program needs: which parameters a link has, a home position, a known closed form, mass that
-only gravity feels, and what in the file is assumed rather than measured.
+only gravity feels, springs on joints that yield, and what in the file is assumed rather than measured.
 """
 
 from __future__ import annotations
@@ -48,6 +48,21 @@ class ArmNames:
 
 
 @dataclass(frozen=True)
+class Spring:
+    """A joint that yields: `force = -stiffness * position - damping * velocity`, position zero when unloaded.
+
+    Attributes:
+        joint: A joint of one degree of freedom without a transmission.
+        stiffness: [N/m or N m/rad].
+        damping: [N s/m or N m s/rad].
+    """
+
+    joint: str
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True)
 class Annotations:
     """All that the file says beyond the plain tree."""
 
@@ -60,6 +75,7 @@ class Annotations:
     gantry_tau_arms: tuple[ArmNames, ...]
     gantry_tau_plate: str
     gravity_masses: dict[str, float]
+    springs: tuple[Spring, ...]
     assumed: tuple[str, ...]
     mimics: tuple[str, ...]  # joints whose <mimic> we ignore
 
@@ -91,6 +107,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         gantry_tau_arms=tuple(reader.arm(a) for m in mechanism for a in m.findall(f"{{{_OURS}}}arm")),
         gantry_tau_plate=mechanism[0].get("plate", "") if mechanism else "",
         gravity_masses={reader.link_of(e, "link"): reader.number(e, "value") for e in reader.ours("gravity_mass")},
+        springs=reader.springs(),
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
         mimics=reader.mimics,
     )
@@ -172,6 +189,22 @@ class _Reader:
                     )
                 found.append(Transmission(self.joint_of(joint, "name"), armature))
         return tuple(found)
+
+    def springs(self) -> tuple[Spring, ...]:
+        driven, found = {t.joint for t in self.transmissions()}, {}
+        for element in self.ours("spring"):
+            name = self.joint_of(element, "joint")
+            damping = self.number(element, "damping") if element.get("damping") is not None else 0.0
+            spring = Spring(name, self.number(element, "stiffness"), damping)
+            if name in found or name in driven:
+                why = "has a <transmission>" if name in driven else "has two springs"
+                raise InputError(f"{self.where}: joint '{name}' {why}; a spring stands alone on a passive joint")
+            if spring.stiffness <= 0 or spring.damping < 0:
+                raise InputError(
+                    f"{self.where}: the spring on '{name}' needs a stiffness above and a damping from zero up"
+                )
+            found[name] = spring
+        return tuple(found.values())
 
     def _drake_value(self, actuator: Element, tag: str, default: float = 0.0) -> float:
         for namespace in _DRAKE:

@@ -47,10 +47,16 @@ def robot_from_urdf(
     actuated: Iterable[str] | None = None,
     arguments: Mapping[str, str] | None = None,
     sha256: str = "",
+    lock_springs: bool = True,
 ) -> Robot:
-    """Build a robot from URDF text; `source` is how messages and saved models call it. See `load_robot`."""
+    """Build a robot from URDF text; `source` is how messages and saved models call it. See `load_robot`.
+
+    Joints with a `<tau_dyn:spring>` are locked at zero, so that the robot is rigid; `lock_springs=False` leaves them movable.
+    """
     notes = read_annotations(urdf, source)
     model = _build_model(urdf, source)
+    if lock_springs and notes.springs:
+        model = _locked(model, [s.joint for s in notes.springs], source)
     warnings: list[str] = []
     names = _actuated(model, notes, actuated, source, warnings)
     if notes.mimics:
@@ -81,6 +87,7 @@ def robot_from_urdf(
         plate=notes.gantry_tau_plate,
         assumed=notes.assumed,
         warnings=tuple(warnings),
+        springs=notes.springs,
     )
 
 
@@ -98,6 +105,17 @@ def _build_model(urdf: str, where: str) -> pin.Model:
     if model.nv == 0:
         raise InputError(f"{where}: the robot has no movable joint")
     return model
+
+
+def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
+    """Return the tree with these joints rigid at zero; what hangs on them joins the body before."""
+    ids = [model.getJointId(j) for j in joints]
+    several = next((j for j, k in zip(joints, ids, strict=True) if model.joints[k].nv != 1), None)
+    if several is not None:
+        raise InputError(f"{where}: the spring on '{several}' needs a joint of one degree of freedom")
+    if len(ids) == model.njoints - 1:
+        raise InputError(f"{where}: all joints have springs; at least one must move")
+    return pin.buildReducedModel(model, ids, pin.neutral(model))
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import UnknownName
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot.annotations import ArmNames
+from tau_dyn.robot.annotations import ArmNames, Spring
 
 INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
@@ -83,6 +83,7 @@ class Robot:
         plate: For a simplified Gantry-Tau its plate link, else ''.
         assumed: What the file says is assumed.
         warnings: Sentences about doubtful input.
+        springs: Joints that yield; `model` holds them locked at zero, `dynamics.FlexibleModel` frees them.
     """
 
     name: str
@@ -100,6 +101,7 @@ class Robot:
     plate: str = ""
     assumed: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    springs: tuple[Spring, ...] = ()
 
     @property
     def na(self) -> int:

@@ -2,6 +2,7 @@
 
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
 from tau_dyn.simulate.effects_file import read_effects_file
+from tau_dyn.simulate.flexible import VibrationSensors, binary_log, push_log, vibration_log
 from tau_dyn.simulate.fourier import base_condition, exciting_motion, fourier_motion
 from tau_dyn.simulate.law_file import read_law_file
 from tau_dyn.simulate.limits import broken_limit, condition_bound
@@ -29,6 +30,8 @@ __all__ = [
     "Replay",
     "Sensors",
     "Trajectory",
+    "VibrationSensors",
+    "binary_log",
     "base_condition",
     "broken_limit",
     "concatenate",
@@ -41,6 +44,7 @@ __all__ = [
     "move",
     "multisine_on_stroke",
     "named_motion",
+    "push_log",
     "random_binary_motion",
     "read_effects_file",
     "read_law_file",
@@ -49,4 +53,5 @@ __all__ = [
     "simulate",
     "slow_motion",
     "stroke_motion",
+    "vibration_log",
 ]

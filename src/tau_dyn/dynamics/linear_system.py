@@ -1,0 +1,159 @@
+r"""Linear systems with named inputs and outputs, in continuous time and sampled exactly.
+
+    x' = A x + B u(t - T),   y = C x + D u(t - T)
+
+Inputs are held between samples (zero-order hold), each late by its own delay; then sampling is exact, by the matrix exponential.
+What a log shows at sample k is the output at `k dt`, before the input of that instant has acted, unless `D` passes it on at once.
+Reference: Astrom & Wittenmark 1997, Computer-Controlled Systems, ch. 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from tau_dyn.exceptions import InputError, UnknownName
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousModel:
+    """A linear system in continuous time.
+
+    Attributes:
+        A: (n, n) [1/s].
+        B: (n, m).
+        C: (p, n).
+        D: (p, m).
+        inputs: Names of the inputs.
+        outputs: Names of the outputs.
+        delay: By which each input acts late (m,) [s].
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    delay: np.ndarray
+
+    @property
+    def order(self) -> int:
+        """Number of states, delays not counted."""
+        return len(self.A)
+
+    def poles(self) -> np.ndarray:
+        """Return the poles in the s plane (n,) [rad/s]."""
+        return np.linalg.eigvals(self.A)
+
+    def frequency_response(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the response (F, p, m) from inputs to outputs at frequencies (F,) [Hz]."""
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequency, float))[:, None, None]
+        right = np.broadcast_to(self.B, (len(s), *self.B.shape))
+        response = self.C @ np.linalg.solve(s * np.eye(self.order) - self.A, right) + self.D
+        return response * np.exp(-s * self.delay)
+
+    def select(self, inputs: Sequence[str], outputs: Sequence[str]) -> ContinuousModel:
+        """Return the part between some inputs and some outputs, in this order.
+
+        Raises:
+            UnknownName: There is no such input or output.
+        """
+        cols, rows = _places("input", inputs, self.inputs), _places("output", outputs, self.outputs)
+        return ContinuousModel(
+            self.A,
+            self.B[:, cols],
+            self.C[rows],
+            self.D[np.ix_(rows, cols)],
+            tuple(inputs),
+            tuple(outputs),
+            self.delay[cols],
+        )
+
+    def sampled(self, dt: float) -> SampledModel:
+        """Return the system seen at multiples of `dt` [s], inputs held in between; exact.
+
+        Raises:
+            InputError: `dt` is not positive, or a delay is not a whole number of steps.
+        """
+        if not (np.isfinite(dt) and dt > 0):
+            raise InputError(f"a sampling step must be positive, not {dt:g} s")
+        steps = np.round(self.delay / dt).astype(int)
+        if np.any(np.abs(steps * dt - self.delay) > 1e-6 * dt):
+            worst = float(self.delay[np.argmax(np.abs(steps * dt - self.delay))])
+            raise InputError(f"a delay of {1000 * worst:g} ms is not a whole number of steps of {1000 * dt:g} ms")
+        n, m = self.B.shape
+        both = expm(np.block([[self.A, self.B], [np.zeros((m, n + m))]]) * dt)
+        return SampledModel(both[:n, :n], both[:n, n:], self.C, self.D, dt, self.inputs, self.outputs, steps)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledModel:
+    """A linear system at multiples of `dt`: `x_{k+1} = A x_k + B u_{k-d}`, `y_k = C x_k + D u_{k-d}`.
+
+    Attributes:
+        A: (n, n).
+        B: (n, m).
+        C: (p, n).
+        D: (p, m).
+        dt: Step [s].
+        inputs: Names of the inputs.
+        outputs: Names of the outputs.
+        delay: Whole steps by which each input acts late (m,).
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    dt: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    delay: np.ndarray
+
+    def simulate(self, u: np.ndarray) -> np.ndarray:
+        """Return the outputs (N, p) of inputs (N, m), from rest."""
+        u = np.asarray(u, float)
+        if u.ndim != 2 or u.shape[1] != len(self.inputs):
+            raise InputError(f"expected inputs of shape (N, {len(self.inputs)}), not {u.shape}")
+        late = np.zeros_like(u)
+        for k, steps in enumerate(self.delay):
+            late[steps:, k] = u[: len(u) - steps, k]
+        x = np.zeros((len(u), len(self.A)))
+        driven = late @ self.B.T
+        for k in range(len(u) - 1):
+            x[k + 1] = self.A @ x[k] + driven[k]
+        return x @ self.C.T + late @ self.D.T
+
+    def stepper(self) -> Stepper:
+        """Return the system at rest, to be driven sample by sample, as a controller or an observer needs it."""
+        return Stepper(self)
+
+
+class Stepper:
+    """A sampled system in motion: `step(u)` takes this sample's inputs and returns this sample's outputs."""
+
+    def __init__(self, model: SampledModel) -> None:
+        """Start at rest."""
+        self.model = model
+        self.x = np.zeros(len(model.A))
+        self._past = np.zeros((int(model.delay.max(initial=0)) + 1, len(model.inputs)))
+
+    def step(self, u: np.ndarray) -> np.ndarray:
+        """Return the outputs (p,) at this sample and move on by one step with inputs (m,) held."""
+        self._past = np.roll(self._past, 1, axis=0)
+        self._past[0] = u
+        late = self._past[self.model.delay, np.arange(len(self.model.inputs))]
+        y = self.model.C @ self.x + self.model.D @ late
+        self.x = self.model.A @ self.x + self.model.B @ late
+        return y
+
+
+def _places(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
+    for name in wanted:
+        if name not in known:
+            raise UnknownName(kind, name, known)
+    return [list(known).index(name) for name in wanted]
