@@ -1,6 +1,7 @@
 """Does `diagnose` find what hides in a log, call it by its name, and keep silent where nothing hides?
 
-    python experiments/hidden_effects.py [--what clean feedback single pairs unknown] [--sets 300] [--jobs 2] [--out DIR]
+    python experiments/hidden_effects.py [--what clean feedback single pairs unknown] [--sets 300] [--jobs 2]
+                                         [--cluster tcp://...] [--out DIR]
 
 In: nothing; each set is drawn from its number by `hidden_effects_parts/`, which shares no effect with the library: other
 Stribeck exponents and LuGre bristles, ripple with a second harmonic, temperature with a lag, springs that slip, and forces that
@@ -12,8 +13,6 @@ Neyman-Pearson limit. A set takes about as long as its diagnosis.
 import argparse
 import os
 import traceback
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import pandas as pd
@@ -21,6 +20,8 @@ from hidden_effects_parts.figure import power_curve
 from hidden_effects_parts.judge import about, row_of
 from hidden_effects_parts.sets import draw_set
 from hidden_effects_parts.summary import confusion, sentences
+
+from tau_dyn.scale import run_many
 
 KINDS = ("clean", "feedback", "single", "pairs", "unknown")
 
@@ -35,22 +36,18 @@ def one_row(what: str, number: int, seed: int) -> dict:
         return about(one) | {"claims": 0, "detected": False, "fault": f"{type(fault).__name__}: {fault}"[:200]}
 
 
-def rows(what: str, numbers: list[int], seed: int, jobs: int) -> Iterator[dict]:
-    if jobs == 1:
-        yield from (one_row(what, number, seed) for number in numbers)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        tasks = [pool.submit(one_row, what, number, seed) for number in numbers]
-        yield from (task.result() for task in as_completed(tasks))
+def one_of(item: tuple[str, int, int]) -> dict:
+    return one_row(*item)
 
 
-def main(kinds: list[str], sets: int, seed: int, jobs: int, out_dir: Path) -> None:
+def main(kinds: list[str], sets: int, seed: int, jobs: int, cluster: str | None, out_dir: Path) -> None:
     out_dir.mkdir(parents=True, exist_ok=True)
     path = out_dir / "hidden_effects.csv"
     table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["what", "number"])
     for what in kinds:
         done = set(table.loc[table["what"] == what, "number"])
-        for row in rows(what, [n for n in range(sets) if n not in done], seed, jobs):
+        items = [(what, number, seed) for number in range(sets) if number not in done]
+        for row in run_many(one_of, items, cluster=cluster, jobs=min(jobs, max(1, len(items)))):
             table = pd.concat([table, pd.DataFrame([row])], ignore_index=True)
             table.to_csv(path, index=False, float_format="%.6g")
             print(what, row["number"], row["names"], row["lambda"], "->", row.get("all"), row.get("unexplained"),
@@ -70,5 +67,10 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR")
+    parser.add_argument(
+        "--cluster", metavar="tcp://HOST:PORT", help="a Dask scheduler whose workers can import this file"
+    )
     args = parser.parse_args()
-    main(args.what, args.sets, args.seed, args.jobs, args.out)
+    import hidden_effects  # under its own name, so that other processes find its functions
+
+    hidden_effects.main(args.what, args.sets, args.seed, args.jobs, args.cluster, args.out)

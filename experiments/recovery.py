@@ -1,6 +1,6 @@
 """Are the standard errors honest: does identification of simulated logs recover the truth as often as it says?
 
-    python experiments/recovery.py [--seeds 50] [--all] [--out DIR]
+    python experiments/recovery.py [--seeds 50] [--all] [--jobs 2] [--cluster tcp://...] [--out DIR]
 
 In: nothing; logs are simulated. Five plants of a robot (masses off by up to 10 %, motions of their own) are driven once, with
 the controller fed true positions, and measured with as many noise seeds as asked for: 100 s of `fourier` or `prbs` to train
@@ -12,9 +12,10 @@ L1 at 500 Hz, in about 2 minutes on one core; `--all` adds other log rates, enco
 """
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from tau_dyn.identify import Identification, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
+from tau_dyn.scale import run_many
 from tau_dyn.simulate import CascadeController, CascadeLaw, PlantRun, Sensors, drive, measure, named_motion
 from tau_dyn.version import __version__
 
@@ -130,21 +132,21 @@ def kind_of(name: str) -> str:
     return f"{owner.removesuffix('_link').rstrip('123abc')} mass" if quantity == "mass" else quantity.split("_")[0]
 
 
-def trials(scenario: Scenario, seeds: int) -> Iterator[dict]:
-    """Yield one row a seed and base parameter."""
-    nominal = ROBOTS[scenario.robot]()
-    for seed in range(seeds):
-        truth = true_plant(scenario.robot, seed % PLANTS)
-        train, held = logs_of(scenario, seed)
-        found = identify(nominal, train, holdout=held, seed=seed)
-        e = found.estimate
-        true = e.base.combine(truth.parameters.select(e.base.names).values)
-        ratio = floor_ratio(found, held, scenario, np.random.default_rng([21, seed]))
-        for k, (value, stderr) in enumerate(zip(e.beta, e.stderr, strict=True)):
-            name = e.base.names[e.base.kept[k]]
-            row = {"scenario": scenario.name, "seed": seed, "plant": seed % PLANTS, "parameter": name}
-            row |= {"kind": kind_of(name), "truth": true[k], "value": value, "stderr": stderr}
-            yield row | {"z": (value - true[k]) / stderr, "held_over_floor": ratio}
+def trial(item: tuple[Scenario, int]) -> list[dict]:
+    """Return one row a base parameter of one seed; depends on the item alone, so any process may do it."""
+    scenario, seed = item
+    nominal, truth, rows = ROBOTS[scenario.robot](), true_plant(scenario.robot, seed % PLANTS), []
+    train, held = logs_of(scenario, seed)
+    found = identify(nominal, train, holdout=held, seed=seed)
+    e = found.estimate
+    true = e.base.combine(truth.parameters.select(e.base.names).values)
+    ratio = floor_ratio(found, held, scenario, np.random.default_rng([21, seed]))
+    for k, (value, stderr) in enumerate(zip(e.beta, e.stderr, strict=True)):
+        name = e.base.names[e.base.kept[k]]
+        row = {"scenario": scenario.name, "seed": seed, "plant": seed % PLANTS, "parameter": name}
+        row |= {"kind": kind_of(name), "truth": true[k], "value": value, "stderr": stderr}
+        rows.append(row | {"z": (value - true[k]) / stderr, "held_over_floor": ratio})
+    return rows
 
 
 def summary(table: pd.DataFrame) -> dict:
@@ -165,10 +167,14 @@ def summary(table: pd.DataFrame) -> dict:
     }
 
 
-def main(seeds: int, everything: bool, out_dir: Path) -> None:
+def main(seeds: int, everything: bool, jobs: int, cluster: str | None, out_dir: Path) -> None:
+    scenarios = (STANDARD, *(OTHERS if everything else ()))
+    found = run_many(
+        trial, [(scenario, seed) for scenario in scenarios for seed in range(seeds)], cluster=cluster, jobs=jobs
+    )
     tables, summaries = [], {}
-    for scenario in (STANDARD, *(OTHERS if everything else ())):
-        table = pd.DataFrame(trials(scenario, seeds))
+    for scenario in scenarios:
+        table = pd.DataFrame([row for rows in islice(found, seeds) for row in rows])
         tables.append(table)
         s = summaries[scenario.name] = summary(table)
         kinds = "  ".join(f"{k} {x:.1f}" for k, x in s["coverage_percent_by_kind"].items())
@@ -187,5 +193,11 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--all", action="store_true", dest="everything")
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR")
+    parser.add_argument("--jobs", type=int, default=1, help="processes on this machine")
+    parser.add_argument(
+        "--cluster", metavar="tcp://HOST:PORT", help="a Dask scheduler whose workers can import this file"
+    )
     args = parser.parse_args()
-    main(args.seeds, args.everything, args.out)
+    import recovery  # under its own name, so that other processes find its functions
+
+    recovery.main(args.seeds, args.everything, args.jobs, args.cluster, args.out)

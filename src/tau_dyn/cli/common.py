@@ -198,7 +198,8 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
 def _given(args: argparse.Namespace) -> set[Path]:
     """Return every file that the arguments name as an input."""
     single = (
-        getattr(args, name, None) for name in ("robot", "log", "columns", "effects", "model", "motion", "controller")
+        getattr(args, name, None)
+        for name in ("robot", "log", "columns", "effects", "model", "motion", "controller", "noise_from")
     )
     many = [*getattr(args, "logs", []), *getattr(args, "holdout", [])]
     return {Path(item).resolve() for item in (*single, *many) if item is not None and Path(item).is_file()}

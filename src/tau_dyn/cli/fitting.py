@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tau_dyn.cli.common import robot_file
+from tau_dyn.cli.common import robot_file, whole_number
+
+if TYPE_CHECKING:
+    from tau_dyn.log import Log, Recording
 
 
 def add_fitting(parser: argparse.ArgumentParser, *, model: str, holdout: str, out: str) -> None:
     """Add the arguments of fitting a model to logs; the texts say what model, held-out logs and written model are for."""
     parser.add_argument(
-        "logs", metavar="LOG", nargs="+", help="CSV or Parquet with t, q_JOINT, tau_JOINT; never joined"
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        help="CSV or Parquet with t, q_JOINT, tau_JOINT, or a folder of Parquet files of one recording; never joined",
     )
     parser.add_argument("--holdout", metavar="LOG", nargs="+", action="extend", default=[], help=holdout)
     parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")
@@ -42,11 +49,38 @@ def add_fitting(parser: argparse.ArgumentParser, *, model: str, holdout: str, ou
     )
 
 
-def read_fitting_logs(args: argparse.Namespace):
-    """Return the logs to fit and those held out."""
-    from tau_dyn.log import read_log
+def add_engine(parser: argparse.ArgumentParser) -> None:
+    """Add who computes recordings that are larger than memory."""
+    group = parser.add_argument_group("large recordings, which are read block by block")
+    group.add_argument("--jobs", metavar="N", type=whole_number, default=0, help="threads (default: one a core)")
+    group.add_argument(
+        "--cluster",
+        metavar="tcp://HOST:PORT",
+        help="a Dask scheduler whose workers see the same files; 'local' starts one here with N processes",
+    )
 
-    return tuple([read_log(path, args.columns) for path in paths] for paths in (args.logs, args.holdout))
+
+def open_fitting_logs(args: argparse.Namespace) -> tuple[list[Log | Recording], list[Log | Recording]]:
+    """Return the logs to fit and those held out; large ones stay on disk."""
+    from tau_dyn.log import open_log
+
+    logs, held = ([open_log(path, args.columns) for path in paths] for paths in (args.logs, args.holdout))
+    return logs, held
+
+
+def read_fitting_logs(args: argparse.Namespace) -> tuple[list[Log], list[Log]]:
+    """Return the logs to fit and those held out, in memory."""
+    from tau_dyn.exceptions import InputError
+    from tau_dyn.log import Log
+
+    opened = open_fitting_logs(args)
+    for log in (*opened[0], *opened[1]):
+        if not isinstance(log, Log):
+            raise InputError(
+                f"{log.name} has {log.n_samples} samples, too many for this command; give an excerpt (identify takes it whole)"
+            )
+    logs, held = ([log for log in found if isinstance(log, Log)] for found in opened)
+    return logs, held
 
 
 def fitting_options(args: argparse.Namespace) -> dict:

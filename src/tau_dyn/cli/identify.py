@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress
-from tau_dyn.cli.fitting import add_fitting, fitting_inputs, fitting_options, read_fitting_logs
+from tau_dyn.cli.fitting import add_engine, add_fitting, fitting_inputs, fitting_options, open_fitting_logs
+from tau_dyn.scale.run_many import cores
 
 HELP = "masses and friction from torque logs"
 
@@ -19,6 +20,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         holdout="logs to judge on, used for nothing else",
         out="write the identified model here",
     )
+    parser.add_argument(
+        "--estimator",
+        choices=("auto", "wls", "ml", "iv", "robust"),
+        default="auto",
+        help="wls: filtered weighted least squares; ml: full rate, encoder noise in the columns; iv: ml with instruments from "
+        "q_ref_J, for noise that the feedback answers; robust: ml that bears outliers in tau; auto (default): iv or ml where the "
+        "residual is noise, else wls",
+    )
+    add_engine(parser)
     add_common(parser)
 
 
@@ -26,11 +36,14 @@ def run(args: argparse.Namespace) -> Outcome:
     """Identify."""
     with progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.identify import identify
+        from tau_dyn.identify import Engine, identify
 
         robot = load_robot_from(args)
-        logs, held = read_fitting_logs(args)
-        found = identify(robot, logs, holdout=held, progress=step, **fitting_options(args))
+        logs, held = open_fitting_logs(args)
+        options = fitting_options(args) | {"estimator": args.estimator}
+        found = identify(
+            robot, logs, holdout=held, progress=step, engine=Engine(args.jobs or cores(), args.cluster), **options
+        )
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
@@ -46,6 +59,7 @@ def _show(console, found, args: argparse.Namespace) -> None:
 
     written = {"model": args.out, "report": args.report, "result": args.json}
     print_identification(console, found, {k: str(v) for k, v in written.items() if v})
+    console.print(f"estimator: {found.estimator}")
 
 
 def _page(found) -> str:

@@ -7,10 +7,14 @@ from tau_dyn.estimate.estimate import DETERMINED, Estimate
 from tau_dyn.estimate.least_squares import solve_least_squares
 from tau_dyn.estimate.noise import Autoregression, fit_autoregression, robust_covariance
 from tau_dyn.estimate.physics import Body, Physics, pseudo_inertia
-from tau_dyn.estimate.regression import Regression, Run
+from tau_dyn.estimate.regression import Everything, Regression, Rows, Run
+from tau_dyn.estimate.totals import Totals
 from tau_dyn.estimate.whitening import Whitener
 
 __all__ = [
+    "Totals",
+    "Rows",
+    "Everything",
     "DETERMINED",
     "Autoregression",
     "BaseParameters",

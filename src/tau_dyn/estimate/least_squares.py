@@ -5,12 +5,13 @@ r"""Weighted least squares on base parameters, each output weighted by its own n
 `sigma_j` is output j's residual deviation; estimate and weights take turns until they agree. A parameter known beforehand
 with an uncertainty is one more row. Covariances hold under coloured noise (`noise.py`), bounds and physics come after
 (`consistent.py`). Reference: Gautier & Poignet 2001, Extended Kalman filtering and weighted least squares dynamic
-identification of robot.
+identification of robot. All of it works on the outputs' triangular factors (`totals.py`), so that the number of samples does not
+matter; only the covariance looks at the residuals themselves, run by run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +19,9 @@ import numpy as np
 from tau_dyn.estimate.base import BaseParameters, find_base
 from tau_dyn.estimate.consistent import solve_consistent
 from tau_dyn.estimate.estimate import Estimate
-from tau_dyn.estimate.noise import robust_covariance
+from tau_dyn.estimate.noise import Scores, covariance
 from tau_dyn.estimate.physics import Physics
-from tau_dyn.estimate.regression import Regression
+from tau_dyn.estimate.regression import Regression, Rows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
@@ -48,18 +49,17 @@ def solve_least_squares(
     rows = _rows(regression)
     units = [p.unit for p in regression.parameters.select(rows.names)]
     base = find_base(np.concatenate([rows.W, rows.prior_W]), rows.names, units=units)
-    if base.rank == 0 or len(rows.y) <= base.rank:
+    if base.rank == 0 or rows.count.sum() <= base.rank:
         raise CannotAnswer(
-            f"only {len(rows.y)} usable samples for {max(base.rank, 1)} parameters",
+            f"only {rows.count.sum()} usable samples for {max(base.rank, 1)} parameters",
             "record a longer motion that moves every joint in both directions",
         )
     beta, sigma = _iterate(rows, base, len(regression.outputs))
     weighted, y = rows.weighted(sigma, base)
     R = np.asarray(np.linalg.qr(weighted, mode="r"))
-    W_runs = [run.W[:, :, rows.free][:, :, base.kept] / sigma[None, :, None] for run in regression.runs]
-    e_runs = [(run.y - run.W @ _full(regression.parameters, rows, base, beta)) / sigma for run in regression.runs]
     known = np.concatenate([rows.prior_W[:, base.kept], _gain_rows(regression, rows, weighted, y, gains or {})])
-    certainty = robust_covariance(regression, W_runs, e_runs, R, known)
+    scores = _scores(regression, rows, base, _full(regression.parameters, rows, base, beta), sigma)
+    certainty = covariance(scores, regression.n_samples, R, known)
     constrained = solve_consistent(regression.parameters, base, beta, R, physics)
     stderr = np.sqrt(np.maximum(np.diag(certainty.coloured), np.diag(certainty.scattered)))
     return Estimate(
@@ -80,13 +80,19 @@ def solve_least_squares(
 
 @dataclass(frozen=True)
 class _Rows:
-    """Usable rows of the free columns, fixed ones subtracted, and prior knowledge as rows of unit noise."""
+    """Rows of the free columns, fixed ones subtracted, and prior knowledge as rows of unit noise.
+
+    An output's rows are those of its triangular factor, which least squares cannot tell from all of its samples;
+    `count` and `mean` of `y` are those of the samples.
+    """
 
     names: tuple[str, ...]
     free: np.ndarray
     W: np.ndarray
     y: np.ndarray
     index: np.ndarray
+    count: np.ndarray
+    mean: np.ndarray
     prior_W: np.ndarray
     prior_y: np.ndarray
 
@@ -103,19 +109,38 @@ def _rows(regression: Regression) -> _Rows:
     parameters = regression.parameters
     free = parameters.free
     names = tuple(n for n, f in zip(parameters.names, free, strict=True) if f)
-    W, y, index = regression.stacked()
-    y = y - W[:, ~free] @ parameters.values[~free]
+    totals = regression.totals()
+    stacked, index = totals.R.reshape(-1, len(free) + 1), np.repeat(np.arange(len(totals.R)), len(free) + 1)
+    fixed = np.concatenate([np.where(free, 0.0, -parameters.values), [1.0]])
+    W, y, mean = stacked[:, :-1], stacked @ fixed, totals.sums @ fixed / np.maximum(totals.count, 1)
     known = [(k, p) for k, p in enumerate(parameters.select(names)) if p.prior_stderr]
     prior_W = np.zeros((len(known), len(names)))
     for row, (column, p) in zip(prior_W, known, strict=True):
         row[column] = 1 / float(p.prior_stderr or 1.0)
     prior_y = np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
-    return _Rows(names, free, W[:, free], y, index, prior_W, prior_y)
+    return _Rows(names, free, W[:, free], y, index, totals.count, mean, prior_W, prior_y)
+
+
+def _scores(regression: Regression, rows: _Rows, base: BaseParameters, theta: np.ndarray, sigma: np.ndarray) -> Scores:
+    """Return a function that yields every run's weighted base columns and residuals, piece by piece."""
+    columns = np.flatnonzero(rows.free)[base.kept]
+
+    def runs() -> Iterator[Iterator[Rows]]:
+        for run in regression.rows():
+            yield (x._replace(W=x.W[:, :, columns] / sigma[:, None], y=(x.y - x.W @ theta) / sigma) for x in run)
+
+    return runs
 
 
 def _iterate(rows: _Rows, base: BaseParameters, n_outputs: int) -> tuple[np.ndarray, np.ndarray]:
     """Alternate between estimate and weights; return base estimates (r,) and each output's residual deviation."""
-    sigma = np.array([np.std(rows.y[rows.index == k]) if np.any(rows.index == k) else 1.0 for k in range(n_outputs)])
+    seen = rows.count > 0
+
+    def deviations(e: np.ndarray, mean: np.ndarray | float = 0.0) -> np.ndarray:
+        squares = np.array([np.sum(e[rows.index == k] ** 2) for k in range(n_outputs)])
+        return np.where(seen, np.sqrt(np.maximum(squares / np.maximum(rows.count, 1) - np.square(mean), 0.0)), 1.0)
+
+    sigma = deviations(rows.y, rows.mean)
     sigma = np.where(sigma > 0, sigma, 1.0)
     floor = 1e-9 * sigma
     beta = np.zeros(base.rank)
@@ -125,11 +150,8 @@ def _iterate(rows: _Rows, base: BaseParameters, n_outputs: int) -> tuple[np.ndar
         norm = np.linalg.norm(W, axis=0)
         beta = np.linalg.lstsq(W / norm, y, rcond=None)[0] / norm
         e = rows.y - rows.W[:, base.kept] @ beta
-        share = base.rank / max(len(rows.y), 1)
-        spread = [
-            np.sqrt(np.mean(e[rows.index == k] ** 2) / (1 - share)) if np.any(rows.index == k) else 1.0
-            for k in range(n_outputs)
-        ]
+        share = base.rank / max(int(rows.count.sum()), 1)
+        spread = np.where(seen, deviations(e) / np.sqrt(1 - share), 1.0)
         sigma = np.maximum(spread, floor)
         if np.allclose(sigma, before, rtol=1e-6):
             break

@@ -6,12 +6,13 @@ its outputs has its own mask of usable samples. Torque, pose and vibration measu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from tau_dyn.estimate.totals import Totals
 from tau_dyn.parameters import Parameters
 
 
@@ -52,6 +53,30 @@ class Run:
             yield slice(int(start), int(stop))
 
 
+class Rows(NamedTuple):
+    """A stretch of a run's rows: time (n,) [s], columns (n, m, p), outputs (n, m), and which a fit may use (n, m)."""
+
+    t: np.ndarray
+    W: np.ndarray
+    y: np.ndarray
+    usable: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Everything:
+    """What there is beyond the runs that are kept in memory, where a recording is larger than that.
+
+    Attributes:
+        used: Totals of the rows that a fit may use.
+        whole: Totals of all rows.
+        runs: Of every run, its rows in order, read back piece by piece.
+    """
+
+    used: Totals
+    whole: Totals
+    runs: Sequence[Sequence[Rows]]
+
+
 @dataclass(frozen=True, eq=False)
 class Regression:
     """A stacked linear problem.
@@ -60,8 +85,9 @@ class Regression:
         parameters: One per column, with nominal values, bounds and freedom.
         outputs: Names of the outputs (the actuated joints, for torques).
         units: Units of the outputs.
-        runs: The data.
+        runs: The data; of a recording too large for memory, excerpts to look at.
         settings: How the data were prepared, for the report.
+        everything: Where `runs` are excerpts, all data; else None. Estimates and errors are of all data.
     """
 
     parameters: Parameters
@@ -69,16 +95,37 @@ class Regression:
     units: tuple[str, ...]
     runs: tuple[Run, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
+    everything: Everything | None = None
 
     @property
     def n_samples(self) -> int:
         """Number of usable scalar measurements."""
+        if self.everything is not None:
+            return int(self.everything.used.count.sum())
         return int(sum(run.usable.sum() for run in self.runs))
 
     @property
     def used_share(self) -> float:
         """Share of the scalar measurements that the fit uses."""
+        if self.everything is not None:
+            return self.n_samples / max(1, int(self.everything.whole.count.sum()))
         return self.n_samples / max(1, sum(run.usable.size for run in self.runs))
+
+    def totals(self, *, whole: bool = False) -> Totals:
+        """Return the totals of the rows that a fit may use, or of all rows."""
+        if self.everything is not None:
+            return self.everything.whole if whole else self.everything.used
+        total = Totals.zero(len(self.outputs), len(self.parameters))
+        for run in self.runs:
+            total = total + (Totals.of(run.W_all, run.y_all) if whole else Totals.of(run.W, run.y, run.usable))
+        return total
+
+    def rows(self) -> Iterator[Iterator[Rows]]:
+        """Yield every run as its rows in order, in one piece or, of a large recording, in several."""
+        if self.everything is not None:
+            yield from (iter(run) for run in self.everything.runs)
+        else:
+            yield from (iter([Rows(run.t, run.W, run.y, run.usable)]) for run in self.runs)
 
     def stacked(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the usable rows, output by output within each run: `W` (N, p), `y` (N,), output index (N,)."""

@@ -6,8 +6,10 @@ from tau_dyn.identify.identify import build_model, identify
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.regression import build_regression
 from tau_dyn.identify.result import Identification
+from tau_dyn.identify.streaming import Engine
 
 __all__ = [
+    "Engine",
     "Choices",
     "ForceErrors",
     "Identification",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.estimate import Regression
+from tau_dyn.estimate import Regression, Totals
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,36 +44,17 @@ class ForceErrors:
 
 def force_errors(regression: Regression, theta: np.ndarray) -> ForceErrors:
     """Return the errors of a full parameter vector (p,) on a regression's data."""
-    runs = regression.runs
-    everything = [np.ones_like(run.usable) for run in runs]
-    whole = _errors(
-        regression.outputs, regression.residuals_all(theta), [run.y_all for run in runs], everything, 1.0, None
-    )
-    usable = [run.usable for run in runs]
-    return _errors(
-        regression.outputs,
-        regression.residuals(theta),
-        [run.y for run in runs],
-        usable,
-        regression.used_share,
-        whole,
-    )
+    whole = _errors(regression.outputs, regression.totals(whole=True), theta, 1.0, None)
+    return _errors(regression.outputs, regression.totals(), theta, regression.used_share, whole)
 
 
 def _errors(
-    joints: tuple[str, ...],
-    residuals: list[np.ndarray],
-    measured: list[np.ndarray],
-    masks: list[np.ndarray],
-    share: float,
-    whole: ForceErrors | None,
+    joints: tuple[str, ...], totals: Totals, theta: np.ndarray, share: float, whole: ForceErrors | None
 ) -> ForceErrors:
-    squares = np.sum([np.sum(np.where(m, e, 0.0) ** 2, axis=0) for e, m in zip(residuals, masks, strict=True)], axis=0)
-    power = np.sum([np.sum(np.where(m, y, 0.0) ** 2, axis=0) for y, m in zip(measured, masks, strict=True)], axis=0)
-    count = np.sum([m.sum(axis=0) for m in masks], axis=0)
+    squares, power = totals.squares(theta), totals.power()
     return ForceErrors(
         joints,
-        np.sqrt(squares / np.maximum(count, 1)),
+        np.sqrt(squares / np.maximum(totals.count, 1)),
         _percent(squares.sum(), power.sum()),
         np.array([_percent(s, p) for s, p in zip(squares, power, strict=True)]),
         share,

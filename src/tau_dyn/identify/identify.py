@@ -17,46 +17,50 @@ import numpy as np
 from tau_dyn.effects import FRICTION_MODELS, friction_model
 from tau_dyn.estimate import DETERMINED, BaseParameters, Estimate, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.choices import Choices, scale_outputs
+from tau_dyn.identify.choices import Choices
+from tau_dyn.identify.data import Data
 from tau_dyn.identify.doubts import doubts, equivalences
 from tau_dyn.identify.errors import ForceErrors, force_errors
-from tau_dyn.identify.logs import each_once, listed, log_warnings, without_trained
+from tau_dyn.identify.estimators import Estimator
+from tau_dyn.identify.logs import each_once, listed, without_trained
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import build_regression, even_pieces
 from tau_dyn.identify.result import Identification
 from tau_dyn.identify.settle import settled
+from tau_dyn.identify.streaming import Engine
 from tau_dyn.identify.structure import physics_of, structural_base
-from tau_dyn.log import Log
+from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-
-TRAIN_SHARE = 0.7
-"""Where no held-out log is given, a fit of this first part of each log predicts the rest."""
+from tau_dyn.scale.run_many import cores
 
 
 def identify(
     robot: Robot,
-    logs: Log | Iterable[Log],
+    logs: Log | Recording | Iterable[Log | Recording],
     *,
-    holdout: Log | Iterable[Log] = (),
+    holdout: Log | Recording | Iterable[Log | Recording] = (),
     model: str | Path | Model = "asymmetric",
     choices: Choices | None = None,
     preparation: Preparation | None = None,
     exclude: tuple[str, ...] = (),
+    estimator: str = "wls",
     seed: int = 0,
+    engine: Engine | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Identification:
     """Identify a robot's parameters from torque logs.
 
     Args:
         robot: The robot, with nominal parameters.
-        logs: Training logs with `q_J` and `tau_J` of every actuated joint.
+        logs: Training logs with `q_J` and `tau_J` of every actuated joint; recordings on disk (`open_log`) may exceed memory.
         holdout: Logs to judge on; without any, the last 30 % of each log, predicted by a fit of the first 70 %.
         model: `rigid`, `symmetric`, `asymmetric`, a model file, or a model.
         choices: What is fixed, free, bounded or measured beforehand.
         preparation: Filters and masks; by default chosen from the training logs.
         exclude: Log columns whose nonzero samples are left out.
+        estimator: `wls`, `ml`, `iv`, `robust` or `auto`; see `estimators.py`.
         seed: Seed of the random states of the structural study.
+        engine: Who computes the blocks of recordings on disk; by default as many threads as there are cores.
         progress: Called with a word for each step.
 
     Raises:
@@ -73,7 +77,9 @@ def identify(
             choices or Choices(),
             preparation,
             exclude,
+            estimator,
             seed,
+            engine or Engine(cores()),
             progress,
             warnings,
         )
@@ -84,13 +90,15 @@ def identify(
 
 def _identify(
     robot: Robot,
-    train_logs: list[Log],
-    asked_logs: list[Log],
+    train_logs: list[Log | Recording],
+    asked_logs: list[Log | Recording],
     model: str | Path | Model,
     choices: Choices,
     preparation: Preparation | None,
     exclude: tuple[str, ...],
+    estimator: str,
     seed: int,
+    engine: Engine,
     progress: Callable[[str], None],
     warnings: list[str],
 ) -> Identification:
@@ -102,38 +110,30 @@ def _identify(
     doubled: list[str] = []
     train_logs = each_once(train_logs, doubled)
     held_logs = each_once(without_trained(train_logs, asked_logs, doubled), doubled)
-    train, held_out = ([piece for log in logs for piece in even_pieces(log)] for logs in (train_logs, held_logs))
-    warnings += [*robot.warnings, *log_warnings(robot, [*train, *held_out]), *doubled]
     gains = choices.gains(robot.actuated)
-
+    factors = {joint: factor for joint, (factor, _) in gains.items()}
+    data = Data(prepared, train_logs, preparation, exclude, factors, engine=engine, progress=progress)
+    held_out = Data(prepared, held_logs, factors=factors, campaigns=tuple(log.name for log in train_logs), engine=engine,
+                    progress=progress)  # fmt: skip
+    refuse_in_blocks(estimator, data.streams)
+    warnings += [*robot.warnings, *data.warnings(), *held_out.warnings(), *doubled]
     progress("columns")
-
-    def build(at: Model) -> Regression:
-        return _scaled(build_regression(prepared, train, preparation=preparation, exclude=exclude, at=at), gains)
-
-    training = build(prepared)
+    training = data.regression(prepared)
     warnings += _singularities(prepared, training)
     progress("structure")
     structural = structural_base(prepared, seed)
-    solve = _Solver(prepared, structural, {j: sigma for j, (_, sigma) in gains.items()})
+    better = Estimator(estimator, prepared, data.pieces, gains, warnings)
+    solve = _Solver(prepared, structural, {j: sigma for j, (_, sigma) in gains.items()}, better)
     progress("estimate")
-    training, estimate = settled(prepared, training, solve, build, warnings)
+    training, estimate = settled(prepared, training, solve, data.regression, warnings)
     progress("held-out errors")
     if held_logs:
-        held = _scaled(
-            build_regression(
-                prepared,
-                held_out,
-                preparation=training.settings["preparation"],
-                at=prepared.with_parameters(estimate.parameters),
-                campaigns=[log.name for log in train_logs],
-            ),
-            gains,
-        )
+        held_out.preparation = training.settings["preparation"]
+        held = held_out.regression(prepared.with_parameters(estimate.parameters))
         judged = force_errors(held, estimate.theta)
         how = "held-out logs: " + ", ".join(log.name for log in held_logs)
     else:
-        held, judged, how = _judge_last_part(training, solve, bool(asked_logs), warnings)
+        held, judged, how = _judge_last_part(data, training, solve, bool(asked_logs), warnings)
     _refuse_if_nothing_determined(estimate)
     return Identification(
         model=replace(
@@ -151,6 +151,14 @@ def _identify(
         seed=seed,
         logs=tuple(train_logs),
     )
+
+
+def refuse_in_blocks(estimator: str, streams: bool) -> None:
+    """Refuse estimators that look at all rows again and again, where the rows are on disk."""
+    if streams and estimator not in ("wls", "auto"):
+        raise InputError(
+            f"estimator {estimator} needs all rows in memory, and a recording is too large; use wls, or give an excerpt"
+        )
 
 
 def build_model(robot: Robot, model: str | Path | Model) -> Model:
@@ -178,18 +186,16 @@ class _Solver:
     model: Model
     structural: BaseParameters
     gains: dict[str, float]
+    better: Estimator
 
     def __call__(self, regression: Regression) -> Estimate:
-        return solve_least_squares(
+        first = solve_least_squares(
             regression,
             physics=physics_of(self.model),
             structural=self.structural,
             gains=self.gains,
         )
-
-
-def _scaled(regression: Regression, gains: dict[str, tuple[float, float]]) -> Regression:
-    return scale_outputs(regression, {joint: factor for joint, (factor, _) in gains.items()}) if gains else regression
+        return self.better(first)
 
 
 def _singularities(model: Model, regression: Regression) -> list[str]:
@@ -200,11 +206,11 @@ def _singularities(model: Model, regression: Regression) -> list[str]:
 
 
 def _judge_last_part(
-    training: Regression, solve: _Solver, asked: bool, warnings: list[str]
+    data: Data, training: Regression, solve: _Solver, asked: bool, warnings: list[str]
 ) -> tuple[Regression | None, ForceErrors | None, str]:
     if asked:
         return None, None, "no held-out log was left"
-    first, last = _split(training)
+    first, last, there = data.parts(training)
     try:
         estimate = solve(first)
     except CannotAnswer:
@@ -212,19 +218,11 @@ def _judge_last_part(
             "the first 70 % of the logs alone determine nothing, so there are no held-out errors; give --holdout"
         )
         return None, None, "the logs are too short to hold a part out"
-    return last, force_errors(last, estimate.theta), "last 30 % of each log, predicted by a fit of its first 70 %"
-
-
-def _split(regression: Regression) -> tuple[Regression, Regression]:
-    """Cut each run in time, leaving a gap as wide as the filters' memory."""
-    preparation: Preparation = regression.settings["preparation"]
-    first, last = [], []
-    for run in regression.runs:
-        cut = int(TRAIN_SHARE * len(run.t))
-        gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz)) if len(run.t) > 1 else 0
-        first.append(run.window(slice(0, cut)))
-        last.append(run.window(slice(min(cut + gap, len(run.t) - 1), len(run.t))))
-    return replace(regression, runs=tuple(first)), replace(regression, runs=tuple(last))
+    return (
+        last if there else None,
+        force_errors(last, estimate.theta),
+        "last 30 % of each log, predicted by a fit of its first 70 %",
+    )
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
@@ -244,10 +242,10 @@ def _refuse_if_nothing_determined(estimate: Estimate) -> None:
     )
 
 
-def _provenance(train: list[Log], held: list[Log], seed: int) -> dict:
+def _provenance(train: list[Log | Recording], held: list[Log | Recording], seed: int) -> dict:
     from tau_dyn.version import __version__
 
-    def rows(logs: list[Log]) -> list[dict[str, str]]:
+    def rows(logs: list[Log | Recording]) -> list[dict[str, str]]:
         return [{"path": log.name, "sha256": log.sha256} for log in logs]
 
     return {"tool_version": __version__, "trained_on": rows(train), "held_out": rows(held), "seed": seed}

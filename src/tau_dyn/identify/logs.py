@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, unit_warnings
+from tau_dyn.log import Log, Recording, unit_warnings
 from tau_dyn.robot import Robot
+
+Kind = TypeVar("Kind", bound=Log | Recording)
 
 _MOST = 4  # warnings about one log before they are counted instead of listed
 
 
-def listed(logs: Log | Iterable[Log]) -> list[Log]:
+def listed(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log | Recording]:
     """Return one log or many as a list; a path is refused."""
-    if isinstance(logs, Log):
+    if isinstance(logs, Log | Recording):
         return [logs]
     if isinstance(logs, str | Path):
         raise InputError(f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
     return list(logs)
 
 
-def each_once(logs: list[Log], warnings: list[str]) -> list[Log]:
+def each_once(logs: Sequence[Kind], warnings: list[str]) -> list[Kind]:
     """Return the logs without repetitions: the same samples twice would look like twice the evidence."""
-    once: list[Log] = []
+    once: list[Kind] = []
     for log in logs:
         if any(shares_samples(log, other) for other in once):
             warnings.append(f"{log.name} is given twice, or overlaps with a log given before; it counts once")
@@ -42,7 +45,7 @@ def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
     return found
 
 
-def without_trained(train: list[Log], held: list[Log], warnings: list[str]) -> list[Log]:
+def without_trained(train: Sequence[Log | Recording], held: Sequence[Kind], warnings: list[str]) -> list[Kind]:
     """Drop held-out logs that are also trained on, and say so; their errors would not be held-out errors."""
     both = [log for log in held if any(shares_samples(log, other) for other in train)]
     for log in both:
@@ -52,7 +55,12 @@ def without_trained(train: list[Log], held: list[Log], warnings: list[str]) -> l
     return [log for log in held if log not in both]
 
 
-def shares_samples(one: Log, other: Log) -> bool:
+def shares_samples(one: Log | Recording, other: Log | Recording) -> bool:
     """Return whether two logs hold the same samples; parts of one file that do not overlap in time are different data."""
-    same_file = one is other or bool(one.sha256 and one.sha256 == other.sha256)
-    return same_file and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1]
+    if one is other:
+        return True
+    if not one.sha256 or one.sha256 != other.sha256:
+        return False
+    if isinstance(one, Recording) or isinstance(other, Recording):
+        return True
+    return bool(one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])

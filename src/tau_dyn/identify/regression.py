@@ -18,9 +18,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation, convolve1d
+from scipy.ndimage import convolve1d
 
 from tau_dyn.effects import Effect, Motion
+from tau_dyn.effects.effect import JointMotion, JointwiseEffect
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import Preparation, choose_preparation
@@ -91,6 +92,7 @@ class Prepared:
         preparation: Filters and masks.
         usable: Which decimated samples a fit may use (n, na).
         weight: Share of the filter's weight on usable samples (n, na); 1 where not usable.
+        rate_hz: Rate of the log [Hz].
     """
 
     log: Log
@@ -100,29 +102,38 @@ class Prepared:
     preparation: Preparation
     usable: np.ndarray
     weight: np.ndarray
+    rate_hz: float
 
     @property
     def factor(self) -> int:
         """Decimation."""
-        return self.preparation.factor(self.log.rate_hz)
+        return self.preparation.factor(self.rate_hz)
 
     def passed(self, x: np.ndarray) -> np.ndarray:
         """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
-        return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.log.rate_hz), self.factor)
+        return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.rate_hz), self.factor)
 
     def columns(self, Y: np.ndarray, *, gated: bool = True) -> np.ndarray:
-        """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint."""
-        out = np.zeros((-(-len(Y) // self.factor), *Y.shape[1:]))
-        for k in range(Y.shape[1]):
-            touching = np.any(Y[:, k], axis=0)
-            if touching.any():
-                x = Y[:, k][:, touching]
-                out[:, k, touching] = self.passed(self.gate[:, k, None] * x if gated else x)
-        return out / self.weight[:, :, None] if gated else out
+        """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint.
+
+        Samples are laid out last, as filters like them.
+        """
+        N, na, p = Y.shape
+        out = np.zeros((na, p, -(-N // self.factor)))
+        for k in range(na):
+            rows = Y[:, k].T
+            touching = np.flatnonzero(rows.any(axis=1))
+            if touching.size:
+                x = rows[touching]
+                x = self.gate[:, k] * x if gated else np.ascontiguousarray(x)
+                out[k, touching] = self.passed(x.T).T
+        if gated:
+            out /= self.weight.T[:, None]
+        return out.transpose(2, 0, 1)
 
     def run(self, model: Model) -> Run:
         """Return the regression of a model on this stretch."""
-        Y = model.columns(self.motion)
+        Y = columns_of(model, self.motion)
         y = self.passed(self.gate * self.force) / self.weight
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
         return Run(
@@ -137,6 +148,34 @@ class Prepared:
         )
 
 
+def columns_of(model: Model, motion: Motion) -> np.ndarray:
+    """Return all columns (N, na, p) along a motion, samples last in memory; see `Model.columns`."""
+    rigid = model.mechanism.regressor(motion.q, motion.v, motion.a)
+    N, na, first = rigid.shape
+    out = np.zeros((na, len(model.parameters), N))
+    out[:, :first] = rigid.transpose(1, 2, 0)
+    for effect in model.effects:
+        last = first + len(effect.parameters)
+        try:
+            _fill(out[:, first:last], effect, motion)
+        except InputError as fault:
+            raise InputError(str(fault).replace("this effect", f"effect {effect.name}", 1)) from fault
+        first = last
+    return out.transpose(2, 0, 1)
+
+
+def _fill(out: np.ndarray, effect: Effect, motion: Motion) -> None:
+    """Write an effect's columns (na, p, N); those of each joint alone without the zeros between them."""
+    if not isinstance(effect, JointwiseEffect) or type(effect).columns is not JointwiseEffect.columns:
+        out[:] = effect.columns(motion).transpose(1, 2, 0)
+        return
+    n = len(effect.terms)
+    for k, joint in enumerate(effect.joints):
+        index = motion.joints.index(joint)
+        for m, column in enumerate(effect.per_joint(JointMotion.of(motion, index))):
+            out[index, n * k + m] = column
+
+
 def prepare(
     model: Model,
     log: Log,
@@ -145,6 +184,7 @@ def prepare(
     signals: Mapping[str, np.ndarray] | None = None,
     needs: Iterable[str] = (),
     smooth_hz: float | None = None,
+    rate_hz: float | None = None,
 ) -> Prepared:
     """Filter, differentiate and gate one even stretch of a log.
 
@@ -156,8 +196,10 @@ def prepare(
         needs: Names of computed signals wanted beyond those that the model's effects need.
         smooth_hz: Low-pass of the positions from which speeds and accelerations are made [Hz], where they are to be smoother
             than the direction of motion and the gate, which keep `preparation`'s; forces are then low-passed once only.
+        rate_hz: Rate of the log [Hz], where it is part of a longer one whose rate is known better.
     """
-    joints, rate, dt = model.robot.actuated, log.rate_hz, log.dt
+    joints, rate = model.robot.actuated, rate_hz or log.rate_hz
+    dt = 1 / rate
     q = lowpass(log.joint("q", joints), preparation.position_cutoff_hz, rate)
     force = log.joint("tau", joints)
     if smooth_hz is None:
@@ -166,7 +208,7 @@ def prepare(
     a = differentiate(v, dt, accuracy=4)
     measured = {**measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
     refuse_missing_temperature(model, log, measured)
-    gate = _gate(log, Motion.of(joints, q, v, a), model, preparation)
+    gate = _gate(log, Motion.of(joints, q, v, a), model, preparation, rate)
     sign = np.sign(v)
     if smooth_hz is not None and smooth_hz < preparation.position_cutoff_hz:
         q = lowpass(log.joint("q", joints), smooth_hz, rate)
@@ -178,10 +220,10 @@ def prepare(
     usable = share > MIN_SHARE
     edge = int(np.ceil(edge_samples(preparation.force_cutoff_hz, rate) / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
-    return Prepared(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0))
+    return Prepared(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0), rate)
 
 
-def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> np.ndarray:
+def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation, rate: float) -> np.ndarray:
     """Return 1 where each joint's sample may be used and 0 where not (N, na), at the log's own rate."""
     threshold = preparation.speed_threshold
     shut = np.column_stack([_unsure(motion.v[:, k], threshold[k]) for k in range(len(threshold))])
@@ -192,10 +234,18 @@ def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation) -> n
         for speed, indices in effect.other_speeds(replace(motion, signals=felt)):
             shut[:, indices] |= _unsure(speed, float(np.hypot.reduce(threshold[indices])))[:, None]
     shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
-    half = int(np.ceil(preparation.window_s * log.rate_hz))
-    gate = 1.0 - binary_dilation(shut, np.ones((2 * half + 1, 1), bool))
-    ramp = np.hanning(2 * int(np.ceil(log.rate_hz / preparation.position_cutoff_hz)) + 3)
+    half = int(np.ceil(preparation.window_s * rate))
+    gate = 1.0 - _widened(shut, half)
+    ramp = np.hanning(2 * int(np.ceil(rate / preparation.position_cutoff_hz)) + 3)
     return convolve1d(gate, ramp / ramp.sum(), axis=0, mode="nearest")
+
+
+def _widened(shut: np.ndarray, half: int) -> np.ndarray:
+    """Return where a sample (N, na) or one at most `half` away is shut."""
+    n = len(shut)
+    count = np.concatenate([np.zeros((1, shut.shape[1]), int), np.cumsum(shut, axis=0)])
+    i = np.arange(n)
+    return count[np.minimum(i + half + 1, n)] > count[np.maximum(i - half, 0)]
 
 
 def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 
 from tau_dyn.estimate import DETERMINED, Estimate, Regression
 from tau_dyn.identify.errors import ForceErrors
-from tau_dyn.log import Log
+from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
@@ -46,7 +46,7 @@ class Identification:
     warnings: tuple[str, ...]
     equivalent: tuple[str, ...]
     seed: int
-    logs: tuple[Log, ...] = ()
+    logs: tuple[Log | Recording, ...] = ()
 
     @property
     def parameters(self) -> Parameters:
@@ -76,6 +76,11 @@ class Identification:
             rows.append(row)
         return rows
 
+    @property
+    def estimator(self) -> str:
+        """Name of the estimator that answered; see `estimators.py`."""
+        return str(self.estimate.regression.settings.get("estimator", "wls"))
+
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's JSON result, without what the command adds (version, inputs, status)."""
         fixed = [p for p in self.estimate.parameters if not p.free]
@@ -83,6 +88,7 @@ class Identification:
             "seed": self.seed,
             "warnings": list(self.warnings),
             "model": self.friction or "file",
+            "estimator": self.estimator,
             "parameters": self.rows(),
             "fixed_parameters": [{"name": p.name, "value": p.value, "unit": p.unit, "origin": p.origin} for p in fixed],
             "base_parameters": self.base_rows(),

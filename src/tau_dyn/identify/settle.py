@@ -13,7 +13,7 @@ import numpy as np
 from tau_dyn.estimate import Estimate, Regression
 from tau_dyn.model import Model
 
-FELT = frozenset({"force", "load", "inertia"})
+FELT = frozenset({"force", "rigid_force", "load", "inertia", "damping", "weight_gradient"})
 """Signals that follow from the parameters' values, so that a fit changes the columns it was made with."""
 
 PASSES = 8
@@ -42,11 +42,10 @@ def settled(
     if not feeling:
         return training, estimate
     for _ in range(PASSES):
-        before = training.residuals(estimate.theta)
+        before, theta = training, estimate.theta
         training = build(model.with_parameters(estimate.parameters))
         estimate = solve(training)
-        after = training.residuals(estimate.theta)
-        moved, left = (np.sqrt(sum(_squares(training, x))) for x in (_differences(after, before), after))
+        moved, left = _changed(before, theta, training, estimate.theta)
         if moved <= SETTLED * left:
             return training, estimate
     warnings.append(
@@ -55,10 +54,12 @@ def settled(
     return training, estimate
 
 
-def _differences(one: list[np.ndarray], other: list[np.ndarray]) -> list[np.ndarray]:
-    return [x - y for x, y in zip(one, other, strict=True)]
-
-
-def _squares(regression: Regression, residuals: list[np.ndarray]) -> list[float]:
-    """Return the sum of squares of each run over the samples that a fit may use."""
-    return [float(np.sum(x[run.usable] ** 2)) for run, x in zip(regression.runs, residuals, strict=True)]
+def _changed(before: Regression, theta: np.ndarray, after: Regression, now: np.ndarray) -> tuple[float, float]:
+    """Return by how much the residual moved and how large it is now: roots of sums of squares over usable samples."""
+    moved = left = 0.0
+    for one, other in zip(before.rows(), after.rows(), strict=True):
+        for x, y in zip(one, other, strict=True):
+            e = y.y - y.W @ now
+            moved += float(np.sum((e - (x.y - x.W @ theta))[y.usable] ** 2))
+            left += float(np.sum(e[y.usable] ** 2))
+    return moved**0.5, left**0.5

@@ -10,6 +10,8 @@ from tau_dyn.log.motions import split_by_motion
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
 from tau_dyn.log.read import read_log
 from tau_dyn.log.resample import ensure_even, examine_clock, segments
+from tau_dyn.log.stream import Recording, open_log
+from tau_dyn.log.stretch import Stretch, stretches
 from tau_dyn.log.table import Table, read_table
 from tau_dyn.log.units import unit_warnings
 
@@ -19,6 +21,8 @@ __all__ = [
     "Log",
     "LogCheck",
     "MotionBand",
+    "Recording",
+    "Stretch",
     "Table",
     "check_log",
     "decimate",
@@ -30,11 +34,13 @@ __all__ = [
     "lowpass",
     "motion_band",
     "noise_gain",
+    "open_log",
     "quantisation_step",
     "read_log",
     "read_table",
     "reversals",
     "segments",
+    "stretches",
     "split_by_motion",
     "unit_warnings",
     "velocity_noise",

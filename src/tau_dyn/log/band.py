@@ -17,6 +17,7 @@ from scipy import signal
 _WINDOW_S = 8.0
 _SMOOTHING_HZ = 2.0
 _MIN_SNR = 10.0
+_CLEAR_SNR = 300.0
 _POWER_SHARE = 0.999
 _NOISE_SHARE = 1e-4
 
@@ -31,12 +32,14 @@ class MotionBand:
             regressor low-passed there is not biased by its own noise.
         encoder_noise: White-noise level of the encoder (n,), in the unit of q.
         signal_edge_hz: Up to it the motion stands ten times above the encoder's noise (n,) [Hz].
+        clear_edge_hz: Up to it the motion stands 300 times above the encoder's noise (n,) [Hz].
     """
 
     edge_hz: NDArray[np.float64]
     noise_edge_hz: NDArray[np.float64]
     encoder_noise: NDArray[np.float64]
     signal_edge_hz: NDArray[np.float64]
+    clear_edge_hz: NDArray[np.float64]
 
 
 def motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
@@ -50,25 +53,25 @@ def motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
     sigma = np.sqrt(np.median(power[upper] / gain[upper, None], axis=0) * rate_hz / 2)
     noise = gain[:, None] * 2 * sigma**2 / rate_hz
     columns = [_edges(f, power[:, k], noise[:, k], rate_hz / len(q)) for k in range(q.shape[1])]
-    edges = np.array(columns, dtype=np.float64).reshape(-1, 3)
-    return MotionBand(edges[:, 0], edges[:, 1], sigma, edges[:, 2])
+    edges = np.array(columns, dtype=np.float64).reshape(-1, 4)
+    return MotionBand(edges[:, 0], edges[:, 1], sigma, edges[:, 2], edges[:, 3])
 
 
-def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tuple[float, float, float]:
-    """Return the motion's edge, the noise edge and the signal's edge of one joint."""
+def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tuple[float, ...]:
+    """Return the motion's edge, the noise edge, the signal's edge and the clear edge of one joint."""
     width = max(3, int(round(_SMOOTHING_HZ / f[1])))
     ratio = _smooth(power, width) / np.maximum(_smooth(noise, width), 1e-300)
     clean = np.clip(power - noise, 0, None)
     velocity = np.divide(clean, (2 * np.pi * f) ** 2, out=np.zeros_like(clean), where=f > 0.5 * resolution)
     peak = int(np.argmax(velocity))
-    below = np.flatnonzero(ratio[peak:] < _MIN_SNR)
-    top = peak + int(below[0]) if below.size else len(f)
+    clear, top = (peak + int(np.argmax(np.append(ratio[peak:], 0.0) < least)) for least in (_CLEAR_SNR, _MIN_SNR))
     if top == peak or velocity[:top].sum() <= 0:  # nothing stands out of the noise: a joint at rest
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     share = np.cumsum(velocity[:top])
     edge = f[np.searchsorted(share, _POWER_SHARE * share[-1])]
     within = np.searchsorted(np.cumsum(noise), _NOISE_SHARE * clean[:top].sum())
-    return float(edge), float(f[min(len(f) - 1, int(within))]), float(f[min(top, len(f) - 1)])
+    last = len(f) - 1
+    return float(edge), float(f[min(last, int(within))]), float(f[min(top, last)]), float(f[min(clear, last)])
 
 
 def _smooth(x: NDArray, width: int) -> NDArray:

@@ -8,6 +8,7 @@ filters in `filtering.py`.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -63,7 +64,7 @@ class Log:
         """Number of samples N."""
         return int(self.t.size)
 
-    @property
+    @cached_property
     def dt(self) -> float:
         """Median time between samples [s], which single lost samples do not move."""
         return float(np.median(np.diff(self.t)))

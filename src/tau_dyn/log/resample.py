@@ -49,7 +49,7 @@ class Clock(NamedTuple):
 
 def examine_clock(log: Log) -> Clock:
     """Measure the steps of a log's clock."""
-    if _is_rounded(log.t):
+    if is_rounded(log.t):
         return Clock(log.duration / (log.n_samples - 1), 0.0, 0, (), rounded=True)
     steps = np.diff(log.t)
     usual = steps[np.abs(steps / log.dt - 1) < 0.5]
@@ -95,7 +95,7 @@ def ensure_even(log: Log) -> Log:
             f"{log.name}: its times are rounded; an even clock of {n_steps / log.duration:.6g} Hz was used instead."
         )
         return Log(grid, log.channels, log.name, log.sha256, log.warnings).with_warnings(sentence)
-    channels = {key: _interpolate(log.t, values, grid) for key, values in log.channels.items()}
+    channels = {key: interpolate(log.t, values, grid) for key, values in log.channels.items()}
     return Log(grid, channels, log.name, log.sha256, log.warnings).with_warnings(_uneven_sentence(log, clock))
 
 
@@ -114,13 +114,14 @@ def _uneven_sentence(log: Log, clock: Clock) -> str:
     )
 
 
-def _interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+def interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a channel on another clock; one with holes keeps them."""
     if np.all(np.isfinite(values)) and len(t) >= 4:
         return CubicSpline(t, values)(grid)
     return np.interp(grid, t, values)  # a foreign channel with holes keeps them
 
 
-def _is_rounded(t: NDArray[np.float64]) -> bool:
+def is_rounded(t: NDArray[np.float64]) -> bool:
     """Tell whether uneven stamps are an even clock rounded to a decimal place coarser than 1 % of its step."""
     dt = (t[-1] - t[0]) / (len(t) - 1)
     decimals = next((d for d in range(10) if np.allclose(np.round(t, d), t, rtol=0.0, atol=1e-10)), None)

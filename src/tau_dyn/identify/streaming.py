@@ -1,0 +1,206 @@
+"""The regression of recordings larger than memory: blocks computed side by side, summed up in their order, and forgotten.
+
+What stays is the outputs' triangular factors, the decimated rows in a temporary file (for the covariance, which needs the
+residuals in order), and some blocks in full, for a page to draw. The sum is taken block by block in order, whoever computed
+them, so one thread, many, or a cluster give the same bits.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from tau_dyn.estimate import Everything, Regression, Run, Totals
+from tau_dyn.estimate.stored_rows import StoredRows
+from tau_dyn.exceptions import InputError
+from tau_dyn.identify.blocks import Block, Computed, Work, channels, cut, refuse_memory
+from tau_dyn.identify.preparation import Preparation, choose_preparation
+from tau_dyn.identify.regression import even_pieces
+from tau_dyn.log import Log, Recording
+from tau_dyn.log.stretch import InMemory, Stretch, stretches
+from tau_dyn.model import Model
+from tau_dyn.scale.run_many import connected, in_order
+
+SURVEYED = 2**20
+"""Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""
+
+SHOWN = 12
+"""Blocks of all recordings together that are kept for a page to draw."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Who computes blocks: threads of this process, or a Dask cluster.
+
+    Attributes:
+        jobs: Threads, or processes of an embedded cluster.
+        cluster: Address of a Dask scheduler; `local` for one on this machine; None for threads.
+    """
+
+    jobs: int = 1
+    cluster: str | None = None
+
+    def compute(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
+        """Yield the blocks' rows in their order."""
+        with threadpool_limits(1):
+            if self.cluster is None:
+                yield from self._here(work, blocks)
+            else:
+                yield from self._there(work, blocks)
+
+    def _here(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
+        own = threading.local()  # a mechanism remembers its last closure, so each thread has one
+
+        def compute(block: Block, log: Log) -> Computed:
+            if not hasattr(own, "work"):
+                own.work = fresh(work)
+            return own.work.compute(block, log)
+
+        with ThreadPoolExecutor(self.jobs) as pool:
+            yield from in_order(lambda block: pool.submit(compute, block, work.read(block)), blocks, self.jobs + 1)
+
+    def _there(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
+        address = None if self.cluster == "local" else self.cluster
+        with connected(address, self.jobs) as client:
+            shared = client.submit(_given, work, pure=False)  # made again where the worker that holds it dies
+            ahead = 3 * max(1, sum(client.nthreads().values()))
+            yield from in_order(lambda block: client.submit(_compute, shared, block, pure=False), blocks, ahead)
+
+
+def survey(pieces: Sequence[Stretch | InMemory], model: Model, exclude: tuple[str, ...]) -> list[Log]:
+    """Return what filters and masks are chosen from."""
+    return [log for piece in pieces for log in piece.survey(channels(model, exclude), SURVEYED // len(pieces))]
+
+
+def stream_regression(
+    model: Model,
+    recordings: Sequence[Log | Recording],
+    *,
+    preparation: Preparation | None,
+    exclude: tuple[str, ...],
+    at: Model,
+    campaigns: Sequence[str],
+    factors: dict[str, float],
+    share: float,
+    engine: Engine,
+    progress: Progress,
+) -> tuple[Regression, Regression, Regression]:
+    """Build the regression of a model on recordings, and those of their first and last parts.
+
+    Args:
+        model: Gives the columns.
+        recordings: Recordings on disk, or logs beside them; never joined across their ends.
+        preparation: Filters and masks; by default chosen from samples all over the recordings.
+        exclude: Columns whose nonzero samples are left out.
+        at: The model at the values from which signals are computed.
+        campaigns: Names of recordings that are numbered before these.
+        factors: Factor of an output's measurements, by name.
+        share: Share of each stretch that makes the first part.
+        engine: Who computes.
+        progress: Told how far it is.
+
+    Returns:
+        The regressions of all data, of the first part, and of the last; the parts without rows, for errors only.
+    """
+    refuse_memory(model)
+    refuse_missing(model, [log for log in recordings if isinstance(log, Recording)], exclude)
+    pieces = tuple(piece for log in recordings for piece in _pieces(log))
+    if not pieces:
+        raise InputError(f"{recordings[0].name} has no stretch of 10 samples without a gap")
+    preparation = preparation or choose_preparation(model.robot, survey(pieces, model, exclude), exclude)
+    names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
+    width = model.robot.na * len(model.parameters)
+    blocks = [b for k, piece in enumerate(pieces) for b in cut(piece, k, preparation, width, share)]
+    chosen = np.unique(np.linspace(0, len(blocks) - 1, SHOWN).astype(int))
+    scale = np.array([factors.get(joint, 1.0) for joint in model.robot.actuated])
+    work = Work(model, at, pieces, tuple(names.index(p.name) for p in pieces), preparation, scale,
+                frozenset(blocks[i] for i in chosen))  # fmt: skip
+    return _summed(work, blocks, engine, progress)
+
+
+def _summed(
+    work: Work, blocks: list[Block], engine: Engine, progress: Progress
+) -> tuple[Regression, Regression, Regression]:
+    model = work.model
+    zero = Totals.zero(model.robot.na, len(model.parameters))
+    used, whole = [zero] * 3, [zero] * 3
+    stored, shown, before, began = StoredRows(len(model.parameters)), [], -1, time.monotonic()
+    for number, (block, done) in enumerate(zip(blocks, engine.compute(work, blocks), strict=True), start=1):
+        if block.stretch != before:
+            stored.begin()
+            before = block.stretch
+        stored.add(done.rows)
+        used[block.section] += done.used
+        whole[block.section] += done.whole
+        if done.run is not None:
+            shown.append(_named(done.run, len(blocks)))
+        left = (time.monotonic() - began) * (len(blocks) / number - 1)
+        progress(f"columns: block {number} of {len(blocks)}, {left:.0f} s left")
+
+    def regression(sections: Sequence[int], runs: Sequence[Run], rows) -> Regression:
+        totals = [sum((of[s] for s in sections), zero) for of in (used, whole)]
+        settings = {"preparation": work.preparation}
+        everything = Everything(totals[0], totals[1], rows)
+        return Regression(
+            model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), settings, everything
+        )
+
+    return regression((0, 1, 2), shown, stored.runs), regression((0,), (), ()), regression((2,), (), ())
+
+
+def _named(run: Run, n_blocks: int) -> Run:
+    return run if n_blocks == 1 else replace(run, name=f"{run.name}, from {run.t[0]:.0f} s")
+
+
+def refuse_missing(model: Model, recordings: Sequence[Recording], exclude: tuple[str, ...]) -> None:
+    """Refuse recordings that lack a column before any is read."""
+    needed = [*(f"{signal}_{joint}" for signal in ("q", "tau") for joint in model.robot.actuated), *exclude]
+    for recording in recordings:
+        for name in needed:
+            if not recording.has(name):
+                raise InputError(f"{recording.name} has no column {name}; it has {', '.join(recording.columns)}.")
+
+
+def _pieces(log: Log | Recording) -> Sequence[Stretch | InMemory]:
+    return even_stretches(log) if isinstance(log, Recording) else [InMemory(piece) for piece in even_pieces(log)]
+
+
+def even_stretches(recording: Recording) -> list[Stretch]:
+    """Return a recording's even stretches; its clock is read once."""
+    return _even_stretches(recording)
+
+
+@lru_cache(maxsize=8)
+def _even_stretches(recording: Recording) -> list[Stretch]:
+    return stretches(recording)
+
+
+def fresh(work: Work) -> Work:
+    """Return the same work with mechanisms of its own."""
+    model = replace(work.model)
+    return replace(work, model=model, at=model if work.at is work.model else replace(work.at))
+
+
+def _given(work: Work) -> Work:
+    return work
+
+
+_BUILT: dict[int, tuple[Work, Work]] = {}
+
+
+def _compute(work: Work, block: Block) -> Computed:
+    """Compute a block in a worker, which builds mechanisms once for each piece of work that reaches it."""
+    if id(work) not in _BUILT:
+        _BUILT.clear()
+        _BUILT[id(work)] = work, fresh(work)
+    with threadpool_limits(1):
+        return _BUILT[id(work)][1].compute(block)
