@@ -30,11 +30,15 @@ COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np
     "load": lambda mechanism, q, v, a: mechanism.guide_load(q, v, a),
     "passive": lambda mechanism, q, v, a: mechanism.passive_rates(q)[1],
     "inertia": lambda mechanism, q, v, a: mechanism.inertia(q),
+    "weight_gradient": lambda mechanism, q, v, a: mechanism.weight_gradient(q),
+    "rigid_force": lambda mechanism, q, v, a: mechanism.inverse_dynamics(q, v, a),
 }
 """Signals of a motion that the mechanism gives."""
 
-BY_STATE = frozenset({*COMPUTED, "force"})
+BY_STATE = frozenset({*COMPUTED, "force", "damping"})
 """Signals that a single state determines."""
+
+_SMALL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +194,16 @@ class Model:
             found["force"] = plain.mechanism.inverse_dynamics(q, v, a) + plain.effect_force(
                 Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
             )
+        if "damping" in wanted and "damping" not in found:
+            found["damping"] = self.damping(Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found))
         return Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
+
+    def damping(self, motion: Motion) -> np.ndarray:
+        """Return how each joint's friction grows with its speed (N, na), the direction of motion kept."""
+        kept = self.only(e for e in self.effects if not {"force", "damping"} & set(e.needs))
+        step = _SMALL * (1.0 + np.abs(motion.v))
+        ahead, behind = (kept.effect_force(replace(motion, v=motion.v + d)) for d in (step, -step))
+        return (ahead - behind) / (2 * step)
 
     def effect_force(self, motion: Motion) -> np.ndarray:
         """Return the effects' share of the force (N, na) [N or N m]."""

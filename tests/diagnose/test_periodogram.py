@@ -5,15 +5,21 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.periodogram import accelerated, carried_back, explained_by_periods, lowpassed
+from tau_dyn.diagnose.periodogram import carried_back, explained_by_periods, of_displacement, of_force
 from tau_dyn.effects import CyclicRipple
 
 CUTOFF_HZ = 10.0
+OPEN_HZ = 1e9  # nothing is filtered
 
 
-def plain(speed, periods):
-    """Return one: nothing is filtered."""
-    return np.ones_like(periods)
+def passed(speed, periods):
+    """Return what the low-pass leaves of a ripple at a speed."""
+    return 1 / (1 + (abs(speed) / periods / CUTOFF_HZ) ** 8)
+
+
+def accelerated(speed, periods):
+    """Return the acceleration that it leaves of a displacement at a constant speed."""
+    return passed(speed, periods) * (2 * np.pi * speed / periods) ** 2
 
 
 def strokes(n, speeds, stroke=0.4, rate=50.0):
@@ -47,11 +53,11 @@ def exact(q, weights, periods, e):
     return np.array(found)
 
 
-def scanned(q, v, force, periods, weight, rng, draws=24):
+def scanned(q, v, force, periods, rng, cutoff_hz=OPEN_HZ, terms=None, draws=24):
     """Return T (g,) of a white residual that holds a force, and T (g, d) of noise alone."""
     e = force + rng.standard_normal(len(q))
     u = np.column_stack([e, rng.standard_normal((len(q), draws))])
-    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, weight)
+    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, cutoff_hz, terms or of_force(q))
     return e, T[:, 0], T[:, 1:]
 
 
@@ -62,7 +68,7 @@ def test_the_hidden_period_is_found_with_its_exact_T(rng, period, speeds):
     q, v = strokes(6000, speeds)
     periods = lines_of(q)
     force = 0.25 * np.sin(2 * np.pi * q / period + 1.0)
-    e, T, _ = scanned(q, v, force, periods, plain, rng)
+    e, T, _ = scanned(q, v, force, periods, rng)
     truth = exact(q, np.ones((6000, len(periods))), periods, e)
     best = int(np.argmax(T))
     assert abs(np.ptp(q) / periods[best] - np.ptp(q) / period) < 0.3  # within a step of the grid
@@ -70,7 +76,7 @@ def test_the_hidden_period_is_found_with_its_exact_T(rng, period, speeds):
     assert_allclose(T[best], truth[best], rtol=0.2)
 
 
-@pytest.mark.parametrize("weight", [lowpassed(CUTOFF_HZ), accelerated(CUTOFF_HZ)], ids=["force", "displacement"])
+@pytest.mark.parametrize("weight", [passed, accelerated], ids=["force", "displacement"])
 def test_a_filtered_ripple_is_weighed_by_what_its_speed_leaves_of_it(rng, weight):
     """Passed too fast the low-pass removes it, passed slowly acceleration hardly shows it: T is exact with these weights.
 
@@ -82,7 +88,8 @@ def test_a_filtered_ripple_is_weighed_by_what_its_speed_leaves_of_it(rng, weight
     weights = np.array([weight(abs(s), periods) for s in v])
     mine = weight(0.1, np.array([period]))[0]
     size = np.array([weight(abs(s), np.array([period]))[0] for s in v]) / mine
-    e, T, noise = scanned(q, v, 0.4 * size * np.sin(2 * np.pi * q / period), periods, weight, rng)
+    terms = of_force(q) if weight is passed else of_displacement(v, 0 * v)
+    e, T, noise = scanned(q, v, 0.4 * size * np.sin(2 * np.pi * q / period), periods, rng, CUTOFF_HZ, terms)
     truth = exact(q, weights / mine, periods, e)
     best = int(np.argmax(T))
     assert abs(np.ptp(q) / periods[best] - np.ptp(q) / period) < 0.3
@@ -90,11 +97,25 @@ def test_a_filtered_ripple_is_weighed_by_what_its_speed_leaves_of_it(rng, weight
     assert T[best] > noise.max()
 
 
+def test_a_long_wave_is_seen_by_its_slope_times_the_acceleration(rng):
+    """Shaking while it creeps: a displacement's force is `(i w a - w^2 v^2)` of its wave, and `w a` is most of it."""
+    t = np.arange(8000) / 50.0
+    q, v, a = 0.3 * np.sin(0.1 * t), 0.03 * np.cos(0.1 * t), -0.003 * np.sin(0.1 * t)
+    q, v, a = q + 0.02 * np.sin(12 * t), v + 0.24 * np.cos(12 * t), a - 2.88 * np.sin(12 * t)
+    periods = lines_of(q, fewest=2.0, most=12.0)
+    w = 2 * np.pi / periods[9]
+    force = np.real((1j * w * a - w**2 * v**2) * np.exp(1j * (w * q + 0.7)))
+    e, T, _ = scanned(q, v, 0.3 / np.std(force) * force, periods, rng, terms=of_displacement(v, a))
+    assert abs(int(np.argmax(T)) - 9) <= 1 and T[9] > 300
+    without = scanned(q, v, 0.3 / np.std(force) * force, periods, rng, terms=of_displacement(v, 0 * a))[1]
+    assert T[9] > 2 * without[9]
+
+
 def test_noise_stays_at_its_level(rng):
     """T of noise alone is chi-square of two degrees of freedom at a typical period, so its mean is two at all of them."""
     q, v = strokes(6000, [0.03, 0.1])
     periods = lines_of(q)
-    _, T, noise = scanned(q, v, 0.0, periods, plain, rng, draws=200)
+    _, T, noise = scanned(q, v, 0.0, periods, rng, draws=200)
     assert_allclose(noise.mean(axis=1), 2.0, atol=0.8)
     assert_allclose(noise.mean(), 2.0, rtol=0.05)
     assert stats.kstest(noise[len(periods) // 2], stats.chi2(2).cdf).pvalue > 0.01
@@ -111,7 +132,7 @@ def test_the_scan_sees_through_whitening_gaps_and_a_refitted_baseline(make, rng)
     (u,) = carried_back(ground.whiten.rows, both)
     motion, mask = channel.motions[0], channel.masks(0)[0][:, 0]
     periods = np.array([s["period"] for s in grid])
-    T = explained_by_periods(motion.q[:, 0], motion.v[:, 0], u, mask, periods, plain)[:, 0]
+    T = explained_by_periods(motion.q[:, 0], motion.v[:, 0], u, mask, periods, OPEN_HZ, of_force(motion.q))[:, 0]
     best = int(np.argmax(T))
     C = ground.rows(channel.columns(CyclicRipple(("x",), ("N",), **grid[best])))
     s = C.T @ ground.e
@@ -124,6 +145,6 @@ def test_samples_that_do_not_count_do_not_count(rng):
     q, v = strokes(3000, [0.1])
     periods = lines_of(q)
     u, mask = rng.standard_normal((3000, 25)), rng.uniform(size=3000) < 0.7
-    T = explained_by_periods(q, v, u, mask, periods, plain)
-    assert_allclose(explained_by_periods(q, v, np.where(mask[:, None], u, 1e9), mask, periods, plain), T)
-    assert not explained_by_periods(q, v, u, np.zeros(3000, bool), periods, plain).any()
+    T = explained_by_periods(q, v, u, mask, periods, OPEN_HZ, of_force(q))
+    assert_allclose(explained_by_periods(q, v, np.where(mask[:, None], u, 1e9), mask, periods, OPEN_HZ, of_force(q)), T)
+    assert not explained_by_periods(q, v, u, np.zeros(3000, bool), periods, OPEN_HZ, of_force(q)).any()

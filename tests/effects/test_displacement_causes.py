@@ -10,6 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS, DisplacementEffect, Motion, Scene
+from tau_dyn.effects.hysteresis import bristle
+from tau_dyn.exceptions import InputError
 
 T = np.arange(0, 2, 1e-3)
 
@@ -18,9 +20,13 @@ def back_and_forth(**signals: np.ndarray) -> Motion:
     """Return one slide of 20 kg on a sine of 0.2 m at 0.5 Hz."""
     w = np.pi
     q, v, a = 0.2 * np.sin(w * T), 0.2 * w * np.cos(w * T), -0.2 * w**2 * np.sin(w * T)
-    inertia = np.full((len(T), 1, 1), 20.0)
     extra = {k: x.reshape(-1, 1) for k, x in signals.items()}
-    return Motion.of(("x",), q[:, None], v[:, None], a[:, None], t=T, signals={"inertia": inertia, **extra})
+    return Motion.of(("x",), q[:, None], v[:, None], a[:, None], t=T, signals={**behind(len(T), 20.0), **extra})
+
+
+def behind(n: int, mass: float) -> dict[str, np.ndarray]:
+    """Return the signals of a mass that slides without friction or weight."""
+    return {"inertia": np.full((n, 1, 1), mass), "damping": np.zeros((n, 1)), "weight_gradient": np.zeros((n, 1, 1))}
 
 
 def after_reversal(x: np.ndarray, v: float) -> Motion:
@@ -82,7 +88,7 @@ def test_transmission_error_costs_force_with_the_speed_squared() -> None:
     """10 um of 20 mm period at 0.5 m/s on 20 kg: 20 (2 pi / 0.02)^2 1e-5 0.25 = 4.93 N; a quarter of it at half the speed."""
     effect = cause("transmission_error", period=0.02)
     q = np.linspace(0, 0.02, 201)[:, None]
-    inertia = {"inertia": np.full((201, 1, 1), 20.0)}
+    inertia = behind(201, 20.0)
     found = [
         effect.columns(Motion.of(("x",), q, np.full_like(q, v), 0 * q, signals=inertia))[:, 0, 0] for v in (0.5, 0.25)
     ]
@@ -129,3 +135,40 @@ def test_forces_alone_are_not_asked_for_play_and_scale() -> None:
         assert EFFECTS[name].untestable(direct) is None
     assert all(s["displaced"] == 0 for s in EFFECTS["hysteresis"].grid(forces, ("x",)))
     assert all(s["displaced"] == 1 for s in EFFECTS["hysteresis"].grid(direct, ("x",)))
+
+
+def test_a_resonance_is_static_below_and_gone_above_its_frequency() -> None:
+    """A force's sine: gain and phase of `w^2 / (w^2 - s^2 + 2 zeta w s)` on paper; a constant force: its deflection."""
+    t = np.arange(0, 20, 1e-3)
+    for f, zeta in ((0.5, 0.02), (9.0, 0.1), (40.0, 0.1)):
+        F = 100 * np.cos(2 * np.pi * f * t)
+        motion = Motion.of(("x",), *(np.zeros((3, len(t), 1))), t=t, signals={"rigid_force": F[:, None]})
+        d = cause("structural_compliance", frequency=10.0, damping=zeta).displacement(motion)[:, 0, 0]
+        ratio = f / 10.0
+        truth = 100 * np.exp(2j * np.pi * f * t) / (1 - ratio**2 + 2j * zeta * ratio)
+        # a force that goes in straight lines from sample to sample is (w dt)^2 / 12 of its sine short: 0.5 % at 40 Hz
+        assert_allclose(d[-4000:], truth.real[-4000:], atol=6e-3 * np.abs(truth[0]))
+    still = Motion.of(("x",), *(np.zeros((3, 50, 1))), t=t[:50], signals={"rigid_force": np.full((50, 1), 7.0)})
+    assert_allclose(cause("structural_compliance").displacement(still)[:, 0, 0], 7.0)
+
+
+def test_a_stiff_resonance_is_a_spring_without_one() -> None:
+    """Far above the motion the swinging load follows as the quasi-static compliance says, friction left to the motor's side."""
+    force = {"rigid_force": 30 * np.cos(3 * T), "force": 30 * np.cos(3 * T) + 5}
+    motion = back_and_forth(**force)
+    stiff = cause("structural_compliance", frequency=200.0, damping=0.1).displacement(motion)
+    plain = cause("joint_compliance", friction=0).displacement(motion)
+    assert_allclose(stiff[20:], plain[20:], atol=0.02)  # it lags by 2 damping / w, 0.16 ms
+    with pytest.raises(InputError, match="friction"):
+        cause("joint_compliance", friction=2).displacement(motion)
+
+
+def test_a_bristle_remembers_half_swings(rng) -> None:
+    """Along a random path z obeys `dz/dq = (1 - z sign) / distance` step by step, which full swings alone would not show."""
+    q = np.cumsum(rng.standard_normal(2000)) * 1e-3
+    z = bristle(q, 4e-3)
+    now = z[0]
+    for k, dq in enumerate(np.diff(q)):
+        now = np.sign(dq) - (np.sign(dq) - now) * np.exp(-abs(dq) / 4e-3)
+        assert abs(z[k + 1] - now) < 1e-12
+    assert np.abs(bristle(q, 1e-6)).max() <= 1 + 1e-12 and not bristle(np.zeros(5), 1.0).any()

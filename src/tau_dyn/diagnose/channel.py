@@ -56,7 +56,10 @@ class Channel(ABC):
         return self.columns(effect)
 
     def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
-        """Return what thousands of settings explain of residuals (R, d), as (g, d), or None where there is no short cut."""
+        """Return what thousands of settings explain of residuals (R, d), as (g, d).
+
+        Settings without a short cut are nan; without any at all the answer is None.
+        """
         return None
 
     @abstractmethod

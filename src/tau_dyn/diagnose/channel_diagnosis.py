@@ -19,7 +19,6 @@ from tau_dyn.diagnose.stages import (
     SHARED,
     Answer,
     assembled,
-    confirmation,
     confirmed,
     findings_of,
     unexplained_of,
@@ -27,6 +26,7 @@ from tau_dyn.diagnose.stages import (
 )
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import find_structure
+from tau_dyn.diagnose.within import tests_of
 from tau_dyn.effects.words import quantity
 from tau_dyn.model import Model
 
@@ -54,13 +54,13 @@ def diagnose_channel(
     progress("looking for causes")
     hunt = search(channel, rng, progress)
     progress("confirming")
-    tests = [confirmation(channel, hunt, one) for one in hunt.found]
-    kept = confirmed(channel, hunt, tests)
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
-    unexplained = unexplained_of(channel, hunt, structure)
+    tests = tests_of(channel, hunt, structure)
+    kept = confirmed(channel, hunt, tests.causes)
+    unexplained = unexplained_of(structure, tests.structure)
     progress("measuring the gain")
     bars = waterfall(channel, kept, rng)
-    findings = findings_of(channel, hunt, tests, kept, bars, rng)
+    findings = findings_of(channel, hunt, tests.causes, kept, bars, rng)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     named = [f for f in findings if f.status == "confirmed"]
     open_end = any(u.status == "confirmed" for u in unexplained)

@@ -19,28 +19,39 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.ground import Ground, gains
+from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
 from tau_dyn.diagnose.parts import CONFIRM, TRAIN
 from tau_dyn.diagnose.trials import _PRIOR_BLOCKS
 from tau_dyn.estimate import Autoregression, Whitener
 
 LEVEL = 0.02
+_AUDIBLE = 4.0
+"""Standard errors that the whole of an effect has to amount to for its absence to count against it."""
 _LEFT = 0.01
 """Part of a column that everything else must leave for it to count."""
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """Share of a predicted effect seen on held-out data, its standard error, and the chance of it by noise."""
+    """Share of a predicted effect seen on held-out data, its standard error, and the chance of it by noise.
+
+    `within` says that the data were blocks of the training logs, set aside because the held-out logs could not show it.
+    """
 
     share: float
     stderr: float
     p_value: float
+    within: bool = False
 
     @property
     def holds(self) -> bool:
         """Whether held-out data agree."""
         return self.p_value < LEVEL
+
+    @property
+    def silent(self) -> bool:
+        """Whether these data neither show the effect nor could have been relied on to show it."""
+        return not self.holds and not self.stderr < 1 / _AUDIBLE
 
 
 def confirm(
@@ -66,10 +77,21 @@ def confirm(
     blank = np.zeros(len(prior_y))
     gamma_columns = C_t - B_t @ (inverse @ np.concatenate([C_t, np.zeros((len(prior_y), C_t.shape[1]))]))
     theta = inverse @ np.concatenate([y_t, prior_y])
-    gamma = np.linalg.lstsq(gamma_columns, y_t - B_t @ theta, rcond=1e-7)[0]
+    gamma = _amplitudes(gamma_columns, y_t - B_t @ theta, np.linalg.norm(C_t, axis=0))
     shift = inverse @ np.concatenate([C_t @ gamma, blank])
     x, r = C_c @ gamma - B_c @ shift, y_c - B_c @ theta
     return _regress(np.column_stack([x, B_c @ shift]), r, B_c, np.asarray(np.linalg.qr(B_all, mode="r")), held)
+
+
+def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return amplitudes (k,) of columns of which the baseline leaves `left` (n, k), in the directions that it does not absorb.
+
+    Gains of all drives, say, are the masses; a sum that only the encoders' noise keeps apart would be fitted to that noise.
+    """
+    scale = np.where(own > 0, own, 1.0)
+    values, vectors = np.linalg.eigh((left / scale).T @ (left / scale))
+    inverse = np.where(values > ABSORBED, 1 / np.maximum(values, ABSORBED), 0.0)
+    return vectors @ (inverse * (vectors.T @ ((left / scale).T @ r))) / scale
 
 
 def _regress(free: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener) -> Confirmation:

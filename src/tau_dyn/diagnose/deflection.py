@@ -22,7 +22,7 @@ from tau_dyn.diagnose.deflection_pieces import Piece, joints_of, piece_of
 from tau_dyn.diagnose.force import diagnosis_preparation
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.parts import divide
-from tau_dyn.diagnose.periodogram import carried_back, explained_by_periods, lowpassed
+from tau_dyn.diagnose.periodogram import carried_back, explained_by_periods, of_force
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.effects import EFFECTS, Effect, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
@@ -68,7 +68,7 @@ class DeflectionChannel(Channel):
         q, v = (np.concatenate([run.signals[key][:, joint] for run in self.runs]) for key in ("q", "v"))
         mask = np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in matrices])
         periods = np.array([effect.settings["period"] for effect in effects])
-        return explained_by_periods(q, v, u, mask, periods, lowpassed(self.preparation.force_cutoff_hz))
+        return explained_by_periods(q, v, u, mask, periods, self.preparation.force_cutoff_hz, of_force(q))
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds, accelerations, forces and time of each run."""

@@ -41,7 +41,7 @@ _ROLL_OFF = 8
 _IN_BAND = 0.28
 """Share of the rate up to which neither low-pass weakens a residual."""
 _MOST_ORDER = 8
-_OF_PLACE = ("inertia", "passive")
+_OF_PLACE = ("inertia", "weight_gradient", "passive")
 
 Thing = Callable[[Motion], np.ndarray]
 """Columns (N, na, k) along a motion."""

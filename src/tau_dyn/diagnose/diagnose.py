@@ -18,6 +18,8 @@ from tau_dyn.diagnose.deflection import diagnose_deflection
 from tau_dyn.diagnose.encoders import chance_with_encoders, noise_only
 from tau_dyn.diagnose.force import (
     ForceChannel,
+    border_gap,
+    clear_cutoff,
     diagnosis_preparation,
     force_channel,
     force_regression,
@@ -35,7 +37,6 @@ from tau_dyn.diagnose.stages import (
     SHARED,
     Answer,
     assembled,
-    confirmation,
     confirmed,
     effects_of,
     estimated,
@@ -46,6 +47,7 @@ from tau_dyn.diagnose.stages import (
 from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.diagnose.trials import DRAWS, Library
 from tau_dyn.diagnose.unknown import Structure, find_structure, structure_chance
+from tau_dyn.diagnose.within import heard, tests_of
 from tau_dyn.diagnose.words import verdict_sentence
 from tau_dyn.estimate import Physics, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -55,7 +57,7 @@ from tau_dyn.identify.logs import each_once, listed, log_warnings, without_train
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import even_pieces
 from tau_dyn.identify.structure import physics_of
-from tau_dyn.log import Log, encoder_noise
+from tau_dyn.log import Log, Recording, encoder_noise
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
@@ -67,9 +69,9 @@ _ENCODERS = 3.0
 
 def diagnose(
     robot: Robot | Identification,
-    logs: Log | Iterable[Log] = (),
+    logs: Log | Recording | Iterable[Log | Recording] = (),
     *,
-    holdout: Log | Iterable[Log] = (),
+    holdout: Log | Recording | Iterable[Log | Recording] = (),
     model: str | Path | Model = "asymmetric",
     choices: Choices | None = None,
     preparation: Preparation | None = None,
@@ -101,8 +103,9 @@ def diagnose(
         prepared = (choices or Choices()).apply(build_model(robot, model))
         if (choices or Choices()).gains(prepared.robot.actuated):
             raise InputError("diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map")
-        train, held = each_once(listed(logs), warnings), listed(holdout)
-        held = each_once(without_trained(train, held, warnings), warnings)
+        given = each_once(listed(logs), warnings)
+        train = in_memory(given)
+        held = in_memory(each_once(without_trained(given, listed(holdout), warnings), warnings))
         if not train:
             raise InputError("no log was given")
         found = []
@@ -119,6 +122,14 @@ def diagnose(
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
+
+
+def in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
+    """Return logs that are in memory; a search looks at all of a log again and again."""
+    odd = [log.name for log in logs if isinstance(log, Recording)]
+    if odd:
+        raise InputError(f"{odd[0]} is too large to be diagnosed at once; give an excerpt of some minutes")
+    return [log for log in logs if isinstance(log, Log)]
 
 
 def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:
@@ -163,6 +174,7 @@ class _Case:
     physics: Physics
     preparation: Preparation
     smooth_hz: float
+    clear_hz: float
     held: tuple[bool, ...]
     how: str
 
@@ -173,7 +185,7 @@ class _Case:
         prepared = prepared_pieces(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = force_regression(self.nominal, prepared, self.preparation)
         return replace(
-            force_channel(self.model, prepared, self.held, self.preparation, regression),
+            force_channel(self.model, prepared, self.held, self.preparation, regression, self.clear_hz),
             parameters=self.nominal.parameters,
         )
 
@@ -192,7 +204,7 @@ def _gather(
     preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
     progress("columns")
     pieces = [thinned_log(piece, preparation.position_cutoff_hz) for piece in (*train, *held)]
-    smooth_hz = smooth_cutoff(model.robot, train)
+    smooth_hz, clear_hz = smooth_cutoff(model.robot, train), clear_cutoff(model.robot, train)
     prepared = prepared_pieces(model, pieces, preparation, smooth_hz)
     regression = force_regression(model, prepared, preparation)
     physics = physics_of(model)
@@ -201,14 +213,15 @@ def _gather(
     estimate = solve_least_squares(first, physics=physics)
     fit = model.with_parameters(estimate.parameters)
     is_held = (*[False] * len(train), *[True] * len(held))
-    channel = force_channel(fit, prepared, is_held, preparation, regression)
+    channel = force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
     how = (HELD_OUT if held else SHARED).format(what="logs")
     channel = replace(channel, parameters=model.parameters)
-    return _Case(model, fit, channel, physics, preparation, smooth_hz, is_held, how)
+    return _Case(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, how)
 
 
 def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -> Diagnosis:
     channel, rng = case.channel, np.random.default_rng(seed)
+    assert isinstance(channel, ForceChannel)
     progress("looking for causes")
     hunt = search(channel, rng, progress)
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
@@ -216,15 +229,17 @@ def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -
         progress("what encoder noise would do")
         hunt, structure = _sifted(case.noise_only(rng), hunt, structure)
     progress("confirming")
-    tests = [confirmation(channel, hunt, one) for one in hunt.found]
-    kept = confirmed(channel, hunt, tests, physics=case.physics)
+    rate = channel.prepared[0].log.rate_hz
+    gap = border_gap(case.preparation, rate)
+    tests = heard(channel, hunt, structure, tests_of(channel, hunt, structure), gap, rng)
+    kept = confirmed(channel, hunt, tests.causes, physics=case.physics)
     progress("measuring the gain")
     nominal = case.nominal.parameters
     bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
-    findings = findings_of(channel, hunt, tests, kept, bars, rng)
+    findings = findings_of(channel, hunt, tests.causes, kept, bars, rng)
     findings += parameter_findings(case.nominal, nominal, estimated(after))
-    unexplained = unexplained_of(channel, hunt, structure)
+    unexplained = unexplained_of(structure, tests.structure)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     verdict = _verdict(findings, unexplained)
     answer = Answer(

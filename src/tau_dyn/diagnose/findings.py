@@ -17,6 +17,7 @@ from tau_dyn.effects.effect import spelled
 from tau_dyn.parameters import Parameter, Parameters
 
 _POINTS = 2000
+_WITHIN = " The held-out logs hardly show it; blocks of the training logs, set aside for it, confirmed it."
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}, which is the same force by another name"
 
@@ -69,7 +70,7 @@ def finding_of(
         gain=gain,
         indistinguishable_from=twins,
         equation=first.equation,
-        sentence=sentence_of(effects, parameters, gain),
+        sentence=sentence_of(effects, parameters, gain) + (_WITHIN if kept and confirmation.within else ""),
         experiment=experiment,
         effects=effects,
         signature=signature,

@@ -11,7 +11,13 @@ from scipy.interpolate import CubicSpline
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.parts import divide
-from tau_dyn.diagnose.periodogram import accelerated, carried_back, explained_by_periods, lowpassed
+from tau_dyn.diagnose.periodogram import (
+    LONG,
+    carried_back,
+    explained_by_periods,
+    of_displacement,
+    of_force,
+)
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.estimate import Regression, Run
@@ -39,7 +45,7 @@ OVERSAMPLING = 5.0
 """Rate of a log that is worth keeping, in cutoffs of the position filter."""
 SMOOTH_FACTOR = 2.0
 """Of the frequency up to which the motion stands above the encoder's noise; a wider filter lets noise into the columns."""
-_SIGNALS = ("force", "inertia", "load", "passive")
+_SIGNALS = ("inertia", "weight_gradient", "load", "passive")
 _FASTEST = 0.98
 
 
@@ -66,7 +72,7 @@ class ForceChannel(Channel):
         return [piece.columns(effect.columns(piece.motion), gated=False) for piece in self.prepared]
 
     def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
-        """Scan periods by Fourier transforms over the position; see `periodogram.py`."""
+        """Scan periods by Fourier transforms over the position; long ones are left open (nan). See `periodogram.py`."""
         first = effects[0]
         if not getattr(first, "dense", False):
             return None
@@ -74,15 +80,16 @@ class ForceChannel(Channel):
         rows = np.flatnonzero(ground.whiten.index == joint)
         matrices = ground.whiten.rows[joint :: ground.whiten.n_outputs]
         u = np.concatenate(carried_back(matrices, both[rows]))
-        q, v = (np.concatenate([getattr(m, key)[:, joint] for m in self.thinned]) for key in ("q", "v"))
+        q, v, a = (np.concatenate([getattr(m, key)[:, joint] for m in self.thinned]) for key in ("q", "v", "a"))
         mask = np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in matrices])
-        cutoff = self.preparation.force_cutoff_hz
-        weight = lowpassed(cutoff)
+        terms = of_force(q)
         if isinstance(first, DisplacementEffect):
             u = u * np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
-            weight = accelerated(cutoff)
+            terms = of_displacement(v, a)
         periods = np.array([effect.settings["period"] for effect in effects])
-        return explained_by_periods(q, v, u, mask, periods, weight)
+        explained = explained_by_periods(q, v, u, mask, periods, self.preparation.force_cutoff_hz, terms)
+        explained[periods > np.ptp(q) / LONG] = np.nan
+        return explained
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds, accelerations, time and temperature of each run."""
@@ -156,6 +163,16 @@ def smooth_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     return SMOOTH_FACTOR * float(max(edges))
 
 
+def clear_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
+    """Return the low-pass [Hz] of the forces that springs carry.
+
+    A spring's force on the load is the fourth derivative of a position: above this, its column would be encoder noise, and the
+    residual, which holds the same noise times a mass, would speak against any spring.
+    """
+    bands = [motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
+    return float(max(max(band.clear_edge_hz.max(), band.edge_hz.max()) for band in bands))
+
+
 def prepared_pieces(
     model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: float
 ) -> tuple[Prepared, ...]:
@@ -180,6 +197,7 @@ def force_channel(
     held: Sequence[bool],
     preparation: Preparation,
     regression: Regression,
+    clear_hz: float,
 ) -> ForceChannel:
     """Build the channel.
 
@@ -189,15 +207,14 @@ def force_channel(
         held: Whether a piece belongs to a held-out log.
         preparation: Filters and masks.
         regression: The baseline's regression on these pieces.
+        clear_hz: Low-pass of the forces that springs carry [Hz]; see `clear_cutoff`.
 
     Raises:
         CannotAnswer: Too little is left of the data for three parts.
     """
     needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
-    prepared = [_with_signals(piece, model, needs) for piece in prepared]
-    cutoff, rate = preparation.force_cutoff_hz, prepared[0].log.rate_hz
-    gap = 0.5 * edge_samples(cutoff, rate) / rate
-    parts = divide(regression.runs, held, any(held), gap)
+    prepared = [_with_signals(piece, model, needs, clear_hz) for piece in prepared]
+    parts = divide(regression.runs, held, any(held), border_gap(preparation, prepared[0].log.rate_hz))
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
     thinned = tuple(_thinned(piece) for piece in prepared)
     channel = ForceChannel(
@@ -222,19 +239,26 @@ def force_channel(
     return channel
 
 
-def _with_signals(piece: Prepared, model: Model, needs: Sequence[str]) -> Prepared:
+def border_gap(preparation: Preparation, rate_hz: float) -> float:
+    """Return the time [s] on both sides of a border in which the filter still remembers the other side."""
+    return 0.5 * edge_samples(preparation.force_cutoff_hz, rate_hz) / rate_hz
+
+
+def _with_signals(piece: Prepared, model: Model, needs: Sequence[str], clear_hz: float) -> Prepared:
     """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
 
-    These are as smooth as the motion, so they are computed at the regression's rate and interpolated; friction is not.
+    Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not.
     """
     m, t = piece.motion, piece.log.t
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
     q, v, a = m.q[few], m.v[few], m.a[few]
-    coarse = {name: COMPUTED[name](model.mechanism, q, v, a) for name in needs if name in COMPUTED}
-    coarse["force"] = model.mechanism.regressor(q, v, a) @ model.robot.parameters.values  # holds with a mass of zero
+    coarse = {name: COMPUTED[name](model.mechanism, q, v, a) for name in needs}
     found = {name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in coarse.items()}
-    friction = model.effect_force(model.motion(m.q, m.v, m.a, m.sign, t=t, signals={**m.signals, **found}))
-    signals = {**m.signals, **found, "force": found["force"] + friction}
+    whole = model.motion(m.q, m.v, m.a, m.sign, t=t, signals={**m.signals, **found})
+    friction = model.effect_force(whole)
+    rigid = model.mechanism.regressor(m.q, m.v, m.a) @ model.robot.parameters.values  # holds with a mass of zero
+    carried = lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz)
+    signals = {**m.signals, **found, "force": rigid + friction, "rigid_force": carried, "damping": model.damping(whole)}
     return replace(piece, motion=replace(m, signals=signals))
 
 

@@ -11,7 +11,7 @@ as many degrees of freedom as columns; `T` of the true column alone has the nonc
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, cast
 
@@ -81,6 +81,11 @@ class Ground:
         """Return residuals (R, count) of pure noise after the same projection."""
         noise = rng.standard_normal((self.n_rows, count))
         return noise - self.Q @ (self.Q.T @ noise)
+
+    def beside(self, extra: Sequence[list[np.ndarray]]) -> Ground:
+        """Return what is left with further columns (lists over runs of (n, m, k)) accounted for too."""
+        more = orthonormal(self.left(np.concatenate([self.rows(c) for c in extra], axis=1)))
+        return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
 
     def gram(self, C: np.ndarray) -> np.ndarray:
         """Return `G` (k, k) of white rows (R, k)."""

@@ -16,6 +16,7 @@ from tau_dyn.estimate import Run
 TRAIN, CONFIRM, GAIN = 0, 1, 2
 _SHARED = (TRAIN, CONFIRM, TRAIN, GAIN, TRAIN)
 _HELD_OUT = (CONFIRM, GAIN)
+_WITHIN = (TRAIN, CONFIRM, TRAIN, TRAIN)
 _LONGEST_S = 6.0
 _FEWEST = 15
 """Blocks that a log is cut into, at least; of fewer none would see all parts of the motion."""
@@ -38,6 +39,18 @@ def divide(runs: Sequence[Run], held: Sequence[bool], any_held: bool, gap_s: flo
         pattern = _HELD_OUT if out else _SHARED
         parts, turn[out] = _blocks(run.t - run.t[0], pattern, turn[out], gap_s)
         found.append(parts)
+    return found
+
+
+def divide_training(runs: Sequence[Run], parts: Sequence[np.ndarray], gap_s: float) -> list[np.ndarray]:
+    """Return parts in which the training logs alone are trained on and confirmed on, 3 : 1 in blocks; the rest is left out."""
+    found, turn = [], 0
+    for run, part in zip(runs, parts, strict=True):
+        if np.all(part == TRAIN):
+            inner, turn = _blocks(run.t - run.t[0], _WITHIN, turn, gap_s)
+        else:
+            inner = np.full(len(run.t), -1)
+        found.append(inner)
     return found
 
 

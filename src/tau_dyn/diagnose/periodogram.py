@@ -1,10 +1,11 @@
 r"""Thousands of periods at once: how much a sine of the position explains, by fast Fourier transforms over the position.
 
-The score of `exp(2 pi i q / P)` against white residual rows `L e` is a Fourier sum over positions of `u = L' e`, weighted by
-what a unit amplitude becomes at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in which
-this weight depends on P alone, and binned by position. What noise makes of each period, which the score is measured against,
-is seen from the noise draws, put through the same sums; so what the baseline absorbs and what the noise model whitens are both
-counted. What is found is weighed again exactly. Reference: Scargle 1982.
+The score of `exp(i w q)`, `w = 2 pi / P`, against white residual rows `L e` is a Fourier sum over positions of `u = L' e`,
+weighted by what the low-pass leaves at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in
+which this weight depends on P alone, and binned by position. A displacement acts by its acceleration,
+`d^2/dt^2 exp(i w q) = (i w a - w^2 v^2) exp(i w q)`: two such sums. What noise makes of each period, which the score is
+measured against, is seen from the noise draws, put through the same sums; so what the baseline absorbs and what the noise model
+whitens are both counted. What is found is weighed again exactly. Reference: Scargle 1982.
 """
 
 from __future__ import annotations
@@ -19,13 +20,21 @@ _PER_PERIOD = 12
 _SMOOTHED = 9
 OVERSAMPLING = 4
 """Steps of the scan per 1 / range; `effects/periodic.py` lays its grid out alike."""
+LONG = 8.0
+"""Periods in the range up to which one is not scanned but tried exactly: there the acceleration counts beside the speed."""
 
-Weight = Callable[[float, np.ndarray], np.ndarray]
-"""Gives, for a speed and periods (g,), the size (g,) that a unit amplitude has in the filtered force."""
+Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
+"""A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
 
 
 def explained_by_periods(
-    q: np.ndarray, v: np.ndarray, u: np.ndarray, mask: np.ndarray, periods: np.ndarray, weight: Weight
+    q: np.ndarray,
+    v: np.ndarray,
+    u: np.ndarray,
+    mask: np.ndarray,
+    periods: np.ndarray,
+    cutoff_hz: float,
+    terms: Sequence[Term],
 ) -> np.ndarray:
     """Return `T` (g, d) of each period for each residual.
 
@@ -35,7 +44,8 @@ def explained_by_periods(
         u: White rows carried back to samples (n, d): the residual first, then noise draws.
         mask: Samples that count (n,).
         periods: Periods (g,) [m or rad].
-        weight: See `Weight`.
+        cutoff_hz: The zero-phase low-pass that both sides pass [Hz].
+        terms: What a unit amplitude is before it; see `of_force` and `of_displacement`.
     """
     if not mask.any():
         return np.zeros((len(periods), u.shape[1]))
@@ -52,22 +62,23 @@ def explained_by_periods(
         mine = np.flatnonzero((number == c) & mask)
         if mine.size:
             place = sparse.csr_matrix((np.ones(len(mine)), (bins[mine], np.arange(len(mine)))), shape=(size, len(mine)))
-            spectrum = np.asarray(fft.rfft(np.ascontiguousarray((place @ u[mine]).T)))
-            S += weight(float(np.median(speed[mine])), periods) * spectrum[:, index]
+            passed = 1 / (1 + (float(np.median(speed[mine])) * lines / cutoff_hz) ** 8)
+            for factor, size_of in terms:
+                spectrum = np.asarray(fft.rfft(np.ascontiguousarray((place @ (factor[mine, None] * u[mine])).T)))
+                S += passed * size_of(2 * np.pi * lines) * np.conj(spectrum[:, index])
     power = np.abs(S) ** 2
     noise = ndimage.uniform_filter1d(power[1:].mean(axis=0), min(_SMOOTHED, len(lines)), mode="nearest") / 2
     return np.divide(power, noise, out=np.zeros_like(power), where=noise > 1e-9 * noise.max(initial=1e-300)).T
 
 
-def lowpassed(cutoff_hz: float) -> Weight:
-    """Return the weight of a force: what the zero-phase low-pass leaves of its local frequency."""
-    return lambda speed, periods: 1 / (1 + (speed / periods / cutoff_hz) ** 8)
+def of_force(q: np.ndarray) -> list[Term]:
+    """Return the one term of a force of the position."""
+    return [(np.ones(len(q)), np.ones_like)]
 
 
-def accelerated(cutoff_hz: float) -> Weight:
-    """Return the weight of a displacement: its acceleration at the local frequency, low-passed alike."""
-    plain = lowpassed(cutoff_hz)
-    return lambda speed, periods: plain(speed, periods) * (2 * np.pi * speed / periods) ** 2
+def of_displacement(v: np.ndarray, a: np.ndarray) -> list[Term]:
+    """Return the terms of a displacement's acceleration along speeds and accelerations (n,)."""
+    return [(a, lambda w: 1j * w), (v**2, lambda w: -(w**2))]
 
 
 def carried_back(rows: Sequence[sparse.csr_matrix], white: np.ndarray) -> list[np.ndarray]:

@@ -116,7 +116,10 @@ def exchanged(plan: Plan, grams: np.ndarray, number: int) -> list[int]:
 
 def _signals(model: Model) -> frozenset[str]:
     """Return what effects may feel of a motion without further sensors."""
-    return frozenset({"force", "inertia", "load", "reversal"} | ({"passive"} if model.robot.loops else set()))
+    return frozenset(
+        {"force", "rigid_force", "inertia", "weight_gradient", "load", "reversal"}
+        | ({"passive"} if model.robot.loops else set())
+    )
 
 
 def _prepared(setting: Setting, trajectory: Trajectory, needs: frozenset[str]) -> Prepared:

@@ -34,6 +34,9 @@ MIMIC_MARGIN = 12.0
 MIMIC_RATIO = 1.5
 """And how many times more it must explain; a cause that is most of the truth keeps its name, what is left gets none."""
 _STEPS = 3
+_TERM_LEVEL = 1e-4
+"""Chance at which noise alone adds a term to a law."""
+_WIDE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +92,11 @@ def search(
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
         if not significant or len(found) >= MOST or len(pending) >= 2 * MOST:
             break
-        best = max(significant, key=lambda c: c.merit)
+        best = pruned(max(significant, key=lambda c: c.merit), library, ground)
         progress(f"found {best.cause}")
-        pending.append(tuple(c.cause for c in significant if c is not best and c.merit > best.merit - TWIN_MARGIN))
+        pending.append(
+            tuple(c.cause for c in significant if c.cause != best.cause and c.merit > best.merit - TWIN_MARGIN)
+        )
         found.append(Found(refined(best, library, ground), family(best, candidates), ()))
         found = _merged(found)
     kept = _eliminated(channel, library, found, noise, level)
@@ -134,8 +139,33 @@ def refined(candidate: Candidate, library: Library, ground: Ground) -> Candidate
             if not better.T > fit.T + 0.01:
                 break
             fit = better
-        fits.append(fit)
+        fits.append(_grown(fit, library, ground))
     return replace(candidate, fits=tuple(fits))
+
+
+def _grown(fit: Fit, library: Library, ground: Ground) -> Fit:
+    """Return a fit with as many terms of its law as earn their freedom."""
+    key = fit.effect.grows
+    while key:
+        more = fit.effect.with_settings(**{key: fit.effect.settings[key] + 1})
+        better = weighed(replace(fit, effect=more, dof=len(more.parameters)), library, ground)
+        if not (better.T - fit.T) / better.inflation > stats.chi2.isf(_TERM_LEVEL, better.dof - fit.dof):
+            break
+        fit = better
+    return fit
+
+
+def pruned(candidate: Candidate, library: Library, ground: Ground) -> Candidate:
+    """Return a candidate with the groups that explain something beside its stronger ones.
+
+    What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
+    """
+    kept = [candidate.fits[0]]
+    for fit in candidate.fits[1:]:
+        beside = weighed(fit, library, ground.beside(columns_of(library, [one.effect for one in kept])))
+        if beside.T > beside.threshold:
+            kept.append(fit)
+    return replace(candidate, fits=tuple(kept))
 
 
 def tangents(effect: Effect, amplitude: np.ndarray, library: Library) -> list[list[np.ndarray]]:
@@ -162,8 +192,9 @@ def _step(effect: Effect, library: Library, ground: Ground, limits: Sequence[dic
     for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
         values = [n[key] for n in limits] + [effect.settings[key]]
         low, high = min(values), max(values)
-        new = float(np.clip(effect.settings[key] + change, low, high))
-        changed[key] = new if high > low else effect.settings[key]
+        if low == high and key in effect.positive:  # the grid has few values of it, not next to each other
+            low, high = low / _WIDE, high * _WIDE
+        changed[key] = float(np.clip(effect.settings[key] + change, low, high))
     return effect.with_settings(**changed) if changed != {k: effect.settings[k] for k in changed} else None
 
 

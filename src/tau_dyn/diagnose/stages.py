@@ -150,18 +150,22 @@ def findings_of(
     return found
 
 
-def unexplained_of(channel: Channel, hunt: Search, structure: Structure | None) -> tuple[Unexplained, ...]:
-    """Return the structure without a name, confirmed or not.
+def structure_confirmation(channel: Channel, hunt: Search, structure: Structure) -> Confirmation:
+    """Test the structure without a name on the confirmation part, all causes found accounted for.
 
     A drift in time is another one in another log; there it only has to be present, not to be the same.
     """
-    if structure is None:
-        return ()
     others = columns_of(hunt.library, effects_of(hunt.found))
     test = present if "t" in structure.variables else confirm
-    holds = test(channel, hunt.noise, [structure.columns], others).holds
+    return test(channel, hunt.noise, [structure.columns], others)
+
+
+def unexplained_of(structure: Structure | None, test: Confirmation | None) -> tuple[Unexplained, ...]:
+    """Return the structure without a name, confirmed or not."""
+    if structure is None or test is None:
+        return ()
     s = structure
-    status = "confirmed" if holds else "suspected"
+    status = "confirmed" if test.holds else "suspected"
     return (Unexplained(s.output, s.variables, s.share, s.formula, s.p_value, status),)
 
 

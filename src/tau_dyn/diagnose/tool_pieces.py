@@ -115,7 +115,7 @@ def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:
         half = int(np.ceil(preparation.window_s * log.rate_hz))
         usable = np.convolve(turned, np.ones(2 * half + 1), mode="same") < 0.5
     signals |= {SENSITIVITY: mechanism.cart_sensitivity(q), SIDE_FORCE: mechanism.guide_force(q, v, a)}
-    motion = model.motion(q, v, a, sign, t=t, signals=signals, needs=("force",))
+    motion = model.motion(q, v, a, sign, t=t, signals=signals, needs=("force", "rigid_force"))
     predicted, jacobian = mechanism.tool_position(q), mechanism.tool_jacobian(q)
     return Piece(log, motion, tool, predicted, jacobian, usable, cutoff, factor)
 

@@ -244,19 +244,23 @@ def _disjoint(fits: list[Fit]) -> list[Fit]:
 
 def _explained(effects: list[Effect], library: Library, ground: Ground, both: np.ndarray) -> np.ndarray:
     """Return what each setting explains of the residual and of each noise draw (g, 1 + D)."""
-    quick = library.channel.scan(effects, ground, both)
-    if quick is not None:
-        return quick
-    found = []
-    for start in range(0, len(effects), _CHUNK):
-        C = np.stack([ground.rows(library.columns(e)) for e in effects[start : start + _CHUNK]], axis=1)
-        R, g, k = C.shape
-        flat = C.reshape(R, g * k)
-        s = (flat.T @ both).reshape(g, k, -1)
-        A = (ground.Q.T @ flat).reshape(-1, g, k)
-        G = np.einsum("rgk,rgl->gkl", C, C) - np.einsum("rgk,rgl->gkl", A, A)
-        found.append(gains(s, G, np.einsum("rgk,rgk->gk", C, C), one_sided(effects[0])))
-    return np.concatenate(found)
+    scanned = library.channel.scan(effects, ground, both)
+    found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
+    left = np.flatnonzero(np.isnan(found[:, 0]))
+    for start in range(0, len(left), _CHUNK):
+        part = left[start : start + _CHUNK]
+        found[part] = _explained_exactly([effects[k] for k in part], library, ground, both)
+    return found
+
+
+def _explained_exactly(effects: list[Effect], library: Library, ground: Ground, both: np.ndarray) -> np.ndarray:
+    C = np.stack([ground.rows(library.columns(e)) for e in effects], axis=1)
+    R, g, k = C.shape
+    flat = C.reshape(R, g * k)
+    s = (flat.T @ both).reshape(g, k, -1)
+    A = (ground.Q.T @ flat).reshape(-1, g, k)
+    G = np.einsum("rgk,rgl->gkl", C, C) - np.einsum("rgk,rgl->gkl", A, A)
+    return gains(s, G, np.einsum("rgk,rgk->gk", C, C), one_sided(effects[0]))
 
 
 def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:

@@ -65,11 +65,12 @@ def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: f
     for k, output in enumerate(channel.outputs):
         rows = np.flatnonzero(ground.whiten.index == k)
         both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
+        Q = ground.Q[rows]
         for names, signed in _sets(values, output):
             C = _rows(channel, ground, k, _bases(values, names, signed, output))
             if C.shape[1] == 0:
                 continue
-            A = ground.Q[rows].T @ C
+            A = Q.T @ C
             G, raw = C.T @ C - A.T @ A, np.sum(C**2, axis=0)
             T = gains((C.T @ both)[None], G[None], raw[None], np.zeros(C.shape[1], bool), _LEFT)[0]
             chance = stats.chi2.sf(T, C.shape[1])

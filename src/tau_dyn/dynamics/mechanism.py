@@ -16,6 +16,9 @@ from tau_dyn.robot import Robot
 SINGULAR = 1e4
 """Conditioning of the closure above which a warning is due; double precision loses half its digits at 1e8."""
 
+_STEP = 1e-4
+"""Change of a position [m or rad] over which weights change by a small part of themselves, and far above rounding."""
+
 
 class Mechanism(ABC):
     """Rigid-body dynamics of one robot with its `robot.parameters`, in actuated coordinates."""
@@ -102,6 +105,16 @@ class Mechanism(ABC):
         weight = self.inverse_dynamics(q, rest, rest)
         columns = [self.inverse_dynamics(q, rest, rest + unit) - weight for unit in np.eye(self.robot.na)]
         return np.stack(columns, axis=2)
+
+    def weight_gradient(self, q: np.ndarray) -> np.ndarray:
+        """Return how the forces at rest (N, na, na) change with the actuated positions (N, na), by central differences."""
+        (q,) = self._checked(q)
+        rest = np.zeros_like(q)
+        columns = [
+            self.inverse_dynamics(q + step, rest, rest) - self.inverse_dynamics(q - step, rest, rest)
+            for step in _STEP * np.eye(self.robot.na)
+        ]
+        return np.stack(columns, axis=2) / (2 * _STEP)
 
     def reachable(self, q: np.ndarray) -> bool:
         """Return whether the loops close at actuated positions `q` (na,)."""

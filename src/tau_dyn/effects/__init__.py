@@ -24,6 +24,7 @@ from tau_dyn.effects.position_friction import PositionFriction
 from tau_dyn.effects.quadratic_drag import QuadraticDrag
 from tau_dyn.effects.reducer_coupling import ReducerCoupling
 from tau_dyn.effects.stribeck import Stribeck
+from tau_dyn.effects.structural_compliance import StructuralCompliance
 from tau_dyn.effects.thermal_drift import ThermalDrift
 from tau_dyn.effects.transmission_error import TransmissionError
 from tau_dyn.effects.viscous_asymmetry import ViscousAsymmetry
@@ -50,6 +51,7 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     TransmissionError,
     ReducerCoupling,
     PinionScale,
+    StructuralCompliance,
     JointCompliance,
     GuidewayCompliance,
     CartTilt,
@@ -106,6 +108,7 @@ __all__ = [
     "ReducerCoupling",
     "Scene",
     "Stribeck",
+    "StructuralCompliance",
     "SymmetricFriction",
     "ThermalDrift",
     "TorqueOffset",

@@ -31,7 +31,7 @@ class Backlash(JointwiseDisplacement):
     reveals = "the tool or the load side measured at the same places, approached from both directions"
     mistaken_for = ("joint_compliance", "hysteresis", "coulomb_asymmetry")
     plausible = "from zero to 0.2 mm or 2 mrad"
-    needs = ("inertia", "reversal")
+    needs = (*JointwiseDisplacement.needs, "reversal")
     nonnegative = True
     quantities = (("backlash", "Q"),)
     defaults = {"travel": 5e-5}

@@ -33,6 +33,7 @@ class CyclicRipple(JointwiseEffect):
     positive = ("period",)
     whole = ("harmonics",)
     refined = ("period",)
+    grows = "harmonics"
     dense = True
 
     @property

@@ -3,9 +3,10 @@ r"""Effects that come between an encoder and its load: the load is not where the
     deflection = encoder - load = displacement @ parameters,     q_load = q - deflection
 
 Positive: the load stays behind, as a spring's under a positive force. What follows is written once here: in the force
-channel the load's accelerations are `a - deflection''`, so the actuator adds `tau = -M(q) deflection''`; in the tool channel
-the tool is at `T(q_load) = T(q) - J deflection`. Both are first order in a deflection of micrometres; changes of
-weight and of `M` over it are left out. The second derivative is numerical, on a motion's even clock: without one (a single
+channel the load moves by `a - deflection''`, `v - deflection'` and weighs as at `q_load`, so the actuator adds
+`tau = -M(q) deflection'' - D deflection' - dg/dq deflection` with `D` the growth of friction with speed; in the tool channel the
+tool is at `T(q_load) = T(q) - J deflection`. Both are first order in a deflection of micrometres; what `M` changes over it is
+left out. The second derivative is numerical, on a motion's even clock: without one (a single
 simulator step, poses held still) there is no force.
 """
 
@@ -24,18 +25,17 @@ _FEWEST = 5  # samples that a derivative of fourth order takes
 class DisplacementEffect(Effect):
     """An effect stated as what the encoder reads beyond the load's position, linear in its parameters."""
 
-    needs = ("inertia",)
+    needs = ("inertia", "damping", "weight_gradient")
 
     @abstractmethod
     def displacement(self, motion: Motion) -> np.ndarray:
         """Return encoder minus load per unit parameter (N, na, p) [m or rad] along a motion."""
 
     def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p): the load's missing acceleration times the mass matrix."""
-        acceleration = second_derivative(self.displacement(motion), motion.t)
-        return (
-            -np.einsum("nij,njp->nip", motion.signal("inertia"), acceleration) if acceleration.any() else acceleration
-        )
+        """Return force per unit parameter (N, na, p); none without a clock."""
+        made = self.displacement(motion)
+        speed = derivative(made, motion.t)
+        return of_load(motion, made, speed, derivative(speed, motion.t)) if speed.any() else speed
 
     def tool_columns(self, motion: Motion, tool_jacobian: np.ndarray) -> np.ndarray:
         """Return the tool's displacement per unit parameter (N, 3, p) [m], in base axes.
@@ -51,12 +51,20 @@ class DisplacementEffect(Effect):
         return out
 
 
-def second_derivative(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
-    """Return the second time derivative of (N, ...) on an even clock (N,) [s], as positions are differentiated.
+def of_load(motion: Motion, displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    """Return the force (N, na, p) that a load's displacement, its speed and acceleration (N, na, p) take off the actuators."""
+    inertia, gradient = motion.signal("inertia"), motion.signal("weight_gradient")
+    force = -motion.signal("damping")[:, :, None] * speed
+    for k in np.flatnonzero(np.any(displacement, axis=(0, 2))):
+        force -= inertia[:, :, k, None] * acceleration[:, None, k] + gradient[:, :, k, None] * displacement[:, None, k]
+    return force
+
+
+def derivative(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
+    """Return the time derivative of (N, ...) on an even clock (N,) [s], as positions are differentiated.
 
     Zeros without a clock or of too few samples.
     """
     if t is None or len(t) < _FEWEST or not np.any(x):
         return np.zeros(x.shape)
-    dt = float(t[-1] - t[0]) / (len(t) - 1)
-    return differentiate(differentiate(x, dt, accuracy=4), dt, accuracy=4)
+    return differentiate(x, float(t[-1] - t[0]) / (len(t) - 1), accuracy=4)

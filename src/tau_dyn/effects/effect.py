@@ -37,8 +37,10 @@ class Motion:
         t: Time (N,) [s] of samples in order, evenly spaced; None for samples in no order, as in a single simulator step.
         signals: What else some effects feel, by name: `load` (N, na) [N, N m] across each joint's axis, `passive`
             (N, n, 3, na) angular velocity of each passive joint per actuated speed, `inertia` (N, na, na) mass matrix,
-            `force` (N, na) force of the model without the effect, `temperature` (N, na) [degC], `reversal` (N, na) distance since
-            each joint's last reversal [m or rad], `campaign` (N,) number of the log.
+            `damping` (N, na) growth of friction with speed, `weight_gradient` (N, na, na) change of the weights with the
+            positions, `rigid_force` (N, na) force of the rigid bodies, `force` (N, na) force of the model without the effect,
+            `temperature` (N, na) [degC], `reversal` (N, na) distance since each joint's last reversal [m or rad], `campaign`
+            (N,) number of the log.
     """
 
     joints: tuple[str, ...]
@@ -127,6 +129,7 @@ class Effect(ABC):
         setting_units: Name -> unit of each setting; V stands for the speed unit, Q for that of the position.
         positive: Settings that must be above zero.
         whole: Settings that count something, from one up.
+        grows: A setting that counts terms, of which more are tried where one was found; empty for none.
         dense: Whether its grid is so fine that it is first tried on decimated motion; it then has `local_frequency`.
     """
 
@@ -145,6 +148,7 @@ class Effect(ABC):
     setting_units: ClassVar[Mapping[str, str]] = {}
     positive: ClassVar[tuple[str, ...]] = ()
     whole: ClassVar[tuple[str, ...]] = ()
+    grows: ClassVar[str] = ""
     dense: ClassVar[bool] = False
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
@@ -263,7 +267,7 @@ class JointwiseEffect(Effect):
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p)."""
         n = len(self.terms)
-        out = np.zeros((*motion.v.shape, n * len(self.joints)))
+        out = np.zeros_like(motion.v, shape=(*motion.v.shape, n * len(self.joints)))
         for k, index in enumerate(self._indices(motion)):
             for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
                 out[:, index, n * k + m] = column

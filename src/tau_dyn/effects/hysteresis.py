@@ -5,8 +5,9 @@
 
 with x the distance since the joint reversed: z swings from one side to the other over `distance`. The first line stands beside
 Coulomb friction, of which it takes a part `hysteresis` that builds up with x instead of at once. The second is a loop of the
-deflection. Which one an instance means is its setting `displaced`, 0 or 1. Moved sample by sample, z obeys
-`dz/dq = (1 - z sign(v)) / distance`, which covers reversals before it has swung. Reference: Dahl 1968; Ruderman et al. 2009.
+deflection. Which one an instance means is its setting `displaced`, 0 or 1. Along a recording z obeys
+`dz/dq = (1 - z sign(v)) / distance`, which covers reversals before it has swung; the line above, which takes it to have swung, is
+for single states. Reference: Dahl 1968; Ruderman et al. 2009.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from tau_dyn.parameters import Parameter
 
 _SHARES = (1e-3, 0.1)
 _TRIES = 8
+_PIECE = 30.0
 STATE = "presliding"
 """Signal (N, na) that replaces z where somebody follows it from sample to sample, as the simulator does."""
 
@@ -38,7 +40,7 @@ class Hysteresis(JointwiseDisplacement):
     reveals = "short slow strokes back and forth, with the load side or the tool measured"
     mistaken_for = ("stribeck", "backlash", "joint_compliance")
     plausible = "from zero up to the Coulomb friction, or to 0.2 mm or 2 mrad"
-    needs = ("inertia", "reversal")
+    needs = (*JointwiseDisplacement.needs, "reversal")
     nonnegative = True
     quantities = ()
     defaults = {"distance": 1e-3, "displaced": 0}
@@ -62,8 +64,15 @@ class Hysteresis(JointwiseDisplacement):
         """Return z, less the sign for a force."""
         z = joint.signals.get(STATE)
         if z is None:
-            z = joint.sign * (1 - 2 * np.exp(-joint.signal("reversal") / self.settings["distance"]))
+            z = self._along(joint)
         return [z if self.measured else z - joint.sign]
+
+    def _along(self, joint: JointMotion) -> np.ndarray:
+        """Return z (N,) along a recording, or as if it had always swung where samples are in no order."""
+        x = joint.signal("reversal")
+        if joint.t is None:
+            return joint.sign * (1 - 2 * np.exp(-x / self.settings["distance"]))
+        return bristle(joint.q, self.settings["distance"])
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p)."""
@@ -99,3 +108,21 @@ class Hysteresis(JointwiseDisplacement):
             return []
         displaced = float(bool(SEEN_DIRECTLY & scene.signals))
         return [{"distance": float(x) * way, "displaced": displaced} for x in np.geomspace(*_SHARES, _TRIES)]
+
+
+def bristle(q: np.ndarray, distance: float) -> np.ndarray:
+    """Return z (N,) along positions (N,) in order, exact where a joint does not turn between two samples.
+
+    It starts from the other side, as if it had just turned. With x the way travelled over `distance`,
+    `z e^x` grows by `sign (e^x_{k+1} - e^x_k)`, which is summed over pieces short enough for the exponential.
+    """
+    step = np.diff(q)
+    x = np.concatenate([[0.0], np.cumsum(np.abs(step))]) / distance
+    sign = np.sign(step)
+    moving = sign[sign != 0]
+    z = np.full(len(q), -moving[0] if moving.size else 0.0)
+    edges = np.append(np.unique(np.searchsorted(x, np.arange(0, x[-1], _PIECE))), len(q) - 1)
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        grown = np.exp(np.minimum(x[a : b + 1] - x[a], 20 * _PIECE))
+        z[a + 1 : b + 1] = (z[a] + np.cumsum(sign[a:b] * np.diff(grown))) / grown[1:]
+    return z

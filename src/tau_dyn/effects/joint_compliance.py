@@ -1,20 +1,23 @@
 """A drive that yields: the load stays behind the encoder in proportion to the force.
 
-    encoder - load = compliance tau
+    encoder - load = compliance F
 
-with tau the force of the model without this effect, a quasi-static law: it holds well below the resonance of load and spring.
-Reference: Spong 1987; Dressler 2012, 6.3.
+with F what the spring carries: the force of the model without this effect, or, where the joint's friction acts on the motor's
+side of the spring (setting `friction` 0), that of its rigid bodies. A quasi-static law: it holds well below the resonance of
+load and spring, which is `structural_compliance`. Reference: Spong 1987; Dressler 2012, 6.3.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.effects.effect import JointMotion
+from tau_dyn.effects.effect import JointMotion, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.words import amount, quantity
+from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
 
@@ -23,18 +26,33 @@ class JointCompliance(JointwiseDisplacement):
 
     name = "joint_compliance"
     cause = True
-    equation = "encoder - load = compliance tau"
+    equation = "encoder - load = compliance F, F the force that the spring carries"
     reference = "Spong 1987; Dressler 2012, 6.3"
     reveals = "changing forces of known size at one place, with the load side or the tool measured"
     mistaken_for = ("backlash", "hysteresis", "structural_compliance", "delay")
     plausible = "from zero to 1e-6 m/N or 1e-4 rad/(N m)"
-    needs = ("inertia", "force")
+    needs = (*JointwiseDisplacement.needs, "force", "rigid_force")
     nonnegative = True
     quantities = (("compliance", "Q/F"),)
+    defaults = {"friction": 1}
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the force."""
-        return [joint.signal("force")]
+        """Return the force that the spring carries."""
+        if self.settings["friction"] not in (0, 1):
+            raise InputError(
+                "setting friction of effect joint_compliance is 1 (the spring carries it) or 0 (it does not)"
+            )
+        return [joint.signal("force" if self.settings["friction"] else "rigid_force")]
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return a spring before and one behind the joint's friction, the latter where the rigid bodies' force is known."""
+        return [{"friction": x} for x in (1.0, 0.0) if x or "rigid_force" in scene.signals]
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return what the logs lack; the whole force is enough."""
+        return super().untestable(replace(scene, signals=scene.signals | {"rigid_force"}))
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return compliance and stiffness."""

@@ -41,5 +41,5 @@ class JointwiseDisplacement(DisplacementEffect, JointwiseEffect):
         direct = bool(SEEN_DIRECTLY & scene.signals)
         if cls.hidden and not direct:
             return cls.hidden, cls.reveals
-        missing = [s for s in cls.needs if s not in scene.signals and not (direct and s == "inertia")]
+        missing = [s for s in cls.needs if s not in scene.signals and not (direct and s in DisplacementEffect.needs)]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None

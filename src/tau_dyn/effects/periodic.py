@@ -1,6 +1,6 @@
 """What cyclic effects share: sine and cosine of the position, the periods worth trying, and their amplitude in words.
 
-The motion sees a period only where it travels several of them, and a low-pass leaves it only where the slowest usable speed
+The motion sees a period only where it travels some of them, and a low-pass leaves it only where the slowest usable speed
 brings it below the cutoff: `v / period < cutoff`. A scan in steps of a quarter of `1 / range` cannot miss a line.
 """
 
@@ -12,6 +12,7 @@ from tau_dyn.effects.effect import Scene
 from tau_dyn.parameters import Parameter
 
 FEWEST_PERIODS = 4.0
+"""Of a force of the position alone: fewer of them are any smooth dependence on the place."""
 MOST_PERIODS = 500.0
 _STEPS = 4.0
 
@@ -28,8 +29,11 @@ def wave_terms(name: str, unit: str, harmonics: int) -> tuple[tuple[str, str], .
     return tuple((f"{name}_{wave}{end}", unit) for end in ends for wave in ("sin", "cos"))
 
 
-def periods(scene: Scene, joint: str) -> list[dict[str, float]]:
-    """Return the periods [m or rad] worth trying, the longest first; none where the joint hardly moves."""
+def periods(scene: Scene, joint: str, fewest: float = FEWEST_PERIODS) -> list[dict[str, float]]:
+    """Return the periods [m or rad] worth trying, the longest first, of which the range holds `fewest`.
+
+    There are none where the joint hardly moves.
+    """
     k = scene.index(joint)
     travel, slow = float(scene.high[k] - scene.low[k]), float(scene.slow[k])
     if travel <= 0:
@@ -37,7 +41,7 @@ def periods(scene: Scene, joint: str) -> list[dict[str, float]]:
     highest = MOST_PERIODS / travel
     if slow > 0:
         highest = min(highest, scene.cutoff_hz / (2 * slow))
-    lines = np.arange(FEWEST_PERIODS / travel, highest, 1 / (_STEPS * travel))
+    lines = np.arange(fewest / travel, highest, 1 / (_STEPS * travel))
     return [{"period": float(1 / line)} for line in lines]
 
 

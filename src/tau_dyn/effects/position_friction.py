@@ -18,7 +18,7 @@ from tau_dyn.effects.effect import JointMotion, JointwiseEffect, Scene
 from tau_dyn.effects.words import quantity
 from tau_dyn.parameters import Parameter
 
-_DEGREES = (2, 5)
+_DEGREES = (2, 5, 8, 12)
 
 
 class PositionFriction(JointwiseEffect):
@@ -64,7 +64,7 @@ class PositionFriction(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return a parabola and a fifth-degree law over the range travelled."""
+        """Return laws from a parabola to one with three waves over the range travelled."""
         k = scene.index(joints[0])
         low, high = float(scene.low[k]), float(scene.high[k])
         if not low < high:

@@ -75,6 +75,6 @@ class ReducerCoupling(Effect):
         v = motion.v[:, i] + motion.v[:, j]
         # a given (smoothed) sign is each joint's own; the motor's is that of the summed speed
         force = np.stack([motion.a[:, i] + motion.a[:, j], v, np.sign(v)], axis=1)
-        out = np.zeros((*motion.v.shape, 3))
+        out = np.zeros_like(motion.v, shape=(*motion.v.shape, 3))
         out[:, i], out[:, j] = force, force
         return out

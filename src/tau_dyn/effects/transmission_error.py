@@ -13,11 +13,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tau_dyn.effects.displacement import of_load
 from tau_dyn.effects.effect import JointMotion, Motion, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.periodic import amplitude, periods, wave_terms, waves
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
+
+_FEWEST = 1.5
+"""Periods in the range: a force that goes with the speed squared and the acceleration is like no other, however long its wave."""
 
 
 class TransmissionError(JointwiseDisplacement):
@@ -30,13 +34,14 @@ class TransmissionError(JointwiseDisplacement):
     reveals = "strokes at several constant speeds, the fastest as fast as the drive allows; or a load-side encoder"
     mistaken_for = ("resolver_error", "cyclic_ripple")
     equivalent = ("resolver_error",)
-    plausible = "up to 50 um or 1 mrad; at least 4 periods in the range travelled"
+    plausible = "up to 50 um or 1 mrad; at least one and a half periods in the range travelled"
     quantities = ()
     defaults = {"period": 0.02, "harmonics": 1}
     setting_units = {"period": "Q"}
     positive = ("period",)
     whole = ("harmonics",)
     refined = ("period",)
+    grows = "harmonics"
     dense = True
 
     @property
@@ -50,7 +55,7 @@ class TransmissionError(JointwiseDisplacement):
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p), differentiated on paper: short periods outrun a sampled derivative."""
-        M, n = motion.signal("inertia"), len(self.terms)
+        n = len(self.terms)
         out = np.zeros((*motion.v.shape, n * len(self.joints)))
         k = np.repeat(np.arange(1, n // 2 + 1), 2)
         w = 2 * np.pi * k / self.settings["period"]
@@ -59,7 +64,9 @@ class TransmissionError(JointwiseDisplacement):
             d = np.stack(self.per_joint(joint), axis=1)
             slope = w * np.stack([d[:, 1::2], -d[:, ::2]], axis=2).reshape(d.shape)
             acceleration = slope * joint.a[:, None] - w**2 * d * joint.v[:, None] ** 2
-            out[:, :, n * place : n * (place + 1)] = -M[:, :, index, None] * acceleration[:, None, :]
+            only = np.zeros((3, *motion.v.shape, n))
+            only[:, :, index] = d, slope * joint.v[:, None], acceleration
+            out[:, :, n * place : n * (place + 1)] = of_load(motion, *only)
         return out
 
     def local_frequency(self, motion: Motion) -> np.ndarray:
@@ -79,5 +86,5 @@ class TransmissionError(JointwiseDisplacement):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return periods from a quarter of the range down to what speed and low-pass still show."""
-        return periods(scene, joints[0])
+        """Return periods from two thirds of the range down to what speed and low-pass still show."""
+        return periods(scene, joints[0], _FEWEST)

@@ -23,8 +23,9 @@ from tau_dyn.model import COMPUTED, Model
 from tau_dyn.simulate.memory import Memory, batch, warming_up
 from tau_dyn.simulate.plant import PlantRun
 
-_PATH = frozenset({"inertia", "reversal"})
-"""Signals that a load's path gives; `inertia` only matters for forces."""
+_FOR_FORCES = frozenset(DisplacementEffect.needs)
+_PATH = _FOR_FORCES | {"reversal"}
+"""Signals that a load's path gives, and those that only matter for forces."""
 
 
 class EncoderErrors:
@@ -92,7 +93,7 @@ def _yielding(run: PlantRun) -> np.ndarray:
     for effect, values in _displacements(run.model):
         if set(effect.needs) <= _PATH:
             continue
-        wanted = [name for name in effect.needs if name in COMPUTED and name != "inertia"]
+        wanted = [name for name in effect.needs if name in COMPUTED and name not in _FOR_FORCES]
         signals = {name: COMPUTED[name](mechanism, run.q, run.v, run.a) for name in wanted}
         motion = Motion.of(
             run.model.robot.actuated, run.q, run.v, run.a, t=run.t, signals={**signals, "force": run.tau}
