@@ -99,15 +99,19 @@ class Feedforward:
             joints = ", ".join(self.model.robot.actuated)
             na = self.model.robot.na
             raise InputError(f"q, v and a must have one shape, ({na},) or (N, {na}) for {joints}")
-        many = [np.atleast_2d(x) for x in (q, v, a)]
         felt = {name: np.atleast_2d(_shaped(name, x, q.shape)) for name, x in (signals or {}).items()}
+        return self.forces(np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), felt).reshape(q.shape)
+
+    def forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, felt: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return forces (N, na) at states and signals (N, na) that are taken as they are; `__call__` checks them first."""
         by_joint, turning, scaling = self._parts_with(frozenset(felt))
-        motion = by_joint.motion(*many, signals=felt, needs={name for e in turning.effects for name in e.needs})
-        force = self.model.mechanism.inverse_dynamics(*many) + self._by_joint(by_joint, motion)
-        force += self._turning(turning, motion)
+        needs = {name for e in turning.effects for name in e.needs}
+        motion = by_joint.motion(q, v, a, signals=felt, needs=needs)
+        force = self.model.mechanism.inverse_dynamics(q, v, a) + self._by_joint(by_joint, motion)
+        force = force + self._turning(turning, motion)
         if scaling.effects:
-            force += scaling.effect_force(replace(motion, signals={**motion.signals, "force": force}))
-        return force.reshape(q.shape)
+            force = force + scaling.effect_force(replace(motion, signals={**motion.signals, "force": force}))
+        return force
 
     def _parts_with(self, given: frozenset[str]) -> tuple[Model, Model, Model]:
         if given not in self._parts:
@@ -144,13 +148,13 @@ class Feedforward:
                 one.effect_force(replace(motion, v=k * motion.v, sign=np.sign(motion.v))) for k in (0, 1, 2)
             )
             shares = [speed / np.hypot.reduce(self.width[index]) for speed, index in effect.other_speeds(motion)]
-            fade = np.min(np.abs(self._smooth(np.array(shares))), axis=0)[:, None] if shares else 1.0
-            force += plain - (1 - fade) * (2 * plain - fast - still)
+            fade = np.min(np.abs(self._smooth(np.stack(shares))), axis=0)[:, None] if shares else 1.0
+            force = force + plain - (1 - fade) * (2 * plain - fast - still)
         return force
 
     def smooth_sign(self, v: np.ndarray) -> np.ndarray:
         """Return the smoothed direction of motion (N, na), in [-1, 1]."""
-        return self._smooth(np.asarray(v, float) / self.width)
+        return self._smooth(np.asanyarray(v) / self.width)
 
     def _smooth(self, share: np.ndarray) -> np.ndarray:
         """Return the smoothed sign of speeds in widths."""

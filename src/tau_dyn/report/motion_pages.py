@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from tau_dyn.excitation import Prediction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.report.shell import Opening, render
@@ -54,13 +55,22 @@ def simulation_page(
     )
 
 
-def excitation_page(motion: Trajectory, model: Model, condition: float, *, command_line: str = "", **made: str) -> str:
+def excitation_page(
+    motion: Trajectory,
+    model: Model,
+    condition: float,
+    *,
+    prediction: Prediction | None = None,
+    command_line: str = "",
+    **made: str,
+) -> str:
     """Return an exciting motion as one HTML page.
 
     Args:
         motion: The motion.
         model: Robot and what shall be identified.
         condition: `base_condition` of both.
+        prediction: The standard errors that it will give, to be listed.
         command_line: The command that repeats it, for the provenance.
         made: What else the provenance says, such as `trials="20"` or `seed="0"`.
     """
@@ -86,8 +96,23 @@ def excitation_page(motion: Trajectory, model: Model, condition: float, *, comma
         command_line=command_line,
         rows=[_driven(motion, robot, k) for k in range(robot.na)],
         phases=[_phase_chart(motion, robot, k) for k in range(robot.na)],
+        predicted=[] if prediction is None else _predicted(prediction),
         notes=motion.notes,
     )
+
+
+def _predicted(prediction: Prediction) -> list[dict[str, Any]]:
+    """Return name, value, error and unit of each base parameter, and the error as a share of the value."""
+    return [
+        {
+            "name": row["expression"],
+            "value": number(row["value"], 4),
+            "stderr": number(row["stderr"], 2),
+            "unit": pretty_unit(row["unit"]),
+            "share": percent(100 * row["stderr"] / abs(row["value"])) if row["value"] else "",
+        }
+        for row in prediction.rows()
+    ]
 
 
 def _simulated(log: Log, robot: Robot, rows: list[dict[str, Any]]) -> Opening:

@@ -1,0 +1,82 @@
+"""A model's feedforward tau_ff(q, v, a) written out for a controller: dependency-free C, or Python with NumPy alone."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tau_dyn.cli.common import Outcome, add_common, positive, progress
+from tau_dyn.exceptions import InputError
+
+HELP = "tau_ff(q, v, a) for a controller, in C or Python"
+
+_ENDINGS = {"c": ".c", "python": ".py"}
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="export", parser_class=type(parser))
+    export = kinds.add_parser("export", help="write the function", description=__doc__)
+    export.add_argument("model", metavar="MODEL.yaml", type=Path, help="a model file of identify or diagnose")
+    export.add_argument("--to", choices=tuple(_ENDINGS), required=True, help="language")
+    export.add_argument(
+        "--out", metavar="FILE", type=Path, required=True, help="FILE.c (with FILE.h beside it) or FILE.py"
+    )
+    export.add_argument("--name", metavar="NAME", default="tau_ff", help="of the function (default tau_ff)")
+    export.add_argument(
+        "--width", metavar="V", type=positive, nargs="+", default=[0.01],
+        help="speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s] (default 0.01)",
+    )  # fmt: skip
+    export.add_argument("--shape", choices=("ramp", "tanh"), default="ramp", help="of the smoothed sign (default ramp)")
+    export.add_argument("--steady", action="store_true", help="leave out effects that need a history, and say which")
+    add_common(export)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Write the function."""
+    ending = _ENDINGS[args.to]
+    if args.out.suffix != ending:
+        raise InputError(f"{args.out}: what --to {args.to} writes ends in {ending}")
+    with progress(args.quiet) as step:
+        step("tracing")
+        from tau_dyn.control import Feedforward, build_program, c_source, python_source
+        from tau_dyn.control.export_model import ARGUMENTS
+        from tau_dyn.model import Model
+
+        model = Model.load(args.model)
+        kept = model.steady(ARGUMENTS) if args.steady else model
+        dropped = [effect.name for effect in model.effects if effect not in kept.effects]
+        width = args.width[0] if len(args.width) == 1 else args.width
+        program = build_program(Feedforward(kept, width=width, shape=args.shape))
+        files: dict[Path, str] = {}
+        if args.to == "c":
+            header = args.out.with_suffix(".h")
+            if header.is_dir():
+                raise InputError(f"{header} is a folder; the header would be written there")
+            source, declared = c_source(program, args.name)
+            files = {args.out: source.replace(f'"{args.name}.h"', f'"{header.name}"'), header: declared}
+        else:
+            files = {args.out: python_source(program, args.name)}
+    size = len(program.graph.needed(program.outputs))
+    written = " and ".join(str(path) for path in files)
+    result = {
+        "out": [str(path) for path in files],
+        "language": args.to,
+        "function": args.name,
+        "joints": list(kept.robot.actuated),
+        "signals": list(program.signals),
+        "expressions": size,
+        "difference": program.difference,
+        "left_out": dropped,
+    }
+    return Outcome(
+        result=result,
+        warnings=[f"the feedforward leaves out {name}, which a single state does not determine" for name in dropped],
+        inputs=[args.model],
+        show=lambda console: console.print(
+            f"{args.name}({', '.join(('q', 'v', 'a', *program.signals))}): {size} expressions, within "
+            f"{max(program.difference, 1e-16):.1g} of Python's -> {written}",
+            markup=False,
+        ),
+        files=dict(files),
+    )

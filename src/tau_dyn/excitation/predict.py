@@ -1,0 +1,146 @@
+"""Standard errors before anything moves: the estimate's own covariance, of a recording that is only computed.
+
+Along the motion, at the log's rate, the model gives the forces, with or without a simulated controller; noise is added to forces
+and positions; the rest is identification as it will be done: its filters, its gate around reversals, its base parameters, its
+coloured-noise covariance. What is not in it is what no design can know: friction that is not the model's law. The noise's draw
+moves the errors by up to 20 %, the more the shorter the motion, as it will on the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.estimate import solve_least_squares
+from tau_dyn.exceptions import TauDynError
+from tau_dyn.excitation.information import scales
+from tau_dyn.excitation.noise import Noise
+from tau_dyn.identify import build_regression
+from tau_dyn.log import Log, encoder_noise
+from tau_dyn.model import Model
+from tau_dyn.simulate import Sensors, Trajectory, simulate
+
+DETERMINED = 0.30
+"""Relative standard error below which a parameter counts as determined, as in identification."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What one motion will tell.
+
+    Attributes:
+        names: Base parameters' first names (r,).
+        expressions: The base parameters in words (r,); equal to the name where one stands alone.
+        units: Their units (r,).
+        values: The model's values (r,).
+        stderr: Standard errors (r,).
+        scale: What errors are compared with (r,); see `scales`.
+        condition: Condition number of the regressor with unit columns, as identification will report it.
+    """
+
+    names: tuple[str, ...]
+    expressions: tuple[str, ...]
+    units: tuple[str, ...]
+    values: np.ndarray
+    stderr: np.ndarray
+    scale: np.ndarray
+    condition: float
+
+    @property
+    def relative(self) -> np.ndarray:
+        """Standard errors over their scale (r,)."""
+        return self.stderr / self.scale
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """Return the parameter with the largest relative error, and that error."""
+        k = int(np.argmax(self.relative))
+        return self.expressions[k], float(self.relative[k])
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """Return one plain row a base parameter."""
+        made = zip(self.names, self.expressions, self.units, self.values, self.stderr, strict=True)
+        return [
+            {
+                "name": name,
+                "expression": words,
+                "unit": unit,
+                "value": float(value),
+                "stderr": float(error),
+                "determined": bool(error < DETERMINED * abs(value)),
+            }
+            for name, words, unit, value, error in made
+        ]
+
+
+def predict(model: Model, motion: Trajectory, noise: Noise, seed: int = 0, *, driven: bool = False) -> Prediction:
+    """Return the standard errors that a motion will give.
+
+    Args:
+        model: Robot and effects at their likely values; effects that need more than a state are left out.
+        motion: The motion.
+        noise: Of forces and encoders, and the log's rate.
+        seed: Of the noise.
+        driven: Whether the robot is simulated with its controller, which takes seconds; else it follows the motion exactly, which
+            is enough to compare motions but misses what drives add (held forces, feedback of the encoders' noise).
+
+    Raises:
+        CannotAnswer: The motion tells nothing: too slow, too short.
+    """
+    model = model.steady()
+    log = simulated(model, motion, noise, seed) if driven else imagined(model, motion, noise, seed)
+    estimate = solve_least_squares(build_regression(model, [log]))
+    base = estimate.base
+    rows = model.parameters.select([base.names[k] for k in base.kept])
+    combined = base.combine(np.array([model.parameters[name].value for name in base.names]))
+    names = tuple(p.name for p in rows)
+    units = tuple(p.unit for p in rows)
+    words = tuple(base.expression(k) for k in range(base.rank))
+    stderr = np.sqrt(np.diag(estimate.cov))
+    W, y, _ = estimate.regression.stacked()
+    scale = scales(combined, units, W[:, np.flatnonzero(model.parameters.free)[base.kept]], y)
+    return Prediction(names, words, units, combined, stderr, scale, estimate.cond)
+
+
+def imagined(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
+    """Return the log that a robot would leave that follows the motion exactly."""
+    moved, rng = motion.resampled(noise.rate_hz), np.random.default_rng(seed)
+    tau = model.torque(moved.q, moved.v, moved.a)
+    shape, channels = tau.shape, {}
+    q = moved.q + noise.encoder * rng.standard_normal(shape)
+    tau = tau + noise.force * rng.standard_normal(shape)
+    for k, joint in enumerate(motion.joints):
+        channels |= {f"q_{joint}": q[:, k], f"tau_{joint}": tau[:, k]}
+    return Log(moved.t, channels, "the predicted recording")
+
+
+def simulated(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
+    """Return the log that a simulated robot leaves, with its controller; one that it cannot follow is imagined instead."""
+    sensors = Sensors(force_noise=noise.force.tolist(), encoder_noise=noise.encoder.tolist())
+    try:
+        return simulate(model, motion, sensors=sensors, seed=seed, rate_hz=noise.rate_hz)
+    except TauDynError:
+        return imagined(model, motion, noise, seed)
+
+
+def noise_of_log(model: Model, log: Log, rate_hz: float) -> Noise:
+    """Return the noise that a recording shows: encoders' own, and what a fit of the model leaves of the forces.
+
+    Args:
+        model: What is fitted.
+        log: With `q_J` and `tau_J`.
+        rate_hz: Rate of the log to come [Hz].
+
+    Raises:
+        InputError: The log lacks a column.
+        CannotAnswer: It is too dull for the model.
+    """
+    model = model.steady()
+    estimate = solve_least_squares(build_regression(model, [log]))
+    cutoff = float(estimate.regression.settings["preparation"].force_cutoff_hz)
+    force = estimate.sigma * np.sqrt(rate_hz / (2 * cutoff))  # white, of the density that is left below the low-pass
+    encoder = encoder_noise(log.joint("q", model.robot.actuated))
+    return Noise.given(model.robot, force, encoder, rate_hz, f"what a fit leaves of {log.name}")

@@ -1,0 +1,201 @@
+r"""The search itself: coefficients of a Fourier series that make a criterion smallest while all bounds hold.
+
+    minimise  criterion(M(x)) + sum over bounds  mean over samples  (mu / 2) max(0, c + lambda / mu)^2
+
+an augmented Lagrangian with exact gradients, each round by L-BFGS; multipliers and `mu` grow until what is left of the bounds
+is within the margin's slack. The last step is to scale the motion about home until every bound holds on a fine grid. The search
+may be stopped at any time; the best motion that keeps all bounds is what it hands back. Reference: Nocedal & Wright 2006, ch. 17.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import minimize
+
+from tau_dyn.exceptions import LoopClosureError
+from tau_dyn.excitation.bounds import Bounds, Excess
+from tau_dyn.excitation.criteria import Criterion
+from tau_dyn.excitation.information import Information, gram
+from tau_dyn.excitation.series import Series
+from tau_dyn.simulate.profiles import Path
+
+ROUNDS = 6
+ITERATIONS = 40
+_SLACK = 0.01
+_FIRST_MU, _GROWTH = 10.0, 5.0
+_UNREACHABLE = 1e6
+_FINE = 4
+_STARTING = 0.2
+"""Share of the time that random motions may take."""
+
+
+class Stopped(Exception):
+    """Time is up, or the user had enough."""
+
+
+@dataclass(eq=False)
+class Search:
+    """One search; `best` is what it would hand back now.
+
+    Attributes:
+        series: The family of motions.
+        information: Makes the regressor's rows.
+        bounds: What a motion may not do.
+        criterion: What is made small.
+        added: Information of motion that is driven besides, per run (r, r).
+        samples: Grid of one period.
+        deadline: When to stop, on the monotonic clock [s].
+        progress: Called with a sentence now and then.
+        evaluations: How often the model was evaluated.
+    """
+
+    series: Series
+    information: Information
+    bounds: Bounds
+    criterion: Criterion
+    added: np.ndarray
+    rate_hz: float
+    samples: int
+    deadline: float
+    progress: Callable[[str], None] = lambda step: None
+    evaluations: int = 0
+    best: np.ndarray | None = None
+    value: float = np.inf
+    _multipliers: dict[str, np.ndarray] = field(default_factory=dict)
+    _mu: float = _FIRST_MU
+    _last: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        """Prepare the grid."""
+        self._t = self.series.period * np.arange(self.samples) / self.samples
+        self._waves = self.series.waves(self._t)
+        self._weight = self.rate_hz * self.series.duration / self.samples
+
+    def matrix(self, x: np.ndarray) -> np.ndarray:
+        """Return the information of a motion's coefficients (na, k)."""
+        rows = self.information.rows(self.series.path(self._waves, x), steep=False)
+        return self._weight * gram(rows) + self.added
+
+    def merit(self, x: np.ndarray) -> float:
+        """Return the criterion of coefficients (na, k)."""
+        return self.criterion(self.matrix(x), self.information.scale)[0]
+
+    def start(self, rng: np.random.Generator, trials: int) -> None:
+        """Try random motions, scaled to the bounds; the best of them is the first `best`, if any keeps them."""
+        begun = time.monotonic()
+        for _ in range(trials):
+            self._offer(self.series.random(rng))
+            if self.best is not None and time.monotonic() > begun + _STARTING * (self.deadline - begun):
+                break
+
+    def improve(self, x: np.ndarray) -> None:
+        """Search from coefficients (na, k) until nothing improves or the deadline passes.
+
+        Raises:
+            Stopped: The deadline passed.
+        """
+        self._multipliers, self._mu = {}, _FIRST_MU
+        for k in range(ROUNDS):
+            before = self.value
+            try:
+                found = minimize(
+                    self._lagrangian, x.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS}
+                )
+                x = found.x.reshape(self.series.shape)
+            finally:
+                if self._last is not None:
+                    self._offer(self._last)
+            left = self._update(x)
+            self.progress(
+                f"round {k + 1} of {ROUNDS}: criterion {self.value:.4g}, bounds exceeded by {100 * left:.1f} %"
+            )
+            if left < _SLACK and k and before - self.value < 1e-3:
+                return
+
+    def _lagrangian(self, flat: np.ndarray) -> tuple[float, np.ndarray]:
+        if time.monotonic() > self.deadline:
+            raise Stopped
+        x = flat.reshape(self.series.shape)
+        path = self.series.path(self._waves, x)
+        try:
+            value, slopes = self._value(path)
+        except LoopClosureError:
+            return _UNREACHABLE, np.zeros_like(flat)
+        self._last = x.copy()
+        gradient = sum(s.T @ w for s, w in zip(slopes, self._waves, strict=True)) * self.series.reach[:, None]
+        return value, np.asarray(gradient).ravel()
+
+    def _value(self, path: Path) -> tuple[float, list[np.ndarray]]:
+        """Return the Lagrangian along a path (n, na) and its derivative by positions, speeds and accelerations (n, na)."""
+        self.evaluations += 1
+        rows = self.information.rows(path, steep=False)
+        changes = self.information.derivatives(path, rows)
+        value, gamma = self.criterion(self._weight * gram(rows) + self.added, self.information.scale)
+        pull = 2 * self._weight * rows.Y @ gamma
+        slopes = [np.zeros_like(path.q) for _ in range(3)]
+        for kind, j, dY, _ in changes:
+            slopes[kind][:, j] += np.sum(pull * dY, axis=(1, 2))
+        by_tau = [(kind, j, dtau) for kind, j, _, dtau in changes]
+        for excess in [*self.bounds.of_states(path, rows.tau, by_tau), *self.bounds.of_places(path.q)]:
+            value += self._penalty(excess, slopes)
+        return value, slopes
+
+    def _penalty(self, excess: Excess, slopes: list[np.ndarray]) -> float:
+        n = len(excess.values)
+        pushed = np.maximum(0.0, excess.values + self._multiplier(excess) / self._mu)
+        for kind, j, slope in excess.by:
+            slopes[kind][:, j] += self._mu / n * np.sum(pushed * slope, axis=1)
+        return float(0.5 * self._mu * np.sum(pushed**2) / n)
+
+    def _multiplier(self, excess: Excess) -> np.ndarray:
+        known = self._multipliers.get(excess.name)
+        return np.zeros_like(excess.values) if known is None else known
+
+    def _update(self, x: np.ndarray) -> float:
+        """Take over what the bounds push back with, press harder, and return the largest excess that is left."""
+        path = self.series.path(self._waves, x)
+        rows, most = self.information.rows(path, steep=False), 0.0
+        for excess in [*self.bounds.of_states(path, rows.tau, []), *self.bounds.of_places(path.q, slopes=False)]:
+            self._multipliers[excess.name] = np.maximum(0.0, self._multiplier(excess) + self._mu * excess.values)
+            most = max(most, float(excess.values.max()))
+        self._mu *= _GROWTH
+        return most
+
+    def _offer(self, x: np.ndarray) -> None:
+        """Scale coefficients until all bounds hold, and keep them if they are the best so far."""
+        share = self.share(x)
+        value = self.merit(share * x) if share else np.inf
+        if value < self.value:
+            self.best, self.value = share * x, value
+
+    def share(self, x: np.ndarray) -> float:
+        """Return the largest share of a motion, to 0.5 %, that keeps all bounds on a fine grid; 0 for none."""
+        t = self.series.period * np.arange(_FINE * self.samples) / (_FINE * self.samples)
+        waves = self.series.waves(t)
+        low, high = 0.0, 1.0
+        if self._holds(self.series.path(waves, x)):
+            return 1.0
+        while high - low > 0.005 and high > 0.01:
+            middle = (low + high) / 2
+            low, high = (middle, high) if self._holds(self.series.path(waves, middle * x)) else (low, middle)
+        return low
+
+    def _holds(self, path: Path) -> bool:
+        """Return whether a path keeps all bounds: what is cheap first, forces on the coarse grid."""
+        if not _kept(self.bounds.of_states(path, np.zeros_like(path.q), [])):
+            return False
+        few = Path(*(y[::_FINE] for y in path))
+        try:
+            if not _kept(self.bounds.of_places(path.q, slopes=False)):
+                return False
+            return _kept(self.bounds.of_states(few, self.information.rows(few).tau, []))
+        except LoopClosureError:
+            return False
+
+
+def _kept(found: list[Excess]) -> bool:
+    return all(float(e.values.max()) <= 1e-9 for e in found)
