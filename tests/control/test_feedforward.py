@@ -122,7 +122,7 @@ SIZES = {
 }  # fmt: skip
 NOT_BY_A_STATE = {
     "delay", "thermal_drift", "hysteresis", "friction_change", "backlash", "transmission_error", "pinion_scale",
-    "joint_compliance", "guideway_compliance", "cart_tilt",
+    "joint_compliance", "structural_compliance", "guideway_compliance", "cart_tilt",
 }  # fmt: skip
 ROBOTS = ("gantry_tau", "linear_axis")
 

@@ -21,7 +21,7 @@ AMPLITUDES = {
     "thermal_drift": (-2.0, {"lag": 2.0}), "passive_joint_friction": (2.0, {}), "quadratic_drag": (60.0, {}),
     "drive_gain": (0.1, {}), "cyclic_ripple": (8.0, {"period": 0.05}), "delay": (5e-3, {"about": 5e-3}),
     "hysteresis": (25.0, {"distance": 0.01}), "transmission_error": (1e-4, {"period": 0.05}), "reducer_coupling": (15.0, {}),
-    "joint_compliance": (1e-6, {}), "friction_change": (10.0, {"number": 1}),
+    "joint_compliance": (1e-6, {}), "structural_compliance": (1e-6, {"frequency": 8.0}), "friction_change": (10.0, {"number": 1}),
 }  # fmt: skip
 UNSEEN = {
     "coulomb_asymmetry", "viscous_asymmetry", "torque_offset",  # the friction below has them already

@@ -31,7 +31,8 @@ IN_THE_ROBOT = {
     "reducer_coupling": {"inertia": 3, "coulomb": 4},
 }
 IN_THE_LOG = {
-    "delay", "backlash", "transmission_error", "pinion_scale", "joint_compliance", "guideway_compliance", "cart_tilt"
+    "delay", "backlash", "transmission_error", "pinion_scale", "joint_compliance", "structural_compliance",
+    "guideway_compliance", "cart_tilt",
 }  # fmt: skip
 SETTINGS = {"stribeck": {"speed": 0.1}, "position_friction": {"half": 0.3}, "thermal_drift": {"lag": 0.5}}
 
