@@ -127,13 +127,13 @@ def test_a_motor_constant_scales_the_answer_and_carries_its_error(l1, monday, fo
 
 def test_a_bound_holds_and_is_said(axis, axis_log):
     """A viscous coefficient bounded below what the log says sits on its bound, and a warning names it with the plain value."""
-    known = identify(axis, axis_log, choices=Choices(bound=("axis.viscous_neg=0:200",)))
+    known = identify(axis, axis_log, choices=Choices(bound=("axis.viscous_neg=0:200",)), estimator="wls")
     assert known.parameters["axis.viscous_neg"].value == 200
     row = {r["name"]: r for r in known.rows()}["axis.viscous_neg"]
     assert row["at_bound"]
     assert any(text.startswith("axis.viscous_neg: plain least squares gives 2") for text in known.warnings)
     assert known.parameters["carriage_link.mass"].value != pytest.approx(93.0, abs=0.01)
-    fixed = identify(axis, axis_log, choices=Choices(fix=("axis.viscous_neg=200",)))
+    fixed = identify(axis, axis_log, choices=Choices(fix=("axis.viscous_neg=200",)), estimator="wls")
     assert_allclose(
         known.parameters.values, fixed.parameters.values, rtol=1e-4
     )  # constrained least squares, not a projection

@@ -43,7 +43,7 @@ def identify(
     choices: Choices | None = None,
     preparation: Preparation | None = None,
     exclude: tuple[str, ...] = (),
-    estimator: str = "wls",
+    estimator: str = "auto",
     seed: int = 0,
     engine: Engine | None = None,
     progress: Callable[[str], None] = lambda step: None,
