@@ -19,6 +19,8 @@ from tau_dyn.effects.words import quantity
 from tau_dyn.parameters import Parameter
 
 _DEGREES = (2, 5, 8, 12)
+_SECONDS = 3.0
+"""Motion that each term needs, to see its part of the way in both directions more than once."""
 
 
 class PositionFriction(JointwiseEffect):
@@ -69,4 +71,5 @@ class PositionFriction(JointwiseEffect):
         low, high = float(scene.low[k]), float(scene.high[k])
         if not low < high:
             return []
-        return [{"middle": (low + high) / 2, "half": (high - low) / 2, "degree": n} for n in _DEGREES]
+        degrees = [n for n in _DEGREES if n == _DEGREES[0] or n * _SECONDS <= scene.duration]
+        return [{"middle": (low + high) / 2, "half": (high - low) / 2, "degree": n} for n in degrees]
