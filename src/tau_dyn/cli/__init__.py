@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from tau_dyn.cli import check, demo, diagnose, excite, identify, simulate
+from tau_dyn.cli import check, demo, diagnose, excite, feedforward, identify, modes, simulate
 from tau_dyn.cli.common import Parser, execute
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.version import __version__
@@ -18,6 +18,8 @@ COMMANDS = {
     "excite": excite,
     "identify": identify,
     "diagnose": diagnose,
+    "modes": modes,
+    "feedforward": feedforward,
 }
 
 

@@ -3,6 +3,8 @@
 from tau_dyn.report.check_page import check_page
 from tau_dyn.report.diagnosis_page import diagnosis_page
 from tau_dyn.report.diagnosis_terminal import print_diagnosis
+from tau_dyn.report.modes_page import modes_page
+from tau_dyn.report.modes_terminal import print_modes
 from tau_dyn.report.motion_pages import excitation_page, simulation_page
 from tau_dyn.report.page import identification_page, write_report
 from tau_dyn.report.tables import print_check, print_identification
@@ -12,9 +14,11 @@ __all__ = [
     "diagnosis_page",
     "excitation_page",
     "identification_page",
+    "modes_page",
     "print_check",
     "print_diagnosis",
     "print_identification",
+    "print_modes",
     "simulation_page",
     "write_report",
 ]

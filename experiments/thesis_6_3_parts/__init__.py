@@ -1,0 +1,1 @@
+"""Parts of thesis_6_3.py."""

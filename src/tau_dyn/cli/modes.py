@@ -1,0 +1,129 @@
+"""Resonances from vibration logs, with uncertainty; a black-box model; mass, damping and stiffness where the data hold them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tau_dyn.cli.common import Outcome, add_common, command_line, progress
+
+HELP = "resonances and black-box models from vibration logs"
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("logs", metavar="LOG", nargs="+", help="CSV or Parquet with t and any columns; never joined")
+    names = parser.add_argument_group("columns, by name")
+    names.add_argument("--inputs", metavar="COLUMN", nargs="+", action="extend", default=[], help="what excites")
+    names.add_argument(
+        "--outputs",
+        metavar="COLUMN",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="what responds; as many as inputs and in their order, they are taken as measured where the forces act",
+    )
+    names.add_argument(
+        "--reference",
+        metavar="COLUMN",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="what a feedback loop was asked to follow, where one was closed",
+    )
+    parser.add_argument(
+        "--holdout",
+        metavar="LOG",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="logs to judge on, used for nothing else (without any, the last 30 %% of each log)",
+    )
+    parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")
+    parser.add_argument(
+        "--method",
+        default="auto",
+        metavar="METHOD",
+        help="auto (default), n4sid, pbsid (bears feedback), arx or era (impulse tests)",
+    )
+    parser.add_argument("--order", default="auto", metavar="N", help="number of states; auto (default) chooses")
+    parser.add_argument("--delay", default="auto", metavar="N", help="delay of the inputs in samples; auto (default)")
+    parser.add_argument(
+        "--sensor",
+        default="displacement",
+        choices=("displacement", "velocity", "acceleration"),
+        help="what the outputs are, for mass, damping and stiffness",
+    )
+    parser.add_argument(
+        "--collocated",
+        metavar="INPUT:OUTPUT",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in their "
+        "order, where as many)",
+    )
+    parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the black-box model here")
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Find modes."""
+    with progress(args.quiet) as step:
+        step("loading")
+        from tau_dyn.log import read_log
+        from tau_dyn.modes import find_modes
+
+        logs = [read_log(path, args.columns) for path in args.logs]
+        held = [read_log(path, args.columns) for path in args.holdout]
+        found = find_modes(
+            logs,
+            args.inputs,
+            args.outputs,
+            holdout=held,
+            references=args.reference,
+            method=args.method,
+            order=args.order,
+            delay=args.delay,
+            sensor=args.sensor,
+            collocated=[_pair(pair) for pair in args.collocated],
+            seed=args.seed,
+            progress=step,
+        )
+    read = [(str(path), log.sha256) for path, log in zip([*args.logs, *args.holdout], [*logs, *held], strict=True)]
+    return Outcome(
+        result=found.to_dict(),
+        warnings=[*(w for log in (*logs, *held) for w in log.warnings), *found.warnings],
+        inputs=[*read, *([args.columns] if args.columns else [])],
+        show=lambda console: _show(console, found, args),
+        files={args.out: lambda path: _save(path, found, read)} if args.out else {},
+        report=lambda: _page(found, read),
+    )
+
+
+def _pair(text: str) -> tuple[str, str]:
+    from tau_dyn.exceptions import InputError
+
+    one, colon, other = text.partition(":")
+    if not colon:
+        raise InputError(f"--collocated {text}: write INPUT:OUTPUT, two columns at one place")
+    return one, other
+
+
+def _save(path: Path, found, read: list[tuple[str, str]]) -> None:
+    from tau_dyn.modes import save_state_space
+
+    save_state_space(path, found.model_file([{"path": name, "sha256": sha256} for name, sha256 in read]))
+
+
+def _show(console, found, args: argparse.Namespace) -> None:
+    from tau_dyn.report import print_modes
+
+    written = {"model": args.out, "report": args.report, "result": args.json}
+    print_modes(console, found, {k: str(v) for k, v in written.items() if v})
+
+
+def _page(found, read: list[tuple[str, str]]) -> str:
+    from tau_dyn.report import modes_page
+
+    return modes_page(found, logs=read, command_line=command_line())

@@ -1,0 +1,227 @@
+r"""By how many whole samples the inputs act late.
+
+A delay that a model does not know costs it one state for each sample and input; a delay too long makes it miss the
+response's first samples. So for every delay and several orders n the poles are taken from a first model, the rest is
+fitted by linear least squares,
+
+    y_t = sum_k Re( R_k xi_{k,t} ) [+ D u_{t-d}] + free decay,   xi_{k,t+1} = lambda_k xi_{k,t} + u_{t-d},
+
+with and without D, and the pair (d, n) with the best BIC is taken. Delays that come close are compared by refined models,
+because the error of a first model's poles can hide what one sample makes. A sampled strictly proper plant has delay 0: sampling's
+own sample is part of the model; where outputs answer within the sample (accelerometers), D tells, and refinement
+decides. All inputs get the same delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from tau_dyn.exceptions import CannotAnswer, TauDynError
+from tau_dyn.modes.leftover import SIMULATED, criteria, free_count, loss_of
+from tau_dyn.modes.methods import First
+from tau_dyn.modes.record import Record, shortened
+from tau_dyn.modes.refine import refine
+
+LONGEST = 6_000
+"""Samples that the delays are compared on."""
+MOST = 20
+"""The longest delay that is tried."""
+ORDERS = (2, 4, 6, 8, 12)
+COARSE = 4
+"""Step of the first look."""
+CLOSE = 100.0
+"""BIC within which two delays are compared by refined models."""
+RIVALS = 3
+ROUNDS = 8
+SURE = 10.0
+"""BIC beyond which a rival is out of the question (Kass & Raftery 1995)."""
+
+
+@dataclass(frozen=True)
+class DelayChoice:
+    """The delay, and what was known when it was chosen.
+
+    Attributes:
+        delay: Whole samples.
+        scan: Delay, best order for it, and BIC above the best delay's, for every delay tried.
+        sure: BIC by which the next best delay is behind; above 10 it is out of the question.
+        why: The reason, as a sentence.
+    """
+
+    delay: int
+    scan: tuple[tuple[int, int, float], ...]
+    sure: float
+    why: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for the JSON result."""
+        rows = [{"delay": d, "order": n, "bic_above_best": gap} for d, n, gap in self.scan]
+        return {"sure_by_bic": self.sure, "why": self.why, "trials": rows}
+
+
+def choose_delay(
+    records: Sequence[Record],
+    first: Callable[[Sequence[Record], int], First],
+    *,
+    kind: str = SIMULATED,
+    orders: Sequence[int] = ORDERS,
+    most: int = MOST,
+    least_gain: float = 0.0,
+    progress: Callable[[str], None] | None = None,
+) -> DelayChoice:
+    """Choose the delay.
+
+    Args:
+        records: Training records, inputs and outputs as deviations.
+        first: Gives, for records and a delay, first poles and first models of any order.
+        kind: What refined models of close delays are compared by: `output_error` or `prediction_error`.
+        orders: Orders tried for every delay.
+        most: The longest delay to try.
+        least_gain: Share by which a delay that spares no states must lower the errors to be preferred; 0 trusts BIC.
+            A true delay spares the states that would stand for it; missing modes can look like a delay to BIC too.
+        progress: Told what is done.
+
+    Raises:
+        CannotAnswer: No delay gives a model.
+    """
+    few = shortened(records, LONGEST)
+    most = min(most, min(r.n_samples for r in few) // 20)
+    found: dict[int, tuple[float, int]] = {}
+    firsts: dict[int, First] = {}
+    wanted = list(range(0, most + 1, COARSE))
+    while wanted:  # a coarse look first, then the neighbours of the best until it stays the best
+        for d in wanted:
+            if progress is not None:
+                progress(f"delay {d}")
+            try:
+                firsts[d] = first(few, d)
+            except TauDynError:
+                continue
+            _scan(few, firsts[d], d, orders, most, found)
+        best = min(found, key=lambda d: found[d], default=0)
+        wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in found and found]
+    if not found:
+        raise CannotAnswer("no model follows from these data", "a longer log, with more excitation against the noise")
+    lowest = min(bic for bic, _ in found.values())
+    close = sorted((bic, d) for d, (bic, _) in found.items() if bic < lowest + CLOSE)[:RIVALS]
+    refined = {}
+    if least_gain and found[best][1] >= found.get(0, (0.0, max(orders) + 1))[1]:
+        n = sum(max(0, r.n_samples - most) for r in few) * few[0].y.shape[1]
+        room, order = -2 * n * float(np.log1p(-least_gain)), found[best][1]
+        after = _refined(few, firsts[best], best, order, kind, most)
+        for d in sorted(d for d, (bic, _) in found.items() if d < best and bic <= lowest + room):
+            if _refined(few, firsts[d], d, order, kind, most) <= after + room:
+                return _enough(found, d)
+    if len(close) > 1:
+        order = found[close[0][1]][1]
+        refined = {d: _refined(few, firsts[d], d, order, kind, most) for _, d in close}
+    return _chosen(found, {d: bic for d, bic in refined.items() if np.isfinite(bic)})
+
+
+def _enough(found: dict[int, tuple[float, int]], best: int) -> DelayChoice:
+    """Return a delay that is not the best by BIC, but enough."""
+    lowest = min(bic for bic, _ in found.values())
+    scan = tuple((d, found[d][1], found[d][0] - lowest) for d in sorted(found))
+    sure = min((gap for d, _, gap in scan if d != best), default=float("inf"))
+    what = f"{_samples(best)} of delay are enough" if best else "no delay is needed"
+    return DelayChoice(best, scan, sure, f"{what}: a longer one would spare no states and lower the errors by little")
+
+
+def _samples(delay: int) -> str:
+    return f"{delay} sample{'' if delay == 1 else 's'}"
+
+
+def _chosen(found: dict[int, tuple[float, int]], refined: dict[int, float]) -> DelayChoice:
+    top = min((bic, d) for d, (bic, _) in found.items())
+    gaps = {d: bic - top[0] for d, (bic, _) in found.items()}
+    best = top[1]
+    if refined:
+        best = min(refined, key=lambda d: (refined[d], d))
+        gaps |= {d: bic - refined[best] for d, bic in refined.items()}
+    scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
+    sure = min((gap for d, _, gap in scan if d != best), default=float("inf"))
+    what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
+    how = "any other is out of the question" if sure > SURE else f"the next is only {sure:.1f} behind in BIC"
+    return DelayChoice(best, scan, sure, f"{what}; {how}")
+
+
+def _scan(
+    records: Sequence[Record],
+    first: First,
+    delay: int,
+    orders: Sequence[int],
+    skip: int,
+    found: dict[int, tuple[float, int]],
+) -> None:
+    for order in orders:
+        try:
+            bic = _linear_bic(first.poles(order), records, delay, skip)
+        except (TauDynError, np.linalg.LinAlgError):
+            continue
+        if np.isfinite(bic) and (delay not in found or bic < found[delay][0]):
+            found[delay] = (bic, order)
+
+
+def _linear_bic(values: np.ndarray, records: Sequence[Record], delay: int, skip: int) -> float:
+    """Return BIC of the best response with these poles, D zero or not, on samples whose input is known for every delay."""
+    values = values.astype(complex)
+    size = np.abs(values)
+    values = np.where(size > 1, values / np.maximum(size, 1e-300) ** 2, values)
+    rows, direct, ys, decays = [], [], [], []
+    for r in records:
+        u = np.vstack([np.repeat(r.u[:1], delay, axis=0), r.u[: r.n_samples - delay]])
+        forced, free = _columns(values, u)
+        rows.append(forced[skip:])
+        direct.append(u[skip:])
+        decays.append(free[skip:])
+        ys.append(r.y[skip:])
+    x, y = np.hstack([np.vstack(rows), _apart(decays), np.vstack(direct)]), np.vstack(ys)
+    p, m = y.shape[1], records[0].u.shape[1]
+    scale = np.linalg.norm(x, axis=0)
+    x = x / np.where(scale > 0, scale, 1.0)
+    gram, cross = x.T @ x + 1e-12 * np.eye(x.shape[1]), x.T @ y
+    bic = []
+    for last, answers in ((-m, False), (None, True)):
+        theta = np.linalg.lstsq(gram[:last, :last], cross[:last], rcond=1e-13)[0]
+        k = free_count(len(values), p, m, direct=answers, predicts=False)
+        bic.append(criteria(loss_of([y - x[:, :last] @ theta]), len(y), k)[1])
+    return min(bic)
+
+
+def _columns(poles: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return states (N, n m) of every pole under every input, and free decays (N, n); real and imaginary parts."""
+    forced, free = [], []
+    t = np.arange(len(u))
+    for pole in poles[poles.imag >= 0]:
+        xi = lfilter([0.0, 1.0], [1.0, -pole], u.astype(complex), axis=0)
+        decay = pole**t
+        forced += [xi.real] if pole.imag == 0 else [xi.real, xi.imag]
+        free += [decay.real] if pole.imag == 0 else [decay.real, decay.imag]
+    return np.hstack(forced), np.column_stack(free)
+
+
+def _apart(decays: Sequence[np.ndarray]) -> np.ndarray:
+    """Return free decays side by side, each of its own record, one below the other."""
+    n = sum(len(d) for d in decays)
+    out, at = np.zeros((n, sum(d.shape[1] for d in decays))), 0
+    for k, d in enumerate(decays):
+        out[at : at + len(d), k * d.shape[1] : (k + 1) * d.shape[1]] = d
+        at += len(d)
+    return out
+
+
+def _refined(records: Sequence[Record], first: First, delay: int, order: int, kind: str, skip: int) -> float:
+    """Return BIC of a refined model on samples whose input is known for every delay; infinite where there is none."""
+    try:
+        refined = refine(first.model(order), records, kind=kind, maximum_rounds=ROUNDS, covariance=False)
+    except (TauDynError, np.linalg.LinAlgError):
+        return float("inf")
+    model, errors = refined.model, [e[skip - delay :] for e in refined.residuals]
+    p, m = model.D.shape
+    k = free_count(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
+    return criteria(loss_of(errors), sum(len(e) for e in errors), k)[1]

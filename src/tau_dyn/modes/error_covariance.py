@@ -1,0 +1,120 @@
+r"""Covariance of an output-error estimate whose errors may be coloured.
+
+    cov = H^-1 (sum_{t,s} J_t' W R_{t-s} W J_s) H^-1,    H = sum_t J_t' W J_t,
+
+with R the autocovariance of the errors, from a vector autoregression fitted to the residuals; with white residuals it
+is H^-1. The double sum is taken in the frequency domain, chunk by chunk. References: Ljung 1999, 9.4; Söderström &
+Stoica 1989, (7.59).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tau_dyn.modes.arx import best_length, predictor
+from tau_dyn.modes.basis import columns_of, derivative_maps
+from tau_dyn.modes.gauss_newton import Point, normal_equations
+from tau_dyn.modes.hankel import compress
+from tau_dyn.modes.modal_form import layout_of
+from tau_dyn.modes.record import Record
+
+LONGEST_AR = 40
+CHUNK = 16384  # errors further apart than a chunk count as independent
+
+
+def error_covariance(
+    point: Point, records: Sequence[Record], free: np.ndarray
+) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Return the covariance of the model's free numbers (f, f) and the residuals record by record.
+
+    Args:
+        point: The minimum.
+        records: Aligned and scaled.
+        free: Which numbers of the model's full vector are free (size,).
+    """
+    weight = np.linalg.inv(point.covariance)
+    root = np.linalg.cholesky((weight + weight.T) / 2).T
+    normal = normal_equations(point, free, weight)
+    inverse = _inverse(normal.H)
+    errors = residuals(point, records)
+    coefficients, noise = autoregression([e @ root.T for e in errors])
+    n = normal.n_model
+    if len(coefficients) == 0:
+        return inverse[:n, :n], errors
+    middle = _middle(point, records, root, coefficients, noise)[np.ix_(normal.free, normal.free)]
+    return (inverse @ middle @ inverse)[:n, :n], errors
+
+
+def residuals(point: Point, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    """Return measured minus modelled outputs, record by record."""
+    out = []
+    for record, x0 in zip(records, point.x0, strict=True):
+        out.append(np.vstack([record.y[c.part] - c.predicted for c in columns_of(point.form, x0, record)]))
+    return tuple(out)
+
+
+def autoregression(errors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients (order, p, p) and innovations' covariance of a vector autoregression; order 0 for white errors.
+
+    The order is Bayes' choice: it takes white noise for white.
+    """
+    p = errors[0].shape[1]
+    records = [Record(np.zeros((len(e), 0)), e, 1.0, (), ()) for e in errors]
+    longest = int(np.clip(max(map(len, errors)) // (20 * p), 1, LONGEST_AR))
+    factor = compress(records, longest + 1)
+    order = best_length(factor, penalty=np.log(factor.n_columns), least=0)
+    if order == 0:
+        return np.zeros((0, p, p)), np.eye(p)
+    lags, _, noise = predictor(factor, order, False)
+    return lags, noise
+
+
+def spectrum(coefficients: np.ndarray, noise: np.ndarray, n: int) -> np.ndarray:
+    """Return the spectral density (n // 2 + 1, p, p) of an autoregression on an FFT's grid of n."""
+    p = len(noise)
+    polynomial = np.zeros((n, p, p))
+    polynomial[0] = np.eye(p)
+    polynomial[1 : len(coefficients) + 1] = -coefficients
+    transfer = np.linalg.inv(np.fft.rfft(polynomial, axis=0))
+    return transfer @ noise @ transfer.conj().transpose(0, 2, 1)
+
+
+def _middle(
+    point: Point, records: Sequence[Record], root: np.ndarray, coefficients: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """The double sum over the full vector and all records' initial states."""
+    size, k = layout_of(point.form).size, len(point.form.poles)
+    total = size + 2 * k * len(records)
+    middle = np.zeros((total, total))
+    for r, (record, x0) in enumerate(zip(records, point.x0, strict=True)):
+        n = 1 << (2 * min(CHUNK, record.n_samples) - 1).bit_length()
+        density = spectrum(coefficients, noise, n)
+        weight = np.where((np.arange(n // 2 + 1) == 0) | (2 * np.arange(n // 2 + 1) == n), 1.0, 2.0) / n
+        weighted = density * weight[:, None, None]
+        maps = np.tensordot(root, derivative_maps(point.form, x0), axes=1)
+        where = np.r_[np.arange(size), size + 2 * k * r + np.arange(2 * k)]
+        inner = np.zeros((size + 2 * k, size + 2 * k))
+        for columns in columns_of(point.form, x0, record, min(CHUNK, record.n_samples)):
+            inner += _correlated(np.fft.rfft(columns.real, n, axis=0), weighted, maps)
+        middle[np.ix_(where, where)] += inner
+    return middle
+
+
+def _correlated(columns: np.ndarray, weighted: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    """Sum over outputs o, o' of maps_o' (columns^H S_oo' columns) maps_o'."""
+    out = np.zeros((maps.shape[2], maps.shape[2]))
+    for a, left in enumerate(maps):
+        for b, right in enumerate(maps[: a + 1]):
+            product = (columns.conj().T * weighted[:, a, b]) @ columns
+            part = left.T @ product.real @ right
+            out += part if a == b else part + part.T
+    return out
+
+
+def _inverse(H: np.ndarray) -> np.ndarray:
+    """Inverse of a Gauss-Newton matrix whose numbers have unlike units."""
+    scale = np.sqrt(np.diag(H))
+    scale[scale == 0] = 1.0
+    return np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-14, hermitian=True) / np.outer(scale, scale)

@@ -1,0 +1,237 @@
+"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
+
+The steps, each in its own file: `preparation.py` (what is used), `feedback.py` (which methods are valid), `delay.py`,
+`order.py`, `methods.py` (a first model), `refine.py` (the most likely one), `judge.py` (fit, tests, spectra). Each
+leaves a sentence in `why`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
+from tau_dyn.log import Log
+from tau_dyn.modes.delay import MOST, ORDERS, DelayChoice, choose_delay
+from tau_dyn.modes.era import era_factors
+from tau_dyn.modes.feedback import Feedback, feedback_suspected
+from tau_dyn.modes.judge import judged
+from tau_dyn.modes.leftover import PREDICTED, SIMULATED
+from tau_dyn.modes.methods import METHODS, first_look, starter
+from tau_dyn.modes.onset import first_answer
+from tau_dyn.modes.order import HIGHEST, OrderChoice, choose_order
+from tau_dyn.modes.preparation import Prepared, prepare
+from tau_dyn.modes.record import Record
+from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.result import Modes
+from tau_dyn.modes.state_space import StateSpace
+
+HIGHEST_ASKED = 200
+PULSE_GAIN = 0.1
+"""Share by which a delay must lower what pulse tests leave, to be believed."""
+PULSE_ROUNDS = 15
+"""Rounds of refinement for pulse tests, which can hold more modes than a model and then creep."""
+Progress = Callable[[str], None]
+
+
+def find_modes(
+    logs: Log | Sequence[Log],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    holdout: Log | Sequence[Log] = (),
+    references: Sequence[str] = (),
+    method: str = "auto",
+    order: str | int = "auto",
+    delay: str | int = "auto",
+    sensor: str = "displacement",
+    collocated: Sequence[tuple[str, str]] = (),
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Modes:
+    """Identify resonances, a black-box model, and mass, damping and stiffness where the data hold them.
+
+    Args:
+        logs: Logs to fit on; never joined.
+        inputs: Columns that excite.
+        outputs: Columns that respond.
+        holdout: Logs to judge on; the last 30 % of every log where none are given.
+        references: Columns that a feedback loop was asked to follow.
+        method: `auto`, `n4sid`, `pbsid`, `arx` or `era`.
+        order: `auto` or a number of states.
+        delay: `auto` or a number of samples.
+        sensor: What the outputs are: `displacement`, `velocity` or `acceleration`.
+        collocated: Pairs of an input and an output at one place and in one direction; where none are given and there are
+            as many outputs as inputs, each input and the output of its rank.
+        seed: Kept with the result; nothing here is random.
+        progress: Told what is done.
+
+    Raises:
+        InputError: A column, an option or the logs do not fit.
+        CannotAnswer: The data are sound but too few, or no stable model follows from them.
+    """
+    say = progress or (lambda step: None)
+    asked, fixed = _order(order), _delay(delay)
+    if method not in ("auto", *METHODS):
+        raise InputError(f"--method {method}: there are auto, {', '.join(METHODS)}")
+    places = _places(collocated, inputs, outputs)
+    data = prepare(
+        _several(logs), tuple(inputs), tuple(outputs), holdout=_several(holdout), references=tuple(references)
+    )
+    _refuse_costly(asked, data)
+    say("looking for feedback")
+    feedback = _feedback(data)
+    chosen, why = _method(method, data, feedback)
+    kind = PREDICTED if chosen == "pbsid" else SIMULATED
+    late = _late(data, chosen, kind, asked, fixed, sensor, say)
+    highest = max(HIGHEST, asked or 0)
+
+    def start(records: Sequence[Record]) -> Callable[[int], StateSpace]:
+        return starter(chosen, records, delay=late.delay, highest=highest)
+
+    states = choose_order(data.train, start, kind=kind, asked=asked, pulses=data.kind == "impulse", progress=say)
+    say(f"refining order {states.order}")
+    refined, how = _refined(data, chosen, kind, late.delay, states, alone=method != "auto")
+    say("judging")
+    found = judged(refined, data, feedback, late, states, sensor=sensor, collocated=places)
+    reasons = {"method": why, "delay": late.why, "order": states.why, "refinement": how}
+    return replace(found, method=chosen, why=reasons, seed=seed)
+
+
+def _several(logs: Log | Sequence[Log]) -> list[Log]:
+    return [logs] if isinstance(logs, Log) else list(logs)
+
+
+def _places(
+    pairs: Sequence[tuple[str, str]], inputs: Sequence[str], outputs: Sequence[str]
+) -> list[tuple[int, int]] | None:
+    """Return collocated pairs as numbers of columns; None where none were named."""
+    for one, other in pairs:
+        if one not in inputs or other not in outputs:
+            raise InputError(
+                f"--collocated {one}:{other}: write an input of {list(inputs)} and an output of {list(outputs)}"
+            )
+    return [(list(inputs).index(a), list(outputs).index(b)) for a, b in pairs] or None
+
+
+def _order(order: str | int) -> int | None:
+    """Return the order asked for, None for `auto`."""
+    if order == "auto":
+        return None
+    try:
+        value = int(order)
+    except ValueError:
+        value = 0
+    if not 1 <= value <= HIGHEST_ASKED:
+        raise InputError(f"--order {order}: write auto, or a number of states from 1 to {HIGHEST_ASKED}")
+    return value
+
+
+def _refuse_costly(order: int | None, data: Prepared) -> None:
+    """Refuse an order whose free numbers have fewer than four samples each."""
+    p, m = data.train[0].y.shape[1], data.train[0].u.shape[1]
+    most = data.n_train * p // (4 * (p + m))
+    if order is not None and order > most:
+        raise InputError(
+            f"--order {order}: {data.n_train} training samples cannot pay for it with {m} inputs and {p} outputs; "
+            f"at most {most}, better far fewer"
+        )
+
+
+def _delay(delay: str | int) -> int | None:
+    """Return the delay asked for, None for `auto`."""
+    if delay == "auto":
+        return None
+    try:
+        value = int(delay)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= 10_000:
+        raise InputError(f"--delay {delay}: write auto, or a number of samples from 0 up")
+    return value
+
+
+def _feedback(data: Prepared) -> Feedback:
+    if data.kind == "impulse":
+        return Feedback(False, 1.0, 0.0, "pulses answer to nothing")
+    return feedback_suspected(data.train)
+
+
+def _method(method: str, data: Prepared, feedback: Feedback) -> tuple[str, str]:
+    """Return the method and why."""
+    if method == "era" and data.kind != "impulse":
+        raise CannotAnswer(
+            "era needs impulse tests, and these inputs are not short pulses followed by rest",
+            "a hammer's blow and its decay, or another method for these data",
+        )
+    if method != "auto":
+        bears = (
+            ""
+            if method == "pbsid" or not feedback.suspected
+            else f", although {feedback.why}; its damping may be biased"
+        )
+        return method, f"{method} was asked for{bears}"
+    if data.kind == "impulse":
+        return "era", "the inputs are short pulses followed by free decay, so era"
+    if feedback.suspected:
+        return "pbsid", f"{feedback.why}, so pbsid, which bears feedback"
+    return "n4sid", f"{feedback.why}, so n4sid"
+
+
+def _late(
+    data: Prepared, method: str, kind: str, asked: int | None, fixed: int | None, sensor: str, say: Progress
+) -> DelayChoice:
+    if fixed is not None:
+        return DelayChoice(fixed, (), float("nan"), f"a delay of {fixed} samples was asked for")
+    orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, HIGHEST)})
+    decays = era_factors(data.train, delay=MOST) if method == "era" else None
+    most = MOST
+    if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
+        most = max(0, first_answer(data.train, decays, MOST) - (sensor != "acceleration"))
+    return choose_delay(
+        data.train,
+        lambda records, d: first_look(method, records, delay=d, decays=decays),
+        kind=kind,
+        orders=orders,
+        most=most,
+        least_gain=0.0 if decays is None else PULSE_GAIN,
+        progress=say,
+    )
+
+
+def _refined(
+    data: Prepared, method: str, kind: str, delay: int, states: OrderChoice, *, alone: bool
+) -> tuple[Refined, str]:
+    """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
+    order = states.order
+    tried = [t.model for t in states.trials if t.order == order]
+    starts = [(method, lambda: tried[0])] if tried else []
+    alone = alone or kind == PREDICTED or data.kind == "impulse"
+    names = (method,) if alone else tuple(dict.fromkeys((method, "n4sid", "arx")))
+    if not (tried and data.kind == "impulse"):
+        starts += [(n, lambda n=n: starter(n, data.train, delay=delay, highest=order)(order)) for n in names]
+    rounds = PULSE_ROUNDS if data.kind == "impulse" else 40
+    found: list[tuple[float, str, Refined]] = []
+    fault: Exception | None = None
+    for name, first in starts:
+        try:
+            made = refine(first(), data.train, kind=kind, maximum_rounds=rounds)
+        except (TauDynError, np.linalg.LinAlgError) as failed:
+            fault = failed
+            continue
+        if made.model.spectral_radius() < 1 and np.isfinite(made.loss):
+            found.append((made.loss, name, made))
+            if made.converged:
+                break
+    if not found:
+        if isinstance(fault, InputError):
+            raise fault
+        raise CannotAnswer(
+            f"no stable model of order {order} follows from these data", "a longer log, or a lower --order"
+        )
+    _, name, best = min(found, key=lambda row: row[0])
+    what = "simulation" if kind == SIMULATED else "one-step predictions"
+    ended = "converged" if best.converged else "stopped before it converged"
+    return best, f"the error of {what} was minimised from {name}; it {ended} after {best.rounds} rounds"

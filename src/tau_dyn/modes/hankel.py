@@ -1,0 +1,166 @@
+r"""Block-Hankel data compressed to a square factor: all that subspace methods and ARX need to know of the samples.
+
+With z_t = (u_t, y_t) and `rows` block rows, column t of the data matrix Z is (z_t, ..., z_{t+rows-1}). Least squares on
+rows of Z are those on rows of any L with L L' = Z Z'. The Gram matrix Z Z' has a displacement structure,
+
+    G_{i+1,j+1} = G_{i,j} - z_i z_j' + z_{M+i} z_{M+j}'      (M columns),
+
+so that one block row, a correlation, gives all of it: O(N log N) for the samples, whatever the number of rows. Forming
+it squares the condition number; where that costs too many digits, a QR factorisation in chunks replaces it. References:
+Mastronardi, Kressner, Sima, Van Dooren, Van Huffel 2001 (fast subspace identification by displacement structure); Golub
+& Van Loan 2013, 5.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack, qr
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.modes.record import Record
+
+WORST_CONDITION = (
+    1e12  # of the Gram matrix of scaled rows: above it fewer than four digits of the weakest direction are left
+)
+CHUNK = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class HankelFactor:
+    """Compressed data.
+
+    Attributes:
+        L: (rows * w, r), with L L' = Z Z' / M; block row i holds z_{t+i} = (u, y), w = m + p wide.
+        n_inputs: m.
+        n_outputs: p.
+        rows: Number of block rows.
+        n_columns: Columns M of the data matrix, over all records.
+        method: "gram" or "qr".
+    """
+
+    L: np.ndarray
+    n_inputs: int
+    n_outputs: int
+    rows: int
+    n_columns: int
+    method: str
+
+    def past(self, first: int, last: int) -> np.ndarray:
+        """Return rows of inputs and outputs of block rows first to last - 1, as compressed data."""
+        w = self.n_inputs + self.n_outputs
+        return self.L[first * w : last * w]
+
+    def inputs(self, first: int, last: int) -> np.ndarray:
+        """Return the rows of the inputs only."""
+        return self._part(first, last, slice(0, self.n_inputs))
+
+    def outputs(self, first: int, last: int) -> np.ndarray:
+        """Return the rows of the outputs only."""
+        return self._part(first, last, slice(self.n_inputs, None))
+
+    def _part(self, first: int, last: int, columns: slice) -> np.ndarray:
+        blocks = self.past(first, last).reshape(last - first, self.n_inputs + self.n_outputs, -1)
+        return blocks[:, columns].reshape(-1, self.L.shape[1])
+
+
+def compress(records: Sequence[Record], rows: int, method: str = "auto") -> HankelFactor:
+    """Compress the block-Hankel matrix of records, best scaled and aligned before.
+
+    Args:
+        records: Unbroken stretches; a column never reaches across two of them. Stretches shorter than `rows` are left out.
+        rows: Block rows.
+        method: "gram", "qr", or "auto": Gram unless it is ill-conditioned.
+
+    Raises:
+        InputError: The records are shorter than twice the unknowns of a row ask for.
+    """
+    data = [np.hstack([record.u, record.y]) for record in records if record.n_samples >= rows]
+    w = records[0].u.shape[1] + records[0].y.shape[1]
+    n_columns = sum(len(z) - rows + 1 for z in data)
+    if n_columns < rows * w:
+        samples = sum(record.n_samples for record in records)
+        raise InputError(f"{samples} samples are too few for {rows} block rows of {w} signals; shorten the horizon")
+    L = None
+    if method in ("auto", "gram"):
+        L = _cholesky(np.sum([_gram(z, rows) for z in data], axis=0), forced=method == "gram")
+    used = "qr" if L is None else "gram"
+    if L is None:
+        L = _triangle(chunk for z in data for chunk in _hankel_chunks(z, rows))
+    return HankelFactor(L / np.sqrt(n_columns), records[0].u.shape[1], records[0].y.shape[1], rows, n_columns, used)
+
+
+def lower_factor(L: np.ndarray) -> np.ndarray:
+    """Return the lower triangular factor of compressed data whose rows were taken in another order."""
+    return np.asarray(qr(L.T, mode="r", check_finite=False)[0])[: min(L.shape)].T
+
+
+def least_squares(target: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return X of target = X rows + rest, both compressed data; directions without data count as zero."""
+    scale = np.linalg.norm(rows, axis=1)
+    scale[scale == 0] = 1.0
+    solution = np.linalg.lstsq((rows / scale[:, None]).T, target.T, rcond=1e-11)[0]
+    return solution.T / scale
+
+
+def _gram(z: np.ndarray, rows: int) -> np.ndarray:
+    """Z Z' from its first block row and rank-2w updates."""
+    w, M = z.shape[1], len(z) - rows + 1
+    first = _correlations(z, rows)
+    out = np.empty((rows, w, rows, w))
+    for j in range(rows):
+        out[0, :, j] = first[j]
+        out[j, :, 0] = first[j].T
+    for i in range(1, rows):
+        change = np.einsum("a,jb->ajb", z[M + i - 1], z[M + i - 1 : M + rows - 1])
+        change -= np.einsum("a,jb->ajb", z[i - 1], z[i - 1 : rows - 1])
+        out[i, :, i:] = out[i - 1, :, i - 1 : -1] + change
+        out[i:, :, i] = out[i, :, i:].transpose(1, 2, 0)
+    return out.reshape(rows * w, rows * w)
+
+
+def _correlations(z: np.ndarray, rows: int) -> np.ndarray:
+    """sum_{t < M} z_t z_{t+j}' for j < rows (rows, w, w), by FFT of short blocks: memory does not grow with N."""
+    w, M = z.shape[1], len(z) - rows + 1
+    size = 1 << (max(CHUNK, 8 * rows) - 1).bit_length()
+    step = size - rows + 1
+    cross = np.zeros((size // 2 + 1, w, w), dtype=complex)
+    for start in range(0, M, step):
+        stop = min(start + step, M)
+        head = np.fft.rfft(z[start:stop], size, axis=0)
+        whole = np.fft.rfft(z[start : stop + rows - 1], size, axis=0)
+        cross += head.conj()[:, :, None] * whole[:, None, :]
+    return np.fft.irfft(cross, size, axis=0)[:rows]
+
+
+def _cholesky(G: np.ndarray, forced: bool) -> np.ndarray | None:
+    """The Cholesky factor of a Gram matrix, None where it is too ill-conditioned to be trusted."""
+    size = np.sqrt(np.maximum(np.diag(G), 0.0))
+    if not np.all(size > 0):
+        return None
+    scaled = G / np.outer(size, size)
+    L, info = lapack.dpotrf(scaled, lower=1, clean=1)
+    if info != 0:
+        return None
+    rcond, _ = lapack.dpocon(L, np.abs(scaled).sum(axis=0).max(), uplo="L")
+    return size[:, None] * L if forced or rcond * WORST_CONDITION > 1 else None
+
+
+def _hankel_chunks(z: np.ndarray, rows: int) -> Iterable[np.ndarray]:
+    """Columns of the Hankel matrix, transposed, some thousands at a time."""
+    w = z.shape[1]
+    windows = np.lib.stride_tricks.sliding_window_view(z, rows, axis=0).transpose(0, 2, 1)
+    for start in range(0, len(windows), max(CHUNK, rows * w)):
+        yield windows[start : start + max(CHUNK, rows * w)].reshape(-1, rows * w)
+
+
+def _triangle(chunks: Iterable[np.ndarray]) -> np.ndarray:
+    """L of L L' = sum of chunk' chunk, by QR of each chunk under the triangle so far."""
+    R: np.ndarray | None = None
+    for chunk in chunks:
+        R = np.asarray(qr(chunk if R is None else np.vstack([R, chunk]), mode="r", check_finite=False)[0])
+        R = R[: R.shape[1]]
+    assert R is not None
+    return R.T

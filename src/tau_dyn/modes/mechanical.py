@@ -1,0 +1,227 @@
+r"""M, D and K from a black-box model: `(M s^2 + D s + K) X(s) = B U(s)`, and whether they mean anything.
+
+The route: the model's response in continuous time -> a conic program -> maximum likelihood with the model's own covariance ->
+a verdict. Forces and displacements keep the user's units, so M, D, K are in force per acceleration, velocity and displacement.
+References: thesis 6.3 (its form (6.14), fitted there without constraints); De Angelis, Lus, Betti & Longman 2002.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.modes.mechanical_evidence import Evidence, Refined, evidence_of
+from tau_dyn.modes.mechanical_fit import Fit, Task, fit_stand_in, fit_whole
+from tau_dyn.modes.mechanical_judgement import CHANCE, KNOWN, asymmetry
+from tau_dyn.modes.places import Places, places_of
+from tau_dyn.modes.second_order import SecondOrder, derivative_of, symmetric_basis, unpack
+from tau_dyn.modes.state_space import StateSpace
+
+_BOTTOM, _TOP = 0.05, 0.45
+"""Band that is looked at by itself: from this part of the first resonance to this part of the sampling rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanical:
+    """M, D, K and what they are worth.
+
+    Attributes:
+        status: `identified`, `condensed` (a stand-in, valid in `valid_hz`) or `not_identifiable`.
+        why: One sentence for the status.
+        structure: M, D, K; None where not identifiable.
+        stderr: Standard errors of the entries, in the same places; None where the model came without covariance.
+        covariance: Of the upper triangles of M, D, K, one after another (q, q), or None.
+        valid_hz: Band in which they reproduce the model they came from.
+        misfit: Greatest relative error of the response in that band.
+        consistency: Probability of so large a misfit by chance; below 0.001 the model holds more than M, D, K.
+        places: Which degree of freedom each input and output belongs to.
+    """
+
+    status: str
+    why: str
+    structure: SecondOrder | None = None
+    stderr: SecondOrder | None = None
+    covariance: np.ndarray | None = None
+    valid_hz: tuple[float, float] | None = None
+    misfit: float | None = None
+    consistency: float | None = None
+    places: Places | None = None
+
+    @property
+    def M(self) -> np.ndarray | None:
+        """Inertia (n, n)."""
+        return self.structure.M if self.structure else None
+
+    @property
+    def D(self) -> np.ndarray | None:
+        """Damping (n, n)."""
+        return self.structure.D if self.structure else None
+
+    @property
+    def K(self) -> np.ndarray | None:
+        """Stiffness (n, n)."""
+        return self.structure.K if self.structure else None
+
+    @property
+    def static_compliance(self) -> np.ndarray | None:
+        """Displacement per static force, `K^{-1}` (n, n)."""
+        return np.linalg.inv(self.structure.K) if self.structure else None
+
+    @property
+    def static_compliance_stderr(self) -> np.ndarray | None:
+        """Its standard errors (n, n)."""
+        if self.structure is None or self.covariance is None:
+            return None
+        C = np.linalg.inv(self.structure.K)
+        change = C @ symmetric_basis(len(C)) @ C
+        size = len(change)
+        return np.sqrt(np.einsum("qij,qr,rij->ij", change, self.covariance[2 * size :, 2 * size :], change))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers and lists, null where there is none; the keys are those of the written result."""
+
+        def matrices(of: SecondOrder | None) -> dict[str, Any]:
+            return {name: None if of is None else getattr(of, name).tolist() for name in "MDK"}
+
+        return {
+            "status": self.status,
+            **matrices(self.structure),
+            "stderr": None if self.stderr is None else matrices(self.stderr),
+            "valid_hz": None if self.valid_hz is None else list(self.valid_hz),
+            "misfit": self.misfit,
+            "consistency": self.consistency,
+            "why": self.why,
+        }
+
+
+def fit_mechanical(
+    source: StateSpace | Refined | Any,
+    *,
+    collocated: Sequence[tuple[int, int]] | None = None,
+    output: str = "displacement",
+    band: tuple[float, float] | None = None,
+    complete: bool = True,
+    tolerance: float = 0.05,
+) -> Mechanical:
+    """Return M, D, K behind a model from forces to motions.
+
+    Degrees of freedom are numbered as the outputs are; an input with no sensor at its place adds one of its own.
+
+    Args:
+        source: A sampled model under held inputs, or a refined one with `model`, `theta`, `covariance`, `model_at`.
+        collocated: Pairs (input, output) at one place and in one direction; None: all in order where there are as many.
+        output: What the sensors measure: displacement, velocity or acceleration.
+        band: Frequencies to trust [Hz]; None: up to 0.9 of half the sampling rate.
+        complete: False where checks say that the model misses part of the response: then at most `condensed`.
+        tolerance: Relative error of the response that counts as fitting.
+
+    Raises:
+        InputError: The pairs, the output or the band are not sound.
+    """
+    model = source if isinstance(source, StateSpace) else source.model
+    p, m = model.D.shape
+    derivative, places = derivative_of(output), places_of(p, m, collocated)
+    span = band or (0.0, _TOP / model.dt)
+    if not 0 <= span[0] < span[1]:
+        raise InputError(f"the band {span[0]:g} to {span[1]:g} Hz is empty")
+    if not places.pairs:
+        return _refused("no collocated pair: name an input and an output at one place and in one direction")
+    try:
+        evidence = evidence_of(source, derivative)
+    except CannotAnswer as fault:
+        return _refused(str(fault))
+    modes_hz = np.abs(evidence.at.poles[evidence.at.oscillating]) / (2 * np.pi)
+    modes_hz = modes_hz[(modes_hz >= span[0]) & (modes_hz <= span[1])]
+    fault = _unfit(evidence, places, modes_hz, tolerance)
+    if fault:
+        return _refused(fault)
+    span = (max(span[0], _BOTTOM * modes_hz[0]), min(span[1], _TOP / model.dt))
+    others = model.order - 2 * len(modes_hz)
+    task = Task(evidence, places, modes_hz, span, tolerance)
+    reason = _why_not_whole(places, modes_hz, others, complete)
+    if places.n > len(modes_hz):
+        return _refused(reason)
+    if complete and not others and places.n == len(modes_hz):
+        found = _judged(fit_whole(task), task, "identified", _why_whole(task))
+        if found.status == "identified":
+            return found
+        reason = found.why
+    return _stand_in(task, reason)
+
+
+def _refused(why: str) -> Mechanical:
+    return Mechanical("not_identifiable", why)
+
+
+def _unfit(evidence: Evidence, places: Places, modes_hz: np.ndarray, tolerance: float) -> str:
+    """Return why no structure is worth fitting, or nothing."""
+    if not len(modes_hz):
+        return "no information: the model has no resonance in the band"
+    if np.any(evidence.at.poles.real > 0):
+        return "the model is unstable, and no damping D >= 0 makes a structure so"
+    residues = evidence.at.residues
+    sizes = np.abs(residues / places.unit(residues))
+    at_pairs = sizes[:, [i for _, i in places.pairs], [j for j, _ in places.pairs]].max(axis=1)
+    if np.any(at_pairs < 1e-9 * sizes.max()):
+        return "no information: a mode is at rest at every collocated pair"
+    uneven, stderr = asymmetry(evidence, places)
+    if uneven > max(2 * tolerance, 4 * stderr):
+        return (
+            "the named pairs are not collocated, or their units differ: at one mode the response from one place to another and "
+            f"back differs by {100 * uneven:.0f} %"
+        )
+    return ""
+
+
+def _why_whole(task: Task) -> str:
+    n = task.places.n
+    both = len(task.places.pairs)
+    why = f"{n} modes seen and {n} degrees of freedom named, {both} of them with both a force and a sensor"
+    return why if task.evidence.has_covariance else f"{why}; without standard errors, as the model has none"
+
+
+def _why_not_whole(places: Places, modes_hz: np.ndarray, others: int, complete: bool) -> str:
+    n = len(modes_hz)
+    if places.n < n:
+        return f"too few sensed degrees of freedom: inputs and outputs name {places.n}, and there are {n} modes"
+    if not complete:
+        return "the model misses part of the response, so there are more modes than it has"
+    if others:
+        return f"{others} of the model's {others + 2 * n} poles are no mode in the band"
+    named = f"inputs and outputs name {places.n} degrees of freedom, and only {n} modes are seen"
+    return f"no information: {named}; excite more, or leave some out"
+
+
+def _stand_in(task: Task, reason: str) -> Mechanical:
+    """Return a structure of the named degrees of freedom for as many of the lowest modes as it can stand for."""
+    found = _refused(reason)
+    for count in range(task.places.n, 0, -1):
+        found = _judged(fit_stand_in(task, count), task, "condensed", reason)
+        if found.status == "condensed":
+            return found
+    return _refused(reason if found.why in reason else f"{reason}; {found.why}")
+
+
+def _judged(fit: Fit, task: Task, status: str, why: str) -> Mechanical:
+    """Return the result a fit deserves."""
+    n, worst = task.places.n, "M" if fit.unknown["M"] > fit.unknown["K"] else "K"
+    if not np.isfinite(fit.unknown[worst]):
+        return _refused(f"no information: some direction of {worst} leaves no trace in the response")
+    if fit.unknown[worst] > KNOWN:
+        known = 100 * fit.unknown[worst]
+        return _refused(f"no information: the standard error of {worst} reaches {known:.0f} % in some direction")
+    if fit.agreement.valid_hz is None and status == "condensed":
+        return _refused(f"no structure of {n} degrees of freedom stands for them from rest to even the first")
+    if fit.agreement.valid_hz is None:
+        off = 100 * fit.agreement.misfit
+        return _refused(f"no structure of {n} degrees of freedom fits the modes (off by {off:.0f} %)")
+    if status == "identified" and fit.consistency is not None and fit.consistency < CHANCE:
+        chance = f"their misfit has the probability {fit.consistency:.0e}"
+        return _refused(f"the model holds more than a structure of {n} degrees of freedom can: {chance}")
+    stderr = None if fit.covariance is None else unpack(np.sqrt(np.diag(fit.covariance)), task.places.n)
+    band, misfit = fit.agreement.valid_hz, fit.agreement.misfit
+    return Mechanical(status, why, fit.structure, stderr, fit.covariance, band, misfit, fit.consistency, task.places)

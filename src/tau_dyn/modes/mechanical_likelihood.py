@@ -1,0 +1,144 @@
+r"""Maximum likelihood of M, D and K, given a response and the covariance of its error.
+
+    minimise || T (H(M, D, K) - H_model) ||^2,   M = L_M L_M',  D = L_D L_D',  K = L_K L_K'
+
+`T` whitens: it holds the model's parameter covariance as the response sees it, so the answer loses nothing of what the
+parameters know (Stoica & Soderstrom 1989, indirect identification). Cholesky factors keep the matrices definite at every step;
+standard errors are those of the entries themselves. All in scaled units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from tau_dyn.modes.places import Places
+from tau_dyn.modes.second_order import SecondOrder, symmetric_basis
+
+_RANK = 1e-7
+"""Directions of the response's error smaller than this part of the largest are rounding, not knowledge."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What a structure is to reproduce.
+
+    Attributes:
+        s: Complex frequencies (F,).
+        H: Displacement over force (F, p, m).
+        places: Which degrees of freedom it is between.
+        T: Rows (r, 2 F p m) that weigh the error, real parts first; or one weight for each of its entries (2 F p m,).
+        whitens: Whether `T` times the error of H is white with variance one.
+    """
+
+    s: np.ndarray
+    H: np.ndarray
+    places: Places
+    T: np.ndarray
+    whitens: bool
+
+    def misfit(self, structure: SecondOrder) -> np.ndarray:
+        """Return the weighed error (r,)."""
+        return self.weigh(self.places.select(structure.compliance(self.s)) - self.H)
+
+    def weigh(self, values: np.ndarray) -> np.ndarray:
+        """Return complex changes of the response (F, p, m, ...) weighed (r, ...)."""
+        rows = split(values)
+        return self.T @ rows if self.T.ndim == 2 else (rows.T * self.T).T
+
+    def jacobian(self, structure: SecondOrder) -> np.ndarray:
+        """Return its derivative (r, 3n(n+1)/2) with respect to the entries of M, D, K."""
+        G = structure.compliance(self.s)
+        left, right = G[:, list(self.places.sensed)], G[:, :, list(self.places.driven)]
+        change = -np.moveaxis(left[:, None] @ symmetric_basis(self.places.n) @ right[:, None], 1, 3)
+        powers = [change * self.s[:, None, None, None] ** power for power in (2, 1, 0)]
+        return self.weigh(np.concatenate(powers, axis=3))
+
+
+def split(values: np.ndarray) -> np.ndarray:
+    """Return complex values (F, p, m, ...) as reals (2 F p m, ...), real parts first."""
+    flat = values.reshape(-1, *values.shape[3:])
+    return np.concatenate([flat.real, flat.imag])
+
+
+def whitening(factor: np.ndarray) -> np.ndarray:
+    """Return rows `T` with `T C T' = I` on the span of a covariance `C = F F'`.
+
+    Args:
+        factor: `F` (rows, r), real.
+    """
+    size = np.sqrt(np.mean(factor**2, axis=1))  # rows alike first, or the rank is that of the largest rows
+    size = np.where(size > 1e-300, size, np.inf)
+    U, S, _ = np.linalg.svd(factor / size[:, None], full_matrices=False)
+    keep = S > _RANK * S[0]
+    return (U[:, keep] / S[keep]).T / size
+
+
+def maximise(target: Target, start: SecondOrder) -> SecondOrder:
+    """Return the structure of least weighed error, definite throughout."""
+    n = target.places.n
+
+    def factors(z: np.ndarray) -> np.ndarray:
+        L = np.zeros((3, n, n))
+        L[:, *np.tril_indices(n)] = z.reshape(3, -1)
+        return L
+
+    def structure(z: np.ndarray) -> SecondOrder:
+        L = factors(z)
+        return SecondOrder(*(L @ L.transpose(0, 2, 1)))
+
+    def slope(z: np.ndarray) -> np.ndarray:
+        return target.jacobian(structure(z)) @ _chain(factors(z))
+
+    def safe(z: np.ndarray) -> np.ndarray:
+        return np.nan_to_num(target.misfit(structure(z)), nan=1e12, posinf=1e12, neginf=-1e12)
+
+    begin = np.concatenate([_factor(part)[np.tril_indices(n)] for part in (start.M, start.D, start.K)])
+    stop = {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-12, "max_nfev": 60}
+    found = least_squares(safe, begin, jac=slope, method="lm", x_scale="jac", **stop)  # pyright: ignore[reportArgumentType]
+    return structure(found.x)
+
+
+def information(target: Target, structure: SecondOrder) -> np.ndarray:
+    """Return Fisher's information (q, q) of the entries of M, D, K, for a target that whitens."""
+    J = target.jacobian(structure)
+    return J.T @ J
+
+
+def relative_frame(structure: SecondOrder) -> np.ndarray:
+    """Return the change (q, q) of entries per unit of `E` in `L (I + E) L'`: units and coordinates drop out of `E`."""
+    blocks = []
+    for part in (structure.M, structure.D, structure.K):
+        L = _factor(part)
+        moved = L @ symmetric_basis(len(part)) @ L.T
+        blocks.append(moved[:, *np.triu_indices(len(part))].T)
+    size = len(blocks[0])
+    frame = np.zeros((3 * size, 3 * size))
+    for k, block in enumerate(blocks):
+        frame[k * size : (k + 1) * size, k * size : (k + 1) * size] = block
+    return frame
+
+
+def _factor(part: np.ndarray) -> np.ndarray:
+    """Return a lower factor of a matrix; what lies on the edge is moved in by a millionth, since the edge has no slope."""
+    value, vector = np.linalg.eigh(part)
+    value = np.maximum(value, 1e-6 * max(value[-1], 1e-12))
+    R = np.linalg.qr((vector * np.sqrt(value)).T)[1]
+    return (R * np.sign(np.diag(R))[:, None]).T
+
+
+def _chain(L: np.ndarray) -> np.ndarray:
+    """Return the derivative (q, q) of the entries of `L L'` with respect to those of L, for three factors."""
+    n = L.shape[1]
+    rows, columns = np.tril_indices(n)
+    upper = np.triu_indices(n)
+    size = len(rows)
+    out = np.zeros((3 * size, 3 * size))
+    for part in range(3):
+        for k, (i, j) in enumerate(zip(rows, columns, strict=True)):
+            change = np.zeros((n, n))
+            change[i] = L[part][:, j]
+            out[part * size : (part + 1) * size, part * size + k] = (change + change.T)[upper]
+    return out

@@ -1,0 +1,187 @@
+r"""A model as a sum of modes: the coordinates in which it is refined and its uncertainty stated.
+
+    y_t = sum_i Re(c_i xi_i,t) + D u_t,   xi_i,t+1 = lambda_i xi_i,t + b_i u_t,
+
+one complex state for each complex pair (a real 2x2 block), one real state for each real pole (1x1). In every mode the
+largest entry of c_i is 1, which fixes the free factor between b_i and c_i. The free numbers are, in this order for mode
+after mode, Re and Im of lambda, of c (without the fixed entry) and of b; then D row by row. Imaginary parts of real
+modes are left out. Reference: McKelvey & Helmersson 2004 on why any other freedom must be taken out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.modes.state_space import StateSpace
+
+
+@dataclass(frozen=True, eq=False)
+class ModalForm:
+    """A model in modal coordinates.
+
+    Attributes:
+        poles: (k,) complex, one of each pair, with Im >= 0; real poles have Im = 0.
+        c: Output shapes (p, k).
+        b: Input shapes (k, m).
+        D: (p, m).
+        dt: Sampling step [s].
+        delay: Whole samples of delay.
+        oscillates: Which modes are complex pairs (k,).
+    """
+
+    poles: np.ndarray
+    c: np.ndarray
+    b: np.ndarray
+    D: np.ndarray
+    dt: float
+    delay: int
+    oscillates: np.ndarray
+
+    @property
+    def order(self) -> int:
+        """Number of real states."""
+        return int(len(self.poles) + self.oscillates.sum())
+
+    @property
+    def pivots(self) -> np.ndarray:
+        """The output (k,) whose entry of c is kept at 1."""
+        return np.argmax(np.abs(self.c), axis=0) if self.c.size else np.zeros(len(self.poles), dtype=int)
+
+    def state_space(self) -> StateSpace:
+        """Return the model with a real block-diagonal A."""
+        n, (p, m) = self.order, self.D.shape
+        A, B, C = np.zeros((n, n)), np.zeros((n, m)), np.zeros((p, n))
+        i = 0
+        for pole, b, c, pair in zip(self.poles, self.b, self.c.T, self.oscillates, strict=True):
+            A[i, i], B[i], C[:, i] = pole.real, b.real, c.real
+            if pair:
+                A[i + 1, i + 1], A[i + 1, i], A[i, i + 1] = pole.real, pole.imag, -pole.imag
+                B[i + 1], C[:, i + 1] = b.imag, -c.imag
+            i += 2 if pair else 1
+        return StateSpace(A, B, C, self.D, np.zeros((n, p)), self.dt, self.delay)
+
+    def normalised(self) -> ModalForm:
+        """Return it with the largest entry of every output shape equal to 1."""
+        factor = self.c[self.pivots, np.arange(len(self.poles))]
+        factor = np.where(factor == 0, 1.0, factor)
+        return replace(self, c=self.c / factor, b=self.b * factor[:, None])
+
+
+def modal_form(model: StateSpace) -> ModalForm:
+    """Return a model's modes, slowest first; the innovations' gain is left behind."""
+    return with_coordinates(model)[0]
+
+
+def with_coordinates(model: StateSpace) -> tuple[ModalForm, np.ndarray]:
+    """Return a model's modal form and W (n, n): the states of `form.state_space()` are W x."""
+    values, vectors = (part.astype(complex) for part in np.linalg.eig(model.A))
+    real = np.abs(values.imag) <= 1e-12 * np.abs(values).max(initial=1e-300)
+    keep = np.flatnonzero(real | (values.imag > 0))
+    keep = keep[np.argsort(np.abs(np.log(np.where(values[keep] == 0, 1e-300, values[keep]))), kind="stable")]
+    pair = ~real[keep]
+    rows = np.linalg.inv(vectors)[keep].astype(complex)
+    c = (model.C @ vectors)[:, keep] * np.where(pair, 2.0, 1.0)  # the conjugate mode adds the same again
+    pivot = np.argmax(np.abs(c), axis=0) if c.size else np.zeros(len(keep), dtype=int)
+    factor = c[pivot, np.arange(len(keep))]
+    factor = np.where(factor == 0, 1.0, factor)
+    rows, c = rows * factor[:, None], c / factor
+    rows[~pair], c[:, ~pair] = rows[~pair].real, c[:, ~pair].real
+    poles = np.where(pair, values[keep], values[keep].real + 0j)
+    W = np.array(
+        [part for row, two in zip(rows, pair, strict=True) for part in ((row.real, row.imag) if two else (row.real,))]
+    )
+    return ModalForm(poles, c, rows @ model.B, model.D, model.dt, model.delay, pair), W.reshape(
+        model.order, model.order
+    )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each free number of a modal form stands in the full vector.
+
+    The full vector holds for every mode Re, Im of lambda; Re (p), Im (p) of c; Re (m), Im (m) of b; then D (p m).
+
+    Attributes:
+        n_modes: k.
+        n_outputs: p.
+        n_inputs: m.
+    """
+
+    n_modes: int
+    n_outputs: int
+    n_inputs: int
+
+    @property
+    def width(self) -> int:
+        """Numbers of one mode."""
+        return 2 + 2 * self.n_outputs + 2 * self.n_inputs
+
+    @property
+    def size(self) -> int:
+        """Numbers in all."""
+        return self.n_modes * self.width + self.n_outputs * self.n_inputs
+
+    def pole(self, mode: int) -> slice:
+        """Re, Im of lambda."""
+        return slice(mode * self.width, mode * self.width + 2)
+
+    def c(self, mode: int) -> slice:
+        """Re (p), then Im (p) of c."""
+        first = mode * self.width + 2
+        return slice(first, first + 2 * self.n_outputs)
+
+    def b(self, mode: int) -> slice:
+        """Re (m), then Im (m) of b."""
+        first = mode * self.width + 2 + 2 * self.n_outputs
+        return slice(first, first + 2 * self.n_inputs)
+
+    @property
+    def D(self) -> slice:
+        """D row by row."""
+        return slice(self.n_modes * self.width, self.size)
+
+
+def layout_of(form: ModalForm) -> Layout:
+    """Return the layout of a modal form."""
+    return Layout(len(form.poles), *form.D.shape)
+
+
+def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:
+    """Say which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
+    layout = layout_of(form)
+    free = np.ones(layout.size, dtype=bool)
+    p, m = form.D.shape
+    for k, (pair, pivot) in enumerate(zip(form.oscillates, form.pivots, strict=True)):
+        free[layout.pole(k)] = (True, pair)
+        free[layout.c(k)] = np.r_[np.ones(p, bool), np.full(p, pair)]
+        free[layout.b(k)] = np.r_[np.ones(m, bool), np.full(m, pair)]
+        free[layout.c(k).start + np.array([pivot, p + pivot])] = False
+    free[layout.D] = np.broadcast_to(direct, (p, m)).ravel()
+    return free
+
+
+def stepped(form: ModalForm, step: np.ndarray) -> ModalForm:
+    """Return the form moved by a full vector (size,)."""
+    layout = layout_of(form)
+    p, m = form.D.shape
+    poles, c, b = form.poles.copy(), form.c.astype(complex), form.b.astype(complex)
+    for k in range(len(poles)):
+        dl, dc, db = step[layout.pole(k)], step[layout.c(k)], step[layout.b(k)]
+        poles[k] += complex(*dl)
+        c[:, k] += dc[:p] + 1j * dc[p:]
+        b[k] += db[:m] + 1j * db[m:]
+    return replace(form, poles=poles, c=c, b=b, D=form.D + step[layout.D].reshape(p, m))
+
+
+def full_vector(form: ModalForm) -> np.ndarray:
+    """Return all numbers of a form (size,)."""
+    layout = layout_of(form)
+    out = np.empty(layout.size)
+    for k, pole in enumerate(form.poles):
+        out[layout.pole(k)] = pole.real, pole.imag
+        out[layout.c(k)] = np.r_[form.c[:, k].real, form.c[:, k].imag]
+        out[layout.b(k)] = np.r_[form.b[k].real, form.b[k].imag]
+    out[layout.D] = form.D.ravel()
+    return out

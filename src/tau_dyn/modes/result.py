@@ -1,0 +1,274 @@
+"""What `find_modes` found: the model, its modes with uncertainty, and everything that says how far to trust them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tau_dyn.modes.checks import CorrelationTest
+from tau_dyn.modes.delay import DelayChoice
+from tau_dyn.modes.feedback import Feedback
+from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.model_file import ModelFile
+from tau_dyn.modes.order import OrderChoice
+from tau_dyn.modes.poles import Pole
+from tau_dyn.modes.spectra import Empirical
+from tau_dyn.modes.stabilisation import StabilityPoint
+from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.version import __version__
+
+if TYPE_CHECKING:
+    from tau_dyn.modes.mechanical import Mechanical
+
+
+Z95 = 1.959964
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How well the model follows some records.
+
+    Attributes:
+        percent: Fit of a free simulation per output (p,), initial state estimated.
+        ahead: The same of predictions so many samples ahead, by number of samples; one and ten, where noise was modelled.
+        n_samples: Samples looked at.
+        rms: Root mean square of what the simulation misses, per output (p,).
+    """
+
+    percent: np.ndarray
+    ahead: Mapping[int, np.ndarray]
+    n_samples: int
+    rms: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Mean over the outputs [%]."""
+        return float(np.mean(self.percent))
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The model's frequency response with its uncertainty, on a grid of frequencies.
+
+    Attributes:
+        frequency: (F,) [Hz].
+        value: (F, p, m) complex.
+        deviation: Standard error of real and imaginary part together, as a radius in the complex plane (F, p, m).
+    """
+
+    frequency: np.ndarray
+    value: np.ndarray
+    deviation: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulseResponses:
+    """Response to a unit pulse, measured and of the model, both seen through the same band of the inputs.
+
+    Attributes:
+        t: (T,) [s].
+        measured: (T, p, m).
+        model: (T, p, m).
+        how: How the measured one was had, in words.
+        held_out: Whether from data that the model was not fitted to.
+    """
+
+    t: np.ndarray
+    measured: np.ndarray
+    model: np.ndarray
+    how: str
+    held_out: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One record, measured and simulated.
+
+    Attributes:
+        log: The log's name.
+        t: (N,) [s] from the record's start.
+        u: (N, m).
+        measured: (N, p).
+        simulated: (N, p).
+        held_out: Whether the model was not fitted to it.
+    """
+
+    log: str
+    t: np.ndarray
+    u: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    held_out: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The answer of `find_modes`.
+
+    Attributes:
+        inputs: Columns that excite.
+        outputs: Columns that respond.
+        dt: Sampling step [s].
+        order: Number of states.
+        delay: Whole samples by which the inputs act late, beyond the one that sampling itself adds.
+        method: What gave the model, `n4sid`, `pbsid`, `arx` or `era`, and how it was refined.
+        model: The refined model.
+        modes: Oscillating modes, slowest first, with standard errors.
+        poles: All poles, with the uncertainty of those that oscillate.
+        zeros: Transmission zeros in the s plane [1/s]; empty where there are not as many outputs as inputs.
+        train: Fit of the training records.
+        holdout: Fit of the held-out records; None where nothing was held out.
+        whiteness: Tests of the one-step errors.
+        independence: Tests of what the simulation leaves against the inputs.
+        tested_on: `holdout` or `train`.
+        feedback: Whether the inputs answer to the outputs.
+        delay_choice: How the delay was chosen.
+        order_choice: How the order was chosen.
+        stabilisation: Modes of many orders.
+        empirical: Response and coherence without a model.
+        response: The model's response, with uncertainty.
+        impulse: Impulse responses, measured and of the model.
+        traces: Records, measured and simulated.
+        mechanical: Mass, damping and stiffness; None where there is nothing to say, and `mechanical_why` says why.
+        mechanical_why: Why there is none.
+        kind: `driven` or `impulse`.
+        how_held: What was held out.
+        why: What was decided and why: method, delay, order, refinement; sentences by topic.
+        warnings: What is doubtful, one sentence each.
+        seed: Seed of everything random.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float
+    order: int
+    delay: int
+    method: str
+    model: StateSpace
+    modes: tuple[Mode, ...]
+    poles: tuple[Pole, ...]
+    zeros: np.ndarray
+    train: Fit
+    holdout: Fit | None
+    whiteness: tuple[CorrelationTest, ...]
+    independence: tuple[CorrelationTest, ...]
+    tested_on: str
+    feedback: Feedback
+    delay_choice: DelayChoice
+    order_choice: OrderChoice
+    stabilisation: tuple[StabilityPoint, ...]
+    empirical: Empirical
+    response: Response
+    impulse: ImpulseResponses | None
+    traces: tuple[Trace, ...]
+    mechanical: Mechanical | None
+    mechanical_why: str
+    kind: str
+    how_held: str
+    why: Mapping[str, str]
+    warnings: tuple[str, ...] = ()
+    seed: int = 0
+
+    @property
+    def judged(self) -> Fit:
+        """The fit that counts: held out where there is one."""
+        return self.holdout or self.train
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON result."""
+        return {
+            "order": self.order,
+            "delay_samples": self.delay,
+            "method": self.method,
+            "dt": self.dt,
+            "inputs_used": list(self.inputs),
+            "outputs_used": list(self.outputs),
+            "kind": self.kind,
+            "held_out": self.how_held,
+            "modes": [self._mode(m) for m in self.modes],
+            "poles": [p.to_dict() for p in self.poles],
+            "fit_percent": {
+                "train": self.train.mean,
+                "holdout": None if self.holdout is None else self.holdout.mean,
+                "per_output": {
+                    "train": self._per_output(self.train.percent),
+                    "holdout": None if self.holdout is None else self._per_output(self.holdout.percent),
+                },
+                "ahead": {str(k): self._per_output(v) for k, v in self.judged.ahead.items()},
+                "n_samples": {
+                    "train": self.train.n_samples,
+                    "holdout": 0 if self.holdout is None else self.holdout.n_samples,
+                },
+            },
+            "residual_tests": {
+                "on": self.tested_on,
+                "whiteness": [t.to_dict() for t in self.whiteness],
+                "input_correlation": [t.to_dict() for t in self.independence],
+            },
+            "mdk": self._mdk(),
+            "feedback": self.feedback.to_dict(),
+            "delay_scan": self.delay_choice.to_dict(),
+            "order_scan": self.order_choice.to_dict(),
+            "stabilisation": [p.to_dict() for p in self.stabilisation],
+            "why": dict(self.why),
+            "model": self.model_dict(),
+        }
+
+    def model_dict(self) -> dict[str, Any]:
+        """Return the state space model as plain lists, for files."""
+        m = self.model
+        matrices = {name: getattr(m, name).tolist() for name in ("A", "B", "C", "D", "K")}
+        noise = None if m.noise is None else m.noise.tolist()
+        return {"dt": m.dt, "delay": m.delay, **matrices, "noise": noise}
+
+    def model_file(self, logs: Sequence[Mapping[str, str]]) -> ModelFile:
+        """Return the model with its columns and where it comes from, ready to be written.
+
+        Args:
+            logs: Path and hash of every log.
+        """
+        made = {
+            "method": self.method,
+            "order": self.order,
+            "fit_percent": {
+                "train": self.train.mean,
+                "holdout": None if self.holdout is None else self.holdout.mean,
+            },
+            "logs": [dict(log) for log in logs],
+            "tau_dyn": __version__,
+        }
+        return ModelFile(self.model, self.inputs, self.outputs, made)
+
+    def _mode(self, mode: Mode) -> dict[str, Any]:
+        f, z, sf, sz = mode.frequency_hz, mode.damping_ratio, mode.frequency_stderr, mode.damping_stderr
+        return {
+            "frequency_hz": f,
+            "damping_ratio": z,
+            "frequency_stderr": sf,
+            "damping_stderr": sz,
+            "frequency_ci95": _interval(f, sf),
+            "damping_ci95": _interval(z, sz),
+            "shape": {
+                name: {"re": float(np.real(c)), "im": float(np.imag(c))}
+                for name, c in zip(self.outputs, mode.shape, strict=True)
+            },
+        }
+
+    def _per_output(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+        return {name: float(v) for name, v in zip(self.outputs, values, strict=True)}
+
+    def _mdk(self) -> dict[str, Any]:
+        found = self.mechanical
+        empty = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
+        if found is None:
+            return empty | {"why": self.mechanical_why}
+        stderr = found.stderr
+        spread = None if stderr is None else {name: getattr(stderr, name) for name in "MDK"}
+        return empty | found.to_dict() | {"stderr": spread, "units": "of the inputs per those of the outputs"}
+
+
+def _interval(value: float, stderr: float | None) -> list[float] | None:
+    return None if stderr is None or not np.isfinite(stderr) else [value - Z95 * stderr, value + Z95 * stderr]

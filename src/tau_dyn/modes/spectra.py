@@ -1,0 +1,137 @@
+r"""The response that the data show without a model: spectra averaged over windowed stretches, and their coherence.
+
+    H(f) = S_yu S_uu^-1,      coherence(f) = S_yu S_uu^-1 S_uy / S_yy
+
+With several inputs the coherence is the multiple one: the share of an output's power that all inputs explain
+together. Under feedback `S_yu` mixes plant and controller; with the loop's reference r known, `H = S_yr S_ur^-1` does
+not (Pintelon & Schoukens 2012, 2.6). Of impulse tests, whose response dies within the record, each record is one
+stretch and no window is needed. A model's response is in `state_space.py`; noise in the inputs pulls H towards zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import get_window
+
+from tau_dyn.modes.record import Record
+
+STRETCHES = 5
+"""Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
+LONGEST = 32_768
+RESOLUTION = 6.0
+"""Lines within the width of the narrowest resonance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Empirical:
+    """Response and coherence seen in the data.
+
+    Attributes:
+        frequency: (F,) [Hz]. response: (F, p, m), NaN where the inputs hold no power. coherence: Share of each
+        output's power that the inputs explain together (F, p), 0 to 1; NaN where it means nothing. excited:
+        Frequencies at which the inputs hold power (F,) bool. n_averages: Stretches averaged. how: What was done, in
+        words.
+    """
+
+    frequency: np.ndarray
+    response: np.ndarray
+    coherence: np.ndarray
+    excited: np.ndarray
+    n_averages: int
+    how: str
+
+
+def empirical_response(records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0) -> Empirical:
+    """Return what spectra alone say of the response from inputs to outputs.
+
+    Args:
+        records: Inputs and outputs on one step; their references are used where there are as many as inputs.
+        impulses: Whether each record holds one short pulse and its decay.
+        resolve: Width of the narrowest resonance [Hz]; stretches are no longer than it takes to resolve it. 0 where unknown.
+    """
+    references = [r.reference for r in records]
+    m = records[0].u.shape[1]
+    known = [x for x in references if x is not None]
+    if known and len(known) == len(records) and known[0].shape[1] == m and not impulses:
+        return _from_reference(records, known, resolve)
+    f, s, n = _spectra(
+        [np.column_stack([r.u, r.y]) for r in records], records[0].dt, _size(records, impulses, resolve), impulses
+    )
+    suu, syu, syy = s[:, :m, :m], s[:, m:, :m], s[:, m:, m:]
+    excited = _excited(suu)
+    response = _divide(syu, suu, excited)
+    explained = np.real(np.einsum("fij,fij->fi", response, syu.conj()))
+    power = np.real(np.einsum("fii->fi", syy))
+    coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
+    if n <= 2 * m:
+        coherence = np.full_like(coherence, np.nan)  # one stretch explains itself
+    how = "one Fourier transform a pulse" if impulses else f"{n} half-overlapping stretches, Hann window"
+    return Empirical(f, response, np.clip(coherence, 0, 1), excited, n, how)
+
+
+def _from_reference(records: Sequence[Record], references: Sequence[np.ndarray], resolve: float) -> Empirical:
+    m = records[0].u.shape[1]
+    f, s, n = _spectra(
+        [np.column_stack([x, r.u, r.y]) for x, r in zip(references, records, strict=True)],
+        records[0].dt,
+        _size(records, False, resolve),
+        False,
+    )
+    srr, sur, syr, syy = s[:, :m, :m], s[:, m : 2 * m, :m], s[:, 2 * m :, :m], s[:, 2 * m :, 2 * m :]
+    excited = _excited(srr)
+    response = _divide(syr, sur, excited)
+    explained = np.real(np.einsum("fij,fij->fi", _divide(syr, srr, excited), syr.conj()))
+    power = np.real(np.einsum("fii->fi", syy))
+    coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
+    how = f"{n} half-overlapping stretches, Hann window, through the reference"
+    return Empirical(f, response, np.clip(coherence, 0, 1), excited, n, how)
+
+
+def _spectra(columns: Sequence[np.ndarray], dt: float, size: int, whole: bool) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return frequencies, the cross-spectral matrix S_ij = a_i conj(a_j) (F, c, c), and how many stretches were averaged."""
+    total, n = np.zeros((size // 2 + 1, columns[0].shape[1], columns[0].shape[1]), complex), 0
+    for x in columns:
+        for stretch in [x[:size]] if whole else _stretches(x, size):
+            a = np.fft.rfft(stretch, size, axis=0)
+            total += np.einsum("fi,fj->fij", a, a.conj())
+            n += 1
+    return np.fft.rfftfreq(size, dt)[1:], total[1:] / n, n
+
+
+def _stretches(x: np.ndarray, size: int) -> Iterator[np.ndarray]:
+    """Yield half-overlapping stretches (size, c), their means taken off, under a Hann window."""
+    window = np.asarray(get_window("hann", size))[:, None]
+    for start in range(0, len(x) - size + 1, size - size // 2):
+        part = x[start : start + size]
+        yield window * (part - part.mean(axis=0))
+
+
+def _size(records: Sequence[Record], impulses: bool, resolve: float) -> int:
+    """Return the length of a stretch."""
+    lengths, m = [r.n_samples for r in records], records[0].u.shape[1]
+    if impulses:
+        return min(lengths)
+    most = min(min(lengths), LONGEST, max(64, 2 * sum(lengths) // (STRETCHES + m + 1)))
+    wanted = RESOLUTION / (resolve * records[0].dt) if resolve > 0 else most
+    return 2 * int(min(most, max(256, wanted)) // 2)
+
+
+def _excited(suu: np.ndarray) -> np.ndarray:
+    """Return where the inputs hold power in every direction (F,): 60 dB below the strongest is as good as none."""
+    weakest = np.linalg.eigvalsh(suu / _scale(suu))[:, 0]
+    return weakest > 1e-6 * float(np.max(weakest, initial=0.0))
+
+
+def _scale(s: np.ndarray) -> np.ndarray:
+    size = np.sqrt(np.maximum(np.real(np.einsum("fii->i", s)), 1e-300))
+    return np.outer(size, size)
+
+
+def _divide(top: np.ndarray, bottom: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return `top @ bottom^-1` at the frequencies where it makes sense, NaN elsewhere."""
+    out = np.full(top.shape, np.nan + 0j)
+    out[where] = np.swapaxes(np.linalg.solve(np.swapaxes(bottom[where], 1, 2), np.swapaxes(top[where], 1, 2)), 1, 2)
+    return out

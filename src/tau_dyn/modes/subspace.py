@@ -1,0 +1,159 @@
+r"""Subspace identification: from the block-Hankel data's projections to A, C, then B, D, K.
+
+With past and future block rows U_p, Y_p, U_f, Y_f and the data compressed to L, ordered [U_f; U_p; Y_p; Y_f],
+
+    Y_f given the past, orthogonal to U_f:  L32 Q2;      the rest: L33 Q3,
+
+the singular vectors of W L32 span W Gamma with Gamma the extended observability matrix. The weighting W is (L32 L32' +
+L33 L33')^-1/2 for CVA and the identity for MOESP; N4SID takes the oblique projection L32 L22^-1 [L21 L22]. References:
+Van Overschee & De Moor 1996, tables 4.7, 4.8; Verhaegen & Verdult 2007, 9.5-9.6; Larimore 1990.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import eigh
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.modes.hankel import HankelFactor, compress, lower_factor
+from tau_dyn.modes.input_matrices import input_matrices
+from tau_dyn.modes.modal_form import with_coordinates
+from tau_dyn.modes.record import Record, Scales
+from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes.states import innovation_gain
+
+WEIGHTINGS = ("cva", "moesp", "n4sid")
+LONGEST = 60  # block rows taken where the horizon is not given
+
+
+@dataclass(frozen=True, eq=False)
+class SubspaceFactors:
+    """What the subspace method needs of records; models of any order follow without another look at most of the data.
+
+    Attributes:
+        records: The records, aligned by the delay and scaled.
+        scales: Their scales.
+        factor: The compressed data.
+        horizon: Block rows s of past and of future.
+        delay: Whole samples of delay.
+    """
+
+    records: tuple[Record, ...]
+    scales: Scales
+    factor: HankelFactor
+    horizon: int
+    delay: int
+
+    @cached_property
+    def _L(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """L21, L22, L32, L33 of the data ordered [U_f; U_p, Y_p; Y_f]."""
+        s, factor = self.horizon, self.factor
+        f, w = s * factor.n_inputs, s * (factor.n_inputs + factor.n_outputs)
+        rows = [factor.inputs(s, 2 * s), factor.past(0, s), factor.outputs(s, 2 * s)]
+        L = lower_factor(np.vstack(rows))
+        a, b = slice(f, f + w), slice(f + w, None)
+        return L[a, :f], L[a, a], L[b, a], L[b, b]
+
+    @cached_property
+    def _weights(self) -> tuple[np.ndarray, np.ndarray]:
+        """(L32 L32' + L33 L33')^-1/2 and its inverse."""
+        _, _, L32, L33 = self._L
+        values, vectors = eigh(L32 @ L32.T + L33 @ L33.T)
+        root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+        return (vectors / root) @ vectors.T, (vectors * root) @ vectors.T
+
+    def _projection(self, weighting: str) -> tuple[np.ndarray, np.ndarray | None]:
+        """The weighted projection, and what takes its singular vectors back to the outputs."""
+        L21, L22, L32, _ = self._L
+        if weighting == "cva":
+            return self._weights[0] @ L32, self._weights[1]
+        if weighting == "n4sid":
+            return self._oblique @ np.hstack([L21, L22]), None
+        if weighting == "moesp":
+            return L32, None
+        raise InputError(f"there is no weighting '{weighting}'; there are {', '.join(WEIGHTINGS)}")
+
+    @cached_property
+    def _oblique(self) -> np.ndarray:
+        """L32 L22^-1 (s p, s w): future outputs from the past."""
+        _, L22, L32, _ = self._L
+        return np.linalg.lstsq(L22.T, L32.T, rcond=1e-11)[0].T
+
+    @cached_property
+    def _decompositions(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        return {}
+
+    def _decomposed(self, weighting: str) -> tuple[np.ndarray, np.ndarray]:
+        """Singular values and the matrix whose first columns are Gamma."""
+        if weighting not in self._decompositions:
+            target, back = self._projection(weighting)
+            U, values, _ = np.linalg.svd(target, full_matrices=False)
+            self._decompositions[weighting] = (values, U if back is None else back @ U)
+        return self._decompositions[weighting]
+
+    @property
+    def largest_order(self) -> int:
+        """The highest order that a model may have."""
+        return (self.horizon - 1) * self.factor.n_outputs
+
+    def observability(self, order: int, weighting: str = "cva") -> np.ndarray:
+        """Return the extended observability matrix (s p, n), in scaled outputs."""
+        if not 1 <= order <= self.largest_order:
+            raise InputError(f"order {order} is not between 1 and {self.largest_order}; take a longer horizon")
+        values, columns = self._decomposed(weighting)
+        return columns[:, :order] * np.sqrt(values[:order])
+
+    def dynamics(self, order: int, weighting: str = "cva") -> tuple[np.ndarray, np.ndarray]:
+        """Return A (n, n) and C (p, n), in scaled outputs: cheap, for a stabilisation diagram."""
+        p = self.factor.n_outputs
+        gamma = self.observability(order, weighting)
+        A = np.linalg.lstsq(gamma[:-p], gamma[p:], rcond=None)[0]
+        return A, gamma[:p]
+
+    def model(self, order: int, weighting: str = "cva", direct: bool | None = None) -> StateSpace:
+        """Return the model of an order.
+
+        Args:
+            order: Number of states.
+            weighting: "cva", "moesp" or "n4sid".
+            direct: Whether D may differ from zero; None lets the data choose.
+        """
+        A, C = self.dynamics(order, weighting)
+        point = input_matrices(A, C, self.records, direct)
+        model = point.form.state_space()
+        past = np.linalg.lstsq(self.observability(order, weighting), self._oblique, rcond=None)[0]
+        bare = StateSpace(A, np.zeros((order, 0)), C, np.zeros((len(C), 0)), np.zeros((order, len(C))), model.dt)
+        _, W = with_coordinates(bare)
+        K, _ = innovation_gain(model.A, model.C, W @ past, self.factor, self.horizon)
+        return replace(model, K=K, delay=self.delay, noise=point.covariance).unscaled(self.scales)
+
+
+def subspace_factors(records: Sequence[Record], *, horizon: int | None = None, delay: int = 0) -> SubspaceFactors:
+    """Compress records for the subspace method.
+
+    Args:
+        records: Unbroken stretches of inputs and outputs.
+        horizon: Block rows of past and of future; it should span the slowest resonance's period, and
+            (horizon - 1) p must reach the order. None takes what the data carry, at most 60.
+        delay: Whole samples by which the inputs act late.
+
+    Raises:
+        InputError: The records are too short, or unlike.
+    """
+    scales = Scales.of(records)
+    ready = tuple(record.aligned(delay).scaled(scales) for record in records)
+    horizon = default_horizon(ready) if horizon is None else horizon
+    if horizon < 2:
+        raise InputError("the horizon must be at least 2 samples")
+    return SubspaceFactors(ready, scales, compress(ready, 2 * horizon), horizon, delay)
+
+
+def default_horizon(records: Sequence[Record]) -> int:
+    """Return a horizon with at least ten samples for every row of data."""
+    w = records[0].u.shape[1] + records[0].y.shape[1]
+    samples, longest = sum(r.n_samples for r in records), max(r.n_samples for r in records)
+    return int(np.clip(min(samples / (20 * w), longest / 4), 2, LONGEST))

@@ -1,0 +1,190 @@
+"""The page of `tau-dyn modes`: the resonances, the model over the data, how far to trust both, and how it was decided."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from tau_dyn.modes.result import Modes, Trace
+from tau_dyn.report import modes_charts as charts
+from tau_dyn.report.figures import interval_bar
+from tau_dyn.report.modes_shapes import shape_drawing, space_axes
+from tau_dyn.report.modes_words import (
+    badge,
+    damping,
+    fit_words,
+    frequency,
+    headline,
+    interval,
+    mechanical_words,
+    rings,
+    summary,
+    verdict,
+)
+from tau_dyn.report.shell import Opening, render
+from tau_dyn.report.time_view import Curve, View, strip
+from tau_dyn.report.words import number, percent, rounded
+
+SHAPES = 8
+"""Modes whose shapes are drawn."""
+BAR_SPAN = 0.5
+"""Relative error of a damping ratio at the end of its bar."""
+
+
+def modes_page(found: Modes, *, logs: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:
+    """Return resonances as one HTML page.
+
+    Args:
+        found: The result.
+        logs: Name and hash of every log.
+        command_line: The command that repeats it, for the provenance.
+    """
+    judged = verdict(found)
+    opening = Opening(headline(found), judged.level, badge(found), judged.sentence, summary(found))
+    drawn = charts.pairs(found)
+    names = [t.log for t in found.traces]
+    return render(
+        "modes.html.j2",
+        f"{names[0] if names else 'log'}: resonances",
+        opening,
+        _views(found),
+        logs=[("log", name, sha256 or "not a file") for name, sha256 in logs],
+        command_line=command_line,
+        provenance={"method": found.why.get("refinement", found.method)},
+        name=", ".join(dict.fromkeys(names)) or "log",
+        found=found,
+        modes=[_row(found, k) for k in range(len(found.modes))],
+        shapes=[
+            (f"{frequency(m)} Hz", f"{damping(m)} %", shape_drawing(m, found.outputs))
+            for m in found.modes
+            if rings(m) and len(found.outputs) > 1
+        ][:SHAPES],
+        in_space=bool(space_axes(found.outputs)),
+        bode=[(charts.bode_chart(found, i, j), charts.phase_chart(found, i, j)) for i, j in drawn],
+        columns=charts.columns(found),
+        hidden_pairs=len(found.inputs) * len(found.outputs) - len(drawn),
+        coherence=[charts.coherence_chart(found, i) for i in range(len(found.outputs))] if _coherent(found) else [],
+        stabilisation=charts.stabilisation_chart(found) if found.stabilisation else Markup(""),
+        choices=charts.charts_of(_choices(found)),
+        poles=charts.pole_chart(found),
+        whiteness=[charts.test_chart(found, t) for t in found.whiteness],
+        independence=[charts.test_chart(found, t) for t in _worst(found)],
+        impulse=charts.charts_of([charts.impulse_chart(found, i, j) for i, j in drawn]) if found.impulse else [],
+        fits=_fits(found),
+        mechanical=_mechanical(found),
+        mechanical_words=mechanical_words(found),
+        test_words=test_words(found),
+        why=[(topic, text[:1].upper() + text[1:]) for topic, text in found.why.items()],
+    )
+
+
+def _choices(found: Modes) -> list[Markup]:
+    orders = [charts.order_chart(found), charts.criterion_chart(found)] if len(found.order_choice.trials) > 1 else []
+    return [*orders, charts.delay_chart(found)]
+
+
+def _coherent(found: Modes) -> bool:
+    return bool(np.isfinite(found.empirical.coherence).any())
+
+
+def _worst(found: Modes, most: int = 9) -> list[Any]:
+    """Return the tests to draw: all where they fit, else the worst, in their own order."""
+    if len(found.independence) <= most:
+        return list(found.independence)
+    worst = sorted(found.independence, key=lambda t: t.p_value)[:most]
+    return [t for t in found.independence if any(t is w for w in worst)]
+
+
+def _row(found: Modes, k: int) -> dict[str, Any]:
+    m = found.modes[k]
+    sizes = np.abs(m.shape)
+    known = np.isfinite(m.damping_stderr) and m.damping_ratio > 0
+    spread = 1.96 * m.damping_stderr / m.damping_ratio / BAR_SPAN if known else 0.0
+    decay = 2 * np.pi * m.frequency_hz * m.damping_ratio
+    orders = [t.order for t in found.order_choice.trials if t.order >= found.order] or [found.order]
+    seen = sum(_appears(found, n, m.frequency_hz) for n in orders)
+    return {
+        "frequency": f"{frequency(m)} Hz",
+        "frequency_interval": interval(m.frequency_hz, m.frequency_stderr),
+        "damping": f"{damping(m)} %",
+        "damping_interval": interval(100 * m.damping_ratio, 100 * m.damping_stderr),
+        "bar": interval_bar(max(-spread, -1), min(spread, 1), 0.0, 0.0, "", False) if known else Markup(""),
+        "rings": f"{number(1 / decay, 2)} s" if decay > 0 else "–",
+        "most": found.outputs[int(np.argmax(sizes))],
+        "seen": f"{seen} of {len(orders)}",
+        "weak": not rings(m),
+    }
+
+
+def _appears(found: Modes, order: int, f: float) -> bool:
+    return any(q.order == order and abs(q.frequency_hz / f - 1) < 0.02 for q in found.stabilisation)
+
+
+def _fits(found: Modes) -> list[dict[str, Any]]:
+    judged = found.judged
+    return [
+        {
+            "name": name,
+            "held": fit_words(float(judged.percent[k])),
+            "width": float(np.clip(judged.percent[k], 0, 100)),
+            "train": fit_words(float(found.train.percent[k])),
+            "ahead": {n: fit_words(float(v[k])) for n, v in judged.ahead.items()},
+            "rms": number(float(judged.rms[k]), 3),
+        }
+        for k, name in enumerate(found.outputs)
+    ]
+
+
+def _mechanical(found: Modes) -> list[tuple[str, str, list[list[str]]]]:
+    """Return name, meaning and entries with standard errors of M, D and K."""
+    m = found.mechanical
+    if m is None or m.M is None or m.D is None or m.K is None:
+        return []
+    stderr = [None] * 3 if m.stderr is None else [m.stderr.M, m.stderr.D, m.stderr.K]
+    named = zip("MDK", ("mass", "damping", "stiffness"), (m.M, m.D, m.K), stderr, strict=True)
+    return [(name, meaning, _entries(values, spread)) for name, meaning, values, spread in named]
+
+
+def _entries(values: np.ndarray, spread: np.ndarray | None) -> list[list[str]]:
+    def entry(i: int, j: int) -> str:
+        value = float(values[i, j])
+        if spread is None or not np.isfinite(spread[i, j]) or spread[i, j] <= 0:
+            return number(value, 4)
+        return f"{rounded(value, float(spread[i, j]))} ± {rounded(float(spread[i, j]), float(spread[i, j]))}"
+
+    return [[entry(i, j) for j in range(values.shape[1])] for i in range(values.shape[0])]
+
+
+def _views(found: Modes) -> list[View]:
+    return [_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
+
+
+def _view(found: Modes, trace: Trace, k: int) -> View:
+    name = found.outputs[k]
+    y, s = trace.measured[:, k], trace.simulated[:, k]
+    both = strip(name, 250, Curve("measured", "measured", y), Curve("simulated", "predicted", s))
+    rest = strip("missed", 130, Curve("missed", "residual", y - s), symmetric=True)
+    return View(trace.log, name, trace.t, (both, rest), held_out=trace.held_out)
+
+
+def test_words(found: Modes) -> str:
+    """Return what the tests say, in a sentence or two."""
+    on = "held-out" if found.tested_on == "holdout" else "training"
+    failed = [t for t in found.independence if not t.passed]
+    n = len(found.independence)
+    said = (
+        f"On {on} data, what the simulation misses does not answer to the inputs: the dynamics are all there."
+        if not failed
+        else f"On {on} data, in {len(failed)} of {n} pairs what the simulation misses still answers to the input: "
+        "something linear is missing, or something is not linear."
+    )
+    coloured = [t.output for t in found.whiteness if not t.passed]
+    share = percent(100 * max((t.outside for t in found.whiteness), default=0.0))
+    if coloured:
+        return (
+            f"{said} One-step errors of {', '.join(coloured)} keep some memory ({share} of the lags outside the band)."
+        )
+    return f"{said} One-step errors are white."

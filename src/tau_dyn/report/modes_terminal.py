@@ -1,0 +1,83 @@
+"""What the terminal shows of resonances: the sentence, the modes, how far to trust them, and where things are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tau_dyn.modes.result import Modes
+from tau_dyn.report.modes_words import (
+    damping,
+    frequency,
+    headline,
+    interval,
+    mechanical_words,
+    rings,
+    summary,
+    verdict,
+)
+from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, room, say
+
+BAR = 12
+
+
+def print_modes(console: Console, found: Modes, written: Mapping[str, str] | None = None) -> None:
+    """Print resonances for a person.
+
+    Args:
+        console: Where to.
+        found: The result.
+        written: What was written, such as `{"report": "m.html"}`, for the last line.
+    """
+    judged = verdict(found)
+    say(console, summary(found), "dim")
+    say(console, headline(found), "bold")
+    say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    if found.modes:
+        put(console, _modes(found, room(console)))
+    put(console, _fits(found))
+    say(console, mechanical_words(found))
+    reasons = ". ".join(text[:1].upper() + text[1:] for text in found.why.values())
+    say(console, f"{reasons}.", "dim")
+    if written:
+        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def _modes(found: Modes, columns: int) -> Table:
+    table = bare_table()
+    several, spread = len(found.outputs) > 1, columns >= 96 or len(found.outputs) == 1
+    titles = ["frequency [Hz]", "95 %", "damping [%]", "95 %"] if spread else ["frequency [Hz]", "damping [%]"]
+    for title in titles:
+        table.add_column(title, no_wrap=True, justify="right")
+    if several:
+        table.add_column("moves most", no_wrap=True)
+    for m in found.modes:
+        f, z = (
+            (frequency(m), interval(m.frequency_hz, m.frequency_stderr)),
+            (
+                damping(m),
+                interval(100 * m.damping_ratio, 100 * m.damping_stderr),
+            ),
+        )
+        cells = [*f, *z] if spread else [f[0], z[0]]
+        cells += [found.outputs[int(np.argmax(np.abs(m.shape)))]] if several else []
+        table.add_row(*(plain(c, "" if rings(m) else "dim") for c in cells))
+    return table
+
+
+def _fits(found: Modes) -> Table:
+    table = bare_table()
+    held = found.holdout is not None
+    table.add_column("fit by output", no_wrap=True)
+    table.add_column("")
+    for title in ("simulated, held out" if held else "simulated", *(("in training",) if held else ()), "10 ahead"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for k, name in enumerate(found.outputs):
+        fit = float(found.judged.percent[k])
+        cells = [name, meter(fit / 100, BAR), f"{fit:.1f} %"]
+        cells += [f"{found.train.percent[k]:.1f} %"] if held else []
+        table.add_row(*map(plain, [*cells, f"{found.judged.ahead[10][k]:.1f} %"]))
+    return table
