@@ -15,6 +15,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.identify import Choices, build_regression, identify
 from tau_dyn.log import Log, check_log, read_log
 from tau_dyn.model import Model
+from tau_dyn.modes import find_modes
 from tau_dyn.report import write_report
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import simulate
@@ -33,6 +34,7 @@ __all__ = [
     "build_regression",
     "check_log",
     "diagnose",
+    "find_modes",
     "identify",
     "load_robot",
     "read_log",
