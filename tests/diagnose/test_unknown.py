@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.search import FAMILY_LEVEL
+from tau_dyn.diagnose.search import FAMILY_LEVEL, search
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import find_structure
+from tau_dyn.effects import PositionFriction
 
 JOINTS = ("one", "two", "three")
 
@@ -100,3 +101,13 @@ def test_a_temperature_that_one_log_lacks_is_left_out(make):
     motions[0].signals["temperature"] = np.linspace(20, 30, 2000)[:, None] * [1, 1]
     found = structure(make, 9, at("two", lambda m: 30 * m.v[:, 0] ** 2), motions=motions)
     assert found.variables == ("v_one",)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("coulomb", "viscous", "named"), [(6.0, 0.0, True), (0.0, 15.0, False)])
+def test_friction_along_the_way_is_named_only_where_it_is_coulomb_friction(make, seed, coulomb, viscous, named):
+    """Friction that grows along the way is `position_friction` where it keeps its size at speed, no name where it grows with it."""
+    hidden = at("two", lambda m: m.q[:, 1] / 0.2 * (coulomb * m.sign[:, 1] + viscous * m.v[:, 1]))
+    rng = np.random.default_rng(seed)
+    found = search(make.bench(rng, hidden, joints=JOINTS, causes=(PositionFriction,)), rng, lambda step: None).found
+    assert [one.candidate.cause for one in found] == (["position_friction"] if named else [])

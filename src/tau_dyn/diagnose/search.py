@@ -235,7 +235,7 @@ def _eliminated(
 def _adequate(
     channel: Channel, library: Library, found: list[Found], noise: Sequence[Autoregression], draws: np.ndarray
 ) -> list[Found]:
-    """Drop what only mimics a structure without a name: where smooth functions of some variables explain far more.
+    """Drop what only mimics a law or a structure without a name: where smooth functions of some variables explain far more.
 
     A true cause leaves nothing behind, so no structure in its place explains much more than it does. Smooth functions that
     beat a cause by far more than their freedom are a force that this cause resembles, and it would be a wrong name.
@@ -248,6 +248,7 @@ def _adequate(
         structure = find_structure(channel, ground, draws, level=1.0)
         rivals = [f for f in fits if structure is not None and structure.output in f.effect.joints]
         mimics = [f for f in rivals if structure is not None and _beaten(f, structure)]
+        mimics += [f for f in fits if f not in mimics and _outshone(f, library, ground)]
         left = tuple(f for f, new in zip(one.candidate.fits, fits, strict=True) if new not in mimics)
         if left:
             kept.append(replace(one, candidate=replace(one.candidate, fits=left)) if mimics else one)
@@ -256,3 +257,9 @@ def _adequate(
 
 def _beaten(fit: Fit, structure: Structure) -> bool:
     return structure.merit > fit.merit + MIMIC_MARGIN and structure.T > MIMIC_RATIO * fit.T / fit.inflation
+
+
+def _outshone(fit: Fit, library: Library, ground: Ground) -> bool:
+    """Tell whether a law without a name, as free as this one, is more likely."""
+    others = [weighed(replace(fit, effect=effect), library, ground) for effect in fit.effect.lookalikes()]
+    return any(other.T > fit.T for other in others)

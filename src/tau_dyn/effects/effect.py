@@ -88,6 +88,7 @@ class Scene:
         duration: Length of all runs together [s].
         signals: Signals that the motions give.
         campaigns: Number of logs, which `campaign` counts from zero.
+        resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
     """
 
     joints: tuple[str, ...]
@@ -100,6 +101,7 @@ class Scene:
     duration: float
     signals: frozenset[str] = frozenset()
     campaigns: int = 1
+    resonances: tuple[tuple[float, float], ...] = ()
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""
@@ -141,7 +143,7 @@ class Effect(ABC):
     mistaken_for: ClassVar[tuple[str, ...]] = ()
     equivalent: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
-    refined: ClassVar[tuple[str, ...]] = ()
+    refined: tuple[str, ...] = ()
     nonnegative: ClassVar[bool] = False
     plausible: ClassVar[str] = ""
     defaults: ClassVar[Mapping[str, float]] = {}
@@ -191,6 +193,10 @@ class Effect(ABC):
         """Return why this motion cannot show the effect and the experiment that would, or None where it can."""
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
+
+    def lookalikes(self) -> list[Effect]:
+        """Return laws without a name, with as many terms, that must explain less for this one to be named."""
+        return []
 
     @property
     def measured(self) -> bool:

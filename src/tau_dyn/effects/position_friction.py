@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.polynomial import legendre
 
-from tau_dyn.effects.effect import JointMotion, JointwiseEffect, Scene
+from tau_dyn.effects.effect import Effect, JointMotion, JointwiseEffect, Scene
 from tau_dyn.effects.words import quantity
 from tau_dyn.parameters import Parameter
 
@@ -60,6 +60,10 @@ class PositionFriction(JointwiseEffect):
             f"{quantity(float(q[high]), place)} than at {quantity(float(q[low]), place)}"
         )
 
+    def lookalikes(self) -> list[Effect]:
+        """Return viscous friction that differs along the way in the same manner: `v` in place of `sign(v)`."""
+        return [_PositionDrag(self.joints, self.units.values(), label=self.label, **self.settings)]
+
     def _polynomials(self, q: np.ndarray) -> np.ndarray:
         x = np.clip((q - self.settings["middle"]) / self.settings["half"], -1, 1)
         return legendre.legvander(x, int(self.settings["degree"]))[:, 1:]
@@ -73,3 +77,16 @@ class PositionFriction(JointwiseEffect):
             return []
         degrees = [n for n in _DEGREES if n == _DEGREES[0] or n * _SECONDS <= scene.duration]
         return [{"middle": (low + high) / 2, "half": (high - low) / 2, "degree": n} for n in degrees]
+
+
+class _PositionDrag(PositionFriction):
+    """Viscous friction as a polynomial of the position; too rare to be a cause, and a look-alike of one."""
+
+    name = "position_drag"
+    cause = False
+    equation = "tau += v sum_k position_friction_k P_k((q - middle) / half), k = 1 .. degree"
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the speed times each polynomial."""
+        P = self._polynomials(joint.q)
+        return [joint.v * P[:, k] for k in range(P.shape[1])]
