@@ -199,7 +199,7 @@ def _given(args: argparse.Namespace) -> set[Path]:
     """Return every file that the arguments name as an input."""
     single = (
         getattr(args, name, None)
-        for name in ("robot", "log", "columns", "effects", "model", "motion", "controller", "noise_from")
+        for name in ("robot", "log", "columns", "effects", "model", "motion", "controller", "noise_from", "a", "b")
     )
     many = [*getattr(args, "logs", []), *getattr(args, "holdout", [])]
     return {Path(item).resolve() for item in (*single, *many) if item is not None and Path(item).is_file()}

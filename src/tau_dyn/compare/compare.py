@@ -1,0 +1,196 @@
+r"""What changed between two results: each quantity's difference against the uncertainty of both.
+
+    z = (b - a) / sqrt(stderr_a^2 + stderr_b^2)
+
+is standard normal where nothing changed and the data behind both are independent. Of the many quantities compared those have
+changed whose p-values stand Holm's test at 5 %, so that two results of one robot name a change once in twenty comparisons
+(Holm 1979). Resonances are numbered by frequency in each result and are matched to the nearest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from math import hypot
+from typing import Any
+
+from scipy.stats import norm
+
+from tau_dyn.compare.read import Quantity, Side
+from tau_dyn.exceptions import InputError
+
+LEVEL = 0.05
+"""Chance that any change is named where nothing changed."""
+_NEAR = 0.2
+"""Relative distance within which two resonances are taken for the same one."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One quantity in both results.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit.
+        a: Value in the first [unit].
+        b: Value in the second [unit].
+        stderr: Standard error of the difference; None where either value was not determined by data.
+        p_value: Chance of such a difference where nothing changed; None without standard error.
+        changed: Whether it stands Holm's test; None without standard error.
+    """
+
+    name: str
+    unit: str
+    a: float
+    b: float
+    stderr: float | None
+    p_value: float | None
+    changed: bool | None
+
+    @property
+    def difference(self) -> float:
+        """Second less first [unit]."""
+        return self.b - self.a
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """95 % interval of the difference."""
+        if self.stderr is None:
+            return None
+        half = float(norm.isf(0.025)) * self.stderr
+        return self.difference - half, self.difference + half
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        interval = None if self.ci95 is None else list(self.ci95)
+        row = {"name": self.name, "unit": self.unit, "a": self.a, "b": self.b, "difference": self.difference}
+        return {**row, "stderr": self.stderr, "ci95": interval, "p_value": self.p_value, "changed": self.changed}
+
+
+@dataclass(frozen=True)
+class FindingChange:
+    """A cause's status in both results, None where it was not found."""
+
+    cause: str
+    joints: tuple[str, ...]
+    a: str | None
+    b: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two results beside each other.
+
+    Attributes:
+        a: The first.
+        b: The second.
+        changes: Quantities that both have, in the first's order.
+        only_a: Names that only the first has.
+        only_b: Names that only the second has.
+        errors: Name, unit, and the error in each.
+        findings: Causes found in either.
+        warnings: Sentences about what the comparison cannot say.
+    """
+
+    a: Side
+    b: Side
+    changes: tuple[Change, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    errors: tuple[tuple[str, str, float, float], ...]
+    findings: tuple[FindingChange, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def changed(self) -> tuple[Change, ...]:
+        """Quantities that differ by more than chance, the clearest first."""
+        found = [c for c in self.changes if c.changed]
+        return tuple(sorted(found, key=lambda c: -abs(c.difference) / (c.stderr or 1.0)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON result."""
+        return {
+            "kinds": [self.a.kind, self.b.kind],
+            "changes": [c.to_dict() for c in self.changes],
+            "only_a": list(self.only_a),
+            "only_b": list(self.only_b),
+            "errors": [{"name": n, "unit": u, "a": x, "b": y} for n, u, x, y in self.errors],
+            "findings": [{"cause": f.cause, "joints": list(f.joints), "a": f.a, "b": f.b} for f in self.findings],
+            "warnings": list(self.warnings),
+        }
+
+
+def compare(a: Side, b: Side) -> Comparison:
+    """Compare two models or results.
+
+    Raises:
+        InputError: They have nothing in common.
+    """
+    other = _matched(a.quantities, b.quantities)
+    shared = [n for n in a.quantities if n in other]
+    causes = dict.fromkeys([*a.findings, *b.findings])
+    if not shared and not causes and not set(a.errors) & set(b.errors):
+        raise InputError(f"{a.path} ({a.kind}) and {b.path} ({b.kind}) have no quantity, error or finding in common")
+    return Comparison(
+        a=a,
+        b=b,
+        changes=tuple(_holm([_change(n, a.quantities[n], other[n]) for n in shared])),
+        only_a=tuple(n for n in a.quantities if n not in other),
+        only_b=tuple(n for n in other if n not in a.quantities),
+        errors=tuple((n, unit, x, b.errors[n][0]) for n, (x, unit) in a.errors.items() if n in b.errors),
+        findings=tuple(FindingChange(c, j, a.findings.get((c, j)), b.findings.get((c, j))) for c, j in causes),
+        warnings=tuple(_doubts(a, b)),
+    )
+
+
+def _change(name: str, a: Quantity, b: Quantity) -> Change:
+    if a.unit != b.unit:
+        raise InputError(f"{name} is in {a.unit or 'no unit'} in one and in {b.unit or 'no unit'} in the other")
+    if a.stderr is None or b.stderr is None:
+        return Change(name, a.unit, a.value, b.value, None, None, None)
+    stderr = hypot(a.stderr, b.stderr)
+    return Change(name, a.unit, a.value, b.value, stderr, float(2 * norm.sf(abs(b.value - a.value) / stderr)), False)
+
+
+def _holm(changes: list[Change]) -> list[Change]:
+    """Mark the changes that stand Holm's step-down test."""
+    tested = sorted((c.p_value, k) for k, c in enumerate(changes) if c.p_value is not None)
+    marked = list(changes)
+    for rank, (p, k) in enumerate(tested):
+        if p * (len(tested) - rank) > LEVEL:
+            break
+        marked[k] = replace(changes[k], changed=True)
+    return marked
+
+
+def _matched(a: Mapping[str, Quantity], b: Mapping[str, Quantity]) -> dict[str, Quantity]:
+    """Return the second's quantities with its resonances under the number of the first's nearest."""
+    mine, theirs = _frequencies(a), _frequencies(b)
+    pairs = sorted((abs(f - g) / f, i, j) for i, f in mine.items() for j, g in theirs.items() if abs(f - g) < _NEAR * f)
+    new: dict[int, int] = {}
+    for _, i, j in pairs:
+        if j not in new and i not in new.values():
+            new[j] = i
+    for number, j in enumerate((j for j in theirs if j not in new), max([*mine, 0]) + 1):
+        new[j] = number
+    found = {}
+    for name, quantity in b.items():
+        words = name.split(" ")
+        if words[0] == "mode" and len(words) == 3 and words[1].isdigit():
+            name = f"mode {new[int(words[1])]} {words[2]}"
+        found[name] = quantity
+    return found
+
+
+def _frequencies(quantities: Mapping[str, Quantity]) -> dict[int, float]:
+    names = {n: n.split(" ") for n in quantities if n.startswith("mode ") and n.endswith(" frequency")}
+    return {int(words[1]): quantities[n].value for n, words in names.items()}
+
+
+def _doubts(a: Side, b: Side) -> Iterable[str]:
+    if a.sha256 == b.sha256:
+        yield f"{a.path} and {b.path} are the same file"
+    elif a.logs & b.logs:
+        yield "both rest on the same recordings; the intervals take them as independent and are too wide"
+    if a.kind != b.kind:
+        yield f"{a.path} comes from {a.kind}, {b.path} from {b.kind}"

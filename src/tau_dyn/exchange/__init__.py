@@ -1,0 +1,7 @@
+"""A model back in the file formats of other programs: URDF (Pinocchio, Drake, ROS) and MJCF (MuJoCo)."""
+
+from tau_dyn.exchange.content import Exported
+from tau_dyn.exchange.mjcf import mjcf_of
+from tau_dyn.exchange.urdf import urdf_of
+
+__all__ = ["Exported", "mjcf_of", "urdf_of"]

@@ -1,0 +1,102 @@
+"""What other programs' robot files can carry of a model: each link's inertia, and one friction of each joint.
+
+Neither URDF nor MJCF knows friction that differs by direction, and neither knows our other effects: friction is written as the
+mean of both directions, the rest is left out, and both are said. Base parameters alone are what data determine
+(Khalil & Dombre 2002, ch. 9): the inertia of a single link leans on nominal values wherever it was not determined.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.effects import AsymmetricFriction, SymmetricFriction
+from tau_dyn.model import Model
+from tau_dyn.robot import LinkInertia
+from tau_dyn.version import __version__
+
+_PARTS = {"coulomb": ("coulomb", "coulomb_pos", "coulomb_neg"), "viscous": ("viscous", "viscous_pos", "viscous_neg")}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A robot file's text and what it does not say.
+
+    Attributes:
+        text: The file.
+        left_out: What of the model the format cannot carry, a sentence each.
+        nominal: Inertial parameters that no data determined and that stand at their nominal values.
+    """
+
+    text: str
+    left_out: tuple[str, ...]
+    nominal: tuple[str, ...]
+
+
+class Body(NamedTuple):
+    """A link's inertia as files write it: mass [kg], centre (3,) [m], inertia about the centre (3, 3) [kg m^2]."""
+
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+
+
+def body_of(link: LinkInertia, model: Model) -> Body:
+    """Return a link's inertia at the model's values, in the link's axes.
+
+    The model's ten numbers are about the joint frame's origin; the parallel axes theorem moves them to the centre.
+    """
+    pi = link.map @ model.robot.parameters.select(link.names).values
+    mass = float(pi[0])
+    about_origin = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
+    centre = pi[1:4] / mass if mass > 0 else np.zeros(3)
+    shifted = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return Body(mass, centre, about_origin - shifted)
+
+
+def friction_of(model: Model, joint: str) -> dict[str, float]:
+    """Return a joint's `coulomb` [N or N m] and `viscous` friction, each the mean of both directions."""
+    found = {}
+    for part, names in _PARTS.items():
+        values = [
+            model.effect_parameters[f"{joint}.{n}"].value for n in names if f"{joint}.{n}" in model.effect_parameters
+        ]
+        found[part] = float(np.mean(values)) if values else 0.0
+    return found
+
+
+def left_out(model: Model) -> tuple[str, ...]:
+    """Return what neither format can carry, a sentence each."""
+    said = []
+    for effect in model.effects:
+        if not isinstance(effect, SymmetricFriction | AsymmetricFriction):
+            said.append(f"effect {effect.name} of {', '.join(effect.joints)} is left out: the format does not know it")
+    for joint in model.robot.actuated:
+        for part in _PARTS:
+            both = [f"{joint}.{part}_{side}" for side in ("pos", "neg")]
+            if all(n in model.effect_parameters for n in both):
+                a, b = (model.effect_parameters[n].value for n in both)
+                if abs(a - b) > 1e-9 * (abs(a) + abs(b)):
+                    said.append(
+                        f"{joint}: {part} friction {a:.4g} and {b:.4g} in the two directions is written as its mean"
+                    )
+    return tuple(said)
+
+
+def nominal(model: Model) -> tuple[str, ...]:
+    """Return the inertial parameters that stand at nominal values, none estimated."""
+    return tuple(
+        p.name for link in model.robot.links for p in model.robot.parameters.select(link.names) if p.stderr is None
+    )
+
+
+def header(model: Model) -> str:
+    """Return what a file says about itself; never two hyphens in a row, which XML comments cannot hold."""
+    lines = [f"Written by tau_dyn {__version__} from {model.robot.source}."]
+    leaning = nominal(model)
+    if leaning:
+        lines.append(f"Not determined by data, so nominal: {', '.join(leaning)}.")
+    lines += [f"{sentence}." for sentence in left_out(model)]
+    return " ".join(lines).replace("--", "- -")

@@ -1,0 +1,150 @@
+"""A model's robot as MJCF for MuJoCo: nested bodies, loops as `<connect>` between sites, motors, home as a keyframe.
+
+MuJoCo's own URDF reader drops loops and drive inertia. Here every movable joint becomes a body with the model's inertia
+(links fixed to it merged in), `armature`, `damping` and `frictionloss`; loops are tied at sites, which unlike ties between
+bodies do not depend on the pose that the file is compiled at. Bodies without mass get 1e-9 kg, which MuJoCo demands.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Comment, Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.exchange.content import Exported, body_of, friction_of, header, left_out, nominal
+from tau_dyn.kinematics import LoopSolver
+from tau_dyn.kinematics.tree_arrays import Joint, joints_of
+from tau_dyn.model import Model
+
+_SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
+_LIGHTEST = {"mass": "1e-9", "inertia": "1e-12"}
+
+
+def mjcf_of(model: Model) -> Exported:
+    """Return the model's robot as MJCF text.
+
+    Raises:
+        InputError: A joint has more than one degree of freedom.
+    """
+    robot = model.robot
+    joints = joints_of(robot.model)
+    if joints is None:
+        raise InputError(f"{robot.source}: MJCF is written for robots of joints with one degree of freedom each")
+    root = Element("mujoco", model=robot.name)
+    root.append(Comment(f" {header(model)} "))
+    SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")
+    SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear))
+    world = SubElement(root, "worldbody")
+    bodies = _bodies(world, model, joints)
+    shapes = _draw(model, [world, *bodies])
+    _tie(root, model, [world, *bodies])
+    actuator = SubElement(root, "actuator")
+    for joint, limit in zip(robot.actuated, robot.effort_limit, strict=True):
+        more = {"ctrlrange": _numbers([-limit, limit])} if np.isfinite(limit) else {}
+        SubElement(actuator, "motor", {"name": f"{joint}_motor", "joint": joint, **more})
+    key = SubElement(root, "keyframe")
+    SubElement(key, "key", name="home", qpos=_numbers(_home(model, joints, world)))
+    ElementTree.indent(root)
+    text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    extra = tuple(
+        f"{name} weighs more under gravity than in motion, which MJCF cannot say"
+        for name in robot.parameters.names
+        if name.endswith(".gravity_mass") and robot.parameters[name].value
+    )
+    return Exported(text, (*left_out(model), *extra, *shapes), nominal(model))
+
+
+def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
+    """Return the bodies by joint index less one, each inside its parent's."""
+    robot, found = model.robot, [world]
+    inertias = {link.joint_id: link for link in robot.links}
+    names = {f.parentJoint: f.name for f in reversed(robot.model.frames.tolist()) if f.type == pin.FrameType.BODY}
+    for joint in joints:
+        rotation = pin.Quaternion(joint.rotation)
+        pose = {"pos": _numbers(joint.offset), "quat": _numbers([rotation.w, rotation.x, rotation.y, rotation.z])}
+        body = SubElement(found[joint.parent], "body", {"name": names[joint.index], **pose})
+        SubElement(body, "joint", _joint(model, joint))
+        if joint.index in inertias:
+            carried = body_of(inertias[joint.index], model)
+            full = _numbers(carried.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+            SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), fullinertia=full)
+        else:
+            least = _LIGHTEST["inertia"]
+            SubElement(body, "inertial", pos="0 0 0", mass=_LIGHTEST["mass"], diaginertia=f"{least} {least} {least}")
+        found.append(body)
+    return found[1:]
+
+
+def _joint(model: Model, joint: Joint) -> dict[str, str]:
+    robot, name = model.robot, model.robot.model.names[joint.index]
+    said = {"name": name, "type": "slide" if joint.slides else "hinge", "axis": _numbers(joint.axis)}
+    item = robot.model.joints[joint.index]
+    lower, upper = robot.model.lowerPositionLimit[item.idx_q], robot.model.upperPositionLimit[item.idx_q]
+    if item.nq == 1 and lower < upper and np.isfinite(lower + upper) and upper - lower < 1e10:
+        said["range"] = _numbers([lower, upper])
+    if name in robot.actuated:
+        friction = friction_of(model, name)
+        said["armature"] = _numbers([robot.parameters[f"{name}.armature"].value])
+        said |= {"damping": _numbers([friction["viscous"]]), "frictionloss": _numbers([friction["coulomb"]])}
+    return said
+
+
+def _draw(model: Model, bodies: list[Element]) -> list[str]:
+    """Add the visual boxes, cylinders and spheres, which touch nothing; say which meshes are left out."""
+    robot = model.robot
+    geometry = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.GeometryType.VISUAL)
+    missing = 0
+    for item in geometry.geometryObjects.tolist():
+        shape = _shape(item.geometry)
+        if shape is None or item.parentJoint >= len(bodies):
+            missing += 1
+            continue
+        place, turn = item.placement.translation, pin.Quaternion(item.placement.rotation)
+        pose = {"pos": _numbers(place), "quat": _numbers([turn.w, turn.x, turn.y, turn.z])}
+        SubElement(bodies[item.parentJoint], "geom", {**shape, **pose, **_SEEN_ONLY})
+    return [f"{missing} visual shapes that are no box, cylinder or sphere are left out"] if missing else []
+
+
+def _shape(shape: Any) -> dict[str, str] | None:
+    kind = type(shape).__name__
+    if kind == "Box":
+        return {"type": "box", "size": _numbers(shape.halfSide)}
+    if kind == "Cylinder":
+        return {"type": "cylinder", "size": _numbers([shape.radius, shape.halfLength])}
+    return {"type": "sphere", "size": _numbers([shape.radius])} if kind == "Sphere" else None
+
+
+def _tie(root: Element, model: Model, bodies: list[Element]) -> None:
+    """Add the loops: a site at each end, and a tie between them."""
+    if not model.robot.loops:
+        return
+    equality = SubElement(root, "equality")
+    for loop in model.robot.loops:
+        ends = [model.robot.model.frames[k] for k in (loop.frame_a, loop.frame_b)]
+        for end in ends:
+            SubElement(
+                bodies[end.parentJoint], "site", name=end.name, pos=_numbers(end.placement.translation), size="0.005"
+            )
+        SubElement(equality, "connect", name=f"{ends[0].name}_{ends[1].name}", site1=ends[0].name, site2=ends[1].name)
+
+
+def _home(model: Model, joints: list[Joint], world: Element) -> list[float]:
+    """Return the closed configuration at home in MuJoCo's order, that of the file."""
+    robot = model.robot
+    q = LoopSolver(robot).close(robot.home)
+    at = {}
+    for joint in joints:
+        item = robot.model.joints[joint.index]
+        turning = item.nq == 2
+        at[robot.model.names[joint.index]] = (
+            float(np.arctan2(q[item.idx_q + 1], q[item.idx_q])) if turning else float(q[item.idx_q])
+        )
+    return [at[element.get("name", "")] for element in world.iter("joint")]
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(repr(float(x)) for x in np.asarray(values, float).ravel())

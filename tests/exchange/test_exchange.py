@@ -1,0 +1,110 @@
+"""A model written for other programs and read back gives the same forces."""
+
+from xml.etree.ElementTree import fromstring
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tau_dyn.dynamics import TreeMechanism
+from tau_dyn.effects import AsymmetricFriction, Stribeck, SymmetricFriction
+from tau_dyn.exchange import mjcf_of, urdf_of
+from tau_dyn.model import Model
+from tau_dyn.robot import load_robot, robot_from_urdf
+
+ROBOTS = {
+    "simplified": lambda write: load_robot("gantry_tau", gravity_mass=22.38),
+    "complete": lambda write: load_robot("gantry_tau", arms="complete", prototype="d1"),
+    "axis": lambda write: load_robot("linear_axis"),
+    "four_bar": lambda write: robot_from_urdf(write.four_bar(), "four_bar"),
+    "turning": lambda write: robot_from_urdf(write.two_link().replace("revolute", "continuous"), "turning"),
+}
+
+
+@pytest.fixture(params=ROBOTS)
+def model(request, write, rng):
+    """A robot whose masses, drive inertias and friction are none of the file's."""
+    robot = ROBOTS[request.param](write)
+    units = robot.force_units
+    made = Model.of(robot, [SymmetricFriction(robot.actuated, units)])
+    changed = {}
+    for p in made.parameters:
+        if p.name.endswith(".mass"):
+            changed[p.name] = p.value * 1.3 + 0.1
+        elif p.name.endswith((".coulomb", ".viscous", ".armature")):
+            changed[p.name] = float(rng.uniform(0.5, 3))
+        elif p.name.endswith((".ixx", ".iyy", ".izz")):
+            changed[p.name] = p.value * 1.2 + 0.05
+        elif p.name.endswith((".mx", ".my", ".mz", ".ixy", ".ixz", ".iyz")):
+            changed[p.name] = p.value + float(rng.uniform(-0.02, 0.02))
+    return made.with_values(changed)
+
+
+def motion(robot, rng, n=5):
+    q = robot.home + rng.uniform(-0.1, 0.1, (n, robot.na))
+    return q, rng.standard_normal((n, robot.na)), rng.standard_normal((n, robot.na))
+
+
+def test_a_urdf_reads_back_with_the_same_forces(model, rng):
+    """Written and loaded again the robot needs the same forces, to 1e-9 of the largest."""
+    again = robot_from_urdf(urdf_of(model).text, "again")
+    assert again.actuated == model.robot.actuated
+    q, v, a = motion(model.robot, rng)
+    want = model.mechanism.inverse_dynamics(q, v, a)
+    assert_allclose(Model.of(again).mechanism.inverse_dynamics(q, v, a), want, atol=1e-9 * np.abs(want).max())
+
+
+def test_a_urdf_carries_friction_as_pinocchio_reads_it(model):
+    """`<dynamics>` holds the viscous and Coulomb coefficients of each drive."""
+    again = robot_from_urdf(urdf_of(model).text, "again")
+    for joint, index in zip(again.actuated, again.active_v, strict=True):
+        assert_allclose(again.model.damping[index], model.parameters[f"{joint}.viscous"].value, rtol=1e-12)
+        assert_allclose(again.model.friction[index], model.parameters[f"{joint}.coulomb"].value, rtol=1e-12)
+
+
+def test_mujoco_gives_the_same_forces(model, rng):
+    """`mj_inverse` of the MJCF's tree, projected through our loops, is the model's force; friction and light links aside."""
+    mujoco = pytest.importorskip("mujoco")
+    theirs = mujoco.MjModel.from_xml_string(mjcf_of(model).text)
+    theirs.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    theirs.dof_damping[:] = 0
+    light = theirs.body_mass < 1e-6
+    theirs.body_mass[light], theirs.body_inertia[light] = 0.0, 0.0
+    data = mujoco.MjData(theirs)
+    mujoco.mj_setConst(theirs, data)
+    robot = model.robot
+    order = [theirs.joint(n).dofadr[0] for n in list(robot.model.names)[1:]]
+    tree = TreeMechanism(robot)
+    plain = model.with_values({n: 0.0 for n in robot.parameters.names if n.endswith(".gravity_mass")})
+    for q, v, a in zip(*motion(robot, rng), strict=True):
+        state = tree.solver.state(q, v, a)
+        x = state.q if robot.model.nq == robot.model.nv else q
+        data.qpos[order], data.qvel[order], data.qacc[order] = x, state.v, state.a
+        mujoco.mj_inverse(theirs, data)
+        want = plain.mechanism.inverse_dynamics(q[None], v[None], a[None])[0]
+        assert_allclose(state.G.T @ data.qfrc_inverse[order], want, atol=1e-9 * np.abs(data.qfrc_inverse).max())
+
+
+def test_mujocos_loops_are_closed_at_home(model):
+    """At the keyframe `home` the ends of every `<connect>` meet, and stepping the simulation keeps them together."""
+    mujoco = pytest.importorskip("mujoco")
+    theirs = mujoco.MjModel.from_xml_string(mjcf_of(model).text)
+    data = mujoco.MjData(theirs)
+    mujoco.mj_resetDataKeyframe(theirs, data, 0)
+    mujoco.mj_forward(theirs, data)
+    assert theirs.neq == len(model.robot.loops)
+    for k in range(theirs.neq):
+        ends = data.site_xpos[[theirs.eq_obj1id[k], theirs.eq_obj2id[k]]]
+        assert_allclose(ends[0], ends[1], atol=1e-10)
+
+
+def test_what_a_format_cannot_carry_is_said():
+    """A Stribeck term and friction that differs by direction are named; the mean of both directions is written."""
+    robot = load_robot("linear_axis")
+    effects = [AsymmetricFriction(("axis",), ("N",)), Stribeck(("axis",), ("N",))]
+    model = Model.of(robot, effects).with_values({"axis.coulomb_pos": 20.0, "axis.coulomb_neg": 24.0})
+    made = urdf_of(model)
+    assert any("stribeck" in s for s in made.left_out) and any("20 and 24" in s for s in made.left_out)
+    dynamics = fromstring(made.text).find("joint[@name='axis']/dynamics")
+    assert dynamics is not None and float(dynamics.get("friction", "")) == 22.0
+    assert "carriage_link.mass" in made.nominal  # no data determined it
