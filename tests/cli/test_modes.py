@@ -115,3 +115,27 @@ def test_a_jittery_clock_is_a_warning(tmp_path, capsys):
     assert "steps vary" in printed.err
     hz = [m["frequency_hz"] for m in json.loads((tmp_path / "r.json").read_text())["modes"]]
     assert min(abs(f - HZ) for f in hz) < 0.1
+
+
+def test_modes_are_drawn_on_a_robot(tmp_path, capsys):
+    """With --robot the page has the robot swinging and the result says so; outputs without a place give a warning instead."""
+    log = vibration_log(tmp_path / "bench.csv")
+    text = log.read_text().replace("t,force,place", "t,force,x_tool", 1)
+    named = tmp_path / "named.csv"
+    named.write_text(text)
+    page, result = tmp_path / "r.html", tmp_path / "r.json"
+    more = ["--robot", "gantry_tau", "--report", str(page), "--json", str(result), "--order", "2", "--delay", "0"]
+    assert main(["modes", str(named), "--inputs", "force", "--outputs", "x_tool", *more]) == 0
+    shape = json.loads(result.read_text())["robot_modes"][0]
+    assert shape["model_frequency_hz"] is None and shape["frequency_hz"] == pytest.approx(HZ, rel=0.01)
+    assert "<animate " in page.read_text() and "How the robot moves" in page.read_text()
+    assert main(["modes", str(log), "--inputs", "force", "--outputs", "place", *more]) == 0
+    read = json.loads(result.read_text())
+    assert "robot_modes" not in read and any("no mode is drawn on gantry_tau" in w for w in read["warnings"])
+
+
+def test_loading_a_robot_needs_a_robot(tmp_path, capsys):
+    """--set without --robot is refused in one sentence."""
+    log = vibration_log(tmp_path / "bench.csv")
+    assert main(["modes", str(log), "--inputs", "force", "--outputs", "place", "--set", "arms=complete"]) == 2
+    assert "--robot" in capsys.readouterr().err

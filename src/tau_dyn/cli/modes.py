@@ -5,7 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, command_line, progress
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot_options,
+    command_line,
+    load_robot_from,
+    progress,
+    robot_file,
+)
 
 HELP = "resonances and black-box models from vibration logs"
 
@@ -63,6 +71,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in their "
         "order, where as many)",
     )
+    parser.add_argument(
+        "--robot",
+        metavar="ROBOT",
+        help="draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own modes",
+    )
+    add_robot_options(parser)
     parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the black-box model here")
     add_common(parser)
 
@@ -74,6 +88,7 @@ def run(args: argparse.Namespace) -> Outcome:
         from tau_dyn.log import read_log
         from tau_dyn.modes import find_modes
 
+        robot = load_robot_from(args) if _robot_asked(args) else None
         logs = [read_log(path, args.columns) for path in args.logs]
         held = [read_log(path, args.columns) for path in args.holdout]
         found = find_modes(
@@ -90,15 +105,35 @@ def run(args: argparse.Namespace) -> Outcome:
             seed=args.seed,
             progress=step,
         )
+    on_robot, warned = _on_robot(robot, found)
     read = [(str(path), log.sha256) for path, log in zip([*args.logs, *args.holdout], [*logs, *held], strict=True)]
     return Outcome(
-        result=found.to_dict(),
-        warnings=[*(w for log in (*logs, *held) for w in log.warnings), *found.warnings],
-        inputs=[*read, *([args.columns] if args.columns else [])],
+        result=found.to_dict() | ({} if on_robot is None else {"robot_modes": on_robot.to_list()}),
+        warnings=[*(w for log in (*logs, *held) for w in log.warnings), *found.warnings, *warned],
+        inputs=[*read, *([args.columns] if args.columns else []), *(robot_file(args) if robot else [])],
         show=lambda console: _show(console, found, args),
         files={args.out: lambda path: _save(path, found, read)} if args.out else {},
-        report=lambda: _page(found, read),
+        report=lambda: _page(found, on_robot, read),
     )
+
+
+def _robot_asked(args: argparse.Namespace) -> bool:
+    from tau_dyn.exceptions import InputError
+
+    if args.robot is None and (args.set or args.actuated):
+        raise InputError("--set and --actuated say how to load a robot; name it with --robot ROBOT")
+    return args.robot is not None
+
+
+def _on_robot(robot, found):
+    """Return the modes on the robot, and a warning where it was asked for and nothing can be drawn."""
+    from tau_dyn.modes.on_robot import shapes_on_robot
+
+    if robot is None:
+        return None, []
+    shapes = shapes_on_robot(robot, found.modes, found.outputs)
+    why = f"no mode is drawn on {robot.name}: outputs are drawn where they are named by axis and place, such as x_tool"
+    return shapes, [] if shapes or not found.modes else [why]
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -123,7 +158,7 @@ def _show(console, found, args: argparse.Namespace) -> None:
     print_modes(console, found, {k: str(v) for k, v in written.items() if v})
 
 
-def _page(found, read: list[tuple[str, str]]) -> str:
+def _page(found, on_robot, read: list[tuple[str, str]]) -> str:
     from tau_dyn.report import modes_page
 
-    return modes_page(found, logs=read, command_line=command_line())
+    return modes_page(found, on_robot=on_robot, logs=read, command_line=command_line())

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tau_dyn.effects import Effect, Scene
+from tau_dyn.effects import Effect, Scene, StructuralCompliance
 from tau_dyn.estimate import Run
 from tau_dyn.parameters import Parameters
 
@@ -74,6 +74,15 @@ class Channel(ABC):
     def free_columns(self) -> list[np.ndarray]:
         """Columns that the baseline may refit (n, m, p'), of each run."""
         return [run.W[:, :, self.parameters.free] for run in self.runs]
+
+    @cached_property
+    def resonance_columns(self) -> list[np.ndarray]:
+        """Columns (n, m, k) of each run of the modes that the scene proposes; k is 0 where there are none."""
+        if not self.scene.resonances:
+            return [np.zeros((*run.y.shape, 0)) for run in self.runs]
+        joints = self.scene.joints
+        proposal = StructuralCompliance.proposal(self.scene, joints)
+        return self.columns(StructuralCompliance(joints, self.scene.units).with_settings(**proposal))
 
     @cached_property
     def target(self) -> list[np.ndarray]:

@@ -30,6 +30,7 @@ from tau_dyn.diagnose.force import (
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.merge import merged
 from tau_dyn.diagnose.nominal import parameter_findings
+from tau_dyn.diagnose.resonances import with_band, with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.search import FAMILY_LEVEL, Search, columns_of, search
 from tau_dyn.diagnose.stages import (
@@ -220,7 +221,8 @@ def _gather(
 
 
 def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -> Diagnosis:
-    channel, rng = case.channel, np.random.default_rng(seed)
+    progress("looking for resonances")
+    channel, rng = with_resonances(case.channel), np.random.default_rng(seed)
     assert isinstance(channel, ForceChannel)
     progress("looking for causes")
     hunt = search(channel, rng, progress)
@@ -237,7 +239,7 @@ def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -
     nominal = case.nominal.parameters
     bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
-    findings = findings_of(channel, hunt, tests.causes, kept, bars, rng)
+    findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, tests.causes, kept, bars, rng)]
     findings += parameter_findings(case.nominal, nominal, estimated(after))
     unexplained = unexplained_of(structure, tests.structure)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])

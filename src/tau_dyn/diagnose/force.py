@@ -259,6 +259,10 @@ def _with_signals(piece: Prepared, model: Model, needs: Sequence[str], clear_hz:
     rigid = model.mechanism.regressor(m.q, m.v, m.a) @ model.robot.parameters.values  # holds with a mass of zero
     carried = lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz)
     signals = {**m.signals, **found, "force": rigid + friction, "rigid_force": carried, "damping": model.damping(whole)}
+    signals |= {
+        "wide_force": rigid,
+        "clear_hz": np.full(len(t), clear_hz),
+    }  # a mode in the clear band passes no noise on
     return replace(piece, motion=replace(m, signals=signals))
 
 

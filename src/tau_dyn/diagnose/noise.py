@@ -1,7 +1,8 @@
 """The noise of each output, judged on what a rich model leaves.
 
 Were it judged on the baseline's residual, a hidden effect would count as noise. So every output may depend smoothly on all
-variables of its own joint, times the direction of motion; an autoregressive model is fitted to what is then left.
+variables of its own joint, times the direction of motion, and ring at the frequencies that a black-box fit proposes (an
+autoregressive model would otherwise take a resonance for the noise's colour); such a model is fitted to what is then left.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ def noise_models(
     for k, output in enumerate(channel.outputs):
         rich = rich_columns(variables, output)
         columns = [
-            np.concatenate([c[r][:, k] for c in (channel.free_columns, *extra)] + [rich[r]], axis=1)
+            np.concatenate(
+                [c[r][:, k] for c in (channel.free_columns, channel.resonance_columns, *extra)] + [rich[r]], axis=1
+            )
             for r in range(len(channel.runs))
         ]
         rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])

@@ -135,7 +135,7 @@ def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -
     gap = 0.0 if cutoff is None else 0.5 * edge_samples(cutoff, moving[0].rate_hz) / moving[0].rate_hz
     parts = tuple(divide(runs, out, any(out), gap))
     displacing = [cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, DisplacementEffect)]
-    causes = tuple(_on(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
+    causes = tuple(on_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
     units = ("m",) * len(OUTPUTS)
     channel = ToolChannel("tool", OUTPUTS, units, parameters, runs, parts, scene, causes, tuple(pieces))
     for part, what in ((0, "train on"), (1, "confirm on"), (2, "measure the gain on")):
@@ -147,7 +147,7 @@ def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -
     return channel
 
 
-def _on(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
+def on_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
     """Return a cause that is tried on one group of joints only.
 
     The search adds up what a cause explains on several joints. Forces show each joint apart; the tool shows their sum, so here

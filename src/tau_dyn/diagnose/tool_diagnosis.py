@@ -15,6 +15,7 @@ from tau_dyn.diagnose.aliases import alias_periods, spacing
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.parts import TRAIN
+from tau_dyn.diagnose.resonances import with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Errors, Finding
 from tau_dyn.diagnose.search import Found, Search, columns_of, search
 from tau_dyn.diagnose.stages import (
@@ -61,7 +62,7 @@ def diagnose_tool(
     """
     train, held = list(logs), list(holdout)
     progress("columns")
-    channel = tool_channel(model, train, held)
+    channel = with_resonances(tool_channel(model, train, held))
     rng = np.random.default_rng(seed)
     progress("looking for causes")
     hunt = search(channel, rng, progress)

@@ -89,6 +89,7 @@ class Scene:
         signals: Signals that the motions give.
         campaigns: Number of logs, which `campaign` counts from zero.
         resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
+        structure: Whether these modes are the structure's as a whole, and no single joint's.
     """
 
     joints: tuple[str, ...]
@@ -102,6 +103,7 @@ class Scene:
     signals: frozenset[str] = frozenset()
     campaigns: int = 1
     resonances: tuple[tuple[float, float], ...] = ()
+    structure: bool = False
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""

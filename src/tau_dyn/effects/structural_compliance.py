@@ -1,38 +1,50 @@
-r"""A drive or structure that yields and swings: the load stays behind the encoder, and rings at its own frequency.
+r"""A drive or structure that yields and swings: the load stays behind the encoder, and rings at its own frequencies.
 
-    encoder - load = compliance d,     d'' + 2 damping w d' + w^2 d = w^2 F,     w = 2 pi frequency
+    encoder - load = sum over modes of C_i d_i,     d_i'' + 2 z_i w_i d_i' + w_i^2 d_i = w_i^2 F,     w_i = 2 pi f_i
 
-with F the force of the rigid bodies, which the spring carries. Far above the motion's band it is the quasi-static
-`joint_compliance`; far below it is a mass more. One mode a joint: for several, and for shapes, `modes` takes a vibration log.
-Reference: Spong 1987; Dressler 2012, 6.3.
+with F (na,) the force of the rigid bodies, which springs carry. Far above the motion's band a mode is the quasi-static
+`joint_compliance`; far below it is a mass more. Where a drive yields, C has one number a joint. Where the structure does
+(`coupled`), a mode moves the loads of all joints together: its C is a matrix, symmetric by Maxwell's reciprocity if forces
+and loads are those of one set of places (`reciprocal`), full where a tool is measured whose place the masses do not share.
+What modes above the band do, they do at once: `rest` adds a matrix that yields without swinging. Frequencies and
+damping are settings; `modes` says how many of the three count. References: Spong 1987; Dressler 2012, 6.3; Ewins 2000, 2.4
+(modal sums) and 4.2 (residual terms of modes outside the band).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy import signal
 
-from tau_dyn.effects.effect import JointMotion, Scene
+from tau_dyn.effects.effect import JointMotion, Motion, Scene, spelled
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.words import amount
-from tau_dyn.parameters import Parameter
+from tau_dyn.exceptions import InputError
+from tau_dyn.parameters import Parameter, Parameters
 
+MOST_MODES = 3
 _SLOWEST_HZ = 3.0
 _REACH = 2.5
 """Frequency of the stiffest spring tried, in those that can be seen: above it, it cannot be told from one without a mode."""
 _STEP = 1.15
 _DAMPING = (0.03, 0.1)
+_NEAR = (0.97, 1.0, 1.03)
+"""Settings beside a proposed frequency; a refinement goes on from the best of them."""
 
 
 class StructuralCompliance(JointwiseDisplacement):
-    """A spring between encoder and load that rings."""
+    """Springs between encoders and loads that ring."""
 
     name = "structural_compliance"
     cause = True
-    equation = "encoder - load = compliance d, d'' + 2 damping w d' + w^2 d = w^2 F, w = 2 pi frequency"
+    equation = (
+        "encoder - load = compliance d, d'' + 2 damping w d' + w^2 d = w^2 F, w = 2 pi frequency; a sum over modes"
+    )
     reference = "Spong 1987; Dressler 2012, 6.3"
     reveals = "a multisine around the suspected resonance, riding on a stroke of constant speed"
     mistaken_for = ("joint_compliance", "delay", "payload", "drive_gain")
@@ -40,37 +52,201 @@ class StructuralCompliance(JointwiseDisplacement):
     needs = (*JointwiseDisplacement.needs, "rigid_force")
     nonnegative = True
     quantities = (("structural_compliance", "Q/F"),)
-    defaults = {"frequency": 10.0, "damping": 0.03}
-    setting_units = {"frequency": "Hz"}
-    positive = ("frequency", "damping")
+    defaults = {
+        "frequency": 10.0, "damping": 0.03, "modes": 1, "frequency_2": 20.0, "damping_2": 0.03, "frequency_3": 40.0,
+        "damping_3": 0.03, "coupled": 0, "reciprocal": 1, "rest": 0,
+    }  # fmt: skip
+    setting_units = {f"frequency{end}": "Hz" for end in ("", "_2", "_3")}
+    positive = tuple(f"{key}{end}" for end in ("", "_2", "_3") for key in ("frequency", "damping"))
+    whole = ("modes",)
     refined = ("frequency", "damping")
 
+    def __init__(self, joints: Sequence[str], units: Sequence[str], *, label: str = "", **settings: float) -> None:
+        """Let the effect act; see `Effect`.
+
+        Raises:
+            InputError: A setting is not one that the effect can have.
+        """
+        super().__init__(joints, units, label=label, **settings)
+        if self.settings["modes"] > MOST_MODES:
+            raise InputError(
+                f"setting modes of effect {self.name} is {MOST_MODES} at most, not {self.settings['modes']:g}"
+            )
+        self.refined = tuple(f"{key}{end}" for end in self._ends for key in ("frequency", "damping"))
+
+    @property
+    def _ends(self) -> tuple[str, ...]:
+        """What the names of each mode's settings and parameters end in."""
+        return ("", "_2", "_3")[: int(self.settings["modes"])]
+
+    @property
+    def _coupled(self) -> bool:
+        return bool(self.settings["coupled"]) and len(self.joints) > 1
+
+    @property
+    def terms(self) -> tuple[tuple[str, str], ...]:
+        """A compliance a mode."""
+        return tuple((f"structural_compliance{end}", "Q/F") for end in self._ends)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Its compliances: joint by joint, or the entries of each mode's matrix."""
+        if not self._coupled:
+            return super().parameters
+        return Parameters([self._entry(end, i, j) for end, (i, j) in product(self._matrices, self._places)])
+
+    @property
+    def _matrices(self) -> tuple[str, ...]:
+        """The same of each matrix of a structure: modes, and what modes above the band leave."""
+        return (*self._ends, "_rest") if self.settings["rest"] else self._ends
+
+    @property
+    def _places(self) -> list[tuple[int, int]]:
+        """Rows and columns of a mode's matrix that are parameters."""
+        n = len(self.joints)
+        return [(i, j) for i in range(n) for j in range(n) if i <= j or not self.settings["reciprocal"]]
+
+    def _entry(self, end: str, i: int, j: int) -> Parameter:
+        """Return an entry: the load of joint i that yields to the force of joint j; a matrix is bounded as a whole, or not."""
+        one, other = self.joints[i], self.joints[j]
+        owner = one if i == j else f"{one}+{other}"
+        place = "m" if self.units[one] == "N" else "rad"
+        unit = spelled(f"{place}/F", self.units[other])
+        return Parameter(f"{owner}.structural_compliance{end}{self.label}", 0.0, unit, origin=self.name)
+
+    def columns(self, motion: Motion) -> np.ndarray:
+        """Return force per unit parameter (N, na, p); a structure's friction is in its guideways, before what yields."""
+        if not self._coupled:
+            return super().columns(motion)
+        free = {"damping": np.zeros_like(motion.v)}
+        return super().columns(replace(motion, signals={**motion.signals, **free}))
+
+    def displacement(self, motion: Motion) -> np.ndarray:
+        """Return encoder minus load per unit parameter (N, na, p) [m or rad]."""
+        if not self._coupled:
+            return super().displacement(motion)
+        index, made = self._indices(motion), []
+        answers = [swinging(_felt(motion, f)[:, index], motion.t, f, z) for f, z in self._modes()]
+        answers += [motion.signal("rigid_force")[:, index]] if self.settings["rest"] else []
+        for d in answers:
+            for i, j in self._places:
+                column = np.zeros_like(motion.v, shape=motion.v.shape)
+                column[:, index[i]] = d[:, j]
+                if self.settings["reciprocal"]:
+                    column[:, index[j]] = d[:, i]
+                made.append(column)
+        return np.stack(made, axis=2)
+
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the swinging response to the force; at rest, the force itself."""
-        F = joint.signal("rigid_force")
-        if joint.t is None or len(joint.t) < 2:
-            return [F]
-        dt = float(joint.t[-1] - joint.t[0]) / (len(joint.t) - 1)
-        w, damping = 2 * np.pi * self.settings["frequency"], self.settings["damping"]
-        sampled: Any = signal.cont2discrete(([w**2], [1.0, 2 * damping * w, w**2]), dt, method="foh")
-        b, a = np.ravel(sampled[0]), np.ravel(sampled[1])
-        response, _ = signal.lfilter(b, a, F, zi=signal.lfilter_zi(b, a) * F[0])
-        return [np.asarray(response)]
+        """Return the swinging response of each mode to the force; at rest, the force itself."""
+        return [swinging(_felt(joint, f)[:, None], joint.t, f, z)[:, 0] for f, z in self._modes()]
+
+    def _modes(self) -> list[tuple[float, float]]:
+        """Return frequency [Hz] and damping ratio of each mode."""
+        return [(self.settings[f"frequency{end}"], self.settings[f"damping{end}"]) for end in self._ends]
+
+    def describe(self, parameters: Parameters) -> str:
+        """Return resonances and what yields, in words."""
+        if not self._coupled:
+            return super().describe(parameters)
+        n, said = len(self.joints), []
+        values = parameters.select(self.parameters.names).values.reshape(len(self._matrices), -1)
+        for end, entries in zip(self._ends, values, strict=False):
+            own = {(i, j): x for (i, j), x in zip(self._places, entries, strict=True)}
+            top = max(range(n), key=lambda i: abs(own[i, i]))
+            p = parameters[self._entry(end, top, top).name]
+            said.append(f"{self._resonance(end, self.joints[top])}; {p.name.split('.')[0]} by {amount(p)}")
+        return f"the structure yields and rings, all of it together: {'; '.join(said)}"
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return compliance, frequency and damping."""
-        p = values["structural_compliance"]
-        return (
-            f"a resonance at {self.setting('frequency', joint)}, damping {100 * self.settings['damping']:.2g} %, "
-            f"of a part that yields by {amount(p)}"
-        )
+        """Return frequency, damping and compliance of each mode."""
+        said = [
+            f"{self._resonance(end, joint)}, of a part that yields by {amount(values[f'structural_compliance{end}'])}"
+            for end in self._ends
+        ]
+        return " and ".join(said)
+
+    def _resonance(self, end: str, joint: str) -> str:
+        return f"a resonance at {self.setting(f'frequency{end}', joint)}, damping {100 * self.settings[f'damping{end}']:.2g} %"
+
+    @classmethod
+    def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
+        """Return each joint alone, or the structure as a whole where modes are proposed that no single joint explains."""
+        return [tuple(scene.joints)] if scene.structure and len(scene.joints) > 1 else super().groups(scene)
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return frequencies in steps that a refinement bridges, with little and with much damping; none for poses held still."""
+        """Return frequencies worth trying.
+
+        For one joint, steps that a refinement bridges, with little and with much damping; none for poses held still. For the
+        structure, and for several modes, what the scene's resonances propose: the first, the first two, all.
+        """
         highest = _REACH * scene.cutoff_hz
         if not np.isfinite(highest):
             return []
+        proposed = scene.resonances[:MOST_MODES]
+        if len(joints) > 1:
+            whole = _whole(scene)
+            alone = [_around([one], whole) for one in proposed]
+            return [*(s for row in alone for s in row), *_several(proposed, whole)]
         steps = int(np.ceil(np.log(max(highest / _SLOWEST_HZ, 1.0)) / np.log(_STEP)))
         found = np.geomspace(_SLOWEST_HZ, highest, steps) if steps > 1 else []
-        return [{"frequency": float(f), "damping": d} for d in _DAMPING for f in found]
+        return [*({"frequency": float(f), "damping": d} for d in _DAMPING for f in found), *_several(proposed, {})]
+
+    @classmethod
+    def proposal(cls, scene: Scene, joints: tuple[str, ...]) -> dict[str, float]:
+        """Return the settings that hold all proposed modes as they are proposed; there must be one."""
+        return _around(scene.resonances[:MOST_MODES], _whole(scene) if len(joints) > 1 else {})[1]
+
+
+def _whole(scene: Scene) -> dict[str, float]:
+    """Return what makes it a structure's: with a measured tool, whose place the masses do not share, of full matrices."""
+    return {"coupled": 1, "rest": 1, "reciprocal": 0 if "tool" in scene.signals else 1}
+
+
+def swinging(F: np.ndarray, t: np.ndarray | None, frequency: float, damping: float) -> np.ndarray:
+    """Return the response (N, n) of unit springs and masses to forces (N, n) that go in straight lines from sample to sample.
+
+    Args:
+        F: Forces [N or N m].
+        t: Even clock (N,) [s]; None at rest, where the response is the force itself.
+        frequency: Undamped natural frequency [Hz].
+        damping: Damping ratio.
+    """
+    if t is None or len(t) < 2:
+        return F
+    dt = float(t[-1] - t[0]) / (len(t) - 1)
+    w = 2 * np.pi * frequency
+    sampled: Any = signal.cont2discrete(([w**2], [1.0, 2 * damping * w, w**2]), dt, method="foh")
+    b, a = np.ravel(sampled[0]), np.ravel(sampled[1])
+    response, _ = signal.lfilter(b, a, F, axis=0, zi=np.outer(signal.lfilter_zi(b, a), F[0]))
+    return np.asarray(response)
+
+
+def _felt(motion: Motion | JointMotion, frequency: float) -> np.ndarray:
+    """Return the force that a mode answers to.
+
+    Quasi-statically the load's acceleration is a fourth derivative of the encoder's reading, of which only the clear part is
+    of use (`diagnose/force.py`). A mode within that band weakens what is above its own frequency; for it, cutting the force off
+    would bend its resonance.
+    """
+    clear = motion.signals.get("clear_hz")
+    if clear is not None and frequency < clear[0]:
+        return motion.signal("wide_force")
+    return motion.signal("rigid_force")
+
+
+def _around(modes: Sequence[tuple[float, float]], more: Mapping[str, float]) -> list[dict[str, float]]:
+    """Return settings of several modes, all a little lower, as proposed, and a little higher."""
+    found = []
+    for share in _NEAR:
+        row: dict[str, float] = {"modes": len(modes), **more}
+        for end, (f, z) in zip(("", "_2", "_3"), modes, strict=False):
+            row |= {f"frequency{end}": share * f, f"damping{end}": z}
+        found.append(row)
+    return found
+
+
+def _several(proposed: Sequence[tuple[float, float]], more: Mapping[str, float]) -> list[dict[str, float]]:
+    """Return settings of the two and the three strongest modes."""
+    return [row for n in range(2, len(proposed) + 1) for row in _around(proposed[:n], more)]

@@ -1,5 +1,7 @@
 """Results -> tables, figures, one page; reads results, computes nothing new."""
 
+from tau_dyn.report.accuracy_page import accuracy_page
+from tau_dyn.report.accuracy_terminal import print_accuracy
 from tau_dyn.report.check_page import check_page
 from tau_dyn.report.diagnosis_page import diagnosis_page
 from tau_dyn.report.diagnosis_terminal import print_diagnosis
@@ -10,11 +12,13 @@ from tau_dyn.report.page import identification_page, write_report
 from tau_dyn.report.tables import print_check, print_identification
 
 __all__ = [
+    "accuracy_page",
     "check_page",
     "diagnosis_page",
     "excitation_page",
     "identification_page",
     "modes_page",
+    "print_accuracy",
     "print_check",
     "print_diagnosis",
     "print_identification",

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from tau_dyn.modes.on_robot import ShapesOnRobot
 from tau_dyn.modes.result import Modes, Trace
 from tau_dyn.report import modes_charts as charts
 from tau_dyn.report.figures import interval_bar
+from tau_dyn.report.modes_robot import robot_drawings
 from tau_dyn.report.modes_shapes import shape_drawing, space_axes
 from tau_dyn.report.modes_words import (
     badge,
@@ -34,17 +36,21 @@ BAR_SPAN = 0.5
 """Relative error of a damping ratio at the end of its bar."""
 
 
-def modes_page(found: Modes, *, logs: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:
+def modes_page(
+    found: Modes, *, on_robot: ShapesOnRobot | None = None, logs: Sequence[tuple[str, str]] = (), command_line: str = ""
+) -> str:
     """Return resonances as one HTML page.
 
     Args:
         found: The result.
+        on_robot: Its modes on a robot, to be drawn there; without, they are drawn on the axes of the outputs.
         logs: Name and hash of every log.
         command_line: The command that repeats it, for the provenance.
     """
     judged = verdict(found)
     opening = Opening(headline(found), judged.level, badge(found), judged.sentence, summary(found))
     drawn = charts.pairs(found)
+    swinging = robot_drawings(on_robot, [rings(m) for m in found.modes])[:SHAPES]
     names = [t.log for t in found.traces]
     return render(
         "modes.html.j2",
@@ -60,8 +66,10 @@ def modes_page(found: Modes, *, logs: Sequence[tuple[str, str]] = (), command_li
         shapes=[
             (f"{frequency(m)} Hz", f"{damping(m)} %", shape_drawing(m, found.outputs))
             for m in found.modes
-            if rings(m) and len(found.outputs) > 1
+            if rings(m) and len(found.outputs) > 1 and not swinging
         ][:SHAPES],
+        swinging=swinging,
+        robot_name=on_robot.robot.name if on_robot and swinging else "",
         in_space=bool(space_axes(found.outputs)),
         bode=[(charts.bode_chart(found, i, j), charts.phase_chart(found, i, j)) for i, j in drawn],
         columns=charts.columns(found),

@@ -66,7 +66,7 @@ def _guideways(robot: Robot, data: pin.Data) -> dict[str, np.ndarray]:
     return rails
 
 
-def _project(points: np.ndarray) -> np.ndarray:
+def project(points: np.ndarray) -> np.ndarray:
     """Return screen coordinates (n, 2) [m], right and down."""
     ca, sa, ce, se = np.cos(AZIMUTH), np.sin(AZIMUTH), np.cos(ELEVATION), np.sin(ELEVATION)
     screen = np.array([[-sa, ca, 0.0], [ca * se, sa * se, -ce]])
@@ -77,14 +77,14 @@ def _drawing(
     robot: Robot, data: pin.Data, shapes: list[np.ndarray], rails: dict[str, np.ndarray], named: Collection[str]
 ) -> Markup:
     joints = [data.oMi[robot.model.getJointId(j)].translation for j in robot.actuated]
-    everything = _project(np.concatenate([*shapes, *rails.values(), np.array(joints)]))
+    everything = project(np.concatenate([*shapes, *rails.values(), np.array(joints)]))
     low, high = everything.min(axis=0), everything.max(axis=0)
     room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
     scale = float(np.min(room / np.maximum(high - low, 1e-3)))
     shift = np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2
 
     def place(points: np.ndarray) -> np.ndarray:
-        return scale * _project(points) + shift
+        return scale * project(points) + shift
 
     pieces = [
         tag("path", d=_path(place(rail)), class_="rail" + " named" * (name in named)) for name, rail in rails.items()
@@ -150,9 +150,9 @@ def _triad() -> Markup:
     origin = np.array([26.0, HEIGHT - 22.0])
     pieces = []
     for axis, name in zip(np.eye(3), "xyz", strict=True):
-        tip = origin + 18 * _project(axis)[0]
+        tip = origin + 18 * project(axis)[0]
         pieces.append(tag("path", d=_path(np.array([origin, tip])), class_="triad"))
-        place = origin + 27 * _project(axis)[0]
+        place = origin + 27 * project(axis)[0]
         pieces.append(
             tag("text", name, x=float(place[0]), y=float(place[1]) + 3, text_anchor="middle", class_="triad-name")
         )

@@ -1,0 +1,240 @@
+r"""Resonances that a residual shows: a black-box fit of it against the force that springs would carry proposes modes.
+
+What a yielding structure adds to forces or takes off the tool's place answers linearly to the force F of the rigid bodies,
+
+    residual = G(s) F + D F + noise,     G with the poles of the structure,
+
+and a low-pass that both sides share leaves G as it is. So the subspace method of `modes/` and its refinement, on the training
+part alone, give the number of modes, their frequencies and their damping; the search (`effects/structural_compliance.py`) then
+weighs them like any other setting, beside all other causes. D takes what the baseline's refit moved about. Orders compete by
+BIC against no mode at all; a mode whose frequency or damping the data do not know is not proposed. Reference: Ljung 1999, 16.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.parts import TRAIN
+from tau_dyn.diagnose.result import Finding
+from tau_dyn.diagnose.tool import ToolChannel, on_group
+from tau_dyn.effects import StructuralCompliance
+from tau_dyn.exceptions import TauDynError
+from tau_dyn.modes.leftover import criteria, free_count, loss_of
+from tau_dyn.modes.methods import stabilised
+from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.record import Record
+from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.subspace import subspace_factors
+
+ORDERS = (2, 4, 6, 8)
+SLOWEST_HZ = 3.0
+"""Below, friction and drift look like modes."""
+HEAVIEST = 0.3
+"""Damping ratio above which a mode does not ring."""
+KNOWN = (0.02, 0.5)
+"""Largest standard errors of frequency and damping, as shares of them, of a mode that is proposed."""
+SHORTEST_S = 2.0
+"""Stretches without a reversal that are long enough to show a mode ring [s]."""
+MOST_SAMPLES = 20_000
+ALONE = 0.95
+"""Share of what a whole matrix explains, from which on a single joint's compliance is the simpler answer."""
+_REACH = 1.25
+"""Frequency up to which modes are proposed, in those up to which the motion is clear; noise rings there in the fit only."""
+_ROUNDS = 15
+_CAUSE = "structural_compliance"
+_SPREAD = 2.0
+_BEYOND = " That is above the {band} up to which the encoders show the motion, so it is what the response below lets one guess."
+_WANTED = (
+    "record an accelerometer at the tool, or motion with a multisine around {frequency} that stands above the encoders' noise, "
+    "sampled at {rate} or more"
+)
+
+
+C = TypeVar("C", bound=Channel)
+
+
+def with_resonances(channel: C) -> C:
+    """Return a channel whose scene proposes the resonances that its training part shows."""
+    found = replace(channel, scene=replace(channel.scene, resonances=proposed(channel)))
+    if not found.scene.resonances or not _of_structure(found):
+        return found
+    causes = found.causes
+    if isinstance(channel, ToolChannel):  # there each group is a cause of its own
+        others = (cls for cls in causes if cls.name != _CAUSE)
+        causes = (*others, on_group(channel.scene.joints, StructuralCompliance))
+    return replace(found, scene=replace(found.scene, structure=True), causes=causes)
+
+
+def _of_structure(channel: Channel) -> bool:
+    """Tell whether proposed modes are more than any single joint's: one explains less than nearly all of what a matrix does."""
+    scene = channel.scene
+    if len(scene.joints) < 2:
+        return False
+    alone = [(joint,) for joint in scene.joints]
+    effects = [
+        StructuralCompliance(g, [scene.units[scene.index(j)] for j in g]).with_settings(
+            **StructuralCompliance.proposal(scene, g)
+        )
+        for g in (*alone, scene.joints)
+    ]
+    nothing, *singles, whole = _missed(channel, [None, *effects])
+    return nothing - min(singles) < ALONE * (nothing - whole)
+
+
+def _missed(channel: Channel, effects: Sequence[StructuralCompliance | None]) -> list[float]:
+    """Return what the baseline leaves of the training part with each effect or with none, outputs by their own size."""
+    masks = channel.masks(TRAIN)
+
+    def rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        scaled = [x / s if x.ndim == 2 else x / s[:, None] for x in arrays]
+        return np.concatenate([x[m] for x, m in zip(scaled, masks, strict=True)])
+
+    s = np.array([np.std(np.concatenate([y[m[:, k], k] for y, m in zip(channel.target, masks, strict=True)]))
+                  for k in range(len(channel.outputs))])  # fmt: skip
+    s[~(s > 0)] = 1.0
+    y, W, found = rows(channel.target), rows(channel.free_columns), []
+    for effect in effects:
+        C = W if effect is None else np.concatenate([W, rows(channel.columns(effect))], axis=1)
+        norm = np.linalg.norm(C, axis=0)
+        norm[norm == 0] = 1.0
+        left = y - (C / norm) @ np.linalg.lstsq(C / norm, y, rcond=1e-9)[0]
+        found.append(float(left @ left))
+    return found
+
+
+def proposed(channel: Channel) -> tuple[tuple[float, float], ...]:
+    """Return frequency [Hz] and damping ratio of the modes that the training part shows, the surest first."""
+    records = _records(channel)
+    best = _most_likely(records) if records else None
+    if best is None:
+        return ()
+    top = min(channel.scene.cutoff_hz, _REACH * _clear_hz(channel), 0.4 / records[0].dt)
+    rings = [m for m in best.modes if _known(m) and SLOWEST_HZ < m.frequency_hz < top]
+    rings.sort(key=lambda m: m.frequency_stderr / m.frequency_hz)
+    apart = [m for k, m in enumerate(rings) if not any(_one(m, other) for other in rings[:k])]
+    return tuple((m.frequency_hz, m.damping_ratio) for m in apart)
+
+
+def _clear_hz(channel: Channel) -> float:
+    """Return the frequency up to which the motion stands clear of the encoders' noise, which forces have in common with it."""
+    if not isinstance(channel, ForceChannel):
+        return np.inf
+    return min(float(piece.motion.signals["clear_hz"][0]) for piece in channel.prepared)
+
+
+def _one(a: Mode, b: Mode) -> bool:
+    """Tell whether two modes lie within half their resonance's width: one matrix holds both shapes."""
+    return abs(a.frequency_hz - b.frequency_hz) < a.damping_ratio * a.frequency_hz / 2
+
+
+def _known(mode: Mode) -> bool:
+    """Tell whether a mode rings and the data know it; unknown errors are nan and fail."""
+    frequency, damping = (share * x for share, x in zip(KNOWN, (mode.frequency_hz, mode.damping_ratio), strict=True))
+    return 0 < mode.damping_ratio < HEAVIEST and mode.frequency_stderr < frequency and mode.damping_stderr < damping
+
+
+def _most_likely(records: Sequence[Record]) -> Refined | None:
+    """Return the best model by BIC; None where none beats a residual that answers at once or not at all."""
+    p, m = records[0].y.shape[1], records[0].u.shape[1]
+    n = sum(r.n_samples for r in records)
+    least = criteria(loss_of(_at_once(records)), n, free_count(0, p, m, direct=True, predicts=False))[1]
+    best: Refined | None = None
+    try:
+        factors = subspace_factors(records)
+    except TauDynError:
+        return None
+    for order in (o for o in ORDERS if o <= factors.largest_order):
+        try:
+            found = refine(stabilised(factors.model(order, direct=True)), records, direct=True, maximum_rounds=_ROUNDS)
+        except (TauDynError, np.linalg.LinAlgError):
+            continue
+        bic = criteria(found.loss, found.n_samples, free_count(order, p, m, direct=True, predicts=False))[1]
+        if np.isfinite(bic) and bic < least:
+            best, least = found, bic
+    return best
+
+
+def _at_once(records: Sequence[Record]) -> list[np.ndarray]:
+    """Return what a static answer to the force leaves."""
+    u, y = (np.concatenate([getattr(r, key) for r in records]) for key in "uy")
+    D = np.linalg.lstsq(u, y, rcond=1e-9)[0]
+    return [r.y - r.u @ D for r in records]
+
+
+def _records(channel: Channel) -> list[Record]:
+    """Return the training part's unbroken stretches: forces of the rigid bodies in, residual out.
+
+    Stretches end where a joint turns back, unless that leaves less than half: then friction's jumps stay in.
+    """
+    if not isinstance(channel, ForceChannel | ToolChannel):
+        return []
+    pieces = channel.prepared if isinstance(channel, ForceChannel) else channel.pieces
+    theta = _baseline(channel)
+    sure, whole = [], []
+    for run, part, piece in zip(channel.runs, channel.parts, pieces, strict=True):
+        signals = piece.motion.signals
+        F = signals.get("wide_force", signals.get("rigid_force"))
+        if F is None or piece.motion.t is None or len(run.t) < 2:
+            continue
+        u, e = piece.passed(F), run.y_all - run.W_all @ theta
+        dt = float(run.t[-1] - run.t[0]) / (len(run.t) - 1)
+        train = part == TRAIN
+        whole += _stretches(channel, u, e, train, dt)
+        sure += _stretches(channel, u, e, train & run.usable.all(axis=1), dt)
+    kept = sure if sum(r.n_samples for r in sure) > 0.5 * sum(r.n_samples for r in whole) else whole
+    return list(_few(kept))
+
+
+def _baseline(channel: Channel) -> np.ndarray:
+    """Return the baseline's values (p,) by plain least squares on the training part."""
+    masks = channel.masks(TRAIN)
+    W = np.concatenate([c[m] for c, m in zip(channel.free_columns, masks, strict=True)])
+    y = np.concatenate([x[m] for x, m in zip(channel.target, masks, strict=True)])
+    norm = np.linalg.norm(W, axis=0)
+    norm[norm == 0] = 1.0
+    theta = np.array(channel.parameters.values)
+    theta[channel.parameters.free] = np.linalg.lstsq(W / norm, y, rcond=1e-9)[0] / norm
+    return theta
+
+
+def _stretches(channel: Channel, u: np.ndarray, e: np.ndarray, mask: np.ndarray, dt: float) -> Iterator[Record]:
+    """Return unbroken stretches of samples (n,) that are long enough, as deviations from their means."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if (end - start) * dt >= SHORTEST_S:
+            part = slice(start, end)
+            one, other = u[part] - u[part].mean(axis=0), e[part] - e[part].mean(axis=0)
+            yield Record(one, other, dt, channel.scene.joints, channel.outputs)
+
+
+def _few(records: Sequence[Record]) -> Iterator[Record]:
+    """Return records of one clock until they hold enough samples."""
+    total = 0
+    for record in records:
+        if total < MOST_SAMPLES and abs(record.dt / records[0].dt - 1) < 1e-6:
+            total += record.n_samples
+            yield record
+
+
+def with_band(finding: Finding, band_hz: float) -> Finding:
+    """Return a finding that says so where its resonance lies above what the encoders show, and which data would tell.
+
+    Args:
+        finding: Any finding.
+        band_hz: Frequency up to which the motion stands clearly above the encoders' noise [Hz].
+    """
+    if finding.cause != _CAUSE:
+        return finding
+    highest = max((p for p in finding.parameters if ".frequency" in p.name), key=lambda p: p.value, default=None)
+    if highest is None or highest.value - _SPREAD * (highest.stderr or 0.0) < band_hz:
+        return finding
+    said = _BEYOND.format(band=f"{band_hz:.3g} Hz")
+    wanted = _WANTED.format(frequency=f"{highest.value:.3g} Hz", rate=f"{10 * highest.value:.2g} Hz")
+    experiment = f"{finding.experiment}; {wanted}" if finding.experiment else wanted
+    return replace(finding, sentence=finding.sentence + said, experiment=experiment)

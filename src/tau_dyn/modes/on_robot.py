@@ -1,0 +1,319 @@
+r"""Mode shapes on the robot itself: what sensors saw moves the drawing, and a robot file's springs say what else should move.
+
+A measured shape is known where sensors are. Outputs named by axis and place (`x_tool`, `ay_plate`) move that place; the body
+that carries the tool goes along without turning, and what joins it yields: rods of a parallel robot at one end, the
+links of a serial arm more the farther out they are. A robot file with springs has shapes of its own (`FlexibleModel`), in which
+every link moves as it must. The two are compared over the outputs by the modal assurance criterion,
+
+    MAC = |a' b|^2 / (|a|^2 |b|^2),
+
+and paired so that agreement in shape and in frequency together is largest. Reference: Allemang 2003; Ewins 2000, 5.4.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import linear_sum_assignment
+
+from tau_dyn.dynamics import FlexibleModel
+from tau_dyn.exceptions import TauDynError
+from tau_dyn.kinematics import LoopSolver
+from tau_dyn.modes.modal import Mode
+from tau_dyn.robot import Robot
+
+_STEP = 1e-4  # [m or rad] of the largest spring: how far shapes are followed
+_SAME = 1e-4  # [m] between points that are one
+_FAR = 0.7
+"""Logarithm of a ratio of frequencies from which on two modes are never the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """A robot at home as points.
+
+    Attributes:
+        links: Points (n, 3) [m] of every link that reaches from somewhere to somewhere else.
+        carries: Share (n,) of the tool's motion that each of these points follows where nothing more is known.
+        rails: Both ends (2, 3) of the travel of every slide.
+        joints: Where the actuated joints are (na, 3).
+        places: Where sensors are, by the name of their place.
+    """
+
+    links: tuple[np.ndarray, ...]
+    carries: tuple[np.ndarray, ...]
+    rails: tuple[np.ndarray, ...]
+    joints: np.ndarray
+    places: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Swing:
+    """One shape on a skeleton.
+
+    Attributes:
+        frequency_hz: Undamped natural frequency [Hz].
+        damping_ratio: Part of critical damping.
+        links: Displacement (n, 3) of the skeleton's points, complex, the largest of them 1.
+        arrows: Displacement (3,) of each place, complex, on the same scale.
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    links: tuple[np.ndarray, ...]
+    arrows: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A measured mode, and the robot file's own mode that is most like it.
+
+    Attributes:
+        measured: As sensors saw it.
+        model: From the file's springs; None where it has none, or none is near.
+        mac: Modal assurance criterion of the two over the outputs; nan where there is no model.
+    """
+
+    measured: Swing
+    model: Swing | None
+    mac: float
+
+
+@dataclass(frozen=True, eq=False)
+class ShapesOnRobot:
+    """All modes on one robot."""
+
+    robot: Robot
+    skeleton: Skeleton
+    pairs: tuple[Pair, ...]
+
+    def to_list(self) -> list[dict[str, float | None]]:
+        """Return for every measured mode the robot file's own that is most like it, and the likeness."""
+        return [
+            {
+                "frequency_hz": pair.measured.frequency_hz,
+                "model_frequency_hz": None if pair.model is None else pair.model.frequency_hz,
+                "mac": None if pair.model is None else pair.mac,
+            }
+            for pair in self.pairs
+        ]
+
+
+def sensed_places(outputs: Sequence[str]) -> dict[str, dict[int, int]]:
+    """Return place -> axis (0, 1, 2) -> output, of outputs such as `x_tool`, `ay_tool`; without a place they are the tool's."""
+    found: dict[str, dict[int, int]] = {}
+    for k, name in enumerate(outputs):
+        match = re.fullmatch(r"[av]?([xyz])(?:_(\w+))?", name)
+        if match:
+            found.setdefault(match[2] or "tool", {}).setdefault("xyz".index(match[1]), k)
+    return found
+
+
+def shapes_on_robot(robot: Robot, modes: Sequence[Mode], outputs: Sequence[str]) -> ShapesOnRobot | None:
+    """Return measured modes on a robot, beside its own; None where no output names a place of it or it cannot be drawn."""
+    try:
+        figure = _Figure.of(robot)
+    except TauDynError:
+        return None
+    places = {name: axes for name, axes in sensed_places(outputs).items() if figure.frame(name) is not None}
+    if not places or not modes:
+        return None
+    rest = figure.points(figure.q)
+    skeleton = figure.skeleton(rest, tuple(places))
+    measured = [_measured(mode, places, skeleton) for mode in modes]
+    own = _own(figure, places, rest)
+    pairs = _paired(modes, measured, own, places)
+    return ShapesOnRobot(robot, skeleton, pairs)
+
+
+@dataclass(frozen=True, eq=False)
+class _Figure:
+    """A robot whose springs may move, and what of it is drawn: joints and frames, link by link."""
+
+    robot: Robot
+    solver: LoopSolver
+    home: dict[str, float]
+    flexible: FlexibleModel | None
+    marks: tuple[tuple[tuple[str, int], ...], ...]
+
+    @classmethod
+    def of(cls, robot: Robot) -> _Figure:
+        flexible = FlexibleModel(robot) if robot.springs else None
+        drawn = robot if flexible is None else flexible.freed
+        home = dict(zip(robot.actuated, map(float, robot.home), strict=True)) | {s.joint: 0.0 for s in robot.springs}
+        bare = cls(drawn, LoopSolver(drawn), home, flexible, ())
+        bare.points(bare.q)
+        return cls(drawn, bare.solver, home, flexible, bare._marks())
+
+    @property
+    def q(self) -> np.ndarray:
+        return np.array([self.home[j] for j in self.robot.actuated])
+
+    def frame(self, place: str) -> int | None:
+        """Return the frame that a place's name means."""
+        if place == "tool":
+            return self.robot.tool_frame
+        model = self.robot.model
+        known = [name for name in (place, f"{place}_link") if model.existFrame(name)]
+        return model.getFrameId(known[0]) if known else None
+
+    def points(self, q: np.ndarray) -> list[np.ndarray]:
+        """Return every link's points (n, 3) at actuated positions."""
+        data = self.solver.data
+        pin.computeJointJacobians(self.robot.model, data, self.solver.close(q))
+        pin.updateFramePlacements(self.robot.model, data)
+        return [np.array([self._at(mark) for mark in marks]) for marks in self.marks]
+
+    def _at(self, mark: tuple[str, int]) -> np.ndarray:
+        kind, number = mark
+        data = self.solver.data
+        return (data.oMi[number] if kind == "joint" else data.oMf[number]).translation.copy()
+
+    def _marks(self) -> tuple[tuple[tuple[str, int], ...], ...]:
+        """Return what each link is drawn through: its own joint, its children's, its loops' ends and the tool."""
+        model, robot = self.robot.model, self.robot
+        ends = [end for loop in robot.loops for end in (loop.frame_a, loop.frame_b)]
+        ends += [] if robot.tool_frame is None else [robot.tool_frame]
+        found = []
+        for joint in range(1, model.njoints):
+            marks = [("joint", joint), *(("joint", c) for c in range(1, model.njoints) if model.parents[c] == joint)]
+            marks += [("frame", f) for f in ends if model.frames[f].parentJoint == joint]
+            kept: list[tuple[str, int]] = []
+            for mark in marks:
+                if all(np.linalg.norm(self._at(mark) - self._at(k)) > 1e-6 for k in kept):
+                    kept.append(mark)
+            if len(kept) > 1:
+                found.append(tuple(kept))
+        return tuple(found)
+
+    def skeleton(self, links: list[np.ndarray], places: tuple[str, ...]) -> Skeleton:
+        """Return the robot at home; its data must be there."""
+        model, data, robot = self.robot.model, self.solver.data, self.robot
+        joints = {j: data.oMi[model.getJointId(j)].translation.copy() for j in self._driven()}
+        rails = []
+        for j, at in joints.items():
+            k = robot.actuated.index(j)
+            if robot.joint_kinds[k] == "prismatic":
+                axis = np.reshape(data.J, (6, -1))[:3, model.joints[model.getJointId(j)].idx_v]
+                travel = np.array([robot.lower[k], robot.upper[k]]) - self.home[j]
+                rails.append(at + np.where(np.isfinite(travel), travel, [-0.5, 0.5])[:, None] * axis)
+        where = {p: self._at(("frame", f)) for p in places if (f := self.frame(p)) is not None}
+        return Skeleton(tuple(links), self._carried(links), tuple(rails), np.array(list(joints.values())), where)
+
+    def _driven(self) -> tuple[str, ...]:
+        """Return the actuated joints, springs left out."""
+        return self.robot.actuated if self.flexible is None else self.flexible.robot.actuated
+
+    def _carried(self, links: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Return which share of the tool's motion each point follows: the tool's body all, what touches it at that point."""
+        model, tool = self.robot.model, self.robot.tool_frame
+        if tool is None:
+            return tuple(np.zeros(len(x)) for x in links)
+        if not self.robot.loops:
+            reach = np.linalg.norm(self._at(("frame", tool)) - self._at(("joint", 1))) or 1.0
+            root = self._at(("joint", 1))
+            return tuple(np.clip(np.linalg.norm(x - root, axis=1) / reach, 0, 1) ** 2 for x in links)
+        body = model.frames[tool].parentJoint
+        bodies = [x for x, marks in zip(links, self.marks, strict=True) if marks[0] == ("joint", body)]
+        held = np.concatenate([*bodies, self._at(("frame", tool))[None]])
+        fixed = [x for x, marks in zip(links, self.marks, strict=True) if len(x) > 2 and marks[0] != ("joint", body)]
+        slides = [self._at(("joint", model.getJointId(j))) for j in self._driven()]
+        return _stretched(links, held, np.concatenate([*fixed, np.array(slides)]))
+
+
+def _stretched(links: Sequence[np.ndarray], held: np.ndarray, fixed: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return shares of motion (n,) of links' points (n, 3): 1 where held, 0 where fixed, in proportion to length in between."""
+    nodes = np.unique(np.round(np.concatenate(links), 5), axis=0)
+    number = [np.array([int(np.argmin(np.linalg.norm(nodes - p, axis=1))) for p in x]) for x in links]
+    known = np.full(len(nodes), np.nan)
+    for points, share in ((fixed, 0.0), (held, 1.0)):
+        near = np.linalg.norm(nodes[:, None] - points[None], axis=2).min(axis=1) < _SAME
+        known[near] = share
+    pull = np.zeros((len(nodes), len(nodes)))
+    for x, k in zip(links, number, strict=True):
+        if len(k) == 2:
+            pull[k[0], k[1]] = pull[k[1], k[0]] = 1 / max(float(np.linalg.norm(x[1] - x[0])), _SAME)
+    free = np.isnan(known)
+    balance = np.diag(pull.sum(axis=1)) - pull
+    share = np.where(free, 0.0, known)
+    share[free] = np.linalg.lstsq(
+        balance[np.ix_(free, free)], -balance[np.ix_(free, ~free)] @ known[~free], rcond=None
+    )[0]
+    return tuple(np.clip(share[k], 0, 1) for k in number)
+
+
+def _measured(mode: Mode, places: dict[str, dict[int, int]], skeleton: Skeleton) -> Swing:
+    arrows = {name: _vector(mode.shape, axes) for name, axes in places.items()}
+    tool = arrows.get("tool", next(iter(arrows.values())))
+    return _scaled(mode.frequency_hz, mode.damping_ratio, [np.outer(share, tool) for share in skeleton.carries], arrows)
+
+
+def _vector(shape: np.ndarray, axes: dict[int, int]) -> np.ndarray:
+    out = np.zeros(3, complex)
+    for axis, k in axes.items():
+        out[axis] = shape[k]
+    return out
+
+
+def _scaled(frequency: float, damping: float, links: Sequence[np.ndarray], arrows: dict[str, np.ndarray]) -> Swing:
+    """Return a swing whose largest displacement is 1 and real."""
+    everything = np.concatenate([*links, *(x[None] for x in arrows.values())])
+    top = everything.flat[np.argmax(np.abs(everything))] or 1.0
+    return Swing(frequency, damping, tuple(x / top for x in links), {k: x / top for k, x in arrows.items()})
+
+
+def _own(figure: _Figure, places: dict[str, dict[int, int]], rest: list[np.ndarray]) -> list[Swing]:
+    """Return the modes of the robot file's springs, slowest first; none where it has none."""
+    if figure.flexible is None:
+        return []
+    found = []
+    for mode in figure.flexible.at().modes():
+        parts = []
+        for s in (mode.springs.real, mode.springs.imag):
+            size = max(float(np.abs(s).max()), 1e-12)
+            moved = dict(zip([x.joint for x in figure.flexible.robot.springs], _STEP * s / size, strict=True))
+            q = np.array([figure.home[j] + moved.get(j, 0.0) for j in figure.robot.actuated])
+            links = [(x - y) * size / _STEP for x, y in zip(figure.points(q), rest, strict=True)]
+            parts.append((links, {p: figure._at(("frame", figure.frame(p) or 0)) for p in places}, size))
+        figure.points(figure.q)
+        home = {p: figure._at(("frame", figure.frame(p) or 0)) for p in places}
+        (one, at_one, a), (other, at_other, b) = parts
+        links = [x + 1j * y for x, y in zip(one, other, strict=True)]
+        arrows = {p: ((at_one[p] - home[p]) * a + 1j * (at_other[p] - home[p]) * b) / _STEP for p in places}
+        found.append(_scaled(mode.frequency_hz, mode.damping_ratio, links, arrows))
+    return found
+
+
+def assurance(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the modal assurance criterion of two shapes (p,) complex; 0 where one is zero."""
+    size = float(np.vdot(a, a).real * np.vdot(b, b).real)
+    return float(abs(np.vdot(a, b)) ** 2 / size) if size > 0 else 0.0
+
+
+def _paired(
+    modes: Sequence[Mode], measured: Sequence[Swing], own: Sequence[Swing], places: dict[str, dict[int, int]]
+) -> tuple[Pair, ...]:
+    """Return each measured mode with the robot's own that agrees best in shape and frequency."""
+    seen = [(name, axis, k) for name, axes in places.items() for axis, k in axes.items()]
+    mac = np.zeros((len(modes), len(own)))
+    away = np.full((len(modes), len(own)), np.inf)
+    for i, mode in enumerate(modes):
+        for j, swing in enumerate(own):
+            mac[i, j] = assurance(
+                mode.shape[[k for _, _, k in seen]], np.array([swing.arrows[n][x] for n, x, _ in seen])
+            )
+            away[i, j] = abs(np.log(mode.frequency_hz / swing.frequency_hz))
+    fits = np.where(away < _FAR, mac * (1 - away / _FAR), 0.0)
+    chosen = dict(zip(*linear_sum_assignment(-fits), strict=True)) if own else {}
+    pairs = []
+    for i, swing in enumerate(measured):
+        j = chosen.get(i)
+        near = j is not None and fits[i, j] > 0
+        pairs.append(
+            Pair(swing, own[j] if near and j is not None else None, float(mac[i, j]) if near else float("nan"))
+        )
+    return tuple(pairs)
