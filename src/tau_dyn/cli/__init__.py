@@ -6,7 +6,23 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from tau_dyn.cli import check, demo, diagnose, excite, feedforward, identify, modes, simulate
+from tau_dyn.cli import (
+    accuracy,
+    check,
+    compare,
+    demo,
+    diagnose,
+    excite,
+    export,
+    feedforward,
+    fk,
+    identify,
+    ik,
+    modes,
+    simulate,
+    view,
+    workspace,
+)
 from tau_dyn.cli.common import Parser, execute
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.version import __version__
@@ -20,6 +36,13 @@ COMMANDS = {
     "diagnose": diagnose,
     "modes": modes,
     "feedforward": feedforward,
+    "export": export,
+    "compare": compare,
+    "view": view,
+    "fk": fk,
+    "ik": ik,
+    "accuracy": accuracy,
+    "workspace": workspace,
 }
 
 

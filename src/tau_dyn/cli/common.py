@@ -199,9 +199,26 @@ def _given(args: argparse.Namespace) -> set[Path]:
     """Return every file that the arguments name as an input."""
     single = (
         getattr(args, name, None)
-        for name in ("robot", "log", "columns", "effects", "model", "motion", "controller", "noise_from", "a", "b")
+        for name in (
+            "robot",
+            "log",
+            "columns",
+            "effects",
+            "model",
+            "motion",
+            "controller",
+            "noise_from",
+            "a",
+            "b",
+            "errors",
+            "poses",
+            "obstacles",
+            "result",
+            "cloud",
+        )  # fmt: skip
     )
-    many = [*getattr(args, "logs", []), *getattr(args, "holdout", [])]
+    named = (text.partition("=")[2] or text for text in getattr(args, "measured", None) or [])  # JOINT=FILE or FILE
+    many = [*(getattr(args, "logs", None) or []), *(getattr(args, "holdout", None) or []), *named]
     return {Path(item).resolve() for item in (*single, *many) if item is not None and Path(item).is_file()}
 
 

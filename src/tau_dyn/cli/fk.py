@@ -1,0 +1,43 @@
+"""Where actuated positions put the tool."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from tau_dyn.cli.common import Outcome, add_robot, load_robot_from, progress
+from tau_dyn.cli.pose_tables import add_table_options, finite, outcome, read_columns
+from tau_dyn.exceptions import InputError
+
+HELP = "forward kinematics: where actuated positions put the tool"
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_robot(parser)
+    parser.add_argument(
+        "--q", metavar="VALUE", nargs="+", type=finite, help="actuated positions [m or rad], in their order"
+    )
+    add_table_options(parser, "positions q_<joint>")
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Compute poses."""
+    if (args.q is None) == (args.poses is None):
+        raise InputError("give --q VALUE ... or --poses POSES.csv")
+    with progress(args.quiet) as step:
+        step("loading")
+        from tau_dyn.kinematics.pose_table import forward_table, read_positions
+
+        robot = load_robot_from(args)
+        if args.q is not None and len(args.q) != robot.na:
+            named = ", ".join(robot.actuated)
+            raise InputError(f"--q: {robot.na} actuated joints ({named}) need {robot.na} values, not {len(args.q)}")
+        q = (
+            np.array([args.q])
+            if args.poses is None
+            else read_positions(read_columns(args.poses), robot, str(args.poses))
+        )
+        step("closing the rods")
+        return outcome(forward_table(robot, q), args)

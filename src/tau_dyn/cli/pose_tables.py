@@ -1,0 +1,59 @@
+"""What `fk` and `ik` share: numbers on the command line, tables of poses read, and the outcome."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+import numpy as np
+
+from tau_dyn.cli.common import Outcome, add_common, command_line, csv_file, robot_file
+from tau_dyn.exceptions import InputError
+
+_NEGATIVE = re.compile(r"^-(\d|\.\d)")
+
+
+def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the table to read and the one to write."""
+    parser.add_argument("--poses", metavar="POSES.csv", type=Path, help=f"a table of {what}, one a row")
+    parser.add_argument(
+        "--out", metavar="FILE.csv", type=csv_file, help="write q_<joint>, x_tool .. qw_tool, reason here"
+    )
+    add_common(parser)
+    parser._negative_number_matcher = _NEGATIVE  # argparse takes -1e-3 for an option otherwise (until Python 3.14)
+
+
+def finite(text: str) -> float:
+    """Read a finite number."""
+    value = float(text)
+    if not np.isfinite(value):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number")
+    return value
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Read a table's columns by name."""
+    from tau_dyn.log.delimited import parse_delimited
+
+    try:
+        data = path.read_bytes()
+    except OSError as fault:
+        raise InputError(f"{path}: cannot be read ({fault.strerror})") from fault
+    return parse_delimited(str(path), data)[0]
+
+
+def outcome(table, args: argparse.Namespace) -> Outcome:
+    """Return what to print and write."""
+    from tau_dyn.report.kinematics_page import kinematics_page, print_poses
+
+    written = {"table": args.out, "report": args.report, "result": args.json}
+    named = {k: str(v) for k, v in written.items() if v}
+    return Outcome(
+        result=table.to_dict(),
+        warnings=[*table.robot.warnings, *table.warnings],
+        inputs=[*robot_file(args), *([args.poses] if args.poses else [])],
+        show=lambda console: print_poses(console, table, named),
+        files={args.out: table.to_csv()} if args.out else {},
+        report=lambda: kinematics_page(table, command_line=command_line()),
+    )

@@ -1,0 +1,242 @@
+"""The answer of `tau-dyn accuracy`: a map or a list of poses, by every method, and where the simple bounds fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.accuracy.errors import Errors
+from tau_dyn.kinematics.accuracy.growth import Growth, grow
+from tau_dyn.kinematics.accuracy.monte_carlo import draw
+from tau_dyn.kinematics.accuracy.section import Grid
+from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, device_of, positioning_errors
+from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.rods import Rods
+from tau_dyn.robot import Robot
+
+CLOUD = 600
+"""Random errors drawn for the picture of the error body."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Where the tool may be at one pose.
+
+    Attributes:
+        pose: Number of the pose.
+        cloud: Displacements by random errors (K, 3) [m].
+        corners: Corners of the first-order body of rods that err alone (8, 3) [m]; empty for other robots.
+        worst: The exact worst displacement (3,) [m]; its opposite is nearly as bad.
+    """
+
+    pose: int
+    cloud: np.ndarray
+    corners: np.ndarray
+    worst: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What measured points say of the modelling assumptions (thesis 4.2)."""
+
+    guideways: list[Guideway] = field(default_factory=list)
+    parallel: list[Parallelism] = field(default_factory=list)
+    loads: list[dict[str, Any]] = field(default_factory=list)
+    orientation: Orientation | None = None
+
+    @property
+    def sentences(self) -> list[str]:
+        """All verdicts."""
+        said = [
+            *(g.sentence for g in self.guideways),
+            *(p.sentence for p in self.parallel),
+            *(x["sentence"] for x in self.loads),
+        ]
+        return [*said, self.orientation.sentence] if self.orientation is not None else said
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result file holds of it."""
+        return {
+            "guideways": [g.to_dict() for g in self.guideways], "parallelism": [p.to_dict() for p in self.parallel],
+            "loads": self.loads, "orientation": None if self.orientation is None else self.orientation.to_dict(),
+        }  # fmt: skip
+
+
+class MethodSummary(NamedTuple):
+    """One method over all poses: sizes in metres, the worst pose's number, poses without an answer."""
+
+    least: float
+    median: float
+    most: float
+    worst_pose: int
+    unanswered: int
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyResult:
+    """Everything `tau-dyn accuracy` found.
+
+    Attributes:
+        robot: The robot.
+        accuracy: Errors at all poses; None where only measurements were checked.
+        grid: The section's grid; None for a list of poses.
+        growth: Enlarged errors at the worst pose; None without `exact`.
+        body: Error bodies: at the worst pose, and at the pose nearest home.
+        measured: Checks of measured points.
+        from_measured: Whether the errors come from those measurements.
+    """
+
+    robot: Robot
+    accuracy: Accuracy | None
+    grid: Grid | None
+    growth: Growth | None
+    bodies: tuple[Body, ...]
+    measured: Measured
+    from_measured: bool = False
+
+    def summary(self, method: str) -> MethodSummary:
+        """Return one method over all poses."""
+        assert self.accuracy is not None
+        x = self.accuracy.largest[method]
+        there = np.isfinite(x)
+        if not there.any():
+            return MethodSummary(np.nan, np.nan, np.nan, 0, len(x))
+        low, middle, high = np.quantile(x[there], [0.0, 0.5, 1.0])
+        return MethodSummary(float(low), float(middle), float(high), int(np.nanargmax(x)), int((~there).sum()))
+
+    @property
+    def lost(self) -> np.ndarray:
+        """Poses (N,) at which some errors leave the robot without a pose on its branch."""
+        a = self.accuracy
+        return ~np.isfinite(a.largest["exact"]) if a is not None and "exact" in a.largest else np.zeros(0, bool)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the command's part of the JSON result."""
+        out: dict[str, Any] = {
+            "robot": self.robot.source,
+            "measured": self.measured.to_dict(),
+            "verdicts": self.measured.sentences,
+        }
+        a = self.accuracy
+        if a is None:
+            return out
+        return out | {
+            "errors": a.errors.to_dict(), "errors_from_measured": self.from_measured, "n_poses": len(a.q), "samples": a.samples,
+            "section": None if self.grid is None else _section(self.grid),
+            "methods": {m: self._method(m) for m in a.largest}, "left_out": a.left_out,
+            "orientation": {m: {"median": float(np.nanmedian(x)), "max": float(np.nanmax(x))} for m, x in a.turned.items()},
+            "linear_fails": self._fails(), "growth": None if self.growth is None else self._growth(),
+            "map": self._map(),
+        }  # fmt: skip
+
+    def _method(self, method: str) -> dict[str, Any]:
+        a, s = self.accuracy, self.summary(method)
+        assert a is not None
+        pose = {"q": a.q[s.worst_pose], "tool": a.position[s.worst_pose]}
+        out = {"min": s.least, "median": s.median, "max": s.most, "worst_pose": pose, "unanswered": s.unanswered}
+        if method == "montecarlo":
+            out |= {"within_95_percent": {"median": float(np.nanmedian(a.usual)), "max": float(np.nanmax(a.usual))}}
+        return out
+
+    def _fails(self) -> dict[str, Any] | None:
+        """Return how far the bounds are from the exact worst case, over all poses."""
+        a = self.accuracy
+        if a is None or "exact" not in a.largest:
+            return None
+        out: dict[str, Any] = {"no_pose_within_errors": int(self.lost.sum())}
+        for m in a.largest:
+            if m == "exact" or not np.isfinite(a.off(m)).any():
+                continue
+            off = a.off(m)
+            worst = int(np.nanargmax(np.abs(off)))
+            out[m] = {"least": float(np.nanmin(off)), "most": float(np.nanmax(off)), "median": float(np.nanmedian(off)),
+                      "worst_pose": {"q": a.q[worst], "tool": a.position[worst]}}  # fmt: skip
+        return out
+
+    def _growth(self) -> dict[str, Any]:
+        g = self.growth
+        assert g is not None
+        held = {m: {"within_1_percent": g.holds_to(m, 0.01), "within_10_percent": g.holds_to(m, 0.1)}
+                for m in g.largest if m in ("linear", "parallelepiped", "ellipsoid")}  # fmt: skip
+        return {"factors": g.factors, "largest": g.largest, "holds_to_factor": held}
+
+    def _map(self) -> dict[str, Any] | None:
+        if self.grid is None or self.accuracy is None:
+            return None
+        return {"u": self.grid.u, "v": self.grid.v} | {
+            m: self.grid.on_grid(x) for m, x in self.accuracy.largest.items()
+        }
+
+
+def _section(grid: Grid) -> dict[str, Any]:
+    axes = "xyz"
+    a, b = grid.section.others
+    return {"axis": axes[grid.section.axis], "value": grid.section.value, axes[a]: [grid.u[0], grid.u[-1]],
+            axes[b]: [grid.v[0], grid.v[-1]], "reached_share": float(grid.ok.mean())}  # fmt: skip
+
+
+def accuracy_study(
+    robot: Robot,
+    rods: Rods | None,
+    errors: Errors,
+    q: np.ndarray,
+    tool: Poses,
+    *,
+    grid: Grid | None = None,
+    methods: Sequence[str] = METHODS,
+    samples: int = 300,
+    seed: int = 0,
+    measured: Measured | None = None,
+    from_measured: bool = False,
+    progress: Callable[[str], None] = lambda step: None,
+) -> AccuracyResult:
+    """Return the tool's errors at poses, with everything that a report shows.
+
+    Args:
+        robot: The robot.
+        rods: Its rods; None for a mechanism that is not rods.
+        errors: What may be wrong.
+        q: Actuated positions (N, na); of the reached points of `grid`, if there is one.
+        tool: Poses of the tool there.
+        grid: The section they are of.
+        methods: Of `METHODS`.
+        samples: Random draws a pose.
+        seed: Of everything random.
+        measured: Checks to hand on.
+        from_measured: Whether `errors` come from them.
+        progress: Told what is under way.
+    """
+    if not len(q):
+        raise InputError("there are no poses to look at")
+    device = device_of(robot, rods, errors)
+    found = positioning_errors(device, errors, q, tool, methods=methods, samples=samples, seed=seed, progress=progress)
+    progress("errors enlarged, error bodies")
+    size = found.largest[found.best_method]
+    worst = int(np.nanargmax(size)) if np.isfinite(size).any() else 0
+    home = int(np.argmin(np.linalg.norm(q - robot.home, axis=1)))
+    at = Poses(tool.position[worst : worst + 1], tool.rotation[worst : worst + 1])
+    compared = [m for m in found.largest if m != "montecarlo"]
+    growth = grow(robot, rods, errors, q[worst], at, compared) if "exact" in compared and len(compared) > 1 else None
+    bodies = tuple(_body(device, found, q, tool, k, seed) for k in dict.fromkeys((home, worst)))
+    return AccuracyResult(robot, found, grid, growth, bodies, measured or Measured(), from_measured)
+
+
+def _body(device: Any, found: Accuracy, q: np.ndarray, tool: Poses, k: int, seed: int) -> Body:
+    state = device.state(q[k : k + 1], Poses(tool.position[k : k + 1], tool.rotation[k : k + 1]))
+    e = draw(device.balls, device.m, (CLOUD,), np.random.default_rng(seed))
+    cloud = device.closed(state.take(np.zeros(CLOUD, int)), e).shift
+    worst = np.full(3, np.nan)
+    if found.worst.shape[1]:
+        worst = device.closed(state, found.worst[k : k + 1]).shift[0]
+    corners = np.empty((0, 3))
+    if found.faces.shape[1]:
+        from tau_dyn.kinematics.accuracy.parallelepiped import half_edges
+
+        signs = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)], float)
+        corners = signs @ half_edges(device, state)[0].T
+    return Body(k, cloud[np.isfinite(cloud).all(axis=1)], corners, worst)

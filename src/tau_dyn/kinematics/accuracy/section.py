@@ -1,0 +1,247 @@
+"""A flat section through the workspace: where it is, a grid over what the robot reaches of it, and the actuators there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.forward import forward_kinematics
+from tau_dyn.kinematics.inverse import inverse_kinematics
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.rods import Rods
+from tau_dyn.robot import Robot
+
+AXES = "xyz"
+_REACHED = 1e-8
+"""[m] How near the asked position the robot must come."""
+COARSE = 25
+"""Points to a side of the first, coarse look for the workspace."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A plane orthogonal to an axis of the base, and the range looked at in it.
+
+    Attributes:
+        axis: 0, 1, 2 for x, y, z.
+        value: Where it cuts that axis [m].
+        across: Range of each of the other two axes [m]; None to find what is reached.
+    """
+
+    axis: int
+    value: float
+    across: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    @property
+    def others(self) -> tuple[int, int]:
+        """The two axes within the section, the horizontal one of a drawing first."""
+        return ((1, 2), (0, 2), (0, 1))[self.axis]
+
+    def within(self, ranges: Sequence[str]) -> Section:
+        """Return the section limited by words such as `y=-1:0.5`, one for each of its two axes; none for all that is reached.
+
+        Raises:
+            InputError: A word is not of this kind, or one axis has none.
+        """
+        if not ranges:
+            return self
+        found = dict(_range(text) for text in ranges)
+        wanted = [AXES[k] for k in self.others]
+        if sorted(found) != wanted:
+            raise InputError(f"--range: a section {self.words} needs a range of {wanted[0]} and one of {wanted[1]}")
+        return replace(self, across=(found[wanted[0]], found[wanted[1]]))
+
+    @property
+    def words(self) -> str:
+        """Such as `x = 1.75 m`."""
+        return f"{AXES[self.axis]} = {self.value:.4g} m"
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A section's points, and the robot's positions there.
+
+    Attributes:
+        section: The section with its range.
+        u: Horizontal coordinates (nu,) [m].
+        v: Vertical coordinates (nv,) [m].
+        poses: Tool poses (nv * nu), v the slower.
+        q: Actuated positions (nv * nu, na), nan where there are none.
+        ok: Whether the robot reaches the point (nv * nu,).
+    """
+
+    section: Section
+    u: np.ndarray
+    v: np.ndarray
+    poses: Poses
+    q: np.ndarray
+    ok: np.ndarray
+
+    def on_grid(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the reached points (n_ok,) as a picture (nv, nu), nan elsewhere."""
+        picture = np.full(len(self.ok), np.nan)
+        picture[self.ok] = values
+        return picture.reshape(len(self.v), len(self.u))
+
+
+def read_section(text: str) -> Section:
+    """Read `x=1.75`.
+
+    Raises:
+        InputError: The text is not of this kind.
+    """
+    name, equals, number = (part.strip() for part in text.partition("="))
+    try:
+        value = float(number)
+    except ValueError:
+        value = np.nan
+    if not equals or name not in AXES or len(name) != 1 or not abs(value) < 1e6:
+        raise InputError(f"--section {text}: write an axis and where to cut it, such as x=1.75")
+    return Section(AXES.index(name), value)
+
+
+def _range(text: str) -> tuple[str, tuple[float, float]]:
+    name, equals, ends = (part.strip() for part in text.partition("="))
+    low, colon, high = ends.partition(":")
+    try:
+        low_high = float(low), float(high)
+    except ValueError:
+        low_high = np.nan, np.nan
+    if not equals or not colon or not -1e6 < low_high[0] < low_high[1] < 1e6:
+        raise InputError(f"--range {text}: write an axis, its low and its high end, such as y=-1:0.5")
+    return name, low_high
+
+
+def default_section(robot: Robot, tool: Poses, rods: Rods | None) -> Section:
+    """Return the section through home across the guideways; where nothing slides, the one with x upright."""
+    axis = 1
+    if rods is not None:
+        sliding = [j for j, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
+        travel = np.abs(rods.base_jacobian(robot.home[None])[0][:, :, sliding]).sum(axis=(0, 2))
+        axis = int(np.argmax(travel)) if travel.any() else 2
+    return Section(axis, round(float(tool.position[0, axis]), 9) + 0.0)
+
+
+def lay_grid(
+    robot: Robot,
+    rods: Rods | None,
+    tool: Poses,
+    section: Section,
+    n: int,
+    *,
+    limits: bool = True,
+    reach: float | None = None,
+) -> Grid:
+    """Return a grid over the part of a section that the robot reaches, with the home's orientation.
+
+    Args:
+        robot: The robot.
+        rods: Its rods; None for another mechanism.
+        tool: Pose of the tool at home (1 sample).
+        section: Where.
+        n: Points along the longer side.
+        limits: Whether actuators must stay within their limits.
+        reach: How far from home to look [m]; None for what the mechanism's size allows.
+
+    Raises:
+        InputError: The robot reaches nothing of the section.
+    """
+    range_ = section.across
+    if range_ is None:
+        far = _size(robot, rods, tool) if reach is None else reach
+        home = tool.position[0, list(section.others)]
+        u, v = (np.linspace(h - far, h + far, COARSE) for h in home)
+        coarse = _filled(robot, rods, tool, section, u, v, limits)
+        range_ = _around(coarse, robot)
+    (u0, u1), (v0, v1) = range_
+    step = max(u1 - u0, v1 - v0) / max(n - 1, 1)
+    u, v = (np.linspace(a, b, max(2, round((b - a) / step) + 1)) for a, b in ((u0, u1), (v0, v1)))
+    grid = _filled(robot, rods, tool, Section(section.axis, section.value, range_), u, v, limits)
+    if not grid.ok.any():
+        raise InputError(_outside(robot, section, tool))
+    return grid
+
+
+def _filled(
+    robot: Robot, rods: Rods | None, tool: Poses, section: Section, u: np.ndarray, v: np.ndarray, limits: bool
+) -> Grid:
+    """Solve a grid, outwards from the point nearest home; all of it where that point is not reached."""
+    a, b = section.others
+    position = np.empty((len(v), len(u), 3))
+    position[..., section.axis] = section.value
+    position[..., a], position[..., b] = u[None, :], v[:, None]
+    position = position.reshape(-1, 3)
+    rotation = np.broadcast_to(tool.rotation, (len(position), 3, 3)).copy()
+    grid = Grid(
+        section,
+        u,
+        v,
+        Poses(position, rotation),
+        np.full((len(position), robot.na), np.nan),
+        np.zeros(len(position), bool),
+    )
+    shape, tried = (len(v), len(u)), np.zeros((len(v), len(u)), bool)
+    front = np.zeros(shape, bool)
+    front.flat[int(np.argmin(np.linalg.norm(position - tool.position[0], axis=1)))] = True
+    while front.any():
+        _solve(robot, rods, grid, np.flatnonzero(front), limits)
+        tried |= front
+        front = binary_dilation(grid.ok.reshape(shape), np.ones((3, 3))) & ~tried if grid.ok.any() else ~tried
+    return grid
+
+
+def _solve(robot: Robot, rods: Rods | None, grid: Grid, index: np.ndarray, limits: bool) -> None:
+    """Fill in the grid's points at an index: positions, and the orientation that the robot really has there."""
+    which, asked = robot if rods is None else rods, grid.poses.take(index)
+    found = inverse_kinematics(which, asked, limits=limits)
+    there = np.flatnonzero(found.ok)
+    q, asked = found.q[there], asked.take(there)
+    really = forward_kinematics(which, q, start=asked)
+    near = really.ok & (np.linalg.norm(really.poses.position - asked.position, axis=1) < _REACHED)
+    if rods is not None:
+        near[near] = _same_side(rods, q[near], really.plate.take(near))
+    at = index[there[near]]
+    grid.ok[at], grid.q[at], grid.poses.rotation[at] = True, q[near], really.poses.rotation[near]
+
+
+def _same_side(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
+    """Return which poses lie on home's side of the singularities, so that they are reached without crossing one."""
+    keep = slice(0, 3) if rods.translates else slice(0, 6)
+    sides = [
+        np.sign(np.linalg.det(rods.gap_by_pose(x, p)[:, :, keep]))
+        for x, p in ((q, plate), (rods.robot.home[None], rods.home))
+    ]
+    return sides[0] == sides[1]
+
+
+def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[float, float]]:
+    picture = coarse.ok.reshape(len(coarse.v), len(coarse.u))
+    if not picture.any():
+        raise InputError(_outside(robot, coarse.section, None))
+    ends = []
+    for x, axis in ((coarse.u, 0), (coarse.v, 1)):
+        inside, step = np.flatnonzero(picture.any(axis=axis)), x[1] - x[0]
+        ends.append((float(x[inside[0]] - step), float(x[inside[-1]] + step)))
+    return ends[0], ends[1]
+
+
+def _outside(robot: Robot, section: Section, tool: Poses | None) -> str:
+    axis = AXES[section.axis]
+    home = "" if tool is None else f"; at home the tool is at {axis}={tool.position[0, section.axis]:.4g}"
+    return (
+        f"{robot.source} reaches nothing of the section {section.words}{home}; "
+        "cut where it goes (without limits: --no-limits), or list --poses"
+    )
+
+
+def _size(robot: Robot, rods: Rods | None, tool: Poses) -> float:
+    """Return a distance from home beyond which the tool does not come [m]."""
+    if rods is None:
+        lengths = [float(np.linalg.norm(p.translation)) for p in robot.model.jointPlacements]
+        return sum(lengths) + float(np.linalg.norm(tool.position[0])) * 0.1 + 0.1
+    A, L = rods.base_points(robot.home[None])[0], rods.leg_lengths(robot.home[None])[0]
+    return float(np.max(np.linalg.norm(A - tool.position[0], axis=1) + L))

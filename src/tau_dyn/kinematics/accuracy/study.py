@@ -1,0 +1,190 @@
+"""How far the tool may be from where it should be: every method on the same errors, at many poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.accuracy import certified, ellipsoids, parallelepiped
+from tau_dyn.kinematics.accuracy.errors import Errors
+from tau_dyn.kinematics.accuracy.monte_carlo import monte_carlo
+from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State
+from tau_dyn.kinematics.accuracy.sources import rod_sources
+from tau_dyn.kinematics.accuracy.worst import first_order, worst_case
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.rods import Rods
+from tau_dyn.robot import Robot
+
+METHODS = ("linear", "parallelepiped", "ellipsoid", "exact", "certified", "montecarlo")
+BLOCK = 2000
+"""Poses worked on at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Positioning errors at many poses.
+
+    Attributes:
+        errors: What was assumed.
+        q: Actuated positions (N, na).
+        position: Intended tool positions (N, 3) [m].
+        largest: Largest displacement of the tool by method, each (N,) [m]; nan where the method gives none there.
+        turned: Largest change of orientation by method, each (N,) [rad]; empty for a plate that only translates.
+        usual: What 95 % of random errors stay below (N,) [m]; empty without Monte Carlo.
+        worst: Errors at the exact worst case (N, m), each source within its unit ball; empty without `exact`.
+        direction: Where that points (N, 3).
+        faces: Areas of the parallelepiped's faces orthogonal to each rod (N, 3) [m^2]; empty where there is none.
+        labels: What each source is.
+        left_out: Methods that do not apply, and why.
+        samples: Draws a pose.
+    """
+
+    errors: Errors
+    q: np.ndarray
+    position: np.ndarray
+    largest: dict[str, np.ndarray]
+    turned: dict[str, np.ndarray]
+    usual: np.ndarray
+    worst: np.ndarray
+    direction: np.ndarray
+    faces: np.ndarray
+    labels: tuple[str, ...]
+    left_out: dict[str, str]
+    samples: int
+
+    @property
+    def best_method(self) -> str:
+        """The method whose word counts: exact where it ran, else the nearest to it."""
+        order = ("exact", "parallelepiped", "ellipsoid", "linear", "montecarlo", "certified")
+        return next(m for m in order if m in self.largest)
+
+    def off(self, method: str) -> np.ndarray:
+        """Return by what share a method differs from the exact worst case (N,): -0.1 is 10 % too small."""
+        with np.errstate(all="ignore"):
+            return self.largest[method] / self.largest["exact"] - 1
+
+
+def device_of(robot: Robot, rods: Rods | None, errors: Errors):
+    """Return the robot with its error sources, through its rods where it has them.
+
+    Raises:
+        InputError: Nothing errs, or an error does not fit the robot.
+    """
+    if errors.nothing:
+        raise InputError("all errors are zero, so the tool is exact; give at least one, such as --actuator-error 50e-6")
+    if rods is not None:
+        return RodDevice(rods, rod_sources(rods, errors))
+    from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
+
+    return SerialDevice(robot, errors)
+
+
+def positioning_errors(
+    device: Any,
+    errors: Errors,
+    q: np.ndarray,
+    tool: Poses,
+    *,
+    methods: Sequence[str] = METHODS,
+    samples: int = 300,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Accuracy:
+    """Return the tool's largest errors at many poses, by every method asked for.
+
+    Args:
+        device: The robot with its errors, of `device_of`.
+        errors: The same errors, to be kept with the result.
+        q: Actuated positions (N, na) [m or rad].
+        tool: Poses of the tool there (N).
+        methods: Of `METHODS`.
+        samples: Random draws a pose for `montecarlo`.
+        seed: Of those draws.
+        progress: Told what is under way.
+
+    Raises:
+        InputError: Unknown methods, or none that applies.
+    """
+    unknown = [m for m in methods if m not in METHODS]
+    if unknown:
+        raise InputError(f"no method named '{unknown[0]}'; there are {', '.join(METHODS)} and all")
+    if not np.isfinite(q).all():
+        raise InputError("actuated positions must be finite numbers; a pose that is not reached has no error")
+    left_out = {m: why for m in methods if (why := _why_not(device, m))}
+    asked = [m for m in methods if m not in left_out]
+    if not asked:
+        raise InputError("; ".join(f"{m}: {why}" for m, why in left_out.items()))
+    state = device.state(q, tool)
+    parts: list[dict[str, np.ndarray]] = []
+    for start in range(0, len(q), BLOCK):
+        progress(f"poses {start + 1} to {min(start + BLOCK, len(q))} of {len(q)}")
+        parts.append(_some(device, state.take(slice(start, start + BLOCK)), asked, samples, seed))
+    whole = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
+    empty = np.empty((len(q), 0))
+    return Accuracy(
+        errors, q, tool.position,
+        largest={m: whole[m] for m in METHODS if m in whole},
+        turned={m: whole[f"{m} turn"] for m in METHODS if f"{m} turn" in whole},
+        usual=whole.get("usual", empty[:, 0:0].reshape(-1)), worst=whole.get("worst", empty),
+        direction=whole.get("direction", empty), faces=whole.get("faces", empty),
+        labels=tuple(device.labels), left_out=left_out, samples=samples if "montecarlo" in asked else 0,
+    )  # fmt: skip
+
+
+def _why_not(device: Any, method: str) -> str:
+    if method in ("ellipsoid", "certified") and not isinstance(device, RodDevice):
+        return "it is for a plate held by rods"
+    if method == "ellipsoid":
+        return ellipsoids.applies(device)
+    return certified.applies(device) if method == "certified" else ""
+
+
+def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed: int) -> dict[str, np.ndarray]:
+    out: dict[str, np.ndarray] = {}
+    turns = device.sensitivity(state.take(slice(0, 1))).shape[1] == 6
+    if "linear" in methods:
+        out |= _by_actuators(device, state, turns)
+    if "parallelepiped" in methods or "exact" in methods:
+        out |= _by_corners(device, state, methods, turns)
+    if "ellipsoid" in methods:
+        out["ellipsoid"] = ellipsoids.largest(ellipsoids.corners(device, state)[0])
+    if "certified" in methods:
+        out["certified"] = certified.certified(device, state)
+    if "montecarlo" in methods:
+        drawn = monte_carlo(device, state, samples, seed)
+        out |= {"montecarlo": drawn.largest, "usual": drawn.usual}
+        out |= {"montecarlo turn": drawn.turn_largest} if turns else {}
+    if isinstance(device, RodDevice) and device.freedoms == 3:
+        out["faces"] = parallelepiped.face_areas(parallelepiped.half_edges(device, state))
+    return out
+
+
+def _by_actuators(device: Any, state: State, turns: bool) -> dict[str, np.ndarray]:
+    """Return the catalogue's bound: actuators err along their motion only, through the Jacobian."""
+    H = device.by_actuators(state) * device.along
+    H = H[:, :, device.along > 0]
+    balls = tuple(slice(k, k + 1) for k in range(H.shape[2]))
+    zero = np.zeros(len(state))
+    out = {"linear": first_order(H[:, :3], balls, True)[0].size if balls else zero}
+    return out | ({"linear turn": first_order(H[:, 3:], balls, True)[0].size if balls else zero} if turns else {})
+
+
+def _by_corners(device: Any, state: State, methods: Sequence[str], turns: bool) -> dict[str, np.ndarray]:
+    own = isinstance(device, RodDevice) and device.sources.own
+    out: dict[str, np.ndarray] = {}
+    H = device.sensitivity(state)
+    for name, part in (("", slice(0, 3)), (" turn", slice(3, 6))):
+        if name and not turns:
+            break
+        first, corners = first_order(H[:, part], device.balls, own)
+        if "parallelepiped" in methods:
+            out[f"parallelepiped{name}"] = first.size
+        if "exact" in methods:
+            worst = worst_case(device, state, corners, part=part)
+            out[f"exact{name}"] = worst.size
+            out |= {} if name else {"worst": worst.e, "direction": worst.direction}
+    return out

@@ -1,0 +1,130 @@
+r"""A six-rod plate as seven quadrics in eight homogeneous unknowns.
+
+With a quaternion `e` (scalar first) and `h` so that the plate's position is `T = vec(h e*) / |e|^2`, every rod's
+closure `|T + R B - A|^2 = L^2` (thesis 4.34) times `|e|^2` is a quadratic form in `x = (e, h)`, and so is Study's
+condition `e . h = 0`:
+
+    K |e|^2 + |h|^2 + 2 e' L_A R_B e + 2 h' (R_B - L_A) e = 0,      K = |A|^2 + |B|^2 - L^2,
+
+`L_A e = A e` and `R_B e = e B` being products of quaternions. `x` and `c x` are the same pose, so the quaternion's
+sign does not count twice: 40 points for the general hexapod, not 80. `e = 0` solves too and is no pose. References:
+Husty 1996 and Wampler 1996, Mechanism and Machine Theory 31, pp. 365 and 331.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+_LEFT = np.zeros((3, 4, 4))  # left products by i, j, k
+_LEFT[0, [0, 1, 2, 3], [1, 0, 3, 2]] = -1, 1, -1, 1
+_LEFT[1, [0, 2, 3, 1], [2, 0, 1, 3]] = -1, 1, -1, 1
+_LEFT[2, [0, 3, 1, 2], [3, 0, 2, 1]] = -1, 1, -1, 1
+_RIGHT = np.zeros((3, 4, 4))
+_RIGHT[0, [0, 1, 2, 3], [1, 0, 3, 2]] = -1, 1, 1, -1
+_RIGHT[1, [0, 2, 3, 1], [2, 0, 1, 3]] = -1, 1, 1, -1
+_RIGHT[2, [0, 3, 1, 2], [3, 0, 2, 1]] = -1, 1, 1, -1
+_PURE = np.array([1.0, -1.0, -1.0, -1.0])  # conjugates a quaternion
+
+
+class Hexapod(NamedTuple):
+    """Six rods as numbers that the quadrics depend on; complex for a start system.
+
+    Attributes:
+        base: Points A (6, 3).
+        plate: Points B in the plate's frame (6, 3).
+        offset: `|A|^2 + |B|^2 - L^2` (6,).
+    """
+
+    base: np.ndarray
+    plate: np.ndarray
+    offset: np.ndarray
+
+    def towards(self, other: Hexapod, t: float) -> Hexapod:
+        """Return the hexapod at `t` of the straight line to another one."""
+        return Hexapod(*(a + t * (b - a) for a, b in zip(self, other, strict=True)))
+
+
+class Gauge(NamedTuple):
+    """Shift and scale that bring a hexapod to size one: `A -> (A - base) / scale`, `B -> (B - plate) / scale`."""
+
+    base: np.ndarray
+    plate: np.ndarray
+    scale: float
+
+
+def normalised(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray) -> tuple[Hexapod, Gauge]:
+    """Return the hexapod of real points (6, 3) and lengths (6,) [m] at size one, and how it got there."""
+    a0, b0 = base.mean(axis=0), plate.mean(axis=0)
+    A, B = base - a0, plate - b0
+    scale = np.sqrt(np.mean((A**2).sum(axis=1) + (B**2).sum(axis=1) + lengths**2))
+    A, B, L = A / scale, B / scale, lengths / scale
+    return Hexapod(A, B, (A**2).sum(axis=1) + (B**2).sum(axis=1) - L**2), Gauge(a0, b0, scale)
+
+
+def quadrics(hexapod: Hexapod) -> np.ndarray:
+    """Return seven symmetric matrices (7, 8, 8): the first rod, the others minus the first, Study's condition.
+
+    The differences have no `|h|^2`, which would drown the rest where a pose is far away and `e` small.
+    """
+    left = np.tensordot(hexapod.base, _LEFT, 1)
+    right = np.tensordot(hexapod.plate, _RIGHT, 1)
+    Q = np.zeros((7, 8, 8), dtype=np.result_type(left, right))
+    Q[:6, :4, :4] = hexapod.offset[:, None, None] * np.eye(4) + 2 * left @ right
+    Q[:6, 4:, :4] = right - left
+    Q[:6, :4, 4:] = np.swapaxes(right - left, 1, 2)
+    Q[1:6] -= Q[0]
+    Q[0, 4:, 4:] = np.eye(4)
+    Q[6, :4, 4:] = Q[6, 4:, :4] = 0.5 * np.eye(4)
+    return Q
+
+
+def magnitudes(hexapod: Hexapod, lengths: np.ndarray) -> np.ndarray:
+    """Return bounds (7, 8, 8) on every term that was added up in `quadrics`: what rounding errors are relative to."""
+    A, B = np.abs(hexapod.base), np.abs(hexapod.plate)
+    left, right = np.tensordot(A, np.abs(_LEFT), 1), np.tensordot(B, np.abs(_RIGHT), 1)
+    offset = (A**2).sum(axis=1) + (B**2).sum(axis=1) + lengths**2
+    Q = np.zeros((7, 8, 8))
+    Q[:6, :4, :4] = offset[:, None, None] * np.eye(4) + 2 * left @ right
+    Q[:6, 4:, :4] = Q[:6, :4, 4:] = left + right
+    Q[1:6] += Q[0]
+    Q[0, 4:, 4:] = np.eye(4)
+    Q[6, :4, 4:] = Q[6, 4:, :4] = 0.5 * np.eye(4)
+    return Q
+
+
+def poses_of(x: np.ndarray, gauge: Gauge) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return positions (n, 3) [m], quaternions (n, 4) scalar first with `e . e = 1`, and rotations (n, 3, 3), all complex."""
+    e, h = x[:, :4], x[:, 4:]
+    norm = np.sqrt((e * e).sum(axis=1, keepdims=True) + 0j)
+    e, h = e / norm, h / norm
+    R = rotations(e)
+    T = times(h, e * _PURE)[:, 1:] * gauge.scale
+    return T + gauge.base - R @ gauge.plate, e, R
+
+
+def points_of(position: np.ndarray, quaternion: np.ndarray, rotation: np.ndarray, gauge: Gauge) -> np.ndarray:
+    """Return homogeneous points (n, 8) of poses; the inverse of `poses_of`."""
+    T = (position + rotation @ gauge.plate - gauge.base) / gauge.scale
+    pure = np.concatenate([np.zeros_like(T[:, :1]), T], axis=1)
+    return np.concatenate([quaternion, times(pure, quaternion)], axis=1)
+
+
+def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return products (n, 4) of quaternions, scalar first."""
+    return a[:, :1] * b + np.einsum("nk,kij,nj->ni", a[:, 1:], _LEFT, b)
+
+
+def rotations(e: np.ndarray) -> np.ndarray:
+    """Return rotation matrices (n, 3, 3) of quaternions (n, 4), scalar first, `e . e = 1`."""
+    left = np.einsum("nk,kij->nij", e[:, 1:], _LEFT) + e[:, :1, None] * np.eye(4)
+    right = np.einsum("nk,kij->nij", -e[:, 1:], _RIGHT) + e[:, :1, None] * np.eye(4)
+    return (left @ right)[:, 1:, 1:]
+
+
+def residuals(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray, T: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Return the largest error (n,) of a rod's length [m] at complex poses; the length is the root of `d . d`."""
+    d = T[:, None] + np.einsum("nij,kj->nki", R, plate) - base
+    found = np.sqrt((d * d).sum(axis=2).astype(complex))  # principal root: its real part is not negative, as L
+    return np.abs(found - lengths).max(axis=1)

@@ -1,0 +1,253 @@
+r"""Is a guideway straight: a point on its cart, measured along it, against a line (thesis (4.10) to (4.12), Table 4.1).
+
+    P(q) = P_0 + q v + e,      e_par = e . v / |v|,      e_perp = e - e_par v / |v|
+
+by least squares, `v` free in length: `|v| - 1` is a scale error of the drive and no crookedness. Along the motion e shows
+the drive (transmission, resolver, backlash), across it the guideway. Measured in any fixed frame. Errors of a guideway are
+smooth, so standard errors are widened by the residual's own correlation from point to point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.assumptions.cycles import Cycle, strongest_cycle
+
+FEWEST = 8
+"""Points below which a line with shape and scatter cannot be told apart."""
+SHAPE_DEGREE = 4
+"""Polynomials up to this degree describe a guideway's slow shape."""
+SURE = 0.01
+"""p-value below which a shape, a cycle or a backlash counts as seen."""
+_MIXED = 3
+"""Points in each direction of travel from which backlash is estimated."""
+
+
+class Seen(NamedTuple):
+    """A size with its standard error [m] and the p-value of there being none."""
+
+    size: float
+    stderr: float
+    p_value: float
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is more than chance."""
+        return self.p_value < SURE
+
+
+@dataclass(frozen=True, eq=False)
+class Guideway:
+    """One guideway against a straight line.
+
+    Attributes:
+        joint: The actuated joint.
+        q: Actuated positions (N,) [m].
+        origin: `P_0` (3,) [m], where the line is at q = 0.
+        slope: `v` (3,), metres of travel per metre of q.
+        covariance: Of `slope` (3, 3).
+        along: `e_par` (N,) [m].
+        across: `e_perp` (N, 3) [m].
+        bow: Rise of the middle over the ends [m], across the guideway.
+        shape: p-value of the guideway having no slow shape across.
+        cycle: The strongest cycle along the motion; None with too few points.
+        backlash: What changes with the direction of travel [m]; None where all points were approached from one side.
+        points: Where the cart was measured (N, 3) [m].
+    """
+
+    joint: str
+    q: np.ndarray
+    origin: np.ndarray
+    slope: np.ndarray
+    covariance: np.ndarray
+    along: np.ndarray
+    across: np.ndarray
+    bow: Seen
+    shape: float
+    cycle: Cycle | None
+    backlash: Seen | None
+    points: np.ndarray
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit direction (3,)."""
+        return self.slope / np.linalg.norm(self.slope)
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """`e` of (4.10) (N, 3) [m]."""
+        return self.along[:, None] * self.direction + self.across
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """`|e|` (N,) [m]; Table 4.1 has its mean and standard deviation."""
+        return np.linalg.norm(self.residuals, axis=1)
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """`|v| - 1` and its standard error."""
+        d = self.direction
+        return float(np.linalg.norm(self.slope)) - 1.0, float(np.sqrt(d @ self.covariance @ d))
+
+    def bounds(self, share: float = 0.95) -> tuple[float, float]:
+        """Return what this share of the measured points stays below, along and across [m]."""
+        across = np.linalg.norm(self.across, axis=1)
+        return float(np.quantile(np.abs(self.along), share)), float(np.quantile(across, share))
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in a sentence."""
+        along, across = (1e6 * x for x in self.bounds())
+        found = [f"95 % of its points lie within {along:.0f} um along and {across:.0f} um across a straight line"]
+        if self.bow.sure:
+            found.append(f"it bows by {1e6 * self.bow.size:.0f} +- {1e6 * self.bow.stderr:.0f} um")
+        elif self.shape < SURE:
+            found.append("it is crooked beyond its scatter")
+        else:
+            found.append("no crookedness beyond the scatter")
+        if self.cycle is not None and self.cycle.p_value < SURE:
+            found.append(
+                f"a cycle of {1e3 * self.cycle.period:.0f} mm and +-{1e6 * self.cycle.amplitude:.0f} um along the motion"
+            )
+        if self.backlash is not None and self.backlash.sure:
+            found.append(f"backlash {1e6 * self.backlash.size:.0f} +- {1e6 * self.backlash.stderr:.0f} um")
+        return f"{self.joint}: {'; '.join(found)}."
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a result file holds of it."""
+        along, across = self.bounds()
+        scale, scale_stderr = self.scale
+        return {
+            "joint": self.joint, "n_points": len(self.q), "sentence": self.sentence,
+            "residual": {"mean": float(self.sizes.mean()), "std": float(self.sizes.std(ddof=1)), "max": float(self.sizes.max())},
+            "within_95_percent": {"along": along, "across": across},
+            "direction": self.direction, "scale_error": scale, "scale_error_stderr": scale_stderr,
+            "bow": self.bow._asdict(), "shape_p_value": self.shape,
+            "cycle": None if self.cycle is None else self.cycle.to_dict(),
+            "backlash": None if self.backlash is None else self.backlash._asdict(),
+        }  # fmt: skip
+
+
+def fit_guideway(joint: str, q: np.ndarray, points: np.ndarray) -> Guideway:
+    """Fit a line to the measured points of one cart.
+
+    Args:
+        joint: Name of the actuated joint.
+        q: Actuated positions (N,) [m], in the order of measurement.
+        points: Measured positions (N, 3) [m], in any fixed frame.
+
+    Raises:
+        InputError: Arrays of other shapes, values that are not finite, too few points, or a cart that hardly moved.
+    """
+    q, points = np.asarray(q, float), np.asarray(points, float)
+    _check(joint, q, points)
+    x = q - q.mean()
+    slope = x @ points / (x @ x)
+    centre = points.mean(axis=0)
+    e = points - centre - x[:, None] * slope
+    direction = slope / np.linalg.norm(slope)
+    along, order = e @ direction, np.argsort(q, kind="stable")
+    across = e - along[:, None] * direction
+    covariance = e.T @ e / (len(q) - 2) * _correlation(e[order]) / (x @ x)
+    shape, bow = _shape(q, across, direction)
+    backlash, rest = _backlash(q, along)
+    return Guideway(
+        joint, q, centre - q.mean() * slope, slope, covariance, along, across, bow, shape,
+        strongest_cycle(q, rest), backlash, points,
+    )  # fmt: skip
+
+
+def load_shift(line: Guideway, q: np.ndarray, points: np.ndarray) -> dict[str, Any]:
+    """Return how far another load moved the cart off the line found before (the squares of Figure 4.5).
+
+    Args:
+        line: The guideway, fitted with the end-effector at one place.
+        q: Positions (N,) [m] of a second measurement, the end-effector elsewhere.
+        points: Measured positions (N, 3) [m], in the same frame.
+    """
+    q, points = np.asarray(q, float), np.asarray(points, float)
+    _check(line.joint, q, points)
+    e = points - line.origin - q[:, None] * line.slope
+    mean, n = e.mean(axis=0), len(q)
+    variance = (e - mean).T @ (e - mean) / (n - 1) / n + line.residuals.T @ line.residuals / (len(line.q) - 2) / len(
+        line.q
+    )
+    t2 = float(mean @ np.linalg.pinv(variance) @ mean)
+    largest = float(np.linalg.norm(e, axis=1).max())
+    p_value, size = float(stats.chi2.sf(t2, 3)), float(np.linalg.norm(mean))
+    did = "moves" if p_value < SURE else "does not visibly move"
+    return {
+        "joint": line.joint, "n_points": n, "shift": mean, "size": size, "p_value": p_value, "largest": largest,
+        "sentence": f"{line.joint}: another load {did} the cart: {1e6 * size:.0f} um on average, {1e6 * largest:.0f} um at most.",
+    }  # fmt: skip
+
+
+def _check(joint: str, q: np.ndarray, points: np.ndarray) -> None:
+    if q.ndim != 1 or points.shape != (len(q), 3):
+        raise InputError(
+            f"{joint}: a guideway needs positions (N,) and points (N, 3), not {q.shape} and {points.shape}"
+        )
+    if not (np.isfinite(q).all() and np.isfinite(points).all()):
+        raise InputError(f"{joint}: every measured point needs finite numbers")
+    if len(q) < FEWEST:
+        raise InputError(f"{joint}: {len(q)} points cannot tell a line from its errors; measure at least {FEWEST}")
+    if np.ptp(q) < 10 * np.finfo(float).eps * max(1.0, np.abs(q).max()) or len(np.unique(q)) < SHAPE_DEGREE + 1:
+        raise InputError(f"{joint}: the cart stands at {len(np.unique(q))} places; measure it along its guideway")
+
+
+def _correlation(e: np.ndarray) -> float:
+    """Return by how much neighbours alike widen a variance: `(1 + rho) / (1 - rho)`."""
+    spread = float(np.sum(e**2))
+    rho = float(np.sum(e[1:] * e[:-1])) / spread if spread > 0 else 0.0
+    rho = min(max(rho, 0.0), 0.95)
+    return (1 + rho) / (1 - rho)
+
+
+def _polynomials(q: np.ndarray) -> np.ndarray:
+    """Return Legendre polynomials of degree 0 to `SHAPE_DEGREE` (N, d + 1) over the travel."""
+    low, high = q.min(), q.max()
+    return np.polynomial.legendre.legvander((2 * q - low - high) / (high - low), SHAPE_DEGREE)
+
+
+def _fitted(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+
+
+def _shape(q: np.ndarray, across: np.ndarray, direction: np.ndarray) -> tuple[float, Seen]:
+    """Return the p-value of no slow shape, and the bow, in the plane across the guideway."""
+    plane = np.linalg.svd(direction[None])[2][1:]
+    y, columns = across @ plane.T, _polynomials(q)
+    coefficients = np.linalg.lstsq(columns, y, rcond=None)[0]
+    rest = y - columns @ coefficients
+    lines = y - _fitted(columns[:, :2], y)
+    more, free = SHAPE_DEGREE - 1, len(q) - SHAPE_DEGREE - 1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        F = ((lines**2).sum() - (rest**2).sum()) / (rest**2).sum() * free / more
+    p = float(stats.f.sf(F, 2 * more, 2 * free)) if np.isfinite(F) else 1.0
+    inverse = np.linalg.inv(columns.T @ columns)
+    variance = float((rest**2).sum() / (2 * free) * inverse[2, 2])
+    c = coefficients[2]
+    size, stderr = (
+        1.5 * float(np.linalg.norm(c)),
+        1.5 * float(np.sqrt(variance)),
+    )  # P2: -1/2 in the middle, 1 at the ends
+    return p, Seen(size, stderr, float(stats.f.sf(float(c @ c) / (2 * variance), 2, 2 * free)) if variance > 0 else 1.0)
+
+
+def _backlash(q: np.ndarray, along: np.ndarray) -> tuple[Seen | None, np.ndarray]:
+    """Return twice the part of `e_par` that follows the direction of approach, None with only one; and the rest (N,)."""
+    way = np.sign(np.diff(q, prepend=2 * q[0] - q[1]))
+    columns = _polynomials(q)
+    if min(np.sum(way > 0), np.sum(way < 0)) < _MIXED or len(q) <= columns.shape[1] + 1:
+        return None, along - _fitted(columns, along)
+    columns = np.column_stack([columns, way])
+    c = np.linalg.lstsq(columns, along, rcond=None)[0]
+    rest, free = along - columns @ c, len(q) - columns.shape[1]
+    stderr = 2 * float(np.sqrt(float(rest @ rest) / free * np.linalg.pinv(columns.T @ columns)[-1, -1]))
+    p = 2 * float(stats.t.sf(2 * abs(c[-1]) / stderr, free)) if stderr > 0 else 1.0
+    return Seen(2 * abs(float(c[-1])), stderr, p), rest

@@ -1,0 +1,60 @@
+r"""Forward kinematics: where actuated positions put the tool (thesis (4.1)).
+
+A translating plate is found by trilateration (`sliding_plate.py`), a free one by Newton on SE(3) from home's assembly mode
+(`free_plate.py`), anything else through the tree (`tree_pose.py`). Poses are in the world, arrays have samples first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
+from tau_dyn.kinematics.outcome import Forward
+from tau_dyn.kinematics.poses import Poses, checked_poses
+from tau_dyn.kinematics.rods import Rods, checked_positions
+from tau_dyn.robot import Robot
+
+__all__ = ["Forward", "forward_kinematics", "forward_solutions"]
+
+
+def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | None = None) -> Forward:
+    """Return where the tool is at actuated positions.
+
+    Args:
+        robot: A robot, or its rods (perhaps with another geometry).
+        q: Actuated positions (N, na) [m or rad].
+        start: Poses of the tool (N, or 1 for all) from which to search, for another assembly mode than home's; a translating
+            plate takes the side of it, a tree ignores it.
+
+    Returns:
+        Poses, nan with a reason where there is none. A pose depends on its own `q` (and start) alone, not on other samples.
+
+    Raises:
+        InputError: Arrays of the wrong shape.
+        LoopClosureError: The robot cannot be closed even at home.
+    """
+    q = checked_positions(robot_of(robot), q)
+    engine, rods = engine_of(robot), rods_of(robot)
+    if start is not None:
+        start = checked_poses(start)
+        if len(start.position) not in (1, len(q)):
+            raise InputError(f"start must hold one pose or {len(q)}, one a sample, not {len(start.position)}")
+        start = start if rods is None else rods.plate_poses(start)
+    plate, code = engine.forward(q, start)
+    return Forward(plate if rods is None else rods.tool_poses(plate), plate, code)
+
+
+def forward_solutions(rods: Rods, q: np.ndarray) -> np.ndarray:
+    """Return both tool positions (N, 2, 3) [m] of a translating plate, home's first; nan where the spheres do not meet.
+
+    Raises:
+        InputError: The plate does not translate only; `assembly` finds the modes of a free plate.
+    """
+    from tau_dyn.kinematics.sliding_plate import SlidingPlate
+
+    engine = engine_of(rods)
+    if not isinstance(engine, SlidingPlate):
+        raise InputError(f"{rods.robot.source}: two closed solutions are for plates that translate only")
+    positions = engine.both(checked_positions(rods.robot, q))
+    return positions + rods.rotation @ rods.tool.translation

@@ -1,0 +1,245 @@
+"""Poses and the actuated positions that belong to them, row by row, as `fk` and `ik` answer: for a file, a page, a terminal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.engines import rods_of
+from tau_dyn.kinematics.forward import forward_kinematics
+from tau_dyn.kinematics.inverse import configurations, inverse_kinematics, inverse_solutions
+from tau_dyn.kinematics.outcome import JOINT_LIMIT, OK, REASONS, Inverse
+from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
+from tau_dyn.robot import Robot
+
+TOOL = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")
+_TOLD = 1e-6  # [rad] orientation errors below this are rounding
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTable:
+    """Rows of positions and poses.
+
+    Attributes:
+        robot: The robot.
+        inverse: Whether poses were given (`ik`) or positions (`fk`).
+        pose: Row of the input, from 1 (N,).
+        q: Actuated positions (N, na), nan where there are none.
+        position: Of the tool (N, 3) [m].
+        quaternion: Of the tool (N, 4), x y z w.
+        reason: Why a row has no answer, '' where it has one (N,).
+        configuration: Name of the configuration, '' where not asked for (N,).
+        warnings: Sentences.
+    """
+
+    robot: Robot
+    inverse: bool
+    pose: np.ndarray
+    q: np.ndarray
+    position: np.ndarray
+    quaternion: np.ndarray
+    reason: np.ndarray
+    configuration: np.ndarray
+    warnings: tuple[str, ...]
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Rows with an answer (N,)."""
+        return self.reason == ""
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the table's columns by name, as logs call them."""
+        table: dict[str, np.ndarray] = {}
+        if self.configuration.any():
+            table |= {"pose": self.pose, "configuration": self.configuration}
+        table |= {f"q_{joint}": self.q[:, k] for k, joint in enumerate(self.robot.actuated)}
+        table |= {name: self.position[:, k] for k, name in enumerate(TOOL[:3])}
+        table |= {name: self.quaternion[:, k] for k, name in enumerate(TOOL[3:])}
+        return table | {"reason": self.reason}
+
+    def to_csv(self) -> str:
+        """Return the table as CSV; a number that does not exist is an empty cell."""
+        return pd.DataFrame(self.columns()).to_csv(index=False, float_format="%.17g", lineterminator="\n")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table for `--json`."""
+        rows = [
+            {
+                "pose": int(self.pose[k]),
+                "configuration": self.configuration[k] or None,
+                "q": self.q[k],
+                "position": self.position[k],
+                "quaternion": self.quaternion[k],
+                "reason": self.reason[k] or None,
+            }
+            for k in range(len(self.q))
+        ]
+        return {
+            "robot": self.robot.name,
+            "joints": list(self.robot.actuated),
+            "units": list(self.robot.position_units),
+            "answered": int(self.ok.sum()),
+            "rows": rows,
+        }
+
+
+def forward_table(robot: Robot, q: np.ndarray) -> PoseTable:
+    """Return where positions (N, na) put the tool.
+
+    Raises:
+        InputError: None of them has a pose.
+    """
+    found = forward_kinematics(robot, q)
+    if not found.ok.any():
+        raise InputError(f"{robot.source}: no pose at {_listed(robot, q[0])}: {found.reason[0]}{_row(q)}")
+    beyond = (q < robot.lower - 1e-9) | (q > robot.upper + 1e-9)
+    warnings = [
+        f"{robot.actuated[k]} is outside its limits {robot.lower[k]:.6g} .. {robot.upper[k]:.6g} {robot.position_units[k]} "
+        f"in {int(beyond[:, k].sum())} of {len(q)} rows"
+        for k in np.flatnonzero(beyond.any(axis=0))
+    ]
+    return _table(robot, False, q, found.poses, found.reason, warnings=[*warnings, *_lost(found.reason)])
+
+
+def inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = False) -> PoseTable:
+    """Return which positions put the tool at poses, in home's configuration or in all.
+
+    Raises:
+        InputError: None of them can be reached.
+    """
+    if all_configurations:
+        return _all(robot, poses)
+    found = inverse_kinematics(robot, poses)
+    if not found.ok.any():
+        raise InputError(
+            f"{robot.source}: {_place(poses)} cannot be reached: {_why(robot, found)}{_row(poses.position)}"
+        )
+    warnings = _lost(found.reason)
+    turned = found.ok & (found.orientation_error > _TOLD)
+    if turned.any():
+        most = np.degrees(np.nanmax(found.orientation_error))
+        warnings.append(
+            f"{robot.na} actuators cannot take every orientation: {int(turned.sum())} of {len(turned)} poses are met in "
+            f"position only, their orientation is off by up to {most:.4g} deg"
+        )
+    return _table(robot, True, found.q, poses, found.reason, warnings=warnings)
+
+
+def read_positions(columns: dict[str, np.ndarray], robot: Robot, where: str) -> np.ndarray:
+    """Return actuated positions (N, na) from a table's columns `q_<joint>`."""
+    return _picked(columns, [f"q_{joint}" for joint in robot.actuated], where)
+
+
+def read_poses(columns: dict[str, np.ndarray], robot: Robot, where: str) -> Poses:
+    """Return tool poses from a table's columns `x_tool`..; without a quaternion the orientation is home's."""
+    position = _picked(columns, list(TOOL[:3]), where)
+    if not any(name in columns for name in TOOL[3:]):
+        return poses_at(robot, position)
+    return from_quaternions(position, _picked(columns, list(TOOL[3:]), where))
+
+
+def poses_at(robot: Robot, position: np.ndarray) -> Poses:
+    """Return poses at positions (N, 3) [m] with home's orientation."""
+    home = forward_kinematics(robot, robot.home[None]).poses.rotation[0]
+    return Poses(position, np.repeat(home[None], len(position), axis=0))
+
+
+def _all(robot: Robot, poses: Poses) -> PoseTable:
+    found = inverse_solutions(robot, poses)
+    rods = rods_of(robot)
+    named = rods is not None and len(configurations(rods)) == found.shape[1]
+    names = [_name(c) for c in configurations(rods)] if rods is not None and named else []
+    names = names or [str(k + 1) for k in range(found.shape[1])]
+    n, m = found.shape[:2]
+    q, pose, name = found.reshape(n * m, -1), np.repeat(np.arange(n), m), np.array(names * n)
+    there = np.isfinite(q).all(axis=1)
+    if not there.any():
+        raise InputError(
+            f"{robot.source}: {_place(poses)} cannot be reached in any configuration{_row(poses.position)}"
+        )
+    q, pose, name = q[there], pose[there], name[there]
+    beyond = ((q < robot.lower - 1e-9) | (q > robot.upper + 1e-9)).any(axis=1)
+    reason = np.where(beyond, REASONS[JOINT_LIMIT], REASONS[OK])
+    missing = n - len(np.unique(pose))
+    warnings = [f"{missing} of {n} poses cannot be reached in any configuration"] if missing else []
+    return _table(robot, True, q, poses.take(pose), reason, pose=pose, configuration=name, warnings=warnings)
+
+
+def _name(signs: np.ndarray) -> str:
+    return "".join("-" if s < 0 else "+" if s > 0 else "0" for s in signs)
+
+
+def _table(
+    robot: Robot,
+    inverse: bool,
+    q: np.ndarray,
+    poses: Poses,
+    reason: np.ndarray,
+    *,
+    pose: np.ndarray | None = None,
+    configuration: np.ndarray | None = None,
+    warnings: list[str],
+) -> PoseTable:
+    numbers = np.arange(len(q)) if pose is None else pose
+    names = np.full(len(q), "") if configuration is None else configuration
+    position, quaternion = poses.position, quaternions(poses)
+    return PoseTable(robot, inverse, numbers + 1, q, position, quaternion, reason, names, tuple(warnings))
+
+
+def _picked(columns: dict[str, np.ndarray], names: list[str], where: str) -> np.ndarray:
+    for name in names:
+        if name not in columns:
+            raise InputError(f"{where}: no column '{name}'; there are {', '.join(columns)}")
+    return np.stack([_numbers(columns[name], f"{where}: column '{name}'") for name in names], axis=1)
+
+
+def _numbers(cells: np.ndarray, where: str) -> np.ndarray:
+    """Return cells as numbers, empty ones as nan."""
+    if cells.dtype.kind in "fiu":
+        return cells.astype(float)
+    texts = [str(cell).strip() for cell in cells]
+    try:
+        return np.array([float(text) if text else np.nan for text in texts])
+    except ValueError as fault:
+        raise InputError(f"{where} must hold numbers; {fault}") from fault
+
+
+def _lost(reason: np.ndarray) -> list[str]:
+    lost = reason != ""
+    if not lost.any():
+        return []
+    kinds = ", ".join(f"{int(np.sum(reason == kind))} {kind}" for kind in dict.fromkeys(reason[lost].tolist()))
+    return [
+        f"{int(lost.sum())} of {len(reason)} rows have no answer ({kinds}); the first is row {int(np.argmax(lost)) + 1}"
+    ]
+
+
+def _why(robot: Robot, found: Inverse) -> str:
+    names = found.culprit[0].split()
+    if found.reason[0] == REASONS[JOINT_LIMIT]:
+        rows = []
+        for name in names:
+            k = robot.actuated.index(name)
+            unit, value = robot.position_units[k], found.unlimited[0, k]
+            rows.append(
+                f"{name} would be at {value:.6g} {unit}, its limits are {robot.lower[k]:.6g} .. {robot.upper[k]:.6g}"
+            )
+        return f"joint limit: {'; '.join(rows)}"
+    return f"{found.reason[0]}{' of ' + ', '.join(names) if names and len(names) < robot.na else ''}"
+
+
+def _place(poses: Poses) -> str:
+    return "(" + ", ".join(f"{x:.6g}" for x in poses.position[0]) + ") m"
+
+
+def _listed(robot: Robot, q: np.ndarray) -> str:
+    rows = zip(robot.actuated, q, robot.position_units, strict=True)
+    return ", ".join(f"{joint} = {x:.6g} {unit}" for joint, x, unit in rows)
+
+
+def _row(rows: np.ndarray) -> str:
+    return f", and so with all {len(rows)} rows" if len(rows) > 1 else ""

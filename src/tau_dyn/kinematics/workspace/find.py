@@ -1,0 +1,248 @@
+"""Find a robot's workspace: a lattice over its reach, judged coarsely, refined along the border, connected to home."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.kinematics.collisions import thickness
+from tau_dyn.kinematics.poses import Poses, checked_poses
+from tau_dyn.kinematics.workspace.demands import Demands
+from tau_dyn.kinematics.workspace.footprint import footprint_of
+from tau_dyn.kinematics.workspace.judge import Judge
+from tau_dyn.kinematics.workspace.lattice import INSIDE, Explored, Lattice, explore, lattice_over
+from tau_dyn.kinematics.workspace.machine import Machine, machine_of
+from tau_dyn.kinematics.workspace.measure import bounding_box, connected, deep, missed_size, size_of
+from tau_dyn.kinematics.workspace.result import Workspace
+from tau_dyn.robot import Robot
+
+_CELLS = 60
+"""Cells along the workspace's longest side, where no resolution is given."""
+_FIRST = 24
+"""Cells along the longest side of the box in the first look that tells how large the workspace is."""
+_GROWTH = 4
+"""How often a box that the workspace touches is made larger."""
+
+
+def find_workspace(
+    robot: Robot | Machine,
+    *,
+    demands: Demands | None = None,
+    resolution: float | None = None,
+    rotation: np.ndarray | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Workspace:
+    """Find where a robot's tool can be at one orientation.
+
+    Args:
+        robot: The robot, or its machine where it is already there.
+        demands: What a pose must satisfy.
+        resolution: Distance of neighbouring points [m]; by default about a 60th of the workspace's longest side.
+        rotation: Of the tool (3, 3); by default home's.
+        seed: Of the random points that look for what the coarse lattice missed.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: Limits are missing or inverted, the resolution is too fine or too coarse, or home itself does not belong.
+        CannotAnswer: The tool moves in a plane or on a line that is not parallel to the axes.
+    """
+    machine = machine_of(robot) if isinstance(robot, Robot) else robot
+    judge = Judge(machine, demands if demands is not None else Demands())
+    turn = np.asarray(machine.home.rotation)[0]
+    if rotation is not None:
+        turn = np.asarray(checked_poses(Poses(machine.home.position, np.asarray(rotation, float)[None])).rotation)[0]
+    _check_home(machine, judge, turn)
+    progress("judging the coarse lattice, then its border")
+    found, recorder = _explored(machine, judge, turn, resolution, seed)
+    return _result(machine, judge, turn, found, recorder)
+
+
+class _Recorder:
+    """Judges places at one orientation and keeps the positions found."""
+
+    def __init__(self, judge: Judge, turn: np.ndarray) -> None:
+        self.judge, self.turn = judge, turn
+        self.places: list[np.ndarray] = []
+        self.q: list[np.ndarray] = []
+        self.codes: list[np.ndarray] = []
+
+    def __call__(self, places: np.ndarray) -> np.ndarray:
+        poses = Poses(places, np.broadcast_to(self.turn, (len(places), 3, 3)))
+        judged = self.judge.judge(poses)
+        self.places.append(places)
+        self.q.append(judged.q)
+        self.codes.append(judged.code)
+        return judged.code
+
+
+def _explored(
+    machine: Machine, judge: Judge, turn: np.ndarray, resolution: float | None, seed: int
+) -> tuple[Explored, _Recorder]:
+    """Explore the box, made larger where the workspace touches a side that is only an estimate."""
+    lower, upper = _box(machine, judge.demands)
+    step = _resolution(resolution, lower, upper)
+    if step is None:
+        step = _suitable(machine, judge, turn, lower, upper)
+    recorder = _Recorder(judge, turn)
+    for _ in range(_GROWTH):
+        found = explore(lattice_over(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed)
+        below, above = _touched(found.inside)
+        below &= lower > judge.demands.surroundings.lower
+        above &= upper < judge.demands.surroundings.upper
+        if machine.rods is not None or not (below.any() or above.any()):
+            break
+        room = 0.25 * (upper - lower)
+        lower, upper = lower - room * below, upper + room * above
+        recorder = _Recorder(judge, turn)
+    return found, recorder
+
+
+def _beside(machine: Machine, lower: np.ndarray, upper: np.ndarray, step: float) -> np.ndarray:
+    """Return a place half a step beside home, so that limits at round places around home lie between points."""
+    return machine.home.position[0] + np.where(upper > lower, step / 2, 0.0)
+
+
+def _touched(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return at which ends of the axes (3,), (3,) the set touches the lattice's edge."""
+    sides = [(inside.take(0, k).any(), inside.take(-1, k).any(), n > 1) for k, n in enumerate(inside.shape)]
+    return np.array([low and wide for low, _, wide in sides]), np.array([high and wide for _, high, wide in sides])
+
+
+def _check_home(machine: Machine, judge: Judge, turn: np.ndarray) -> None:
+    judged = judge.judge(Poses(machine.home.position, turn[None]))
+    if judged.code[0] == INSIDE:
+        return
+    home = ", ".join(f"{x:.4g}" for x in machine.home.position[0])
+    why = judge.reasons.words(int(judged.code[0]))
+    at = "" if np.allclose(turn, np.asarray(machine.home.rotation)[0]) else " in this orientation"
+    raise InputError(
+        f"{machine.robot.source}: the tool's home ({home} m){at} does not belong itself ({why}); a workspace is what "
+        "is connected to home, so loosen that demand"
+    )
+
+
+def _box(machine: Machine, demands: Demands) -> tuple[np.ndarray, np.ndarray]:
+    """Return the box to look in, cut by the tool's limits; an axis in which the tool does not move has no width."""
+    lower, upper = machine.reach()
+    home, around = machine.home.position[0], demands.surroundings
+    J = machine.rates(machine.robot.home[None], machine.home)
+    flat = upper - lower < 1e-6 * max(float((upper - lower).max()), 1e-9)
+    lower, upper = np.where(flat, home, lower), np.where(flat, home, upper)
+    if J.actuators.shape[2] < 3 and machine.rods is None and (~flat).sum() > J.actuators.shape[2]:
+        raise CannotAnswer(
+            f"{machine.robot.source}: its tool moves in a plane or on a line that is not parallel to the axes",
+            "a robot file whose base is turned so that it is",
+        )
+    lower, upper = np.maximum(lower, around.lower), np.minimum(upper, around.upper)
+    if (lower > upper).any():
+        axis = "xyz"[int(np.argmax(lower > upper))]
+        raise InputError(f"the tool's limits in {axis} leave nothing of what {machine.robot.source} reaches")
+    return lower, upper
+
+
+def _resolution(wanted: float | None, lower: np.ndarray, upper: np.ndarray) -> float | None:
+    if wanted is None:
+        return None
+    longest = float((upper - lower).max())
+    if not 0 < wanted < np.inf:
+        raise InputError(f"the resolution must be a length above zero, not {wanted}")
+    if wanted > longest / 4:
+        raise InputError(
+            f"a resolution of {wanted:g} m is too coarse for a reach of {longest:.3g} m; take a tenth or less"
+        )
+    return float(wanted)
+
+
+def _suitable(machine: Machine, judge: Judge, turn: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    """Return a round step that gives the workspace, not the box around it, some dozens of cells."""
+    coarse = float((upper - lower).max()) / _FIRST
+    look = _Recorder(judge, turn)
+    lattice = lattice_over(lower, upper, machine.home.position[0], coarse, 1)
+    inside = explore(lattice, look, probes=0).inside
+    low, high = bounding_box(inside, lattice.low, coarse)
+    raw = (float((high - low).max()) + coarse) / _CELLS
+    power = 10.0 ** np.floor(np.log10(raw))
+    return power * max(m for m in (1.0, 2.0, 2.5, 5.0) if m * power <= raw * (1 + 1e-9))
+
+
+def _result(machine: Machine, judge: Judge, turn: np.ndarray, found: Explored, recorder: _Recorder) -> Workspace:
+    lattice, demands = found.lattice, judge.demands
+    code = found.code.copy()
+    belongs = connected(code == INSIDE, _start(lattice, code == INSIDE, machine.home.position[0]))
+    code[(code == INSIDE) & ~belongs] = judge.reasons.code("not connected to home")
+    if demands.border > 0:
+        kept = deep(belongs, lattice.step, demands.border)
+        code[belongs & ~kept] = judge.reasons.code("too close to the border")
+        belongs = kept
+        if not belongs.any():
+            raise InputError(f"nothing keeps {demands.border:g} m from the border; ask for less")
+    places, q, codes = (np.concatenate(x) for x in (recorder.places, recorder.q, recorder.codes))
+    index = np.rint((places - lattice.low) / lattice.step).astype(int)
+    codes = code[tuple(index.T)]
+    size = size_of(belongs, lattice.step, missed_size(found))
+    lower, upper = bounding_box(belongs, lattice.low, lattice.step)
+    return Workspace(
+        machine=machine,
+        judge=judge,
+        rotation=turn,
+        lattice=lattice,
+        code=code,
+        asked=found.asked,
+        size=size,
+        lower=lower,
+        upper=upper,
+        footprint=footprint_of(machine),
+        reasons=judge.reasons,
+        places=places,
+        q=q,
+        place_codes=codes,
+        warnings=tuple(_warnings(machine, judge, found, size)),
+    )
+
+
+def _start(lattice: Lattice, inside: np.ndarray, home: np.ndarray) -> tuple[int, ...]:
+    """Return the index of a point around home that belongs.
+
+    Raises:
+        InputError: None does: the resolution is too coarse.
+    """
+    index = np.argwhere(inside)
+    away = np.abs(lattice.points(index) - home).max(axis=1, initial=0.0)
+    if not len(index) or away.min() > 1.01 * lattice.step:
+        raise InputError(f"no point around home belongs at a resolution of {lattice.step:g} m; take a finer one")
+    return tuple(index[int(np.argmin(np.linalg.norm(lattice.points(index) - home, axis=1)))].tolist())
+
+
+def _warnings(machine: Machine, judge: Judge, found: Explored, size) -> list[str]:
+    said = []
+    coarse = found.lattice.step * found.lattice.stride
+    for obstacle in judge.demands.surroundings.obstacles:
+        if thickness(obstacle.shape) + 2 * obstacle.margin < coarse:
+            said.append(
+                f"obstacle '{obstacle.name}' is thinner than the coarse lattice of {coarse:.3g} m and may be missed in parts; "
+                "take a finer resolution"
+            )
+    if judge.demands.collisions and machine.meshes:
+        listed = ", ".join(machine.meshes[:6]) + (" and more" if len(machine.meshes) > 6 else "")
+        said.append(f"{listed} are drawn by meshes alone; their collisions are not checked")
+    if judge.touching:
+        said.append(f"these touch at home already and are not checked against each other: {'; '.join(judge.touching)}")
+    if judge.balls is not None and not judge.balls.given.all():
+        said.append(
+            "the axes of ball joints are taken as the rods' directions at home, where the robot file does not give them"
+        )
+    if judge.turned > 1e-6:
+        degrees = np.rad2deg(judge.turned)
+        said.append(
+            "the robot has too few freedoms to keep the tool's orientation, which follows the position, "
+            f"by up to {degrees:.3g} degrees"
+        )
+    below, above = _touched(found.inside)
+    if machine.rods is None and (below.any() or above.any()):
+        said.append("the workspace touches the box that was searched; it may go on beyond")
+    if size.value > 0 and size.high - size.low > 0.5 * size.value:
+        said.append("the size is uncertain by more than a quarter; take a finer resolution")
+    return said

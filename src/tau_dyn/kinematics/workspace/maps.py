@@ -1,0 +1,191 @@
+"""What a map shows: condition, manipulability, distance to singularity, stiffness, speed and force in every direction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.kinematics.dexterity import Rates, dexterity, worst_force, worst_speed
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.stiffness import Softest, Springs, compliance, in_series, softest
+from tau_dyn.kinematics.workspace.machine import Machine
+
+JOINT_STIFFNESS = 115e6
+"""Stiffness of one ball joint [N/m]: the full-size Gantry-Tau prototypes' (thesis 2.3, 115 kN/mm)."""
+
+
+class Quantity(NamedTuple):
+    """What a map shows: its words, unit, and whether more is better."""
+
+    words: str
+    unit: str
+    more_is_better: bool
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "condition": Quantity("condition number", "1", False),
+    "manipulability": Quantity("manipulability", "1", True),
+    "singularity": Quantity("distance to singularity", "1", True),
+    "stiffness": Quantity("stiffness, softest direction", "N/m", True),
+    "speed": Quantity("speed in every direction", "m/s", True),
+    "force": Quantity("force in every direction", "N", True),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Elasticity:
+    """The springs of a robot and where their numbers come from.
+
+    Attributes:
+        springs: Stiffnesses, or None where nothing is known.
+        origin: A sentence on where they come from.
+        assumed: Whether something was assumed.
+    """
+
+    springs: Springs | None
+    origin: str
+    assumed: bool
+
+
+def elasticity(machine: Machine, rod: float | None = None, actuators: Mapping[str, float] | None = None) -> Elasticity:
+    """Return a robot's springs.
+
+    Args:
+        machine: The robot.
+        rod: Stiffness of each rod with its joints [N/m]; by default the file's `<rod>_stretch` springs, else two ball joints.
+        actuators: Stiffness by joint name, or '' for all [N/m or N m/rad]; by default rigid.
+
+    Raises:
+        UnknownName: A joint that is not actuated.
+        InputError: A stiffness that is not above zero, or a rod's where there are no rods.
+    """
+    robot, rods = machine.robot, machine.rods
+    drives = _drives(robot, actuators or {})
+    if rod is not None and not rod > 0:
+        raise InputError(f"a rod's stiffness must be above zero, not {rod}")
+    if rods is None:
+        if rod is not None:
+            raise InputError(f"{robot.source} has no rods; give --actuator-stiffness")
+        known = bool(np.isfinite(drives).any())
+        origin = "actuators as given, links rigid" if known else "no stiffness is known: give the actuators'"
+        return Elasticity(Springs(np.full(6, np.inf), drives) if known else None, origin, False)
+    given = {s.joint: s.stiffness for s in robot.springs}
+    values = np.array([given.get(f"{name}_stretch", np.nan) for name in rods.names])
+    rest = "actuators rigid" if np.isinf(drives).all() else "actuators as given"
+    if rod is not None:
+        return Elasticity(Springs(np.full(rods.n, float(rod)), drives), f"rods as given, {rest}", False)
+    if np.isfinite(values).all():
+        others = [s.joint for s in robot.springs if not s.joint.endswith("_stretch")]
+        rest += f"; the file's springs on {', '.join(others[:6])} left out" if others else ""
+        return Elasticity(Springs(values, drives), f"rods as the robot file, {rest}", False)
+    two = in_series(JOINT_STIFFNESS, JOINT_STIFFNESS)
+    return Elasticity(
+        Springs(np.full(rods.n, two), drives),
+        f"each rod assumed as two ball joints of 115 kN/mm in series, its tube and the frame rigid, {rest}",
+        True,
+    )
+
+
+def _drives(robot, given: Mapping[str, float]) -> np.ndarray:
+    drives = np.full(robot.na, np.inf)
+    for name, value in given.items():
+        if not value > 0:
+            raise InputError(f"the stiffness of actuator '{name or 'all'}' must be above zero, not {value}")
+        if name and name not in robot.actuated:
+            raise UnknownName("actuated joint", name, robot.actuated)
+        drives[[robot.actuated.index(name)] if name else slice(None)] = value
+    return drives
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """Evaluates maps of one robot.
+
+    Attributes:
+        machine: The robot.
+        elasticity: Its springs.
+    """
+
+    machine: Machine
+    elasticity: Elasticity
+
+    def available(self) -> list[str]:
+        """Return the names of the quantities that this robot has."""
+        robot = self.machine.robot
+        missing = {
+            "stiffness": self.elasticity.springs is None,
+            "speed": not np.isfinite(robot.velocity_limit).all(),
+            "force": not np.isfinite(robot.effort_limit).all(),
+        }
+        return [name for name in QUANTITIES if not missing.get(name, False)]
+
+    def values(self, names: list[str], q: np.ndarray, poses: Poses) -> dict[str, np.ndarray]:
+        """Return quantities by name, each (N,) in SI.
+
+        Raises:
+            UnknownName: A quantity that does not exist, or that this robot lacks.
+        """
+        there = self.available()
+        for name in names:
+            if name not in there:
+                raise UnknownName("map of this robot", name, there)
+        if not len(q):
+            return {name: np.zeros(0) for name in names}
+        rates = self.machine.rates(q, poses)
+        return {name: value for name, value in self._all(rates, names)}
+
+    def _all(self, rates: Rates, names: list[str]):
+        robot, found = self.machine.robot, dexterity(rates)
+        for name in names:
+            if name == "stiffness":
+                yield name, self.softest(rates).stiffness[:, 0]
+            elif name == "speed":
+                yield name, worst_speed(rates, robot.velocity_limit)
+            elif name == "force":
+                yield name, worst_force(rates, robot.effort_limit)
+            else:
+                yield name, getattr(found, name)
+
+    def softest(self, rates: Rates) -> Softest:
+        """Return main stiffnesses and directions at the poses of these rates."""
+        if self.elasticity.springs is None:
+            raise InputError(f"{self.machine.robot.source}: {self.elasticity.origin}")
+        C = compliance(rates, self.elasticity.springs)
+        if C.shape[1] in (1, 2):  # a planar arm: what does not move is rigid
+            wide = np.zeros((len(C), 3, 3))
+            wide[:, : C.shape[1], : C.shape[1]] = C
+            C = wide
+        return softest(C)
+
+
+class Statistics(NamedTuple):
+    """Least, middle, largest, and the share of points near the middle half."""
+
+    least: float
+    median: float
+    largest: float
+
+
+def statistics(values: np.ndarray) -> Statistics:
+    """Return least, median and largest of the finite values; nan where there are none."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return Statistics(np.nan, np.nan, np.nan)
+    return Statistics(float(values.min()), float(np.median(values)), float(values.max()))
+
+
+def as_row(name: str, found: Statistics) -> dict[str, Any]:
+    """Return a line of the catalogue."""
+    quantity = QUANTITIES[name]
+    return {
+        "map": name,
+        "what": quantity.words,
+        "unit": quantity.unit,
+        "min": found.least,
+        "median": found.median,
+        "max": found.largest,
+    }

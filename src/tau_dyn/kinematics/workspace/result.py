@@ -1,0 +1,141 @@
+"""A workspace: its points, its size with bounds, why the others do not belong, and what was doubtful."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.workspace.demands import KINDS, Reasons
+from tau_dyn.kinematics.workspace.judge import Judge
+from tau_dyn.kinematics.workspace.lattice import Lattice
+from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.kinematics.workspace.measure import Size
+
+_MEASURES = {1: ("length", "m"), 2: ("area", "m2"), 3: ("volume", "m3")}
+
+
+@dataclass(frozen=True, eq=False)
+class Footprint:
+    """The floor that a robot stands on: the rectangle, parallel to x and y, of its frame and its actuators' travel.
+
+    Attributes:
+        lower: Corner (2,) [m].
+        upper: Opposite corner (2,) [m].
+        height: From its lowest to its highest point [m].
+        what: What it was taken from.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    height: float
+    what: str
+
+    @property
+    def area(self) -> float:
+        """[m^2]."""
+        return float(np.prod(self.upper - self.lower))
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Where the tool can be at one orientation.
+
+    Attributes:
+        machine: The robot.
+        judge: What decided.
+        rotation: Rotation (3, 3) of the tool.
+        lattice: The points that were looked at.
+        code: Code of every point (lattice shape), 0 where it belongs.
+        asked: Whether a point was judged itself, not filled from its neighbours (lattice shape).
+        size: Volume with bounds [m^3]; area or length where the tool moves in a plane or on a line.
+        lower: Lowest coordinates of the set (3,) [m].
+        upper: Highest coordinates (3,) [m].
+        footprint: Of the robot.
+        reasons: What the codes mean.
+        places: The judged points that have positions (M, 3) [m].
+        q: Their actuated positions (M, na).
+        place_codes: Their codes (M,).
+        warnings: Sentences.
+    """
+
+    machine: Machine
+    judge: Judge
+    rotation: np.ndarray
+    lattice: Lattice
+    code: np.ndarray
+    asked: np.ndarray
+    size: Size
+    lower: np.ndarray
+    upper: np.ndarray
+    footprint: Footprint
+    reasons: Reasons
+    places: np.ndarray
+    q: np.ndarray
+    place_codes: np.ndarray
+    warnings: tuple[str, ...] = ()
+    more: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Whether each point belongs (lattice shape)."""
+        return self.code == 0
+
+    @property
+    def dimension(self) -> int:
+        """3 for a volume, 2 for a plane, 1 for a line."""
+        return self.lattice.dimension
+
+    @property
+    def measure(self) -> tuple[str, str]:
+        """What its size is called, and its unit."""
+        return _MEASURES.get(self.dimension, ("points", "1"))
+
+    def poses(self, points: np.ndarray) -> Poses:
+        """Return poses of the tool at places (N, 3)."""
+        return Poses(points, np.broadcast_to(self.rotation, (len(points), 3, 3)))
+
+    def counts(self) -> list[dict[str, Any]]:
+        """Return how many points each reason excludes, by kind, then by culprit; shares are of the box looked at."""
+        found = []
+        total = self.code.size
+        number = np.bincount(self.code.ravel(), minlength=max((c for c, _, _ in self.reasons.items()), default=0) + 1)
+        for kind in KINDS:
+            rows = [(culprit, int(number[code])) for code, k, culprit in self.reasons.items() if k == kind]
+            points = sum(n for _, n in rows)
+            if points:
+                culprits = {c: n for c, n in sorted(rows, key=lambda r: -r[1]) if c and n}
+                found.append({"reason": kind, "points": points, "share": points / total, "culprits": culprits})
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the part of the JSON result that is the workspace."""
+        name, unit = self.measure
+        value, low, high = self.size
+        frame = self.footprint
+        return {
+            "dimension": self.dimension,
+            "volume_m3": value if self.dimension == 3 else None,
+            "volume_bound_m3": [low, high] if self.dimension == 3 else None,
+            "size": {"name": name, "unit": unit, "value": value, "low": low, "high": high},
+            "resolution_m": self.lattice.step,
+            "points": {"inside": int(self.inside.sum()), "lattice": int(self.code.size), "judged": self.judge.n_judged},
+            "bounding_box": {"lower": self.lower, "upper": self.upper},
+            "searched": {"lower": self.lattice.low, "upper": self.lattice.points(np.array(self.lattice.shape) - 1)},
+            "orientation": self.rotation,
+            "footprint": {
+                "area_m2": frame.area,
+                "lower": frame.lower,
+                "upper": frame.upper,
+                "height_m": frame.height,
+                "what": frame.what,
+                "workspace_to_footprint_m": value / frame.area if self.dimension == 3 and frame.area > 0 else None,
+                "workspace_to_installation": value / (frame.area * frame.height)
+                if self.dimension == 3 and frame.area * frame.height > 0
+                else None,
+            },
+            "excluded": self.counts(),
+            **self.more,
+        }

@@ -1,0 +1,56 @@
+"""What the terminal shows of accuracy: the sentence, every method in one table, what measured points say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tau_dyn.kinematics.accuracy import AccuracyResult
+from tau_dyn.report.accuracy_words import METHOD_WORDS, at, headline, share, size, summary, verdict
+from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, put, room, say
+
+
+def print_accuracy(console: Console, found: AccuracyResult, written: Mapping[str, str] | None = None) -> None:
+    """Print accuracy for a person.
+
+    Args:
+        console: Where to.
+        found: The result.
+        written: What was written, such as `{"report": "a.html"}`, for the last line.
+    """
+    judged, badge = verdict(found)
+    say(console, summary(found), "dim")
+    if found.accuracy is not None:
+        say(console, f"{headline(found)}.", "bold")
+    say(console, f"{badge}. {judged.sentence}", LEVEL_STYLE[judged.level])
+    if found.accuracy is not None:
+        put(console, _methods(found, room(console)))
+        for method, why in found.accuracy.left_out.items():
+            say(console, f"{method} is left out: {why}.", "dim")
+    for sentence in found.measured.sentences:
+        say(console, sentence.replace("+-", "±").replace(" um", " µm"))
+    if written:
+        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def _methods(found: AccuracyResult, columns: int) -> Table:
+    a = found.accuracy
+    assert a is not None
+    table = bare_table()
+    table.add_column("method", no_wrap=True)
+    for title in ("least", "median", "largest", "off from exact"):
+        table.add_column(title, no_wrap=True, justify="right")
+    table.add_column("largest at" if columns >= 96 else "", no_wrap=True)
+    for method in a.largest:
+        s = found.summary(method)
+        off = a.off(method) if "exact" in a.largest and method != "exact" else np.full(1, np.nan)
+        spread = f"{share(float(np.nanmin(off)))} … {share(float(np.nanmax(off)))}" if np.isfinite(off).any() else ""
+        where = at(a.position[s.worst_pose]) if np.isfinite(s.most) and columns >= 96 else ""
+        table.add_row(method, size(s.least), size(s.median), size(s.most), spread, where)
+    return table
+
+
+__all__ = ["METHOD_WORDS", "print_accuracy"]

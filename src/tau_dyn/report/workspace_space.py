@@ -1,0 +1,221 @@
+"""The workspace in space with the robot at home in it, and how far the tool leans.
+
+The cloud is a picture of the border's points, nearest on top, shaded by the way they face; frame, carts and plate are
+outlines, rods are lines, drawn over it. The view is the robot drawing's: orthographic, from the front right and above.
+"""
+
+from __future__ import annotations
+
+import base64
+import struct
+import zlib
+
+import numpy as np
+import pinocchio as pin
+from markupsafe import Markup
+from scipy import ndimage
+from scipy.spatial import ConvexHull, QhullError
+
+from tau_dyn.kinematics.collisions import Placed
+from tau_dyn.kinematics.loops import LoopSolver
+from tau_dyn.kinematics.obstacles import Obstacle
+from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace
+from tau_dyn.kinematics.workspace.orientations import Tilt
+from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.report.robot_picture import AZIMUTH, ELEVATION
+from tau_dyn.report.svg import tag
+
+WIDTH, HEIGHT, MARGIN = 700, 520, 30
+_FINE = 2  # picture points per drawing unit
+_SPLATS = 60_000
+_INK = np.array([46.0, 124.0, 214.0])
+
+
+def space_picture(found: Study) -> Markup:
+    """Return the workspace and the robot in space; nothing where the workspace is flat."""
+    space = found.workspace
+    if space.dimension < 3:
+        return Markup("")
+    machine = space.machine
+    solids = machine.solids(machine.robot.home[None], machine.home)
+    outlines = [(_outline(s), body.rod >= 0, body.joint == 0) for s, body in zip(solids, machine.bodies, strict=True)]
+    walls = [(o.name, p) for o in space.judge.demands.surroundings.obstacles for p in _obstacle(o)]
+    box = _box(space.lower, space.upper)
+    ends = [o for o, _, _ in outlines] or _skeleton(found)
+    shift, scale = _fit(np.concatenate([*ends, box, machine.home.position]))
+
+    def place(points: np.ndarray) -> np.ndarray:
+        return scale * _project(points)[:, :2] + shift
+
+    pieces = [_cloud(found, scale, shift)]
+    pieces += [tag("path", d=_path(place(box[list(edge)])), class_="w-box") for edge in _EDGES]
+    for _, points in walls:
+        pieces.append(tag("path", d=_hull(place(points)), class_="w-wall"))
+    for points, is_rod, fixed in sorted(outlines, key=lambda o: o[1]):
+        if is_rod:
+            pieces.append(tag("path", d=_path(place(points)), class_="rod"))
+        else:
+            pieces.append(tag("path", d=_hull(place(points)), class_="w-frame" if fixed else "plate"))
+    if not outlines:
+        pieces += [tag("path", d=_path(place(line)), class_="rod") for line in _skeleton(found)]
+    x, y = (float(c) for c in place(machine.home.position)[0])
+    pieces.append(tag("circle", cx=x, cy=y, r=5, class_="cart"))
+    words = f"workspace of {machine.robot.name}, the robot at home in it"
+    return tag(
+        "svg", tag("title", words), *pieces, *_triad(), viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", class_="space"
+    )
+
+
+_EDGES = [(a, b) for a in range(8) for b in range(a) if bin(a ^ b).count("1") == 1]
+
+
+def _project(points: np.ndarray) -> np.ndarray:
+    """Return screen coordinates, right and down, and the distance towards the viewer (n, 3) [m]."""
+    ca, sa, ce, se = np.cos(AZIMUTH), np.sin(AZIMUTH), np.cos(ELEVATION), np.sin(ELEVATION)
+    screen = np.array([[-sa, ca, 0.0], [ca * se, sa * se, -ce], [ca * ce, sa * ce, se]])
+    return np.atleast_2d(points) @ screen.T
+
+
+def _fit(points: np.ndarray) -> tuple[np.ndarray, float]:
+    flat = _project(points)[:, :2]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
+    scale = float(np.min(room / np.maximum(high - low, 1e-3)))
+    return np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2, scale
+
+
+def _box(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    return np.array([[(lower, upper)[(k >> i) & 1][i] for i in range(3)] for k in range(8)])
+
+
+def _cloud(found: Study, scale: float, shift: np.ndarray) -> Markup:
+    """Return the border's points as a picture."""
+    space = found.workspace
+    inside, lattice = space.inside, space.lattice
+    border = inside & ~np.asarray(ndimage.binary_erosion(inside), bool)
+    soft = np.asarray(ndimage.gaussian_filter(inside.astype(np.float32), 1.6))
+    index = np.argwhere(border)
+    step = max(1, len(index) // _SPLATS)
+    index = index[::step]
+    slope = np.stack([np.asarray(g)[tuple(index.T)] for g in np.gradient(soft)], axis=1)
+    facing = -_project(slope)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+    at = _project(lattice.points(index))
+    wide = int(np.ceil(1.5 * scale * lattice.step * np.sqrt(step) * _FINE))
+    pixel = np.rint((scale * at[:, :2] + shift) * _FINE).astype(int)
+    light = 0.62 + 0.38 * np.clip(facing @ np.array([-0.35, -0.55, 0.75]), -0.5, 1.0)
+    return _image(_splat(pixel, at[:, 2], light, max(wide, 1)))
+
+
+def _splat(pixel: np.ndarray, depth: np.ndarray, light: np.ndarray, wide: int) -> np.ndarray:
+    """Return a picture (rows, columns, 4) of squares, far ones first."""
+    rows, columns = HEIGHT * _FINE, WIDTH * _FINE
+    picture = np.zeros((rows, columns, 4), np.uint8)
+    order = np.argsort(depth, kind="stable")
+    span = depth[order[[0, -1]]] if len(order) else np.zeros(2)
+    near = (depth[order] - span[0]) / max(float(span[1] - span[0]), 1e-9)
+    colour = (_INK[None] * (light[order] * (0.80 + 0.28 * near))[:, None]).clip(0, 255).astype(np.uint8)
+    offsets = np.arange(wide) - wide // 2
+    x = (pixel[order, 0, None, None] + offsets[None, :, None] + 0 * offsets).reshape(len(order), -1)
+    y = (pixel[order, 1, None, None] + 0 * offsets[:, None] + offsets[None, None, :]).reshape(len(order), -1)
+    good = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+    which = np.broadcast_to(np.arange(len(order))[:, None], x.shape)[good]
+    picture[y[good], x[good], :3] = colour[which]
+    picture[y[good], x[good], 3] = 150
+    return picture
+
+
+def _image(picture: np.ndarray) -> Markup:
+    uri = "data:image/png;base64," + base64.b64encode(png(picture)).decode("ascii")
+    return tag("image", href=uri, x=0, y=0, width=WIDTH, height=HEIGHT)
+
+
+def png(picture: np.ndarray) -> bytes:
+    """Return a picture (rows, columns, 4) of bytes as a PNG file."""
+    rows, columns = picture.shape[:2]
+    raw = np.concatenate([np.zeros((rows, 1), np.uint8), picture.reshape(rows, -1)], axis=1).tobytes()
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = struct.pack(">IIBBBBB", columns, rows, 8, 6, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(raw, 9)) + chunk(b"IEND", b"")
+
+
+def _outline(solid: Placed) -> np.ndarray:
+    """Return points whose hull is a solid's outline (m, 3); of a rod its two ends."""
+    shape, turn, place = solid.shape, solid.rotation[0], solid.position[0]
+    if isinstance(shape, Capsule):
+        length = float(solid.length[0]) if solid.length is not None else shape.length
+        local = np.array([[0, 0, -length / 2], [0, 0, length / 2]])
+    elif isinstance(shape, Box):
+        half = np.array(shape.size) / 2
+        local = _box(-half, half)
+    elif isinstance(shape, Cylinder):
+        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        ring = shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        local = np.concatenate([np.column_stack([ring, np.full(24, z)]) for z in (-shape.height / 2, shape.height / 2)])
+    else:
+        assert not isinstance(shape, HalfSpace)
+        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        ring = shape.radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        local = np.concatenate([ring[:, order] for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0])])
+    return place + local @ turn.T
+
+
+def _obstacle(o: Obstacle) -> list[np.ndarray]:
+    if isinstance(o.shape, HalfSpace):
+        return []
+    return [_outline(Placed(o.shape, o.placement.rotation[None], o.placement.translation[None]))]
+
+
+def _skeleton(found: Study) -> list[np.ndarray]:
+    """Return lines (2, 3) from joint to joint and on to the tool, for a robot that the file draws in meshes."""
+    robot = found.workspace.machine.robot
+    solver = LoopSolver(robot)
+    pin.framesForwardKinematics(robot.model, solver.data, solver.close(robot.home))
+    at, parents = solver.data.oMi, robot.model.parents
+    lines = [np.array([at[parents[j]].translation, at[j].translation]) for j in range(1, robot.model.njoints)]
+    if robot.tool_frame is not None:
+        frame = robot.model.frames[robot.tool_frame]
+        lines.append(np.array([at[frame.parentJoint].translation, solver.data.oMf[robot.tool_frame].translation]))
+    return lines
+
+
+def _hull(points: np.ndarray) -> str:
+    try:
+        return _path(points[ConvexHull(points).vertices]) + "Z"
+    except (QhullError, ValueError):  # all on one line
+        return _path(points)
+
+
+def _path(points: np.ndarray) -> str:
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+
+
+def _triad() -> list[Markup]:
+    origin, pieces = np.array([40.0, HEIGHT - 34.0]), []
+    for axis, name in zip(np.eye(3), "xyz", strict=True):
+        way = _project(axis)[0, :2]
+        pieces.append(tag("path", d=_path(np.array([origin, origin + 26 * way])), class_="triad"))
+        x, y = (float(c) for c in origin + 36 * way)
+        pieces.append(tag("text", name, x=x, y=y + 4, text_anchor="middle", class_="triad-name"))
+    return pieces
+
+
+def tilt_chart(found: Tilt) -> Markup:
+    """Return how far the tool leans towards each side, outwards in degrees."""
+    middle, far = 130.0, 104.0
+    most = max(30.0, float(np.ceil(np.rad2deg(found.angle.max()) / 15) * 15))
+    pieces = []
+    for degrees in np.arange(15, most + 1, 15 if most <= 60 else 30):
+        r = far * float(degrees) / most
+        pieces.append(tag("circle", cx=middle, cy=middle, r=r, class_="ring"))
+        pieces.append(tag("text", f"{degrees:.0f}°", x=middle + 3, y=middle - r - 2, class_="axis-name"))
+    r = far * np.rad2deg(found.angle) / most
+    points = np.stack([middle + r * np.cos(found.towards), middle - r * np.sin(found.towards)], axis=1)
+    pieces.append(tag("path", d=_path(points) + "Z", class_="lean"))
+    pieces.append(tag("text", "x", x=middle + far + 10, y=middle + 4, class_="name"))
+    pieces.append(tag("text", "y", x=middle, y=middle - far - 14, text_anchor="middle", class_="name"))
+    words = "how far the tool leans towards each side"
+    return tag("svg", tag("title", words), *pieces, viewBox="0 0 260 260", role="img", class_="chart tilt")

@@ -1,0 +1,64 @@
+"""What the terminal shows of a workspace: its size, what cuts it, the catalogue's figures, and where things are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.table import Table
+
+from tau_dyn.kinematics.workspace.maps import QUANTITIES
+from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, say
+from tau_dyn.report.words import listed, number, percent
+from tau_dyn.report.workspace_words import headline, shown, summary, verdict
+
+_BAR = 16
+
+
+def print_workspace(console: Console, found: Study, written: Mapping[str, str] | None = None) -> None:
+    """Print a workspace for a person.
+
+    Args:
+        console: Where to.
+        found: The result.
+        written: What was written, such as `{"report": "w.html"}`, for the last line.
+    """
+    judged = verdict(found)
+    say(console, f"{found.workspace.machine.robot.name} · {summary(found)}", "dim")
+    say(console, headline(found), "bold")
+    say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    put(console, _reasons(found))
+    put(console, _figures(found))
+    say(console, f"Stiffness: {found.catalogue.elasticity}.", "dim")
+    if found.sections:
+        areas = [f"{s.name}: {number(s.area, 3)} m²" for s in found.sections]
+        say(console, f"Cross-sections {listed(areas)}.")
+    if found.tilt is not None:
+        rows = found.tilt.to_dict()
+        say(
+            console,
+            f"Tilt: {rows['every_way_deg']:.0f}° towards every side, {rows['best_way_deg']:.0f}° towards the best.",
+        )
+    if written:
+        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def _reasons(found: Study) -> Table:
+    table = bare_table()
+    for title, justify in (("why not elsewhere", "left"), ("", "left"), ("share of box", "right"), ("most by", "left")):
+        table.add_column(title, justify=justify)  # type: ignore[arg-type]
+    for row in found.workspace.counts():
+        most = listed([f"{name} {percent(100 * n / row['points'])}" for name, n in list(row["culprits"].items())[:2]])
+        table.add_row(*map(plain, [row["reason"], meter(row["share"], _BAR), percent(100 * row["share"]), most]))
+    return table
+
+
+def _figures(found: Study) -> Table:
+    table = bare_table()
+    for k, title in enumerate(("over the workspace", "least", "median", "largest", "at home")):
+        table.add_column(title, justify="right" if k else "left", no_wrap=True)
+    for name, (spread, home) in found.catalogue.rows.items():
+        cells = [QUANTITIES[name].words, *(shown(name, v) for v in (*spread, home))]
+        table.add_row(*map(plain, cells))
+    return table

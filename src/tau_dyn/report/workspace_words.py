@@ -1,0 +1,73 @@
+"""What a colleague would say about a workspace: its size with the bound, what cuts it, how well the robot works in it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.kinematics.workspace.maps import QUANTITIES
+from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.report.words import Level, Verdict, count, listed, number, percent
+
+SHOWN_UNITS = {"N/m": (1e-6, "N/µm"), "m/s": (1.0, "m/s"), "N": (1.0, "N"), "1": (1.0, "")}
+"""Factor and unit in which quantities are shown; files stay in SI."""
+
+_UNITS = {"m3": "m³", "m2": "m²", "m": "m", "1": "points"}
+
+
+def shown(name: str, value: float, digits: int = 3) -> str:
+    """Return a quantity's value with its unit as a person would read it."""
+    if not np.isfinite(value):
+        return "–" if np.isnan(value) else "∞"
+    factor, unit = SHOWN_UNITS[QUANTITIES[name].unit]
+    return f"{number(factor * value, digits)} {unit}".strip()
+
+
+def size_words(found: Study) -> str:
+    """Return the size with half its bounds, such as `1.98 ± 0.05 m³`."""
+    size, (_, unit) = found.workspace.size, found.workspace.measure
+    half = (size.high - size.low) / 2
+    digits = int(np.clip(np.ceil(-np.log10(max(half, 1e-9))) + 1, 0, 6))
+    return f"{size.value:.{digits}f} ± {half:.{max(digits, 1)}f} {_UNITS[unit]}"
+
+
+def headline(found: Study) -> str:
+    """Return the one sentence above everything."""
+    space = found.workspace
+    extent = space.upper - space.lower
+    sides = " × ".join(f"{x:.2f}" for x, n in zip(extent, space.lattice.shape, strict=True) if n > 1)
+    return f"The tool reaches {size_words(found)} within {sides} m, connected to home."
+
+
+def verdict(found: Study) -> Verdict:
+    """Return how far the numbers may be relied on."""
+    space = found.workspace
+    half = (space.size.high - space.size.low) / 2 / max(space.size.value, 1e-12)
+    level: Level = "good" if half < 0.1 else "care" if half < 0.25 else "poor"
+    words = f"Its size is certain to ± {percent(100 * half)}"
+    advice = "" if level == "good" else f"; half the resolution of {number(space.lattice.step, 2)} m halves that"
+    return Verdict(level, f"{words}{advice}. {limits_words(found)}")
+
+
+def limits_words(found: Study) -> str:
+    """Return what cuts the workspace most, beside the robot's reach."""
+    rows = [row for row in found.workspace.counts() if row["reason"] != "out of reach"]
+    rows.sort(key=lambda row: -row["points"])
+    if not rows:
+        return "Nothing but the robot's reach bounds it."
+    named = [f"{row['reason']} ({percent(100 * row['share'])})" for row in rows[:3]]
+    return f"Beside reach it is cut by {listed(named)} of the box searched."
+
+
+def summary(found: Study) -> str:
+    """Return what was done."""
+    space = found.workspace
+    size = " × ".join(str(n) for n in space.lattice.shape)
+    return (
+        f"{size} points every {number(space.lattice.step, 3)} m, {count(space.judge.n_judged, 'pose')} judged; "
+        "the rest follows from their neighbours and a random check of it"
+    )
+
+
+def badge(level: Level) -> str:
+    """Return the judgement in a word or three."""
+    return {"good": "sharp", "care": "rough", "poor": "too rough"}[level]

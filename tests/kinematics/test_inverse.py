@@ -1,0 +1,195 @@
+"""Inverse kinematics: all configurations, there and back with forward kinematics, and what cannot be reached."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics import (
+    Poses,
+    build_rods,
+    configurations,
+    forward_kinematics,
+    home_configuration,
+    inverse_kinematics,
+    inverse_solutions,
+    jacobian,
+)
+from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, chains_of
+from tau_dyn.robot import load_robot
+
+ROBOTS = [
+    ("gantry_tau", {}, 0.4),
+    ("gantry_tau", {"arms": "complete", "prototype": "d1"}, 0.3),
+    ("gantry_tau_5dof", {}, 0.05),
+    ("gantry_tau_f1", {}, 0.1),
+    ("gantry_tau_queensland", {}, 0.2),
+    ("gantry_tau_t2", {}, 0.03),
+    ("delta", {}, 0.3),
+    ("hexa_321", {}, 0.03),
+    ("hexaglide", {}, 0.03),
+    ("hexarot", {}, 0.05),
+    ("scara_tau", {}, 0.1),
+    ("stewart", {}, 0.05),
+    ("triglide", {}, 0.1),
+]
+
+
+SLOWER = ("gantry_tau_5dof", "gantry_tau_f1", "gantry_tau_t2")
+
+
+@pytest.mark.parametrize(("name", "arguments", "reach"), ROBOTS, ids=[f"{n}{len(a)}" for n, a, _ in ROBOTS])
+def test_there_and_back(name, arguments, reach, rng):
+    """IK(FK(q)) finds q among its configurations, FK(IK(x)) is x, to 1e-11, at random positions."""
+    robot = load_robot(name, **arguments)
+    n = 60 if name in SLOWER else 200
+    q = robot.home + reach * rng.uniform(-1, 1, (n, robot.na))
+    forward = forward_kinematics(robot, q)
+    ok = forward.ok
+    assert ok.mean() > 0.8
+    poses, q = forward.poses.take(ok), q[ok]
+    solutions = inverse_solutions(robot, poses.take(slice(4)))
+    away = np.nan_to_num(np.abs(solutions - q[:4, None]).max(axis=2), nan=np.inf).min(axis=1)
+    assert away.max() < 1e-10  # a chain near its dead centre loses a digit
+    back = inverse_kinematics(robot, poses, limits=False)
+    assert back.ok.all()
+    again = forward_kinematics(robot, back.q, start=poses)
+    assert again.ok.all()
+    assert_allclose(again.poses.position, poses.position, atol=1e-11)
+    assert_allclose(again.poses.rotation, poses.rotation, atol=1e-11)
+    assert np.nanmax(back.orientation_error) < 1e-9
+
+
+@pytest.mark.parametrize("arms", ["simplified", "complete"])
+def test_eight_configurations(arms, rng):
+    """Each of the three arms has its cart ahead of or behind its rod: 2^3 solutions, each closing every rod (thesis 4.2)."""
+    robot = load_robot("gantry_tau", arms=arms)
+    rods = build_rods(robot)
+    poses = forward_kinematics(robot, robot.home + rng.uniform(-0.4, 0.4, (30, 3))).poses
+    solutions, signs = inverse_solutions(rods, poses), configurations(rods)
+    assert solutions.shape == (30, 8, 3) and len(signs) == 8
+    for k in range(8):
+        assert np.abs(rods.gap(solutions[:, k], rods.plate_poses(poses))).max() < 1e-11
+        assert_allclose(
+            inverse_kinematics(rods, poses, configuration=signs[k], limits=False).q, solutions[:, k], atol=1e-11
+        )
+    assert len(np.unique(np.round(solutions[0], 6), axis=0)) == 8
+    home = int(np.flatnonzero((signs == home_configuration(rods)).all(axis=1))[0])
+    assert_allclose(inverse_kinematics(rods, poses, limits=False).q, solutions[:, home], atol=1e-11)
+
+
+@pytest.mark.parametrize("name", ["gantry_tau", "delta", "stewart", "hexarot"])
+def test_closed_forms_equal_newton(name, rng):
+    """Slide, turn and leg: the root of each chain satisfies its rod, and Newton started beside it comes back to it."""
+    robot = load_robot(name)
+    rods = build_rods(robot)
+    plate = forward_kinematics(robot, robot.home + 0.03 * rng.standard_normal((50, robot.na))).plate
+    B = rods.plate_points(plate).transpose(1, 2, 0)
+    for chain in chains_of(rods):
+        assert isinstance(chain, RootChain)
+        newton = NewtonChain(rods, chain.rods[:1], chain.actuators)
+        for sign in chain.signs:
+            q = chain.solve(B[chain.rods[0]], sign)
+            again = newton.wrapped(newton.newton(B[[chain.rods[0]]], q + 1e-4))
+            assert_allclose(again, q, atol=1e-11)
+
+
+def test_chains_of_several_actuators_have_all_their_solutions(rng):
+    """F1's arms 2 and 3: many starts find the true positions and others, each closing all rods."""
+    robot = load_robot("gantry_tau_f1")
+    rods = build_rods(robot)
+    q = robot.home + 0.1 * rng.uniform(-1, 1, (4, 6))
+    plate = forward_kinematics(robot, q).plate
+    solutions = inverse_solutions(rods, rods.tool_poses(plate))
+    assert np.isfinite(solutions[..., 0]).sum(axis=1).min() >= 8
+    for k in range(solutions.shape[1]):
+        there = np.isfinite(solutions[:, k, 0])
+        if there.any():
+            assert np.abs(rods.gap(solutions[there, k], plate.take(there))).max() < 1e-10
+
+
+def test_fewer_actuators_take_the_position(rng):
+    """Three carts, six rods of unequal length (D1): the position asked for is met, the orientation follows and is told."""
+    robot = load_robot("gantry_tau", prototype="d1", arms="complete")
+    home = forward_kinematics(robot, robot.home).poses
+    n = 30
+    asked = Poses(home.position + rng.uniform(-0.2, 0.2, (n, 3)), np.repeat(home.rotation, n, axis=0))
+    found = inverse_kinematics(robot, asked)
+    assert found.ok.all() and 1e-6 < found.orientation_error.max() < 0.05
+    reached = forward_kinematics(robot, found.q).poses
+    assert_allclose(reached.position, asked.position, atol=1e-11)
+
+
+def test_five_actuators_take_the_nearest_orientation(rng):
+    """The orientation left is the nearest: any small motion that keeps the position turns the tool further away."""
+    robot = load_robot("gantry_tau_5dof")
+    home = forward_kinematics(robot, robot.home).poses
+    turn = np.array([[np.cos(0.03), -np.sin(0.03), 0], [np.sin(0.03), np.cos(0.03), 0], [0, 0, 1.0]])
+    asked = Poses(home.position, turn @ home.rotation)
+    found = inverse_kinematics(robot, asked)
+    assert found.ok[0]
+    reached = forward_kinematics(robot, found.q).poses
+    assert_allclose(reached.position, asked.position, atol=1e-11)
+    J = jacobian(robot, found.q)[0]
+    left = np.linalg.svd(J[:3])[2][3:].T  # motions that keep the position
+    away = Rotation.from_matrix(asked.rotation[0] @ reached.rotation[0].T).as_rotvec()
+    assert np.abs(away @ J[3:] @ left).max() < 1e-8
+
+
+def test_reasons_and_culprits():
+    """Out of reach, beyond a limit, not a number: each with the joints to blame."""
+    robot = load_robot("gantry_tau")
+    home = forward_kinematics(robot, robot.home).poses
+    away = np.array([[0, 0, 0], [2.0, 0, 0], [0, 0, 9.0], [np.nan, 0, 0]])
+    found = inverse_kinematics(robot, Poses(home.position + away, np.repeat(home.rotation, 4, axis=0)))
+    assert found.reason.tolist() == ["", "joint limit", "out of reach", "not a number"]
+    assert found.culprit[1] == "cart1 cart2 cart3" and found.culprit[2] == "cart1"
+    assert np.isnan(found.q[1:]).all() and np.isfinite(found.unlimited[1]).all()
+
+
+def test_beyond_a_singularity_is_another_branch(rng):
+    """Stewart turned far: legs of the right length exist, but from home they lead to another pose; it is refused."""
+    robot = load_robot("stewart")
+    rods = build_rods(robot)
+    home = forward_kinematics(robot, robot.home).poses
+    turn = Rotation.from_rotvec(rng.uniform(-1.6, 1.6, (25, 3))).as_matrix()
+    asked = Poses(np.repeat(home.position, 25, axis=0), turn @ home.rotation)
+    named = inverse_kinematics(rods, asked, configuration=home_configuration(rods), limits=False)
+    found = inverse_kinematics(rods, asked, limits=False)
+    assert named.ok.all() and set(found.reason) == {"", "branch change"}
+    back = forward_kinematics(rods, named.q).poses.rotation
+    same = np.abs(back - asked.rotation).max(axis=(1, 2)) < 1e-9
+    assert same.any() and not same[~found.ok].any()
+
+
+def test_inverted_limits_are_named():
+    """A lower limit above the upper one is the file's fault."""
+    robot = load_robot("gantry_tau")
+    poses = forward_kinematics(robot, robot.home).poses
+    wrong = replace(robot, model=robot.model.copy())
+    wrong.model.lowerPositionLimit[wrong.active_q[1]] = 5.0
+    with pytest.raises(InputError, match=r"'cart2'.* above its upper"):
+        inverse_kinematics(wrong, poses)
+
+
+def test_unknown_configurations_are_refused():
+    """A configuration holds one sign for each chain."""
+    robot = load_robot("gantry_tau")
+    poses = forward_kinematics(robot, robot.home).poses
+    with pytest.raises(InputError, match="configuration"):
+        inverse_kinematics(robot, poses, configuration=(1, 1))
+
+
+def test_a_tree_is_solved_as_well(rng):
+    """H4: four actuators, three translations and a turn, through the tree's loops."""
+    robot = load_robot("h4")
+    q = robot.home + 0.05 * rng.uniform(-1, 1, (4, 4))
+    poses = forward_kinematics(robot, q).poses
+    back = inverse_kinematics(robot, poses, limits=False)
+    assert back.ok.all()
+    assert_allclose(back.q, q, atol=1e-10)
