@@ -118,8 +118,8 @@ def shapes_of(one: HiddenSet, run: Recording) -> list[np.ndarray]:
 
 
 def parameter_error(hidden: Hidden, finding: Finding) -> float:
-    """Return the relative error of the first parameter that form and finding share, or nan."""
-    found = {p.name.split(".")[-1]: p.value for p in finding.parameters}
+    """Return the relative error of the first parameter that form and finding share and that data can tell, or nan."""
+    found = {p.name.split(".")[-1]: p.value for p in finding.parameters if p.stderr is not None}
     for key, value in hidden.form.truth(hidden.amplitude).items():
         near = [x for name, x in found.items() if name == key or name.startswith(f"{key}_")]
         parts = [x for name, x in found.items() if name.startswith((f"{key}_sin", f"{key}_cos")) and "_2" not in name]

@@ -8,7 +8,7 @@ import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.ground import Ground
+from tau_dyn.diagnose.ground import ABSORBED, Ground
 from tau_dyn.diagnose.parts import CONFIRM, TRAIN
 from tau_dyn.diagnose.result import Finding, Gain, Signature
 from tau_dyn.diagnose.search import Found, Search, columns_of, tangents
@@ -17,6 +17,10 @@ from tau_dyn.effects.effect import spelled
 from tau_dyn.parameters import Parameter, Parameters
 
 _POINTS = 2000
+_DEPENDENT = 1e-8
+"""Part of the largest eigenvalue below which columns count as dependent."""
+_BLIND = 0.01
+"""Share of an amplitude that may lie in what dependent columns leave open."""
 _WITHIN = " The held-out logs hardly show it; blocks of the training logs, set aside for it, confirmed it."
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}, which is the same force by another name"
@@ -82,7 +86,10 @@ def finding_of(
 def uncertain(
     search: Search, ground: Ground, effects: Sequence[Effect], values: Parameters, inflation: float
 ) -> Parameters:
-    """Return amplitudes and refined settings with standard errors that count each other's uncertainty."""
+    """Return amplitudes and refined settings with standard errors that count each other's uncertainty.
+
+    What the baseline's refit absorbs (a shared motor's inertia, which the links' inertia takes) has none: data do not tell it.
+    """
     library, rows = search.library, []
     columns = [ground.rows(library.columns(effect)) for effect in effects]
     slopes = []
@@ -92,8 +99,8 @@ def uncertain(
     everything = np.concatenate([*columns, *slopes], axis=1)
     norm = np.linalg.norm(everything, axis=0)
     norm[norm == 0] = 1.0
-    covariance = np.linalg.pinv(ground.gram(everything / norm), rcond=1e-8) / np.outer(norm, norm)
-    stderr = iter(np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0)).tolist())
+    variance = _variances(ground.gram(everything / norm)) / norm**2
+    stderr = iter(None if np.isnan(x) else float(np.sqrt(inflation * x)) for x in variance)
     for effect in effects:
         for p in values.select(effect.parameters.names):
             rows.append(Parameter(p.name, p.value, p.unit, p.lower, p.upper, stderr=next(stderr), origin=effect.name))
@@ -104,6 +111,15 @@ def uncertain(
             text = spelled(effect.setting_units.get(key, "1"), unit)
             rows.append(Parameter(name, effect.settings[key], text, stderr=next(stderr), origin=effect.name))
     return Parameters(rows)
+
+
+def _variances(gram: np.ndarray) -> np.ndarray:
+    """Return the variances (k,) of unit columns' amplitudes from what the baseline leaves of them; nan where data cannot tell."""
+    values, vectors = np.linalg.eigh(gram)
+    seen = values > _DEPENDENT * max(values.max(initial=0.0), 1e-300)
+    variance = (vectors[:, seen] ** 2 / values[seen]).sum(axis=1)
+    blind = (vectors[:, ~seen] ** 2).sum(axis=1) > _BLIND
+    return np.where(blind | (np.diag(gram) < ABSORBED), np.nan, variance)
 
 
 def sentence_of(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:

@@ -1,0 +1,36 @@
+"""What a finding says of its parameters is what the data tell, and no more."""
+
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from tau_dyn.diagnose.findings import uncertain
+from tau_dyn.diagnose.trials import Library
+from tau_dyn.effects import JointwiseEffect
+from tau_dyn.parameters import Parameters
+
+
+class Motor(JointwiseEffect):
+    """A further drive's inertia, which the baseline's mass takes, and its quadratic drag, which nothing takes."""
+
+    name = "motor"
+    equation = "tau += inertia a + drag v |v|"
+    reveals = "any motion"
+    quantities = (("inertia", "F"), ("drag", "F"))
+
+    def per_joint(self, joint):
+        """Return acceleration and the speed's square with its sign."""
+        return [joint.a, joint.v * np.abs(joint.v)]
+
+
+def test_what_the_baseline_absorbs_has_no_standard_error(make, rng):
+    """The inertia is the mass's own column: no data tell it; the drag has the standard error of its own regression."""
+    channel = make.bench(rng, lambda m: 40.0 * m.v * np.abs(m.v))
+    ground, effect = make.ground(channel), Motor(("x",), ("N",))
+    values = Parameters([p for p in effect.parameters])
+    found = uncertain(SimpleNamespace(library=Library(channel)), ground, [effect], values, 1.0)
+    inertia, drag = found
+    assert inertia.stderr is None
+    column = ground.rows([c[:, :, 1:] for c in channel.columns(effect)])
+    assert_allclose(drag.stderr, ground.gram(column)[0, 0] ** -0.5, rtol=1e-6)
