@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from tau_dyn.cli import (
     accuracy,
+    calibrate,
     check,
     compare,
     demo,
@@ -35,6 +36,7 @@ COMMANDS = {
     "identify": identify,
     "diagnose": diagnose,
     "modes": modes,
+    "calibrate": calibrate,
     "feedforward": feedforward,
     "export": export,
     "compare": compare,

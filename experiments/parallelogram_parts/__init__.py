@@ -1,0 +1,1 @@
+"""Parts of the study of the calibration paper's planar parallelogram."""

@@ -1,0 +1,212 @@
+"""Kinematic calibration: from measured poses to a geometry with uncertainty, the model they bear, and what each step gained."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tau_dyn.calibrate.candidates import Candidate, Options, Step, check_patterns, evaluate, fit_spec
+from tau_dyn.calibrate.causes import find_causes
+from tau_dyn.calibrate.choose import climb
+from tau_dyn.calibrate.crossvalidation import compare
+from tau_dyn.calibrate.families import Family, family_of
+from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.models import Spec
+from tau_dyn.calibrate.outliers import find_outliers, outlier_sentence
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.result import Calibration
+from tau_dyn.calibrate.start import check_spread, without_duplicates
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.robot import Robot
+
+LEVER = 0.3
+"""Length [m] at which orientation errors count beside position errors when models are compared."""
+
+_ENOUGH_TO_SPLIT = 40
+_HELD_OUT = 0.25
+_LOOKS_FOR_OUTLIERS = 3
+
+
+def calibrate(
+    robot: Robot,
+    poses: PoseSet,
+    holdout: PoseSet | None = None,
+    model: str = "auto",
+    *,
+    fix: Sequence[str] = (),
+    free: Sequence[str] = (),
+    residual: str = "forward",
+    robust: str = "none",
+    device: bool = True,
+    tool: bool = True,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Calibration:
+    """Find a robot's geometry from measured poses.
+
+    Args:
+        robot: The robot with its nominal dimensions.
+        poses: Measured poses to fit.
+        holdout: Measured poses used for nothing but the final errors; without them a quarter of many poses is held out.
+        model: `auto`, or a model's name, such as `nonparallel` or `complete+periodic:cart2`.
+        fix: Names or patterns of parameters that stay nominal.
+        free: Names or patterns that may change although they would stay.
+        residual: `forward`, `closure` or `inverse`.
+        robust: Weights against bad poses: `none`, `huber` or `biweight`; gross outliers are left out in any case.
+        device: Whether the measuring device's frame is unknown.
+        tool: Whether the target's place on the tool is unknown.
+        seed: Of folds, splits and bootstrap.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: Poses that cannot be used; says why.
+        CannotAnswer: Poses in one plane, or a robot that cannot reach them.
+    """
+    options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed)
+    poses, warnings = without_duplicates(poses)
+    if holdout is not None:
+        holdout = _same_campaigns(poses, holdout)
+    family = family_of(robot, poses)
+    if model != "auto":
+        family.spec(model)  # a name that does not exist is told before anything long starts
+    check_patterns(family, (*fix, *free), model)
+    _spread(family, poses)
+    progress("looking for outliers")
+    poses, holdout, named = _without_outliers(family, poses, holdout, options, None if model == "auto" else model)
+    poses, holdout, split = _split(poses, holdout, seed)
+    family = family_of(robot, poses)
+    taken, steps, more = _models(family, poses, model, options, progress)
+    progress("looking for causes")
+    findings = find_causes(family, taken[-1], holdout, options, LEVER)
+    sentences = (*poses.warnings, *warnings, *named, *more, *_doubts(taken[-1].fit))
+    return Calibration(
+        robot, poses, holdout, split, tuple(taken), tuple(steps), findings, tuple(dict.fromkeys(sentences)), seed
+    )
+
+
+def _models(
+    family: Family, poses: PoseSet, model: str, options: Options, progress: Callable[[str], None]
+) -> tuple[list[Candidate], list[Step], tuple[str, ...]]:
+    if model == "auto":
+        return climb(family, poses, options, progress)
+    progress(f"fitting {model}")
+    nominal = evaluate(family, Spec("frames"), poses, options)
+    spec = family.spec(model)
+    periods = _searched_periods(family, spec, poses, options)
+    asked = evaluate(family, spec, poses, options, periods=periods)
+    if asked.spec == nominal.spec or asked.name == nominal.name:
+        return [asked], [], ()
+    gain = compare(nominal.unseen, asked.unseen, LEVER, options.seed)
+    return [nominal, asked], [Step(asked.name, nominal.name, gain, True)], ()
+
+
+def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Options) -> dict[str, float]:
+    """Return starting periods of the cyclic errors that a model asks for, from the residuals of the model without them."""
+    joints = spec.additions.get("periodic", ())
+    if not joints:
+        return {}
+    from tau_dyn.calibrate.models import RodFamily
+    from tau_dyn.calibrate.screening import strongest_periods
+
+    assert isinstance(family, RodFamily)
+    plain = Spec(spec.structure, {a: j for a, j in spec.additions.items() if a != "periodic"})
+    return strongest_periods(fit_spec(family, plain, poses, options), family, joints)
+
+
+def _spread(family: Family, poses: PoseSet) -> None:
+    geometry = family.build(Spec("frames"))
+    rng = np.random.default_rng(0)
+    low, high = poses.q.min(axis=0), poses.q.max(axis=0)
+    middle, width = 0.5 * (low + high), np.maximum(high - low, 0.1)
+    q = middle + width * (rng.random((64, poses.na)) - 0.5)
+    check_spread(poses, geometry, geometry.forward(geometry.parameters.values, q))
+
+
+def _without_outliers(
+    family: Family, poses: PoseSet, holdout: PoseSet | None, options: Options, model: str | None
+) -> tuple[PoseSet, PoseSet | None, tuple[str, ...]]:
+    said: list[str] = []
+    fitted = None
+    for _ in range(_LOOKS_FOR_OUTLIERS):
+        fitted = _robust(family, poses, options, model)
+        if fitted is None:
+            return poses, holdout, tuple(said)
+        bad = find_outliers(fitted)
+        if not len(bad):
+            break
+        if len(bad) > 0.2 * poses.n:
+            said.append(
+                f"{poses.source}: {len(bad)} of {poses.n} poses are far from what fits the others; nothing was left out, "
+                "for so many "
+                "are no outliers: were frames moved in between, or is the robot another one?"
+            )
+            break
+        said.append(outlier_sentence(poses, fitted, bad))
+        poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
+    if holdout is not None and fitted is not None:
+        bad = _held_outliers(fitted, holdout)
+        if len(bad):
+            names = ", ".join(holdout.names[k] for k in bad[:5])
+            said.append(
+                f"{len(bad)} held-out pose{'s' if len(bad) > 1 else ''} left out as gross outliers: {names}; measure again"
+            )
+            holdout = holdout.take(np.setdiff1d(np.arange(holdout.n), bad))
+    return poses, holdout, tuple(said)
+
+
+def _held_outliers(fitted: Fit, holdout: PoseSet) -> np.ndarray:
+    usual = float(np.nanpercentile(fitted.errors(fitted.poses).distance, 90))
+    return np.flatnonzero(~(fitted.errors(holdout).distance < 20 * max(usual, 3 * fitted.noise[0])))
+
+
+def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> Fit | None:
+    """Return a robust fit of the largest structure that the poses bear, None where they bear none."""
+    robust = replace(options, robust="biweight")
+    specs = [family.spec(model)] if model and model != "auto" else []
+    specs += [Spec(s) for s in reversed(family.structures) if s != "paths"]
+    fault: Exception | None = None
+    for spec in specs:
+        try:
+            return fit_spec(family, Spec(spec.structure), poses, robust)
+        except (InputError, CannotAnswer) as error:
+            fault = error
+    assert fault is not None
+    raise fault
+
+
+def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet, PoseSet | None, str]:
+    """Return training and held-out poses, and how they came about."""
+    if holdout is not None:
+        return poses, holdout, "given"
+    if poses.n < _ENOUGH_TO_SPLIT:
+        return poses, None, "cross-validated"
+    order = np.random.default_rng(seed).permutation(poses.n)
+    held = np.sort(order[: int(round(_HELD_OUT * poses.n))])
+    return poses.take(np.setdiff1d(np.arange(poses.n), held)), poses.take(held), "split"
+
+
+def _same_campaigns(poses: PoseSet, holdout: PoseSet) -> PoseSet:
+    """Return held-out poses with the training poses' numbering of campaigns."""
+    if len(poses.campaigns) == 1 and len(holdout.campaigns) == 1:
+        return holdout
+    for name in holdout.campaigns:
+        if name not in poses.campaigns:
+            raise InputError(
+                f"{holdout.source}: campaign {name} is not among the training poses' campaigns ({', '.join(poses.campaigns)}), "
+                "so its frames "
+                "are unknown"
+            )
+    number = np.array([poses.campaigns.index(name) for name in holdout.campaigns])
+    return replace(holdout, campaign=number[holdout.campaign], campaigns=poses.campaigns)
+
+
+def _doubts(fitted: Fit) -> tuple[str, ...]:
+    said = []
+    if not fitted.converged:
+        said.append("the fit did not come to rest; its last values are given")
+    missed = int((~fitted.state.ok).sum())
+    if missed:
+        said.append(f"{missed} poses are out of the fitted model's reach and were not used")
+    return tuple(said)

@@ -1,0 +1,194 @@
+"""What is wrong with a robot's geometry, by name: each cause's share in the chosen model, measured by taking it out again.
+
+A cause is held at nominal, everything else is fitted anew, and both models predict poses that neither has seen. What
+a refit of the rest makes up for is no finding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.calibrate import restrict
+from tau_dyn.calibrate.candidates import Candidate, Options, carried_over
+from tau_dyn.calibrate.crossvalidation import Gain, Unseen, compare, cross_validate, of_errors
+from tau_dyn.calibrate.families import Family
+from tau_dyn.calibrate.fit import Fit, fit
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.models import Spec
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.exceptions import CannotAnswer, InputError
+
+EQUATIONS = {
+    "rod_length": "|A - B| = L + dL",
+    "joint_placement": "A or B displaced by a constant in its link's frame",
+    "guideway_nonparallel": "A = A_0 + q v_i, v_i different for each guideway",
+    "pinion_scale": "A = A_0 + q (1 + pinion_scale) v",
+    "cart_tilt": "A = A_0 + q (v + drift), drift different for each rod on a cart",
+    "transmission_error": "q_real = q + error_sin sin(2 pi q / error_period) + error_cos cos(2 pi q / error_period)",
+    "guideway_not_straight": "A displaced by bend(q), linear between knots",
+    "guideway_compliance": "A displaced by guideway_compliance F across, drive_compliance F along the guideway, F the rods' pull",
+    "backlash": "q_real = q - backlash / 2 sign of the approach",
+    "tool_frame": "the target sits elsewhere on the tool in another campaign",
+    "base_frame": "the robot's base stands elsewhere in the device's frame in another campaign",
+}
+"""Causes and their equations; names are the contract's."""
+
+_OF_ADDITION = {
+    "periodic": "transmission_error",
+    "periodic2": "transmission_error",
+    "piecewise": "guideway_not_straight",
+    "compliant": "guideway_compliance",
+    "backlash": "backlash",
+    "tool_frame": "tool_frame",
+    "base_frame": "base_frame",
+}
+_OF_STRUCTURE: dict[str, Callable[[Geometry], Geometry | None]] = {
+    "rod_length": restrict.without_lengths,
+    "joint_placement": restrict.without_placements,
+    "guideway_nonparallel": restrict.with_parallel_guideways,
+    "pinion_scale": restrict.with_nominal_scales,
+    "cart_tilt": restrict.without_tilts,
+}
+_PATTERNS = {
+    "rod_length": ("length",),
+    "joint_placement": ("origin_", "base_", "plate_", "turn_"),
+    "guideway_nonparallel": ("direction_",),
+    "pinion_scale": ("direction_",),
+    "cart_tilt": ("drift_",),
+    "transmission_error": ("error",),
+    "guideway_not_straight": ("bend_",),
+    "guideway_compliance": ("_compliance",),
+    "backlash": ("backlash",),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """A cause and what it costs.
+
+    Attributes:
+        cause: The contract's name.
+        joints: Where, for causes that have places.
+        status: `confirmed` where held-out poses agree, else `suspected`.
+        gain: On held-out poses, or by cross-validation where there are none.
+        parameters: Names of its parameters.
+        equation: What it does.
+    """
+
+    cause: str
+    joints: tuple[str, ...]
+    status: str
+    gain: Gain
+    parameters: tuple[str, ...]
+    equation: str
+
+    def to_dict(self, fitted: Fit) -> dict[str, object]:
+        """Return the finding with its parameters' values."""
+        values = fitted.parameters
+        rows = [
+            {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr}
+            for p in values
+            if p.name in self.parameters
+        ]
+        return {
+            "cause": self.cause,
+            "joints": list(self.joints),
+            "status": self.status,
+            "p_value": self.gain.p_value,
+            "parameters": rows,
+            "gain": self.gain.to_dict(),
+            "equation": self.equation,
+        }
+
+
+def find_causes(
+    family: Family, chosen: Candidate, holdout: PoseSet | None, options: Options, lever: float
+) -> tuple[Finding, ...]:
+    """Return the causes in a chosen model, costliest first."""
+    findings = []
+    for cause, joints, geometry, spec in _without(family, chosen):
+        try:
+            smaller = _fitted(chosen, geometry, spec, options)
+            by_folds = compare(cross_validate(smaller, options.seed), chosen.unseen, lever, options.seed)
+        except (InputError, CannotAnswer):
+            continue
+        if not by_folds.real:
+            continue
+        gain, agrees = by_folds, False
+        if holdout is not None:
+            gain = compare(_held(smaller, holdout), _held(chosen.fit, holdout), lever, options.seed)
+            agrees = gain.p_value < 0.05
+        names = _parameters(cause, joints, chosen.fit)
+        findings.append(Finding(cause, joints, "confirmed" if agrees else "suspected", gain, names, EQUATIONS[cause]))
+    return tuple(sorted(findings, key=lambda f: -f.gain.percent))
+
+
+def _without(family: Family, chosen: Candidate) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:
+    """Return every cause of the model with the geometry that leaves it out."""
+    out: list[tuple[str, tuple[str, ...], Geometry, Spec]] = []
+    if chosen.spec.structure != "frames":
+        for cause, held in _OF_STRUCTURE.items():
+            if cause == "guideway_nonparallel" and chosen.spec.structure == "ideal":
+                continue
+            geometry = held(chosen.fit.geometry)
+            if geometry is not None:
+                out.append((cause, (), geometry, chosen.spec))
+    for addition, joints in chosen.spec.additions.items():
+        for joint in joints:
+            left = {a: tuple(j for j in own if (a, j) != (addition, joint)) for a, own in chosen.spec.additions.items()}
+            spec = Spec(chosen.spec.structure, {a: own for a, own in left.items() if own})
+            where = () if joint == "all" else (joint,)
+            out.append((_OF_ADDITION[addition], where, family.build(spec, _periods(chosen.fit)), spec))
+    return out
+
+
+def _periods(fitted: Fit) -> dict[str, float]:
+    found = {}
+    for p in fitted.parameters:
+        joint, _, what = p.name.partition(".")
+        if what in ("error_period", "error2_period"):
+            found[joint + what.removeprefix("error").removesuffix("_period")] = p.value
+    return found
+
+
+def _fitted(chosen: Candidate, geometry: Geometry, spec: Spec, options: Options) -> Fit:
+    play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
+    names, nominal = geometry.parameters.names, geometry.parameters.values
+    start = carried_over(chosen.fit, names, nominal, chosen.fit.poses)
+    if start is not None:
+        frames, slack = start.frames, start.slack.copy()
+        kept = [geometry.actuated.index(j) for j in spec.additions.get("backlash", ())]
+        slack[np.setdiff1d(np.arange(len(slack)), kept)] = 0.0
+        if "base_frame" not in spec.additions:
+            frames = replace(frames, device=frames.device[:1])
+        if "tool_frame" not in spec.additions:
+            frames = replace(frames, tool=frames.tool[:1])
+        start = start._replace(frames=frames, slack=slack)
+    return fit(
+        geometry,
+        chosen.fit.poses,
+        free=play,
+        residual=options.residual,
+        robust=options.robust,
+        device=options.device,
+        tool=options.tool,
+        apart=("base_frame" in spec.additions, "tool_frame" in spec.additions),
+        start=start,
+    )
+
+
+def _held(fitted: Fit, holdout: PoseSet) -> Unseen:
+    return of_errors(fitted.errors(holdout), oriented=fitted.geometry.orients)
+
+
+def _parameters(cause: str, joints: tuple[str, ...], fitted: Fit) -> tuple[str, ...]:
+    names = [p.name for p in fitted.parameters if p.stderr is not None]
+    if cause in ("tool_frame", "base_frame"):
+        owner = "tool" if cause == "tool_frame" else "device"
+        return tuple(n for n in names if n.startswith(owner))
+    what = _PATTERNS[cause]
+    found = [n for n in names if any(w in n.partition(".")[2] for w in what) and not n.startswith(("device", "tool"))]
+    return tuple(n for n in found if not joints or n.partition(".")[0] in joints)

@@ -1,0 +1,252 @@
+r"""Corrected joint positions for a controller that goes on believing in the nominal robot.
+
+The controller asks for `q`, meaning that the tool should be where the nominal robot would have it. The calibrated robot
+is there at other positions. `exact` finds them by Newton on the calibrated model, `theta` its parameters and `X` the
+commanded part of the pose:
+
+    X(theta, q_c) = X(theta_0, q).
+
+`linear` is the calibration paper's approximation, its equations (27) to (33), all derivatives at the nominal robot
+(Savoure et al. 2006):
+
+    dX = S(q) (theta - theta_0),    q_c = q - J(q)^-1 dX.
+
+A robot with fewer than six joints commands only part of the pose: x of a parallelogram, x y z of a Delta, x y z and rz
+of an H4. What the errors do to the rest cannot be corrected, only foreseen (`remaining`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.calibrate.commanded_axes import AXES, checked_axes, independent_axes
+from tau_dyn.calibrate.frames import rotation_between
+from tau_dyn.calibrate.geometry import Geometry, Tied
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.robot import Robot
+
+METHODS = ("exact", "linear")
+_ROUNDS = 30
+_DONE = 1e-11  # [m or rad] Newton's last step
+_STEP = 0.3  # [m or rad] longest step at once
+_TURN = 2 * np.pi
+_SINGULAR = 1e-9
+
+
+class Corrected(NamedTuple):
+    """What to send to the controller.
+
+    Attributes:
+        q: Corrected positions (N, na) [m or rad], nan where not `ok`.
+        ok: Whether the pose is reached (N,).
+        reason: Why not (N,), '' where it is.
+        steps: Newton steps taken, 0 for the linear method.
+    """
+
+    q: np.ndarray
+    ok: np.ndarray
+    reason: np.ndarray
+    steps: int
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Corrected inverse kinematics of one calibrated robot; build it with `build_compensation`.
+
+    Attributes:
+        robot: The robot file.
+        geometry: The mechanism.
+        theta: Calibrated parameters (p,).
+        nominal: Parameters that the controller computes with (p,).
+        axes: Commanded part of the tool's pose, names out of `x y z rx ry rz` (world axes).
+        method: 'exact' or 'linear'.
+        limits: Whether positions beyond the joints' limits are refused.
+    """
+
+    robot: Robot
+    geometry: Geometry
+    theta: np.ndarray
+    nominal: np.ndarray
+    axes: tuple[str, ...]
+    method: str = "exact"
+    limits: bool = True
+
+    def __call__(self, wanted: np.ndarray | Poses, *, start: np.ndarray | None = None) -> Corrected:
+        """Return corrected positions.
+
+        Args:
+            wanted: Positions that the controller computed with the nominal robot (N, na) [m or rad], or tool poses in the
+                base frame; of poses only the commanded axes count.
+            start: Where to search the positions of poses from, (na,) or (N, na); the robot's home unless given.
+        """
+        if isinstance(wanted, Poses):
+            guess = self.robot.home if start is None else np.asarray(start, float)
+            guess = np.broadcast_to(guess, (wanted.n_samples, self.robot.na)).copy()
+            nominal = self._newton(self.nominal, wanted, guess, np.full(wanted.n_samples, "", object))
+            target = wanted
+        else:
+            q = self._checked(wanted)
+            found = self.geometry.forward(self.nominal, q)
+            nominal, target = Corrected(q, found.ok, found.reason, 0), found.poses
+        first = self._linear(nominal, target)
+        if self.method == "linear":
+            return self._within_limits(first)
+        safe = np.where(
+            np.isfinite(first.q), first.q, nominal.q
+        )  # at a nominal singularity Newton starts from nominal positions
+        near = None if isinstance(wanted, Poses) else target  # of poses only the commanded axes may mean anything
+        return self._within_limits(self._newton(self.theta, target, safe, nominal.reason.copy(), near))
+
+    def remaining(self, wanted: np.ndarray, corrected: np.ndarray) -> np.ndarray:
+        """Return the twist (N, 6) by which the calibrated robot at `corrected` misses the nominal one at `wanted`, all axes."""
+        target = self.geometry.forward(self.nominal, self._checked(wanted)).poses
+        return _missed(target, self.geometry.forward(self.theta, self._checked(corrected)).poses)
+
+    def with_method(self, method: str) -> Compensation:
+        """Return the same compensation by the other method."""
+        return replace(self, method=_known(method))
+
+    def with_tool(self, other: Geometry, robot: Robot) -> Compensation:
+        """Return the compensation of the same calibrated robot with another tool: a geometry of the same parameters."""
+        if other.parameters.names != self.geometry.parameters.names:
+            raise InputError(f"{robot.source}: the other tool's geometry must have the same parameters")
+        return replace(self, geometry=other, robot=robot)
+
+    @property
+    def rows(self) -> list[int]:
+        """Commanded components of a twist."""
+        return [AXES.index(axis) for axis in self.axes]
+
+    @cached_property
+    def _reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions beyond which Newton has lost its way: half a range outside the limits, or a turn from home without any."""
+        lower, upper, home = self.robot.lower, self.robot.upper, self.robot.home
+        half = 0.5 * (upper - lower)
+        return np.where(np.isfinite(half), lower - half, home - _TURN), np.where(
+            np.isfinite(half), upper + half, home + _TURN
+        )
+
+    def _linear(self, nominal: Corrected, target: Poses) -> Corrected:
+        q = np.where(np.isfinite(nominal.q), nominal.q, 0.0)
+        by_parameter = self.geometry.tool_by_parameter(self.nominal, q, target)[:, self.rows]
+        by_joint = self.geometry.tool_by_joint(self.nominal, q, target)[:, self.rows]
+        step, sound = _solved(by_joint, by_parameter @ (self.theta - self.nominal))
+        reason = np.where((nominal.reason == "") & ~sound, "singular", nominal.reason).astype(object)
+        ok = nominal.ok & sound
+        return Corrected(np.where(ok[:, None], q - step, np.nan), ok, reason, 0)
+
+    def _newton(
+        self, theta: np.ndarray, target: Poses, start: np.ndarray, reason: np.ndarray, near: Poses | None = None
+    ) -> Corrected:
+        """Return positions (N, na) where the commanded part of the pose is the target's; `near`: where the tool then is."""
+        q, steps = start.copy(), 0
+        left = np.flatnonzero((reason == "") & np.isfinite(q).all(axis=1))
+        reason[left] = "not converged"
+        for _ in range(_ROUNDS):
+            if not left.size:
+                break
+            steps += 1
+            found = self.geometry.forward(theta, q[left], None if near is None else near.take(left))
+            miss = _missed(target.take(left), found.poses)[:, self.rows]
+            step, sound = _solved(self.geometry.tool_by_joint(theta, q[left], found.poses)[:, self.rows], miss)
+            sound &= found.ok
+            reason[left[~sound]] = np.where(found.ok, "singular", found.reason)[~sound]
+            size = np.abs(step).max(axis=1)
+            q[left[sound]] += (step * np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None])[sound]
+            done = sound & (size < _DONE)
+            reason[left[done]] = ""
+            astray = np.any((q[left] < self._reach[0]) | (q[left] > self._reach[1]), axis=1) & ~done
+            reason[left[sound & astray]] = "out of reach"
+            left = left[sound & ~done & ~astray]
+        ok = reason == ""
+        return Corrected(np.where(ok[:, None], q, np.nan), ok, reason, steps)
+
+    def _within_limits(self, found: Corrected) -> Corrected:
+        if not self.limits:
+            return found
+        with np.errstate(invalid="ignore"):
+            beyond = (found.q < self.robot.lower - 1e-9) | (found.q > self.robot.upper + 1e-9)
+        reason = found.reason.copy()
+        for k in np.flatnonzero(found.ok & beyond.any(axis=1)):
+            reason[k] = f"{self.robot.actuated[int(np.argmax(beyond[k]))]} beyond its limit"
+        ok = reason == ""
+        return Corrected(np.where(ok[:, None], found.q, np.nan), ok, reason, found.steps)
+
+    def _checked(self, q: np.ndarray) -> np.ndarray:
+        q = np.asarray(q, float)
+        q = q[None] if q.ndim == 1 else q
+        if q.ndim != 2 or q.shape[1] != self.robot.na:
+            raise InputError(
+                f"{self.robot.source} has {self.robot.na} actuated joints ({', '.join(self.robot.actuated)}); "
+                f"positions must be (N, {self.robot.na}), not {q.shape}"
+            )
+        return q
+
+
+def build_compensation(
+    robot: Robot,
+    geometry: Geometry,
+    theta: np.ndarray,
+    *,
+    method: str = "exact",
+    axes: Sequence[str] | None = None,
+    nominal: np.ndarray | None = None,
+    limits: bool = True,
+) -> Compensation:
+    """Build the corrected inverse kinematics of a calibrated robot.
+
+    Args:
+        robot: The robot file.
+        geometry: Its geometry, as it was fitted.
+        theta: Calibrated parameters (p,), such as `fit(...).theta`.
+        method: 'exact' or 'linear'.
+        axes: Commanded part of the pose, one name a joint (`x y z rx ry rz`); by default the first that
+            the joints move independently.
+        nominal: Parameters that the controller computes with (p,); the robot file's unless given.
+        limits: Whether positions beyond the joints' limits are refused.
+
+    Raises:
+        InputError: Arrays of the wrong length, or axes that the robot's joints do not move.
+        UnknownName: An axis or a method that does not exist.
+    """
+    theta = np.asarray(theta, float)
+    nominal = geometry.parameters.values if nominal is None else np.asarray(nominal, float)
+    while isinstance(geometry, Tied):
+        theta, nominal, geometry = geometry.full(theta), geometry.full(nominal), geometry.geometry
+    p = len(geometry.parameters)
+    if theta.shape != (p,) or nominal.shape != (p,):
+        raise InputError(f"{robot.source}: the geometry has {p} parameters, not {theta.shape} and {nominal.shape}")
+    chosen = independent_axes(robot, geometry, nominal) if axes is None else checked_axes(robot, axes)
+    return Compensation(robot, geometry, theta, nominal, chosen, _known(method), limits)
+
+
+def _known(method: str) -> str:
+    if method not in METHODS:
+        raise UnknownName("compensation method", method, METHODS)
+    return method
+
+
+def _missed(target: Poses, at: Poses) -> np.ndarray:
+    """Return the twist (N, 6) from `at` to `target`, nan where one of them is."""
+    out = np.full((len(at.position), 6), np.nan)
+    out[:, :3] = target.position - at.position
+    ok = np.isfinite(at.rotation).all(axis=(1, 2)) & np.isfinite(target.rotation).all(axis=(1, 2))
+    out[ok, 3:] = rotation_between(target.rotation[ok], at.rotation[ok])
+    return out
+
+
+def _solved(J: np.ndarray, twist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least joint motion (N, na) that makes a twist (N, r), and where `J` (N, r, na) is not singular (N,)."""
+    sound = np.asarray(np.isfinite(J).all(axis=(1, 2)) & np.isfinite(twist).all(axis=1))
+    safe = np.where(sound[:, None, None], J, 0.0)
+    u, s, vt = np.linalg.svd(safe, full_matrices=False)
+    sound &= s[:, -1] > _SINGULAR * np.maximum(s[:, 0], 1e-300)
+    weight = np.divide(1.0, s, out=np.zeros_like(s), where=sound[:, None])
+    along = np.einsum("nrk,nr->nk", u, np.where(sound[:, None], twist, 0.0))
+    return np.einsum("nka,nk->na", vt, weight * along), sound

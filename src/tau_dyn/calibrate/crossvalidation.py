@@ -1,0 +1,140 @@
+"""How well a model predicts poses that it has not seen, by folds of the training poses, and whether a larger one does better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.calibrate.descent import Descent
+from tau_dyn.calibrate.errors import Errors
+from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.residuals import Problem, State
+
+FOLDS = 5
+_DRAWS = 1000
+_SURE = 0.01
+_WORTH = 0.02  # share of the rms error that a larger model must take away
+
+
+class Gain(NamedTuple):
+    """What one model gains over another on poses that neither has seen.
+
+    Attributes:
+        before: Rms position error of the smaller model [m].
+        after: Of the larger one [m].
+        percent: Reduction [%].
+        ci95: Its interval, by bootstrap over poses [%].
+        p_value: Chance of so much gain where there is none (Wilcoxon's signed ranks, one-sided).
+    """
+
+    before: float
+    after: float
+    percent: float
+    ci95: tuple[float, float]
+    p_value: float
+
+    @property
+    def real(self) -> bool:
+        """Whether the larger model has earned its parameters."""
+        return self.p_value < _SURE and self.percent > 100 * _WORTH
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as results spell it."""
+        return {
+            "rms_before": self.before,
+            "rms_after": self.after,
+            "reduction_percent": self.percent,
+            "ci95": list(self.ci95),
+            "p_value": self.p_value,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Errors of predictions at poses that were left out of the fit.
+
+    Attributes:
+        position: (N, 3) [m].
+        rotation: (N, 3) [rad], None where orientation is not predicted.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray | None
+
+    def score(self, lever: float) -> np.ndarray:
+        """Return squared errors (N,) [m^2], orientation counted at a lever [m]; a pose without prediction counts as the worst."""
+        out = np.sum(self.position**2, axis=1)
+        if self.rotation is not None and lever > 0:
+            out = out + lever**2 * np.sum(self.rotation**2, axis=1)
+        worst = np.nanmax(out) if np.isfinite(out).any() else 1.0
+        return np.where(np.isfinite(out), out, worst)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the position errors [m]."""
+        return float(np.sqrt(np.nanmean(np.sum(self.position**2, axis=1))))
+
+
+def folds(n: int, seed: int, many: int = FOLDS) -> list[np.ndarray]:
+    """Return the indices of each fold, at random."""
+    return [np.sort(part) for part in np.array_split(np.random.default_rng(seed).permutation(n), min(many, n))]
+
+
+def cross_validate(fitted: Fit, seed: int = 0) -> Unseen:
+    """Return errors at training poses predicted by refits without their fold."""
+    poses = fitted.poses
+    position = np.full((poses.n, 3), np.nan)
+    turned = poses.rotation is not None and fitted.geometry.orients
+    rotation = np.full((poses.n, 3), np.nan) if turned else None
+    for part in folds(poses.n, seed):
+        rest = np.setdiff1d(np.arange(poses.n), part)
+        errors = _without(fitted, rest).errors(poses.take(part))
+        position[part] = errors.position
+        if rotation is not None and errors.rotation is not None:
+            rotation[part] = errors.rotation
+    return Unseen(position, rotation)
+
+
+def _without(fitted: Fit, rest: np.ndarray) -> Fit:
+    """Return a fit to some of the poses, from where the whole one stands and with its noise."""
+    poses = fitted.poses.take(rest)
+    problem = Problem(
+        fitted.geometry, poses, fitted.unknowns, fitted.kind, poses.rotation is not None and fitted.geometry.orients
+    )
+    s = fitted.state
+    state = State(s.theta, s.frames, s.base.take(rest), s.ok[rest], s.slack)
+    run = Descent(problem, "none", fitted.noise)
+    state, _ = run.descend(state, fitted.noise, np.arange(len(run.free)), 6)
+    return replace(fitted, poses=poses, state=state)
+
+
+def of_errors(errors: Errors, *, oriented: bool) -> Unseen:
+    """Return the errors at held-out poses as `Unseen`."""
+    return Unseen(errors.position, errors.rotation if oriented else None)
+
+
+def compare(small: Unseen, large: Unseen, lever: float, seed: int = 0) -> Gain:
+    """Return what a larger model gains over a smaller one on the same poses."""
+    a, b = small.score(lever), large.score(lever)
+    difference = a - b
+    p = 1.0
+    if np.any(difference != 0):  # signed ranks: a few poses near a singularity do not decide
+        p = float(stats.wilcoxon(difference, alternative="greater").pvalue)  # type: ignore[union-attr]
+    rng = np.random.default_rng(seed)
+    draws = rng.integers(0, len(a), (_DRAWS, len(a)))
+    pa, pb = small.score(0.0), large.score(0.0)
+    ratio = 100 * (1 - np.sqrt(pb[draws].sum(axis=1) / np.maximum(pa[draws].sum(axis=1), 1e-300)))
+    low, high = np.percentile(ratio, [2.5, 97.5])
+    before, after = float(np.sqrt(pa.mean())), float(np.sqrt(pb.mean()))
+    return Gain(before, after, 100 * (1 - after / max(before, 1e-300)), (float(low), float(high)), p)
+
+
+def rms_interval(unseen: Unseen, seed: int = 0) -> tuple[float, float]:
+    """Return the 95 % interval of the rms position error [m], by bootstrap over poses."""
+    squares = unseen.score(0.0)
+    draws = np.random.default_rng(seed).integers(0, len(squares), (_DRAWS, len(squares)))
+    low, high = np.percentile(np.sqrt(squares[draws].mean(axis=1)), [2.5, 97.5])
+    return float(low), float(high)

@@ -1,0 +1,170 @@
+r"""Where the measuring device stands and where its target sits on the tool: what turns a robot's tool pose into a measurement.
+
+    R_m = R_D R R_T,    p_m = p_D + R_D (p + R p_T),
+
+with `(R_D, p_D)` the robot's base in the device's frame (X_DB) and `(R_T, p_T)` the target in the tool frame (thesis
+(5.3)). Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Campaigns may each have frames
+of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.parameters import Parameter
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class Frame(NamedTuple):
+    """A placement: rotation (3, 3) and translation (3,) [m]."""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+
+    @property
+    def inverse(self) -> Frame:
+        """The placement the other way round."""
+        return Frame(self.rotation.T, -self.rotation.T @ self.translation)
+
+
+IDENTITY = Frame(np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Device and target, one of each or one for every campaign.
+
+    Attributes:
+        device: The robot's base frame in the device's.
+        tool: The target in the tool frame.
+    """
+
+    device: tuple[Frame, ...] = (IDENTITY,)
+    tool: tuple[Frame, ...] = (IDENTITY,)
+
+    def measured(self, base: Poses, campaign: np.ndarray) -> Poses:
+        """Return what the device sees (N) of tool poses in the robot's base frame."""
+        rd, td, rt, tt = self._each(campaign)
+        position = base.position + np.einsum("nij,nj->ni", base.rotation, tt)
+        return Poses(td + np.einsum("nij,nj->ni", rd, position), rd @ base.rotation @ rt)
+
+    def in_base(self, measured: Poses, campaign: np.ndarray) -> Poses:
+        """Return tool poses in the robot's base frame (N) from what the device saw; needs orientation."""
+        rd, td, rt, tt = self._each(campaign)
+        back = np.swapaxes(rd, 1, 2)
+        rotation = back @ measured.rotation @ np.swapaxes(rt, 1, 2)
+        position = np.einsum("nij,nj->ni", back, measured.position - td)
+        return Poses(position - np.einsum("nij,nj->ni", rotation, tt), rotation)
+
+    def carried(self, base: Poses, twist: np.ndarray, campaign: np.ndarray) -> np.ndarray:
+        """Return twists of the target in the device's axes (N, 6, p) from twists of the tool (N, 6, p) in the base's."""
+        rd, _, _, tt = self._each(campaign)
+        arm = np.einsum("nij,nj->ni", base.rotation, tt)
+        linear, angular = twist[:, :3], twist[:, 3:]
+        if np.any(tt):
+            linear = linear + np.cross(angular, arm[:, :, None], axis=1)
+        return np.concatenate([rd @ linear, rd @ angular], axis=1)
+
+    def brought(self, base: Poses, twist: np.ndarray, campaign: np.ndarray) -> np.ndarray:
+        """Return twists of the tool in the base's axes (N, 6, p) from twists of the target in the device's: `carried` undone."""
+        rd, _, _, tt = self._each(campaign)
+        back = np.swapaxes(rd, 1, 2)
+        arm = np.einsum("nij,nj->ni", base.rotation, tt)
+        linear, angular = back @ twist[:, :3], back @ twist[:, 3:]
+        return np.concatenate([linear - np.cross(angular, arm[:, :, None], axis=1), angular], axis=1)
+
+    def columns(self, base: Poses, measured: Poses, campaign: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the target's twist (N, 6, 6 nd) per device parameter and (N, 6, 6 nt) per tool parameter."""
+        n = len(campaign)
+        rd, td, _, _ = self._each(campaign)
+        one = np.zeros((n, 6, 6))
+        one[:, :3, :3] = one[:, 3:, 3:] = np.eye(3)
+        one[:, :3, 3:] = -_skew(measured.position - td)
+        two = np.zeros((n, 6, 6))
+        two[:, :3, :3] = rd @ base.rotation
+        two[:, 3:, 3:] = measured.rotation
+        return _spread(one, campaign, len(self.device)), _spread(two, campaign, len(self.tool))
+
+    def moved(self, device: np.ndarray, tool: np.ndarray) -> Frames:
+        """Return the frames after steps (6 nd,) and (6 nt,): translations, then rotation vectors."""
+        d = tuple(
+            Frame(_exp(step[3:]) @ f.rotation, f.translation + step[:3])
+            for f, step in zip(self.device, device.reshape(-1, 6), strict=True)
+        )
+        t = tuple(
+            Frame(f.rotation @ _exp(step[3:]), f.translation + step[:3])
+            for f, step in zip(self.tool, tool.reshape(-1, 6), strict=True)
+        )
+        return Frames(d, t)
+
+    def apart(self, campaigns: int, *, device: bool, tool: bool) -> Frames:
+        """Return frames of their own for every campaign."""
+        return replace(
+            self,
+            device=self.device[:1] * campaigns if device else self.device,
+            tool=self.tool[:1] * campaigns if tool else self.tool,
+        )
+
+    def parameters(self) -> list[Parameter]:
+        """Return `device.x` .. `device.rz`, `tool.x` .. at their values; rotations as rotation vectors."""
+        rows = []
+        for owner, frames in (("device", self.device), ("tool", self.tool)):
+            for k, frame in enumerate(frames):
+                label = owner if k == 0 else f"{owner}_{k + 1}"
+                vector = Rotation.from_matrix(frame.rotation).as_rotvec()
+                values = [*frame.translation, *vector]
+                units = ["m"] * 3 + ["rad"] * 3
+                rows += [Parameter(f"{label}.{a}", float(v), u) for a, v, u in zip(AXES, values, units, strict=True)]
+        return rows
+
+    def _each(self, campaign: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        def pick(frames: tuple[Frame, ...]) -> tuple[np.ndarray, np.ndarray]:
+            index = campaign if len(frames) > 1 else np.zeros(len(campaign), int)
+            return np.array([f.rotation for f in frames])[index], np.array([f.translation for f in frames])[index]
+
+        return *pick(self.device), *pick(self.tool)
+
+
+def align(seen: np.ndarray, known: np.ndarray, *, mirrored: bool = False) -> Frame:
+    """Return the frame that best takes `known` points (N, 3) to `seen` ones (Umeyama 1991); `mirrored` asks for a reflection."""
+    a, b = seen.mean(axis=0), known.mean(axis=0)
+    u, _, vt = np.linalg.svd((seen - a).T @ (known - b))
+    sign = np.sign(np.linalg.det(u @ vt)) * (-1.0 if mirrored else 1.0)
+    rotation = u @ np.diag([1.0, 1.0, sign]) @ vt
+    return Frame(rotation, a - rotation @ b)
+
+
+def mean_rotation(rotations: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) nearest to many (N, 3, 3)."""
+    u, _, vt = np.linalg.svd(rotations.sum(axis=0))
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+def rotation_between(to: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return rotation vectors (N, 3) [rad] in world axes that turn `start` into `to`, both (N, 3, 3)."""
+    return Rotation.from_matrix(to @ np.swapaxes(start, 1, 2)).as_rotvec()
+
+
+def _exp(vector: np.ndarray) -> np.ndarray:
+    return Rotation.from_rotvec(vector).as_matrix()
+
+
+def _skew(x: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(x), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
+    return out - np.swapaxes(out, 1, 2)
+
+
+def _spread(columns: np.ndarray, campaign: np.ndarray, many: int) -> np.ndarray:
+    if many == 1:
+        return columns
+    out = np.zeros((len(campaign), 6, 6 * many))
+    for k in range(many):
+        out[campaign == k, :, 6 * k : 6 * k + 6] = columns[campaign == k]
+    return out

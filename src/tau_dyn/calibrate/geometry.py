@@ -1,0 +1,181 @@
+r"""What calibration needs to know of a mechanism: its dimensions as parameters, and how the tool moves with them.
+
+Everything else (frames, weights, uncertainty, identifiability, choice of poses) is written once against `Geometry`.
+Values travel separately as a vector `theta` (p,), so that a geometry is frozen; poses are in the robot's base frame,
+twists in world axes, linear first, at the tool frame's origin. With loops `c(theta, q, X) = 0` kept closed, `dX =
+-(dc/dX)^-1 (dc/dtheta dtheta + dc/dq dq)`.
+Reference: Khalil & Dombre 2002, ch. 11; Hollerbach, Khalil & Gautier 2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from tau_dyn.exceptions import UnknownName
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.parameters import Parameter, Parameters
+
+
+class Predicted(NamedTuple):
+    """Where a model says that the tool is.
+
+    Attributes:
+        poses: Tool poses (N) in the robot's base frame; nan where not `ok`.
+        ok: Whether a pose was found (N,).
+        reason: Why not (N,), '' where it was.
+    """
+
+    poses: Poses
+    ok: np.ndarray
+    reason: np.ndarray
+
+
+class Geometry(Protocol):
+    """A mechanism whose dimensions are parameters."""
+
+    @property
+    def parameters(self) -> Parameters:
+        """Nominal values; units m, rad, 1. Parameters that are not `free` stay at their value."""
+        ...
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Actuated joints, in the order of `q`."""
+        ...
+
+    @property
+    def orients(self) -> bool:
+        """Whether the tool's orientation is predicted (False: a plate that only translates)."""
+        ...
+
+    @property
+    def priority(self) -> np.ndarray:
+        """Whole numbers (p,): where parameters depend on each other, those with smaller ones are kept."""
+        ...
+
+    def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
+        """Return tool poses at `q` (N, na), found from `start` where one is given."""
+        ...
+
+    def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return the tool's twist per parameter (N, 6, p), loops kept closed."""
+        ...
+
+    def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
+        ...
+
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return closure residuals (N, m) [m] at tool poses (thesis (5.1)), None where the mechanism has none."""
+        ...
+
+    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return the closure's derivative by the parameters (N, m, p)."""
+        ...
+
+    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return the closure's derivative by the tool's twist (N, m, 6)."""
+        ...
+
+    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return the closure's derivative by the actuated joints (N, m, na)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Tied:
+    """A geometry with fewer parameters: several of the original ones move together, or not at all.
+
+    `theta = theta_0 + Z (y - y_0)`: equal rods, parallel guideways and other simplifications are such ties.
+
+    Attributes:
+        geometry: The original.
+        parameters: The remaining parameters at their nominal values `y_0`.
+        matrix: `Z` (p, r).
+        priority: As in `Geometry` (r,).
+    """
+
+    geometry: Geometry
+    parameters: Parameters
+    matrix: np.ndarray
+    priority: np.ndarray
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Actuated joints."""
+        return self.geometry.actuated
+
+    @property
+    def orients(self) -> bool:
+        """Whether the tool's orientation is predicted."""
+        return self.geometry.orients
+
+    def full(self, theta: np.ndarray) -> np.ndarray:
+        """Return the original's parameters (p,)."""
+        return self.geometry.parameters.values + self.matrix @ (theta - self.parameters.values)
+
+    def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
+        """Return tool poses."""
+        return self.geometry.forward(self.full(theta), q, start)
+
+    def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return the tool's twist per parameter (N, 6, r)."""
+        return self.geometry.tool_by_parameter(self.full(theta), q, poses) @ self.matrix
+
+    def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return the tool's twist per actuated joint (N, 6, na)."""
+        return self.geometry.tool_by_joint(self.full(theta), q, poses)
+
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return closure residuals (N, m)."""
+        return self.geometry.closure(self.full(theta), q, poses)
+
+    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return the closure's derivative by the parameters (N, m, r)."""
+        found = self.geometry.closure_by_parameter(self.full(theta), q, poses)
+        return None if found is None else found @ self.matrix
+
+    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return the closure's derivative by the tool's twist (N, m, 6)."""
+        return self.geometry.closure_by_pose(self.full(theta), q, poses)
+
+    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray | None:
+        """Return the closure's derivative by the actuated joints (N, m, na)."""
+        return self.geometry.closure_by_joint(self.full(theta), q, poses)
+
+
+def tie(geometry: Geometry, together: Mapping[str, Sequence[str]], left_out: Sequence[str] = ()) -> Tied:
+    """Return a geometry in which parameters move together or stay at their nominal values.
+
+    Args:
+        geometry: The original.
+        together: New name -> names of the parameters that change by the same amount; its nominal value is their mean.
+        left_out: Parameters that stay.
+
+    Raises:
+        UnknownName: A parameter that the geometry does not have.
+    """
+    old = geometry.parameters
+    for name in [*(n for names in together.values() for n in names), *left_out]:
+        if name not in old:
+            raise UnknownName("geometry parameter", name, old.names)
+    owner = {name: new for new, names in together.items() for name in names}
+    rows: dict[str, Parameter] = {}
+    columns: dict[str, list[int]] = {}
+    for k, p in enumerate(old):
+        if p.name in left_out:
+            continue
+        new = owner.get(p.name, p.name)
+        columns.setdefault(new, []).append(k)
+        rows.setdefault(new, replace(p, name=new))
+    matrix = np.zeros((len(old), len(rows)))
+    for r, indices in enumerate(columns.values()):
+        matrix[indices, r] = 1.0
+    means = [float(np.mean(old.values[indices])) for indices in columns.values()]
+    parameters = Parameters(replace(p, value=v) for p, v in zip(rows.values(), means, strict=True))
+    priority = np.array([geometry.priority[indices].min() for indices in columns.values()], int)
+    return Tied(geometry, parameters, matrix, priority)

@@ -1,0 +1,62 @@
+r"""What the rods pull at the carts in a standing robot: gravity of plate and rods, carried by the rods' axial forces.
+
+The plate balances, `J_X' f = w`, with `J_X` the gaps' derivative by the plate's twist and `w` the wrench of its
+weight and half of each rod's weight at its end (rods uniform, so the other half rests on the cart and never changes).
+Thesis, end of 5.3: gravity-induced axial forces.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.kinematics.forward import forward_kinematics
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.rods import Rods
+
+
+class RodLoads:
+    """Loads of one nominal robot; remembers the last positions asked for."""
+
+    def __init__(self, rods: Rods) -> None:
+        """Read masses and gravity from the robot."""
+        self.rods = rods
+        masses = {link.link: link.nominal for link in rods.robot.links}
+        plate = masses.get(rods.plate, np.zeros(10))
+        self.plate_mass = float(plate[0])
+        self.centre = plate[1:4] / plate[0] if plate[0] > 0 else np.zeros(3)
+        self.half = np.array([0.5 * float(masses.get(f"{n}_link", np.zeros(1))[0]) for n in rods.names])
+        self.gravity = rods.robot.model.gravity.linear
+        self._remembered: tuple[bytes, np.ndarray] | None = None
+
+    def __call__(self, q: np.ndarray) -> np.ndarray:
+        """Return the force of the rods on each slide (N, na, 3) [N], zero where the nominal robot cannot stand."""
+        key = q.tobytes()
+        if self._remembered is None or self._remembered[0] != key:
+            self._remembered = (key, self._force(q))
+        return self._remembered[1]
+
+    def _force(self, q: np.ndarray) -> np.ndarray:
+        plate = self.rods.plate_poses(forward_kinematics(self.rods, q).poses)
+        out = np.zeros((*q.shape, 3))
+        ok = np.asarray(np.isfinite(plate.position).all(axis=1))
+        at, where = plate.take(ok), q[ok]
+        f, unit = self._axial(where, at), self.rods.rod_directions(where, at)
+        for k, carrier in enumerate(self.rods.numbers.carried.carrier):
+            joints = self.rods.numbers.joints
+            while carrier >= 0:
+                out[ok, joints[carrier].actuator] += -f[:, k, None] * unit[:, k]
+                carrier = joints[carrier].parent
+        return out
+
+    def _axial(self, q: np.ndarray, plate: Poses) -> np.ndarray:
+        """Return the rods' tensions (N, n) [N]."""
+        by_pose = self.rods.gap_by_pose(q, plate)
+        wrench = np.zeros((len(q), 6))
+        weight = self.gravity * self.plate_mass
+        wrench[:, :3] = weight + self.gravity * self.half.sum()
+        arms = self.rods.plate_points(plate) - plate.position[:, None]
+        wrench[:, 3:] = np.cross(plate.rotation @ self.centre, weight)
+        wrench[:, 3:] += np.cross(arms, self.half[:, None] * self.gravity).sum(axis=1)
+        rows = 3 if self.rods.translates else 6
+        j = np.swapaxes(by_pose[:, :, :rows], 1, 2)  # a rod's pull at the plate is f u = -f d gap / d X
+        return np.einsum("nij,nj->ni", np.linalg.pinv(j), wrench[:, :rows])

@@ -1,0 +1,235 @@
+r"""The models that a mechanism offers: a structure (which dimensions move together) and additions (what drives do besides).
+
+Structures of a parallel robot of points and distances, each where it means something else than the ones before:
+
+    frames       the robot file's dimensions; only the device's frame and the target's place are fitted
+    ideal        one length, one cart point an arm; guideways in one common direction (thesis (5.2): 15 parameters)
+    nonparallel  the same with a direction for each guideway (21 parameters), models 1 and 2 of thesis 5.3
+    complete     every rod with its own length and both ends, every joint with its own place and direction (thesis
+                 (4.14), 5.4)
+    paths        complete, and every rod's end on its own straight path (model 3 of thesis 5.3)
+
+Additions: `periodic` (cyclic errors of the drives; `periodic2` a second one of another period), `piecewise` (crooked
+guideways), `compliant` (carts and drives yield to gravity), `backlash`, and between campaigns `base_frame` (the
+device or the robot was moved) and `tool_frame` (the target was). A model is written `complete+periodic+compliant`; an
+addition may name joints: `nonparallel+periodic:cart2,cart3`, the per-arm mix of thesis 5.3 (model 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tau_dyn.calibrate.geometry import Geometry, tie
+from tau_dyn.calibrate.laws import Bends, Drift, DriveLaw, GuideLaw, SoftDrive, Wave, Yielding, carried_by, guideways
+from tau_dyn.calibrate.loads import RodLoads
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.rod_geometry import RodGeometry
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.kinematics.rods import Rods
+
+ADDITIONS = ("base_frame", "tool_frame", "periodic", "periodic2", "piecewise", "compliant", "backlash")
+BETWEEN_CAMPAIGNS = ("base_frame", "tool_frame")
+_KNOTS = 9  # along a guideway: waves of a quarter of the travel still have a shape
+_PERIOD = 0.1  # [m]: where a search has nothing better to start from
+
+
+@dataclass(frozen=True, eq=False)
+class Spec:
+    """A model, before it is fitted.
+
+    Attributes:
+        name: As on the command line.
+        structure: Which dimensions are free.
+        additions: Addition -> joints that have it.
+    """
+
+    structure: str
+    additions: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def name_for(self, joints: Sequence[str]) -> str:
+        """Return the model's name, where `joints` could all have additions."""
+        parts = [self.structure]
+        for addition in ADDITIONS:
+            own = self.additions.get(addition, ())
+            if own:
+                parts.append(
+                    addition
+                    if addition in BETWEEN_CAMPAIGNS or set(own) == set(joints)
+                    else f"{addition}:{','.join(own)}"
+                )
+        return "+".join(parts)
+
+    def plus(self, addition: str, joints: Sequence[str]) -> Spec:
+        """Return the model with an addition at more joints."""
+        own = dict(self.additions)
+        own[addition] = tuple(dict.fromkeys((*own.get(addition, ()), *joints)))
+        return Spec(self.structure, own)
+
+
+class RodFamily:
+    """All models of one parallel robot."""
+
+    def __init__(self, rods: Rods, poses: PoseSet) -> None:
+        """Look at the mechanism and at how far the poses travel."""
+        self.rods, self.poses = rods, poses
+        self.joints = rods.robot.actuated
+        self.slides = guideways(rods)
+        self.rails = tuple(self.joints[a] for a in self.slides)
+        self.loads = RodLoads(rods)
+        self.structures = self._structures()
+
+    def spec(self, name: str) -> Spec:
+        """Read a model's name.
+
+        Raises:
+            UnknownName: No such structure, addition or joint.
+            InputError: An addition that this robot or these poses cannot have.
+        """
+        first, *rest = name.split("+")
+        if first in ADDITIONS or first.partition(":")[0] in ADDITIONS:
+            first, rest = self.structures[-1] if "complete" not in self.structures else "complete", [first, *rest]
+        if first == "mixed":
+            raise InputError(
+                "mixed is what auto finds when joints differ; name additions by joint, such as complete+periodic:cart2"
+            )
+        if first not in self.structures:
+            raise UnknownName("model", first, [*self.structures, *ADDITIONS])
+        spec = Spec(first)
+        for part in rest:
+            addition, _, joints = part.partition(":")
+            if addition not in ADDITIONS:
+                raise UnknownName("addition to a model", addition, ADDITIONS)
+            can = self.can_have(addition)
+            if not can:
+                raise InputError(f"{part}: {self._why_not(addition)}")
+            wanted = joints.split(",") if joints else list(can)
+            for joint in wanted:
+                if joint not in can:
+                    raise UnknownName(f"joint that can be {addition}", joint, can)
+            spec = spec.plus(addition, wanted)
+        return spec
+
+    def can_have(self, addition: str) -> tuple[str, ...]:
+        """Return the joints that an addition makes sense for."""
+        if addition in BETWEEN_CAMPAIGNS:
+            return ("all",) if len(self.poses.campaigns) > 1 else ()
+        if addition == "backlash":
+            return self.joints if self.poses.approach.any() else ()
+        if addition == "compliant":
+            return self.rails if self.loads.plate_mass > 0 else ()
+        return self.rails
+
+    def _why_not(self, addition: str) -> str:
+        if addition in BETWEEN_CAMPAIGNS:
+            return "there is one campaign only; a column `campaign` tells several apart"
+        if addition == "backlash":
+            return "nothing tells from which side the joints came; give poses in the order of measuring, or columns v_J"
+        if addition == "compliant" and self.rails:
+            return "the robot file gives the plate no mass, so no loads are known"
+        return "this robot has no guideways that stand on its base"
+
+    def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
+        """Return the geometry of a model; `periods` are starting values of cyclic errors by joint."""
+        drives, guides = self._laws(spec, periods or {})
+        if spec.structure == "paths":
+            guides = [*guides, *self._drifts()]
+        base = RodGeometry(self.rods, tuple(drives), tuple(guides))
+        return self._tied(base, spec.structure)
+
+    def _structures(self) -> tuple[str, ...]:
+        if not self.rails:
+            return ("frames", "complete")
+        found = ["frames"]
+        several = len(self.rods.names) > len(self.joints)
+        if len(self.rails) > 1:
+            found.append("ideal")
+        if self.rods.numbers.arms:
+            return (*found, "nonparallel")
+        if several and all(j.slides and j.parent < 0 for j in self.rods.numbers.joints):
+            found.append("nonparallel")
+        found.append("complete")
+        if several and self._drifts():
+            found.append("paths")
+        return tuple(found)
+
+    def _laws(self, spec: Spec, periods: dict[str, float]) -> tuple[list[DriveLaw], list[GuideLaw]]:
+        drives: list[DriveLaw] = []
+        guides: list[GuideLaw] = []
+        for addition, label in (("periodic", ""), ("periodic2", "2")):
+            for joint in spec.additions.get(addition, ()):
+                drives.append(Wave(joint, self.joints.index(joint), periods.get(joint + label, _PERIOD), label))
+        for joint in spec.additions.get("compliant", ()):
+            a, direction = self._rail(joint)
+            drives.append(SoftDrive(joint, a, direction, self.loads))
+            guides.append(Yielding(joint, a, carried_by(self.rods, a), self.rods.n, direction, self.loads))
+        for joint in spec.additions.get("piecewise", ()):
+            a, _ = self._rail(joint)
+            x = self.poses.q[:, a]
+            knots = np.linspace(x.min() - 1e-6, x.max() + 1e-6, _KNOTS)
+            guides.append(Bends(joint, a, carried_by(self.rods, a), self.rods.n, knots))
+        return drives, guides
+
+    def _rail(self, joint: str) -> tuple[int, np.ndarray]:
+        a = self.joints.index(joint)
+        d = next(j.direction for j in self.rods.numbers.joints if j.actuator == a)
+        return a, d / np.linalg.norm(d)
+
+    def _drifts(self) -> list[Drift]:
+        found, joints = [], self.rods.numbers.joints
+        for k, carrier in enumerate(self.rods.numbers.carried.carrier):
+            if carrier >= 0 and joints[carrier].slides:
+                found.append(Drift(self.rods.names[k], k, joints[carrier].actuator, self.rods.n))
+        return found
+
+    def _tied(self, base: RodGeometry, structure: str) -> Geometry:
+        names = base.parameters.names
+        own = [p for p in self.rods.geometry.names if p in names] + [n for n in names if ".turn_" in n]
+        if structure == "frames":
+            return tie(base, {}, own)
+        if structure in ("complete", "paths"):
+            return tie(base, {}, self._superfluous(structure))
+        together: dict[str, list[str]] = {}
+        if structure == "ideal":
+            together |= self._one_direction(names)
+        if self.rods.numbers.arms:
+            return tie(base, together)
+        if structure == "ideal" and not self._simplifies():
+            return tie(base, together)
+        lengths, left_out = self._one_arm_a_cart()
+        return tie(base, together | lengths, left_out)
+
+    def _superfluous(self, structure: str) -> list[str]:
+        """Return parameters that others say already: a slide's place where its rods are free, a turn's on a slide."""
+        joints = self.rods.numbers.joints
+        if self.rods.numbers.arms:
+            return []
+        carrying = {c for c in self.rods.numbers.carried.carrier if c >= 0}
+        placed = [j.name for k, j in enumerate(joints) if j.slides and k in carrying]
+        placed += [j.name for j in joints if not j.slides and j.parent >= 0 and joints[j.parent].slides]
+        out = [f"{name}.origin_{a}" for name in placed for a in "xyz"]
+        if structure == "paths":  # each rod has a direction of its own
+            out += [f"{joints[k].name}.direction_{a}" for k in carrying if joints[k].slides for a in "xyz"]
+        return out
+
+    def _simplifies(self) -> bool:
+        return "nonparallel" in self.structures
+
+    def _one_direction(self, names: Sequence[str]) -> dict[str, list[str]]:
+        rails = [self.rods.numbers.joints[k] for k in range(len(self.rods.numbers.joints))]
+        owners = [j.name for j in rails if j.slides and j.parent < 0]
+        if self.rods.numbers.arms:
+            owners = list(self.rods.numbers.arms)
+        return {f"guideways.direction_{a}": [f"{o}.direction_{a}" for o in owners] for a in "xyz"}
+
+    def _one_arm_a_cart(self) -> tuple[dict[str, list[str]], list[str]]:
+        """Return ties that keep the rods of a cart parallel and equally long: lengths together, ends where they are."""
+        joints = self.rods.numbers.joints
+        lengths: dict[str, list[str]] = {}
+        left_out = []
+        for name, carrier in zip(self.rods.names, self.rods.numbers.carried.carrier, strict=True):
+            lengths.setdefault(f"{joints[carrier].name}.rods_length", []).append(f"{name}.length")
+            left_out += [f"{name}.{what}_{a}" for what in ("base", "plate") for a in "xyz"]
+        return lengths, left_out

@@ -1,0 +1,221 @@
+"""Measured poses: actuated positions and where the measuring device saw the tool, in the device's own frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.log.names import listed
+from tau_dyn.log.table import Table, read_table
+
+POSITION = ("x_tool", "y_tool", "z_tool")
+QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
+_LONGEST = 1e3  # [m] from the device; farther is a file in mm
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSet:
+    """Measured poses.
+
+    Attributes:
+        q: Actuated positions (N, na) [m or rad].
+        position: Of the tool or target in the device's frame (N, 3) [m].
+        rotation: Rotation matrices (N, 3, 3), None where only positions were measured.
+        names: What each pose is called in messages (N,), such as `poses.csv, line 12`.
+        campaign: Which measuring campaign each pose belongs to (N,), from 0; frames may have moved in between.
+        campaigns: Names of the campaigns.
+        approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
+        source: File, for messages.
+        sha256: Hash of the file, '' where there is none.
+        warnings: What was doubtful.
+    """
+
+    q: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray | None = None
+    names: tuple[str, ...] = ()
+    campaign: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    campaigns: tuple[str, ...] = ("1",)
+    approach: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    source: str = "poses"
+    sha256: str = ""
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in what was not given and refuse what does not fit together."""
+        n = len(self.q)
+        if np.ndim(self.q) != 2 or np.shape(self.position) != (n, 3):
+            raise InputError(
+                f"poses need q (N, na) and positions (N, 3), not {np.shape(self.q)} and {np.shape(self.position)}"
+            )
+        if self.rotation is not None and np.shape(self.rotation) != (n, 3, 3):
+            raise InputError(f"rotations of poses must be ({n}, 3, 3), not {np.shape(self.rotation)}")
+        if not self.names:
+            object.__setattr__(self, "names", tuple(f"pose {k + 1}" for k in range(n)))
+        if len(self.campaign) != n:
+            object.__setattr__(self, "campaign", np.zeros(n, int))
+        if self.approach.shape != np.shape(self.q):
+            object.__setattr__(self, "approach", np.zeros(np.shape(self.q)))
+
+    @property
+    def n(self) -> int:
+        """Number of poses."""
+        return len(self.q)
+
+    @property
+    def na(self) -> int:
+        """Number of actuated joints."""
+        return self.q.shape[1]
+
+    @property
+    def poses(self) -> Poses:
+        """Position and rotation; without measured orientation the rotations are nan."""
+        rotation = np.full((self.n, 3, 3), np.nan) if self.rotation is None else self.rotation
+        return Poses(self.position, rotation)
+
+    def take(self, index: np.ndarray) -> PoseSet:
+        """Return the poses at an index (n,) or a mask (N,)."""
+        index = np.arange(self.n)[index]
+        return replace(
+            self,
+            q=self.q[index],
+            position=self.position[index],
+            rotation=None if self.rotation is None else self.rotation[index],
+            names=tuple(self.names[k] for k in index),
+            campaign=self.campaign[index],
+            approach=self.approach[index],
+        )
+
+    def without_rotation(self) -> PoseSet:
+        """Return the positions alone."""
+        return replace(self, rotation=None)
+
+
+def joined(sets: Sequence[PoseSet]) -> PoseSet:
+    """Return the poses of several files as one set; campaigns of one name are one campaign.
+
+    Raises:
+        InputError: Some have orientations, others not.
+    """
+    if len(sets) == 1:
+        return sets[0]
+    turned = [s.rotation is not None for s in sets]
+    if any(turned) and not all(turned):
+        raise InputError(
+            f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give poses alike"
+        )
+    names = tuple(dict.fromkeys(name for s in sets for name in s.campaigns))
+    numbers = [np.array([names.index(name) for name in s.campaigns])[s.campaign] for s in sets]
+    return PoseSet(
+        q=np.concatenate([s.q for s in sets]),
+        position=np.concatenate([s.position for s in sets]),
+        rotation=np.concatenate([s.rotation for s in sets if s.rotation is not None]) if all(turned) else None,
+        names=tuple(name for s in sets for name in s.names),
+        campaign=np.concatenate(numbers),
+        campaigns=names,
+        approach=np.concatenate([s.approach for s in sets]),
+        source=", ".join(s.source for s in sets),
+        warnings=tuple(w for s in sets for w in s.warnings),
+    )
+
+
+def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
+    """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
+
+    A column `campaign` tells measuring campaigns apart; the signs of `v_J` tell from which side a joint came, and
+    without them the order of the file does.
+
+    Args:
+        path: File.
+        actuated: Actuated joints of the robot, in its order.
+
+    Raises:
+        InputError: Columns are missing, cells are no numbers, or quaternions no orientations.
+    """
+    table = read_table(path)
+    _check_columns(table, actuated)
+    q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
+    position = np.column_stack([_numbers(table, name) for name in POSITION])
+    _check_units(table, position)
+    campaign, campaigns = _campaigns(table)
+    return PoseSet(
+        q=q,
+        position=position,
+        rotation=_rotations(table),
+        names=tuple(table.where(k) for k in range(table.n_rows)),
+        campaign=campaign,
+        campaigns=campaigns,
+        approach=_approach(table, actuated, q),
+        source=table.name,
+        sha256=table.sha256,
+        warnings=table.warnings,
+    )
+
+
+def _check_columns(table: Table, actuated: Sequence[str]) -> None:
+    wanted = [*(f"q_{joint}" for joint in actuated), *POSITION]
+    missing = [name for name in wanted if name not in table.cells]
+    if missing:
+        raise InputError(
+            f"{table.name} has no column {listed(missing)}; calibration poses need {listed(wanted)} and, where the orientation "
+            f"was measured, {listed(QUATERNION)}; it has {listed(table.cells)}"
+        )
+    some = [name for name in QUATERNION if name in table.cells]
+    if some and len(some) < 4:
+        lacking = [name for name in QUATERNION if name not in some]
+        raise InputError(f"{table.name} has {listed(some)} but not {listed(lacking)}; a quaternion needs all four")
+
+
+def _numbers(table: Table, name: str) -> np.ndarray:
+    values = table.numbers(name)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise InputError(
+            f"{table.where(int(bad[0]))}, column {name}: not a number; take the pose out or measure it again"
+        )
+    return values
+
+
+def _check_units(table: Table, position: np.ndarray) -> None:
+    far = np.abs(position).max(axis=1)
+    if np.any(far > _LONGEST):
+        k = int(np.argmax(far))
+        raise InputError(f"{table.where(k)}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm")
+
+
+def _rotations(table: Table) -> np.ndarray | None:
+    if QUATERNION[0] not in table.cells:
+        return None
+    quaternion = np.column_stack([_numbers(table, name) for name in QUATERNION])
+    length = np.linalg.norm(quaternion, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1) > 1e-2)
+    if len(wrong):
+        k = int(wrong[0])
+        raise InputError(
+            f"{table.where(k)}: the quaternion {QUATERNION[0]}.. has length {length[k]:.4g}; one of an orientation has 1"
+        )
+    return Rotation.from_quat(quaternion).as_matrix()
+
+
+def _campaigns(table: Table) -> tuple[np.ndarray, tuple[str, ...]]:
+    if "campaign" not in table.cells:
+        return np.zeros(table.n_rows, int), ("1",)
+    words = [str(x) for x in table.cells["campaign"]]
+    order = tuple(dict.fromkeys(words))
+    return np.array([order.index(w) for w in words], int), order
+
+
+def _approach(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """Return from which side each joint came (N, na), by its speed where it is given, else by the pose before."""
+    if all(f"v_{joint}" in table.cells for joint in actuated):
+        return np.sign(np.column_stack([_numbers(table, f"v_{joint}") for joint in actuated]))
+    step = np.sign(np.diff(q, axis=0, prepend=q[:1]))
+    for k in range(1, len(step)):  # a joint that stands still stays on the side it came from
+        step[k] = np.where(step[k] == 0, step[k - 1], step[k])
+    return step

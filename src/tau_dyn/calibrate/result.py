@@ -1,0 +1,210 @@
+"""What a calibration answers: models with their errors, the chosen one's parameters, causes; also as the contract's JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.calibrate.candidates import Candidate, Step
+from tau_dyn.calibrate.causes import Finding
+from tau_dyn.calibrate.crossvalidation import Unseen, of_errors, rms_interval
+from tau_dyn.calibrate.errors import Errors
+from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.sensitivity import sensitivities
+from tau_dyn.robot import Robot
+
+_TOGETHER = 0.9  # correlation from which two parameters are named as one
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A robot's geometry from measured poses.
+
+    Attributes:
+        robot: The robot.
+        poses: Poses that were fitted, outliers and held-out ones left out.
+        holdout: Poses used for nothing else, None where errors are cross-validated.
+        split: How they came about: `given`, `split` or `cross-validated`.
+        models: The ladder, smallest first; the last one is the chosen one, the first has the robot file's dimensions.
+        steps: All steps that were tried.
+        findings: Causes, costliest first.
+        warnings: Sentences.
+        seed: Of folds and bootstrap.
+    """
+
+    robot: Robot
+    poses: PoseSet
+    holdout: PoseSet | None
+    split: str
+    models: tuple[Candidate, ...]
+    steps: tuple[Step, ...]
+    findings: tuple[Finding, ...]
+    warnings: tuple[str, ...]
+    seed: int
+
+    @property
+    def chosen(self) -> Candidate:
+        """The chosen model."""
+        return self.models[-1]
+
+    @property
+    def fit(self) -> Fit:
+        """Its fit."""
+        return self.chosen.fit
+
+    def errors(self, model: Candidate) -> Errors:
+        """Return a model's errors at unseen poses: held-out ones, or training poses predicted without their fold."""
+        if self.holdout is not None:
+            return model.fit.errors(self.holdout)
+        return Errors(model.unseen.position, model.unseen.rotation)
+
+    def unseen(self, model: Candidate) -> Unseen:
+        """Return the same for comparisons."""
+        if self.holdout is None:
+            return model.unseen
+        return of_errors(self.errors(model), oriented=model.fit.geometry.orients)
+
+    def at(self) -> PoseSet:
+        """Return the poses at which unseen errors stand."""
+        return self.poses if self.holdout is None else self.holdout
+
+    def predicted_error(self) -> float:
+        """Return the rms position error [m] that the noise and the parameters' uncertainty let expect."""
+        model = self.fit.model_error(self.at().q)
+        return float(np.sqrt(np.nanmean(model**2) + 3 * self.fit.noise[0] ** 2))
+
+    def parameter_rows(self) -> list[dict[str, object]]:
+        """Return the chosen model's free unknowns with uncertainty, as the contract spells parameters."""
+        return parameter_rows(self.fit)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the contract's result."""
+        return {
+            "robot": self.robot.source,
+            "n_poses": self.poses.n,
+            "n_holdout": 0 if self.holdout is None else self.holdout.n,
+            "holdout_is": self.split,
+            "models": [self._model(m) for m in self.models],
+            "chosen": self.chosen.name,
+            "steps": [
+                {"model": s.name, "over": s.over, "gain": s.gain.to_dict(), "taken": s.taken} for s in self.steps
+            ],
+            "waterfall": self._waterfall(),
+            "findings": [f.to_dict(self.fit) for f in self.findings],
+            "noise": self._noise(),
+            "predicted_rms": self.predicted_error(),
+            "identifiability": self.fit.identifiability.to_dict(),
+            "condition_number": self.fit.identifiability.condition_number,
+            "weak": weak(self.fit),
+            "correlated": correlated(self.fit),
+            "frames": frame_rows(self.fit),
+            "orientations": turn_rows(self.fit),
+            "sensitivity": [s._asdict() for s in sensitivities(self.fit)],
+        }
+
+    def _model(self, model: Candidate) -> dict[str, object]:
+        return {
+            "name": model.name,
+            "parameters": parameter_rows(model.fit),
+            "n_estimated": model.fit.n_estimated,
+            "train": model.fit.errors(self.poses).to_dict(),
+            "holdout": self.errors(model).to_dict(),
+        }
+
+    def _noise(self) -> dict[str, float | None]:
+        noise = self.fit.noise
+        if self.fit.kind != "forward":
+            return {"residual": noise[0]}
+        return {"position": noise[0], "orientation": noise[1] if len(noise) > 1 else None}
+
+    def _waterfall(self) -> list[dict[str, object]]:
+        rows = []
+        for model in self.models:
+            unseen = self.unseen(model)
+            rows.append({"step": model.name, "rms": unseen.rms, "ci95": list(rms_interval(unseen, self.seed))})
+        return rows
+
+
+def parameter_rows(fitted: Fit) -> list[dict[str, object]]:
+    """Return free unknowns of a fit: value, unit, standard error, interval, nominal value."""
+    nominal = {p.name: p.value for p in fitted.geometry.parameters}
+    free = set(fitted.identifiability.names)
+    loose = set(weak(fitted))
+    rows = []
+    for p in fitted.parameters:
+        if p.name not in free:
+            continue
+        interval = fitted.interval(p)
+        rows.append(
+            {
+                "name": p.name,
+                "value": p.value,
+                "unit": p.unit,
+                "stderr": p.stderr,
+                "ci95": None if interval is None else list(interval),
+                "identifiable": p.stderr is not None,
+                "determined": p.stderr is not None and p.name not in loose,
+                "nominal": nominal.get(p.name),
+            }
+        )
+    return rows
+
+
+def weak(fitted: Fit) -> list[str]:
+    """Return identifiable parameters that these poses hold no better than the robot file's tolerance does."""
+    scale = dict(zip(fitted.unknowns.names, fitted.unknowns.scales.tolist(), strict=True))
+    frame = ("device", "tool")
+    return [
+        p.name
+        for p in fitted.parameters
+        if p.stderr is not None and p.stderr > 0.5 * scale[p.name] and not p.name.startswith(frame)
+    ]
+
+
+def correlated(fitted: Fit) -> list[dict[str, object]]:
+    """Return pairs of parameters that the poses see almost only together, closest first."""
+    c = np.triu(fitted.correlation, 1)
+    names = fitted.identifiability.names
+    pairs = np.argwhere(np.abs(c) > _TOGETHER)
+    order = np.argsort(-np.abs(c[tuple(pairs.T)])) if len(pairs) else []
+    return [
+        {"parameters": [names[pairs[k][0]], names[pairs[k][1]]], "correlation": float(c[tuple(pairs[k])])}
+        for k in order
+    ]
+
+
+def frame_rows(fitted: Fit) -> list[dict[str, object]]:
+    """Return device and target as translation [m] and unit quaternion `x y z w`."""
+    rows = []
+    for owner, frames in (("device", fitted.frames.device), ("tool", fitted.frames.tool)):
+        for k, f in enumerate(frames):
+            quaternion = Rotation.from_matrix(f.rotation).as_quat(canonical=True)
+            rows.append(
+                {
+                    "frame": owner,
+                    "campaign": k + 1,
+                    "translation": f.translation.tolist(),
+                    "quaternion": quaternion.tolist(),
+                }
+            )
+    return rows
+
+
+def turn_rows(fitted: Fit) -> list[dict[str, object]]:
+    """Return the orientations of turning joints' frames as unit quaternions `x y z w`, in their parents' frames."""
+    from tau_dyn.calibrate.geometry import Tied
+    from tau_dyn.calibrate.rod_geometry import RodGeometry
+
+    geometry, theta = fitted.geometry, fitted.theta
+    while isinstance(geometry, Tied):
+        theta, geometry = geometry.full(theta), geometry.geometry
+    if not isinstance(geometry, RodGeometry):
+        return []
+    return [
+        {"joint": j.name, "quaternion": Rotation.from_matrix(j.rotation).as_quat(canonical=True).tolist()}
+        for j in geometry.numbers(theta).joints
+        if not j.slides
+    ]

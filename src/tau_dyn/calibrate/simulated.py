@@ -1,0 +1,83 @@
+"""Poses as a measuring device would see them of a robot whose dimensions are known: for tests, studies and dry runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.calibrate.frames import Frame, Frames
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.pose_set import POSITION, QUATERNION, PoseSet
+from tau_dyn.kinematics.poses import quaternions
+
+TRACKER = Frames(
+    (Frame(Rotation.from_euler("zyx", [137.9, -0.5, 0.4], degrees=True).as_matrix(), np.array([1.8, -4.3, -0.1])),),
+    (Frame(Rotation.from_euler("zyx", [30.0, 4.0, -7.0], degrees=True).as_matrix(), np.array([0.02, -0.01, 0.08])),),
+)
+"""A laser tracker some metres away and a target on the tool, about as in the thesis' table 5.8."""
+
+
+def simulate_poses(
+    geometry: Geometry,
+    theta: np.ndarray,
+    q: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    frames: Frames = TRACKER,
+    noise: tuple[float, float] = (10e-6, 20e-6),
+    turned: bool = True,
+    backlash: np.ndarray | None = None,
+    campaign: np.ndarray | None = None,
+    source: str = "simulated poses",
+) -> PoseSet:
+    """Return noisy poses of a robot.
+
+    Args:
+        geometry: The robot.
+        theta: Its true parameters (p,).
+        q: Commanded positions (N, na) [m or rad], in the order of measuring.
+        rng: Source of the noise.
+        frames: Device and target.
+        noise: Standard deviations of position [m] and orientation [rad], each axis.
+        turned: Whether the device measures orientation.
+        backlash: Of the actuated joints (na,) [m or rad].
+        campaign: Campaign of each pose (N,).
+        source: Name, for messages.
+    """
+    campaign = np.zeros(len(q), int) if campaign is None else campaign
+    step = np.sign(np.diff(q, axis=0, prepend=q[:1]))
+    real = q if backlash is None else q - 0.5 * step * backlash
+    found = geometry.forward(theta, real)
+    seen = frames.measured(found.poses, campaign)
+    keep = found.ok
+    position = seen.position[keep] + noise[0] * rng.standard_normal((int(keep.sum()), 3))
+    turn = Rotation.from_rotvec(noise[1] * rng.standard_normal((int(keep.sum()), 3))).as_matrix()
+    return PoseSet(
+        q=q[keep],
+        position=position,
+        rotation=turn @ seen.rotation[keep] if turned else None,
+        campaign=campaign[keep],
+        campaigns=tuple(str(k + 1) for k in range(int(campaign.max(initial=0)) + 1)),
+        approach=step[keep],
+        source=source,
+    )
+
+
+def to_csv(poses: PoseSet, actuated: Sequence[str]) -> str:
+    """Return poses as a CSV file's text."""
+    columns = [f"q_{joint}" for joint in actuated]
+    columns += POSITION
+    data = [poses.q, poses.position]
+    if poses.rotation is not None:
+        columns += QUATERNION
+        data.append(quaternions(poses.poses))
+    if poses.approach.any():
+        columns += [f"v_{joint}" for joint in actuated]
+        data.append(poses.approach)
+    if len(poses.campaigns) > 1:
+        columns.append("campaign")
+        data.append(poses.campaign[:, None] + 1)
+    rows = [",".join(f"{x:.9g}" for x in row) for row in np.column_stack(data)]
+    return "\n".join([",".join(columns), *rows]) + "\n"

@@ -1,0 +1,189 @@
+"""Loops of a tree closed at other geometries than the robot file's, many samples at once.
+
+The nominal closure (`kinematics/loop_arrays.py`) gives the assembly mode and the start; Newton steps on the passive
+joints do the rest. Two kinds of deficiency belong to a mechanism and not to a configuration: a rod between two ball
+joints spins freely, and ball constraints in a planar loop ask for what its joints cannot give. So the rank of `J_p` is
+that of the nominal robot at home: singular directions beyond it are left alone (the rod does not spin), and only that
+part of the gaps is closed which the nominal robot's joints can close at the same `q` (`U' c = 0`, U a basis of the
+range of its `J_p`); the rest stays open, as in the clearance of real bearings. `U` does not depend on the parameters,
+so derivatives are exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.calibrate.loop_derivatives import gap_by_position, gaps
+from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape
+from tau_dyn.exceptions import LoopClosureError
+from tau_dyn.kinematics.loop_arrays import LoopArrays, lengths_of
+from tau_dyn.kinematics.loops import LoopSolver
+from tau_dyn.kinematics.tree_arrays import frames
+
+_ROUNDS = 40
+_DONE = 1e-12  # [m or rad] Newton's last step
+_STEP = 0.3  # [m or rad] longest step at once
+_FAR = 0.8  # [m or rad] what passive joints may move away from the nominal closure; more is another assembly mode
+_SINGULAR = 1e-7  # smallest kept singular value relative to the largest, columns scaled to unit length at home
+_OPEN = 1e-8  # [m] what a loop that can close may leave
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """Closed configurations.
+
+    Attributes:
+        x: Positions of all joints (nv, N), nan where not `ok`.
+        inverse: `(U' J_p)^+ U'` (N, passive, 3 * loops).
+        open: Largest gap left [m] (N,); zero but for rounding where the loops are not over-constrained.
+        ok: (N,).
+        reason: Why not (N,).
+    """
+
+    x: np.ndarray
+    inverse: np.ndarray
+    open: np.ndarray
+    ok: np.ndarray
+    reason: np.ndarray
+
+
+class _Nominal(NamedTuple):
+    """The robot file's closures: positions (nv, N), why there is none (N,), what can be closed (N, 3 * loops, rank)."""
+
+    x: np.ndarray
+    reason: np.ndarray
+    basis: np.ndarray | None
+
+
+class TreeClosure:
+    """Closes one robot's loops. What it keeps saves work and changes no result: a closure depends on its own numbers alone."""
+
+    def __init__(self, shape: TreeShape) -> None:
+        """Find the rank and scale of the passive Jacobian at the nominal robot's home."""
+        self.shape = shape
+        self._solver = LoopSolver(shape.robot)
+        self._arrays = LoopArrays(self._solver, list(shape.joints))
+        self._nominal: dict[bytes, _Nominal] = {}
+        self._last: tuple[bytes, Closed] = (b"", Closed(*[np.zeros(0)] * 5))
+        self.rank, self.scale = 0, np.ones(len(shape.passive))
+        if shape.n_loops:
+            x = self._arrays.close(shape.robot.home[None]).x
+            J = self._jacobian(_nominal_numbers(shape), x)
+            self.scale = lengths_of(J)[0]
+            s = np.linalg.svd(J[0] / self.scale, compute_uv=False)
+            self.rank = int(np.sum(s > 1e-9 * s[0]))
+
+    @property
+    def over_constrained(self) -> int:
+        """Number of conditions that no motion of the passive joints can meet: one a planar loop, across its plane."""
+        return 3 * self.shape.n_loops - self.rank
+
+    def close(self, numbers: TreeNumbers, q: np.ndarray) -> Closed:
+        """Return closed configurations at actuated positions `q` (N, na)."""
+        n, wanted = len(q), numbers.gain[:, None] * q.T + numbers.offset[:, None]
+        if not self.shape.n_loops:
+            x = np.zeros((self.shape.robot.model.nv, n))
+            x[self.shape.active] = wanted
+            return Closed(x, np.zeros((n, 0, 0)), np.zeros(n), np.ones(n, bool), np.full(n, "", object))
+        key = q.tobytes() + numbers.key
+        if key != self._last[0]:  # derivatives are asked for where the poses just were
+            nominal = self._nominal_closure(q)
+            start = nominal.x.copy()
+            start[self.shape.active] = wanted
+            self._last = key, self._newton(numbers, start, nominal)
+        return self._last[1]
+
+    def _nominal_closure(self, q: np.ndarray) -> _Nominal:
+        key = q.tobytes()
+        if key not in self._nominal:
+            if len(self._nominal) >= 8:
+                self._nominal.pop(next(iter(self._nominal)))
+            try:
+                x, reason = self._arrays.close(q).x, np.full(len(q), "", object)
+            except LoopClosureError:
+                x, reason = self._one_by_one(q)
+            self._nominal[key] = _Nominal(x, reason, self._range(x) if self.over_constrained else None)
+        return self._nominal[key]
+
+    def _range(self, x: np.ndarray) -> np.ndarray:
+        """Return what the nominal joints can close: an orthonormal basis (N, 3 * loops, rank) of the range of `J_p`."""
+        J = self._jacobian(_nominal_numbers(self.shape), np.where(np.isfinite(x), x, 0.0))
+        return np.linalg.svd(J / self.scale, full_matrices=False)[0][:, :, : self.rank]
+
+    def _one_by_one(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, reason = np.full((self.shape.robot.model.nv, len(q)), np.nan), np.full(len(q), "", object)
+        for k in range(len(q)):
+            try:
+                x[:, k] = self._arrays.close(q[k : k + 1]).x[:, 0]
+            except LoopClosureError:
+                reason[k] = "out of reach"
+        return x, reason
+
+    def _newton(self, numbers: TreeNumbers, start: np.ndarray, nominal: _Nominal) -> Closed:
+        shape, n = self.shape, start.shape[1]
+        x, reason = start.copy(), nominal.reason.copy()
+        inverse = np.full((n, len(shape.passive), 3 * shape.n_loops), np.nan)
+        small, opened, unclosed = np.full(n, np.inf), np.full(n, np.nan), np.full(n, np.nan)
+        left = np.flatnonzero(reason == "")
+        reason[left] = "not converged"
+        for _ in range(_ROUNDS):
+            if not left.size:
+                break
+            at = frames(numbers.joints, x[:, left])
+            gap = gaps(shape, numbers, at)
+            opened[left], closable = np.abs(gap).max(axis=0), gap
+            J = np.moveaxis(gap_by_position(shape, numbers, at)[:, shape.passive], 2, 0)
+            if nominal.basis is None:
+                inverse[left], small[left] = self._inverse(J)
+            else:
+                back = np.swapaxes(nominal.basis[left], 1, 2)
+                reduced, small[left] = self._inverse(back @ J)
+                inverse[left], closable = reduced @ back, np.einsum("nrc,cn->rn", back, gap)
+            unclosed[left] = np.abs(closable).max(axis=0)
+            step = -np.einsum("npc,cn->pn", inverse[left], gap)
+            size = np.abs(step).max(axis=0)
+            x[shape.passive[:, None], left] += step * np.minimum(1.0, _STEP / np.maximum(size, 1e-300))
+            reason[left[size < _DONE]] = ""
+            left = left[~(size < _DONE) & np.isfinite(size)]
+        reason[(reason == "") & (small < _SINGULAR)] = "singular"
+        reason[(reason == "") & ~(unclosed < _OPEN)] = "out of reach"
+        moved = np.abs(x - nominal.x)[shape.passive].max(axis=0)
+        reason[(reason == "") & ~(moved < _FAR)] = "branch change"
+        ok = reason == ""
+        x[:, ~ok] = np.nan
+        return Closed(x, inverse, opened, ok, reason)
+
+    def _jacobian(self, numbers: TreeNumbers, x: np.ndarray) -> np.ndarray:
+        found = gap_by_position(self.shape, numbers, frames(numbers.joints, x))
+        return np.moveaxis(found[:, self.shape.passive], 2, 0)
+
+    def _inverse(self, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the inverse of rank `rank` (N, passive, rows), and the smallest kept singular value by the largest (N,)."""
+        sound = np.asarray(np.isfinite(J).all(axis=(1, 2)))
+        scaled = np.where(sound[:, None, None], J / self.scale, 0.0)
+        if self.rank == J.shape[1] == J.shape[2]:
+            with np.errstate(all="ignore"):
+                try:
+                    inverse = np.linalg.inv(scaled)
+                    size = np.linalg.norm(scaled, axis=(1, 2)) * np.linalg.norm(inverse, axis=(1, 2))
+                    if np.all(size < 1e6):
+                        return inverse / self.scale[:, None], 1 / size
+                except np.linalg.LinAlgError:
+                    pass
+        u, s, vt = np.linalg.svd(scaled, full_matrices=False)
+        kept = s[:, : self.rank]
+        weight = np.divide(1.0, kept, out=np.zeros_like(kept), where=kept > 1e-14)
+        out = (vt[:, : self.rank].transpose(0, 2, 1) * weight[:, None]) @ u[:, :, : self.rank].transpose(0, 2, 1)
+        smallest = kept[:, -1] / np.maximum(kept[:, 0], 1e-300) if self.rank else np.ones(len(J))
+        return out / self.scale[:, None], np.where(sound, smallest, 0.0)
+
+
+def _nominal_numbers(shape: TreeShape) -> TreeNumbers:
+    points = np.array([end.local for end in shape.ends]).reshape(-1, 3)
+    na = len(shape.active)
+    return TreeNumbers(
+        list(shape.joints), [np.eye(3)] * len(shape.joints), points, shape.tool.local, np.ones(na), np.zeros(na)
+    )

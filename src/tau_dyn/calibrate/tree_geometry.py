@@ -1,0 +1,195 @@
+r"""Any robot file as a geometry for calibration: joint placements, offsets, rod lengths and loop points are the parameters.
+
+A serial arm, a tree with ball constraints (Delta, H4, Stewart) or a planar linkage: the tree is placed at the
+parameters' values (`tree_shape.py`), the loops are closed by Newton (`tree_closure.py`), derivatives are analytic
+(`loop_derivatives.py`).
+
+    geometry = tree_geometry(load_robot("arm.urdf"))
+    fit(geometry, poses)
+
+Of planar loops only what lies in the plane can be closed; what does not stays open, as in the clearance of real
+bearings, and `left_open` says how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tau_dyn.calibrate.geometry import Predicted
+from tau_dyn.calibrate.loop_derivatives import passed_on, rates
+from tau_dyn.calibrate.tree_closure import Closed, TreeClosure
+from tau_dyn.calibrate.tree_parameters import PRIORITY, rows_of
+from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape, numbers_at, shape_of
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.tree_arrays import frames, point, times
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot import Robot
+
+_ROUNDING = 1e-10
+"""[m or rad, per m or rad] what is left of a column that is zero."""
+_UNSEEN = 1e-7
+"""Size of a column relative to the largest of its unit below which a parameter does not reach the tool."""
+
+
+@dataclass(frozen=True, eq=False)
+class TreeGeometry:
+    """A tree, with or without loops, whose placements are parameters; build it with `tree_geometry`.
+
+    Attributes:
+        shape: The robot taken apart.
+        parameters: Nominal values, those of the robot file.
+        knobs: What each parameter does.
+    """
+
+    shape: TreeShape
+    parameters: Parameters
+    knobs: tuple[Knob, ...]
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Actuated joints, in the order of `q`."""
+        return self.shape.robot.actuated
+
+    @property
+    def home(self) -> np.ndarray:
+        """Actuated positions in the middle of the workspace (na,)."""
+        return self.shape.robot.home
+
+    @property
+    def orients(self) -> bool:
+        """Whether the tool can turn: some revolute joint carries it."""
+        joints = {j.index: j for j in self.shape.joints}
+        return any(not joints[k].slides for k in self.shape.tool.carriers)
+
+    @property
+    def priority(self) -> np.ndarray:
+        """Whole numbers (p,): offsets and lengths are kept first, then placements, then gear ratios and the tool's place."""
+        return np.array([PRIORITY[knob.kind] for knob in self.knobs], int)
+
+    @cached_property
+    def loops(self) -> TreeClosure:
+        """The solver of the loops."""
+        return TreeClosure(self.shape)
+
+    def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
+        """Return tool poses at `theta` (p,) and `q` (N, na).
+
+        The assembly mode is that of the robot file's home; `start` is not needed.
+        """
+        numbers = self._numbers(theta)
+        closed = self.loops.close(numbers, self._checked(q))
+        at = frames(numbers.joints, closed.x)
+        position = point(at, self.shape.tool.joint, numbers.tool).T
+        rotation = np.moveaxis(times(at.rotation[self.shape.tool.joint], self.shape.tool.axes), 2, 0).copy()
+        position[~closed.ok] = rotation[~closed.ok] = np.nan
+        return Predicted(Poses(position, rotation), closed.ok, closed.reason)
+
+    def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the tool's twist per parameter (N, 6, p), loops kept closed; nan where they cannot be closed."""
+        return self._linearised(theta, q, self.knobs)[0]
+
+    def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+        """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
+        return self._linearised(theta, q, ())[1]
+
+    def left_open(self, theta: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Return the largest distance (N,) [m] between points that should coincide, where loops are over-constrained."""
+        return self.loops.close(self._numbers(theta), self._checked(q)).open
+
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
+        """Return None: a tree's loops involve its passive joints, which nobody measures; use forward residuals."""
+        return None
+
+    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
+        """Return None, see `closure`."""
+        return None
+
+    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
+        """Return None, see `closure`."""
+        return None
+
+    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
+        """Return None, see `closure`."""
+        return None
+
+    def freed(self, names: Iterable[str]) -> TreeGeometry:
+        """Return the geometry with exactly these parameters free, by name or shell pattern."""
+        wanted = {found for name in names for found in self.parameters.match(name)}
+        changes = {p.name: {"free": p.name in wanted} for p in self.parameters}
+        return replace(self, parameters=self.parameters.update(changes))
+
+    def only(self, names: Sequence[str]) -> TreeGeometry:
+        """Return the geometry with these parameters alone, in this order; the others stay as in the robot file."""
+        index = [self.parameters.names.index(name) for name in names if name in self.parameters]
+        if len(index) < len(names):
+            raise UnknownName("geometry parameter", next(n for n in names if n not in self.parameters), self.parameters)
+        return replace(self, parameters=self.parameters.select(names), knobs=tuple(self.knobs[k] for k in index))
+
+    def with_values(self, theta: np.ndarray) -> Parameters:
+        """Return the parameters at other values (p,)."""
+        return self.parameters.with_values(np.asarray(theta, float))
+
+    def _numbers(self, theta: np.ndarray) -> TreeNumbers:
+        theta = np.asarray(theta, float)
+        if theta.shape != (len(self.knobs),):
+            raise InputError(f"this geometry has {len(self.knobs)} parameters, not {theta.shape}")
+        return numbers_at(self.shape, self.knobs, theta, self.parameters.values)
+
+    def _checked(self, q: np.ndarray) -> np.ndarray:
+        q = np.asarray(q, float)
+        q = q[None] if q.ndim == 1 else q
+        if q.ndim != 2 or q.shape[1] != len(self.actuated):
+            raise InputError(
+                f"{self.shape.robot.source} has {len(self.actuated)} actuated joints ({', '.join(self.actuated)}); "
+                f"positions must be (N, {len(self.actuated)}), not {q.shape}"
+            )
+        return q
+
+    def _linearised(self, theta: np.ndarray, q: np.ndarray, knobs: Sequence[Knob]) -> tuple[np.ndarray, np.ndarray]:
+        numbers, q = self._numbers(theta), self._checked(q)
+        closed: Closed = self.loops.close(numbers, q)
+        found = rates(self.shape, numbers, knobs, frames(numbers.joints, closed.x), closed.x, q.T)
+        by_parameter, by_joint = passed_on(self.shape, found, closed.inverse, numbers.gain)
+        by_parameter[~closed.ok] = by_joint[~closed.ok] = np.nan
+        return by_parameter, by_joint
+
+
+def tree_geometry(robot: Robot, *, tool: str | None = None) -> TreeGeometry:
+    """Build the geometry of any robot file.
+
+    Args:
+        robot: The robot.
+        tool: Frame that was measured; by default `tool`, or the last link of a robot with a single chain.
+
+    Raises:
+        InputError: A joint has several degrees of freedom, or it is not clear which frame is the tool.
+        LoopClosureError: The loops cannot be closed at home.
+    """
+    shape = shape_of(robot, tool)
+    rows = rows_of(shape)
+    parameters = Parameters([row.parameter for row in rows])
+    full = TreeGeometry(shape, parameters, tuple(row.knob for row in rows))
+    return replace(full, parameters=Parameters(_without_unseen(full)))
+
+
+def _without_unseen(geometry: TreeGeometry) -> list[Parameter]:
+    """Return the parameters with those fixed that do not reach the tool near home."""
+    robot = geometry.shape.robot
+    reach = np.where(np.isfinite(robot.upper - robot.lower), 0.3 * (robot.upper - robot.lower), 0.6)
+    spread = np.random.default_rng(0).uniform(-0.5, 0.5, (12, robot.na)) * np.minimum(reach, 0.6)
+    columns = geometry.tool_by_parameter(geometry.parameters.values, robot.home + spread)
+    columns = columns[np.isfinite(columns).all(axis=(1, 2))].reshape(-1, len(geometry.knobs))
+    size = np.abs(columns).max(axis=0, initial=0.0)
+    out = []
+    for p, mine in zip(geometry.parameters, size, strict=True):
+        alike = max(
+            (s for other, s in zip(geometry.parameters, size, strict=True) if other.unit == p.unit), default=0.0
+        )
+        unseen = len(columns) > 0 and mine < max(_UNSEEN * alike, _ROUNDING)
+        out.append(replace(p, free=False, origin="robot file; does not reach the tool") if unseen else p)
+    return out

@@ -1,0 +1,128 @@
+"""From measured poses to a geometry with uncertainty: the model they bear, what each step gained, what no pose can tell."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
+
+HELP = "geometry with uncertainty from measured poses"
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_robot(parser)
+    parser.add_argument(
+        "poses",
+        metavar="POSES.csv",
+        type=Path,
+        help="q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame",
+    )
+    parser.add_argument(
+        "--holdout",
+        metavar="POSES.csv",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=Path,
+        help="poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)",
+    )
+    parser.add_argument(
+        "--model",
+        default="auto",
+        metavar="NAME",
+        help="auto (default); frames, ideal, nonparallel, complete or paths, as the robot offers them; with "
+        "+periodic, +piecewise, +compliant, +backlash, each perhaps with joints: nonparallel+periodic:cart2",
+    )
+    parser.add_argument(
+        "--residual", default="forward", choices=("forward", "closure", "inverse"), help="what is made small"
+    )
+    parser.add_argument(
+        "--robust",
+        default="none",
+        choices=("none", "huber", "biweight"),
+        help="weights (gross outliers are left out in any case)",
+    )
+    parser.add_argument(
+        "--known",
+        metavar="FRAME",
+        nargs="+",
+        action="extend",
+        default=[],
+        choices=("device", "tool"),
+        help="frames that are known: the device measures in the robot's base frame, the target is the tool frame",
+    )
+    parser.add_argument(
+        "--fix", metavar="NAME", nargs="+", action="extend", default=[], help="parameters that stay nominal"
+    )
+    parser.add_argument(
+        "--free", metavar="NAME", nargs="+", action="extend", default=[], help="parameters freed on top of the model's"
+    )
+    parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the calibrated robot here")
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> Outcome:
+    """Calibrate."""
+    with progress(args.quiet) as step:
+        step("loading")
+        from tau_dyn.calibrate import calibrate, read_poses
+
+        robot = load_robot_from(args)
+        poses = read_poses(args.poses, robot.actuated)
+        held, hashes, warnings = _held_out(args, robot)
+        found = calibrate(
+            robot,
+            poses,
+            held,
+            args.model,
+            fix=args.fix,
+            free=args.free,
+            residual=args.residual,
+            robust=args.robust,
+            device="device" not in args.known,
+            tool="tool" not in args.known,
+            seed=args.seed,
+            progress=step,
+        )
+    read = [(str(args.poses), poses.sha256), *hashes]
+    return Outcome(
+        result=found.to_dict(),
+        warnings=[*robot.warnings, *warnings, *found.warnings],
+        inputs=[*robot_file(args), *read],
+        show=lambda console: _show(console, found, args),
+        files={args.out: lambda path: _save(path, found)} if args.out else {},
+        report=lambda: _page(found, read),
+    )
+
+
+def _held_out(args: argparse.Namespace, robot):
+    from tau_dyn.calibrate import read_poses
+    from tau_dyn.calibrate.pose_set import joined
+
+    same = [path for path in args.holdout if path.resolve() == args.poses.resolve()]
+    said = [f"{path} is both fitted and held out; it counts as fitted only" for path in same]
+    sets = [(path, read_poses(path, robot.actuated)) for path in args.holdout if path not in same]
+    if not sets:
+        return None, [], said
+    return joined([s for _, s in sets]), [(str(path), s.sha256) for path, s in sets], said
+
+
+def _save(path: Path, found) -> None:
+    from tau_dyn.calibrate.saved import save_calibration
+
+    save_calibration(path, found)
+
+
+def _show(console, found, args: argparse.Namespace) -> None:
+    from tau_dyn.report.calibration_terminal import print_calibration
+
+    written = {"model": args.out, "report": args.report, "result": args.json}
+    print_calibration(console, found, {k: str(v) for k, v in written.items() if v})
+
+
+def _page(found, read: list[tuple[str, str]]) -> str:
+    from tau_dyn.report.calibration_page import calibration_page
+
+    return calibration_page(found, poses=read, command_line=command_line())

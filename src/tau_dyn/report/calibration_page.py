@@ -1,0 +1,202 @@
+"""The page of `tau-dyn calibrate`: error before and after, what each model gained, the geometry, and what no pose can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from tau_dyn.calibrate.result import Calibration, correlated, frame_rows, parameter_rows
+from tau_dyn.calibrate.sensitivity import CHANGE, sensitivities
+from tau_dyn.report import calibration_charts as charts
+from tau_dyn.report.calibration_words import (
+    angle,
+    badge,
+    finding_words,
+    headline,
+    length,
+    model_words,
+    summary,
+    verdict,
+)
+from tau_dyn.report.figures import interval_bar
+from tau_dyn.report.quantities import shown_unit
+from tau_dyn.report.shell import Opening, render
+from tau_dyn.report.waterfall import Ladder, Rung
+from tau_dyn.report.words import number, rounded
+
+_CORRELATED = 12
+_SENSITIVE = 12
+
+
+def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:
+    """Return a calibration as one HTML page.
+
+    Args:
+        found: The result.
+        poses: Name and hash of every file of poses.
+        command_line: The command that repeats it, for the provenance.
+    """
+    judged = verdict(found)
+    opening = Opening(headline(found), judged.level, badge(judged.level), judged.sentence, summary(found))
+    turned = found.errors(found.chosen).rotation is not None
+    uses = ["poses", "held-out poses"]
+    return render(
+        "calibration.html.j2",
+        f"{found.robot.name}: calibration",
+        opening,
+        [],
+        robot=found.robot,
+        logs=[(use, name, sha256 or "not a file") for use, (name, sha256) in zip(uses, poses, strict=False)],
+        command_line=command_line,
+        provenance={"model": found.chosen.name, "seed": str(found.seed), "residual": found.fit.kind},
+        name=found.poses.source,
+        found=found,
+        errors=charts.error_chart(found),
+        turns=charts.error_chart(found, turned=True) if turned else Markup(""),
+        sizes=[_sizes(found, k) for k in range(len(found.models))],
+        vectors=charts.vector_pictures(found),
+        ladder=_ladder(found),
+        tried=_tried(found),
+        findings=[(f, finding_words(f)) for f in found.findings],
+        groups=_parameters(found),
+        frames=[_frame(row) for row in frame_rows(found.fit)],
+        blind=found.fit.identifiability.to_dict()["not_identifiable"],
+        pairs=[(c["parameters"], number(float(c["correlation"]), 3)) for c in correlated(found.fit)[:_CORRELATED]],  # type: ignore[arg-type]
+        left=charts.along_joints(found),
+        sensitive=_sensitive(found),
+        change=f"{1e6 * CHANGE:.0f}",
+    )
+
+
+def _sizes(found: Calibration, k: int) -> dict[str, str]:
+    model = found.models[k]
+    name, adds = model_words(model, found.models[k - 1] if k else None)
+    size, turn = found.errors(model).position_size, found.errors(model).orientation_size
+    train = model.fit.errors(found.poses).position_size
+    return {
+        "name": name,
+        "adds": adds,
+        "train": length(train.mean),
+        "mean": length(size.mean),
+        "rms": length(size.rms),
+        "max": length(size.max),
+        "turned": "" if turn is None else angle(turn.mean),
+        "turned_max": "" if turn is None else angle(turn.max),
+    }
+
+
+def _ladder(found: Calibration) -> Ladder:
+    """Return the waterfall in micrometres; the first bar is cut where it dwarfs all others."""
+    rungs: list[Rung] = []
+    for k, row in enumerate(found.to_dict()["waterfall"]):  # type: ignore[arg-type, var-annotated]
+        label, adds = model_words(found.models[k], found.models[k - 1] if k else None)
+        left, (low, high) = 1e6 * float(row["rms"]), (1e6 * float(v) for v in row["ci95"])
+        kind = "cause" if k else "start"
+        previous = rungs[-1].left if rungs else float("nan")
+        rungs.append(Rung(label, (adds,), kind, 0, (), left, low, high, previous, length(left / 1e6)))
+    floor = 1e6 * found.predicted_error()
+    rungs.append(
+        Rung(
+            "expected",
+            ("noise and the parameters' uncertainty",),
+            "floor",
+            0,
+            (),
+            floor,
+            floor,
+            floor,
+            float("nan"),
+            length(floor / 1e6),
+        )
+    )
+    others = max([r.high for r in rungs[1:]], default=rungs[0].high)
+    end = 1.45 * others if rungs[0].high > 2.5 * others else 1.04 * rungs[0].high
+    return Ladder("", tuple(rungs), floor, end)
+
+
+def _tried(found: Calibration) -> list[dict[str, str]]:
+    return [
+        {
+            "name": s.name,
+            "over": s.over,
+            "before": length(s.gain.before),
+            "after": length(s.gain.after),
+            "p": "< 0.001" if s.gain.p_value < 1e-3 else number(s.gain.p_value, 2),
+            "taken": "taken" if s.taken else "not better",
+        }
+        for s in found.steps
+    ]
+
+
+def _parameters(found: Calibration) -> list[tuple[str, list[dict[str, Any]]]]:
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in parameter_rows(found.fit):
+        owner = str(row["name"]).rpartition(".")[0]
+        if owner.startswith(("device", "tool")) or row["stderr"] is None:
+            continue
+        groups.setdefault(owner, []).append(row)
+    return [(owner, [_shown(row, rows) for row in rows]) for owner, rows in groups.items()]
+
+
+def _shown(row: dict[str, Any], group: list[dict[str, Any]]) -> dict[str, Any]:
+    value, stderr = float(row["value"]), float(row["stderr"])
+    nominal = 0.0 if row["nominal"] is None else float(row["nominal"])
+    change = value - nominal
+    factor, unit = _unit(str(row["unit"]), max(abs(change), stderr))
+    reach = max(
+        max(abs(float(r["value"]) - float(r["nominal"] or 0.0)) + 2 * float(r["stderr"]) for r in group), 1e-300
+    )
+    low, high = row["ci95"]
+    bar = interval_bar(
+        max((low - nominal) / reach, -1.0),
+        min((high - nominal) / reach, 1.0),
+        change / reach,
+        0.0,
+        "" if row["determined"] else "weak",
+        True,
+    )
+    return {
+        "name": str(row["name"]).rpartition(".")[2],
+        "value": rounded(value, stderr),
+        "in": str(row["unit"]) if row["unit"] != "1" else "",
+        "nominal": number(round(nominal, 12) + 0.0, 6),
+        "change": f"{rounded(factor * change, factor * stderr)} ± {rounded(factor * stderr, factor * stderr)}",
+        "unit": unit,
+        "bar": bar,
+        "weak": not row["determined"],
+    }
+
+
+def _unit(unit: str, size: float) -> tuple[float, str]:
+    """Return factor and unit of a change; bare numbers are shown in millionths."""
+    if unit == "1":
+        return 1e6, "10⁻⁶"
+    if unit == "m/N":
+        return 1e9, "nm/N"
+    return shown_unit(unit, size)
+
+
+def _frame(row: dict[str, object]) -> dict[str, str]:
+    translation: Any = row["translation"]
+    quaternion: Any = row["quaternion"]
+    return {
+        "name": f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}",
+        "translation": ", ".join(f"{x:.5f}" for x in translation),
+        "quaternion": ", ".join(f"{x:.6f}" for x in quaternion),
+    }
+
+
+def _sensitive(found: Calibration) -> list[dict[str, str]]:
+    rows = sorted(sensitivities(found.fit), key=lambda s: -s.position)[:_SENSITIVE]
+    each = 2 * max(int(found.fit.state.ok.sum()), 1)
+    return [
+        {
+            "name": s.name,
+            "position": length(s.position / each),
+            "rotation": angle(s.rotation / each) if s.rotation > 0 else "–",
+        }
+        for s in rows
+        if s.position > 0
+    ]

@@ -1,0 +1,53 @@
+"""What the terminal shows of a calibration: the sentence, the ladder of models, causes, and what no pose can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.table import Table
+
+from tau_dyn.calibrate.result import Calibration
+from tau_dyn.report.calibration_words import angle, finding_words, headline, length, model_words, summary, verdict
+from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, say
+from tau_dyn.report.words import listed
+
+BAR = 10
+
+
+def print_calibration(console: Console, found: Calibration, written: Mapping[str, str] | None = None) -> None:
+    """Print a calibration for a person.
+
+    Args:
+        console: Where to.
+        found: The result.
+        written: What was written, such as `{"report": "c.html"}`, for the last line.
+    """
+    judged = verdict(found)
+    say(console, summary(found), "dim")
+    say(console, headline(found), "bold")
+    say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    put(console, _ladder(found))
+    for finding in found.findings:
+        say(console, f"{finding.status}: {finding_words(finding)}")
+    blind = found.fit.identifiability
+    if len(blind.dropped):
+        names = [blind.names[k] for k in blind.dropped]
+        say(console, f"kept nominal, for no pose can tell: {listed(names, 8)}", "dim")
+    if written:
+        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def _ladder(found: Calibration) -> Table:
+    table = bare_table()
+    turned = found.errors(found.chosen).orientation_size is not None
+    for title in ("model", "free", "mean error", "largest", *(("turned by",) if turned else ()), ""):
+        table.add_column(title, no_wrap=True, justify="left" if title in ("model", "") else "right")
+    worst = found.errors(found.models[0]).position_size.mean
+    for k, model in enumerate(found.models):
+        size, turn = found.errors(model).position_size, found.errors(model).orientation_size
+        name, _ = model_words(model, found.models[k - 1] if k else None)
+        cells = [name, str(model.fit.n_estimated), length(size.mean), length(size.max)]
+        cells += [angle(turn.mean) if turn is not None else ""] if turned else []
+        table.add_row(*map(plain, [*cells, meter(size.mean / worst, BAR)]))
+    return table

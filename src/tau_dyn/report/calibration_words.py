@@ -1,0 +1,136 @@
+"""What a colleague would say about a calibration."""
+
+from __future__ import annotations
+
+from tau_dyn.calibrate.candidates import Candidate
+from tau_dyn.calibrate.causes import Finding
+from tau_dyn.calibrate.result import Calibration
+from tau_dyn.report.quantities import quantity
+from tau_dyn.report.words import Level, Verdict, count, listed, percent
+
+NAMES = {
+    "frames": "robot file",
+    "ideal": "parallel guideways",
+    "nonparallel": "guideways each its way",
+    "complete": "every rod and joint",
+    "paths": "a path for every rod",
+}
+"""Structures in words."""
+
+ADDED = {
+    "periodic": "cyclic error",
+    "periodic2": "second cyclic error",
+    "piecewise": "crooked guideway",
+    "compliant": "carts and drives that yield",
+    "backlash": "backlash",
+    "tool_frame": "the target moved between campaigns",
+    "base_frame": "the base moved between campaigns",
+}
+"""Additions in words."""
+
+CAUSES = {
+    "rod_length": "Rods are longer or shorter than in the robot file",
+    "joint_placement": "Joints sit elsewhere than in the robot file",
+    "guideway_nonparallel": "Guideways are not parallel",
+    "pinion_scale": "Drives travel farther or less than they say",
+    "cart_tilt": "Carts turn as they travel",
+    "transmission_error": "The drive errs periodically",
+    "guideway_not_straight": "The guideway is crooked",
+    "guideway_compliance": "Cart and drive yield to the rods' pull",
+    "backlash": "The drive has backlash",
+    "tool_frame": "The target sits elsewhere in another campaign",
+    "base_frame": "The base stands elsewhere in another campaign",
+}
+"""Causes as sentences."""
+
+_EXPLAINED = 1.5
+"""Times the predicted error above which something is left to explain."""
+
+
+def length(value: float) -> str:
+    """Return a small length, such as `17.4 µm`."""
+    return quantity(value, "m")
+
+
+def angle(value: float) -> str:
+    """Return a small angle in mrad or µrad."""
+    return quantity(value, "rad")
+
+
+def headline(found: Calibration) -> str:
+    """Return the one sentence above everything."""
+    before, after = found.errors(found.models[0]).position_size, found.errors(found.chosen).position_size
+    text = f"The calibrated robot is {length(after.mean)} off on average"
+    if found.chosen is not found.models[0]:
+        text += f", {length(before.mean)} before"
+    turned = found.errors(found.chosen).orientation_size
+    if turned is not None and found.fit.geometry.orients:
+        start = found.errors(found.models[0]).orientation_size
+        text += f"; turned by {angle(turned.mean)}" + (f", {angle(start.mean)} before" if start is not None else "")
+    return text + "."
+
+
+def verdict(found: Calibration) -> Verdict:
+    """Return how far the geometry may be used."""
+    reached, expected = found.errors(found.chosen).position_size.rms, found.predicted_error()
+    if not found.fit.converged:
+        return Verdict("poor", "The fit did not come to rest; do not use it.")
+    if found.chosen is found.models[0]:
+        return Verdict("care", "No larger model predicts unseen poses better than the robot file does.")
+    if reached > _EXPLAINED * expected:
+        return Verdict(
+            "care",
+            f"Unseen poses are missed by {length(reached)} rms, {length(expected)} would be noise: something is unmodelled.",
+        )
+    return Verdict(
+        "good", f"What is left ({length(reached)} rms at unseen poses) is what noise lets expect ({length(expected)})."
+    )
+
+
+def badge(level: Level) -> str:
+    """Return the verdict in a word or three."""
+    return {"good": "Ready to use", "care": "Use with care", "poor": "Not fit for use"}[level]
+
+
+def summary(found: Calibration) -> str:
+    """Return what went in."""
+    what = "position and orientation" if found.poses.rotation is not None else "position"
+    judged = {
+        "given": f"judged on {count(_n(found), 'held-out pose')}",
+        "split": f"judged on {count(_n(found), 'pose')} held out at random",
+        "cross-validated": "judged by cross-validation: too few poses to hold any out",
+    }[found.split]
+    noise = found.fit.noise
+    seen = (
+        f"; noise {length(noise[0])}" + (f" and {angle(noise[1])}" if len(noise) > 1 else "")
+        if found.fit.kind == "forward"
+        else ""
+    )
+    return f"{count(found.poses.n, 'pose')}, {what}, {judged}; model {found.chosen.name}{seen}."
+
+
+def model_words(model: Candidate, before: Candidate | None) -> tuple[str, str]:
+    """Return a step's name, and what it adds, in words."""
+    if before is None:
+        return NAMES[model.spec.structure], "device and target placed"
+    if model.spec.structure != before.spec.structure:
+        return NAMES[model.spec.structure], f"{count(model.fit.n_estimated, 'parameter')}"
+    added = [
+        (a, [j for j in own if j not in before.spec.additions.get(a, ())]) for a, own in model.spec.additions.items()
+    ]
+    said = [f"{ADDED[a]}" + (f" {listed(j)}" if j and j != ["all"] else "") for a, j in added if j]
+    return f"+ {listed(said)}", f"{count(model.fit.n_estimated, 'parameter')}"
+
+
+def finding_words(finding: Finding) -> str:
+    """Return a finding as a sentence."""
+    where = f" ({listed(finding.joints)})" if finding.joints else ""
+    gain = finding.gain
+    return (
+        f"{CAUSES[finding.cause]}{where}: {length(gain.after)} rms with it, {length(gain.before)} without "
+        f"({percent(gain.percent)} less, 95 %: {percent(gain.ci95[0])} to {percent(gain.ci95[1])})."
+    )
+
+
+def _n(found: Calibration) -> int:
+    return 0 if found.holdout is None else found.holdout.n

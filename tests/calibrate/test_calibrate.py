@@ -1,0 +1,230 @@
+"""From poses to a named model: what is wrong is found, what is not wrong is left alone, bad poses are named."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from calibration_rigs import family_at, measured, rods_of, spoiled
+
+from tau_dyn.calibrate import calibrate, read_poses
+from tau_dyn.calibrate.frames import Frame, Frames
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.saved import load_calibration, save_calibration
+from tau_dyn.calibrate.sensitivity import sensitivities
+from tau_dyn.calibrate.simulated import TRACKER, simulate_poses, to_csv
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.kinematics.forward import forward_kinematics
+
+
+@pytest.fixture(scope="module")
+def worn():
+    """L1 with skew guideways, a cyclic error at cart 2 and backlash at cart 1, found by auto; one pose is wrong by 2 cm."""
+    rods = rods_of()
+    poses, theta = measured(
+        rods,
+        "nonparallel+periodic:cart2",
+        240,
+        1,
+        periods={"cart2": 0.031},
+        backlash=np.array([6e-5, 0, 0]),
+        cart2__error_sin=8e-5,
+    )
+    poses.position[17] += 0.02
+    return rods, poses, calibrate(rods.robot, poses), theta
+
+
+def test_auto_finds_what_is_wrong_and_nothing_else(worn):
+    """The chosen model has the cyclic error and the backlash that are there, and no piecewise or compliant carts."""
+    _, _, found, _ = worn
+    assert found.chosen.spec.structure == "nonparallel"
+    assert found.chosen.spec.additions == {"periodic": ("cart2",), "backlash": ("cart1",)}
+    assert found.errors(found.chosen).position_size.rms < 2.1e-5
+
+
+def test_auto_estimates_period_amplitude_and_backlash(worn):
+    """Values of the laws lie within four standard errors of the truth."""
+    _, _, found, _ = worn
+    for name, true in (("cart2.error_period", 0.031), ("cart2.error_sin", 8e-5), ("cart1.backlash", 6e-5)):
+        p = found.fit.parameters[name]
+        assert p.stderr is not None and abs(p.value - true) < 4 * p.stderr
+
+
+def test_causes_are_named_with_their_gain(worn):
+    """Every cause that was put in is named and held-out poses confirm it."""
+    _, _, found, _ = worn
+    causes = {(f.cause, f.joints): f for f in found.findings}
+    assert {("transmission_error", ("cart2",)), ("backlash", ("cart1",))} <= set(causes)
+    assert {"guideway_nonparallel", "rod_length", "joint_placement"} <= {f.cause for f in found.findings}
+    assert causes["transmission_error", ("cart2",)].status == "confirmed"
+    assert causes["transmission_error", ("cart2",)].gain.percent > 30
+
+
+def test_a_gross_outlier_is_named_and_left_out(worn):
+    """The pose that is off by centimetres is named by its place and takes no part."""
+    _, poses, found, _ = worn
+    assert any("1 pose was left out as gross outlier: pose 18 (" in w for w in found.warnings)
+    assert found.poses.n + found.holdout.n == poses.n - 1
+
+
+def test_predicted_accuracy_is_what_unseen_poses_show(worn):
+    """Noise and the parameters' uncertainty foretell the error at held-out poses within a fifth."""
+    _, _, found, _ = worn
+    assert found.errors(found.chosen).position_size.rms == pytest.approx(found.predicted_error(), rel=0.2)
+
+
+def test_saved_model_predicts_as_before(worn, tmp_path):
+    """A calibrated robot read from its file predicts the same poses; its rods serve forward kinematics."""
+    rods, poses, found, _ = worn
+    save_calibration(tmp_path / "m.yaml", found)
+    again = load_calibration(tmp_path / "m.yaml")
+    q = poses.q[:20]
+    np.testing.assert_allclose(
+        again.seen(q).position,
+        found.fit.frames.measured(found.fit.geometry.forward(found.fit.theta, q).poses, np.zeros(20, int)).position,
+        atol=1e-12,
+    )
+    plain = forward_kinematics(again.rods, q).poses.position
+    assert 1e-6 < np.linalg.norm(plain - again.forward(q).poses.position, axis=1).max() < 3e-4  # the law left out
+
+
+def test_exact_robot_keeps_the_smallest_model():
+    """Poses of a robot that is as its file says choose no larger model and name no cause."""
+    rods = rods_of()
+    poses, _ = measured(rods, "nonparallel", 60, 3, size=0.0)
+    found = calibrate(rods.robot, poses)
+    assert found.chosen.name == "frames" and not found.findings
+
+
+def test_a_base_that_moved_between_campaigns_is_named():
+    """The device stands elsewhere in the second campaign: the cause is the base's frame, not geometry."""
+    rods = rods_of("gantry_tau_f1")
+    rng = np.random.default_rng(4)
+    geometry = family_at(rods).build(family_at(rods).spec("frames"))
+    moved = Frame(TRACKER.device[0].rotation, TRACKER.device[0].translation + np.array([0.0, 4e-4, 0.0]))
+    campaign = np.repeat([0, 1], 40)
+    q = rods.robot.home + 0.3 * (2 * rng.random((80, 6)) - 1)
+    poses = simulate_poses(
+        geometry,
+        geometry.parameters.values,
+        q,
+        rng,
+        frames=Frames((TRACKER.device[0], moved), TRACKER.tool),
+        campaign=campaign,
+    )
+    found = calibrate(rods.robot, poses)
+    assert found.chosen.name == "frames+base_frame"
+    assert [f.cause for f in found.findings] == ["base_frame"]
+
+
+def test_sensitivity_is_what_moving_one_parameter_does(worn):
+    """The accumulated displacement of the table is that of predictions with the parameter moved to both sides."""
+    _, _, found, _ = worn
+    fitted = found.fit
+    k = fitted.geometry.parameters.names.index("arm2.length")
+    step = 5e-5 * np.eye(len(fitted.theta))[k]
+    at = fitted.state.base.position
+    q = fitted.poses.q - 0.5 * fitted.state.slack * fitted.poses.approach
+    moved = sum(
+        np.linalg.norm(
+            fitted.geometry.forward(fitted.theta + sign * step, q, fitted.state.base).poses.position - at, axis=1
+        ).sum()
+        for sign in (1, -1)
+    )
+    assert sensitivities(fitted)[k].position == pytest.approx(moved, rel=0.01)
+
+
+def _poses(n: int, seed: int = 0) -> PoseSet:
+    return measured(rods_of(), "nonparallel", n, seed)[0]
+
+
+def test_too_few_poses_say_how_many_are_needed():
+    """Five positions cannot tell a frame and 21 parameters; the sentence counts."""
+    with pytest.raises(InputError, match=r"5 poses are too few for the model nonparallel, .* at least 8 are needed"):
+        calibrate(rods_of().robot, _poses(5), model="nonparallel")
+
+
+def test_poses_in_a_plane_are_refused_with_the_experiment():
+    """Positions in one plane cannot tell the robot across it."""
+    rods = rods_of()
+    q = rods.robot.home + 0.3 * (2 * np.random.default_rng(0).random((300, 3)) - 1)
+    found = forward_kinematics(rods, q)
+    near = np.abs(found.poses.position[:, 0] - rods.home.position[0, 0]) < 1e9
+    flat = found.poses.position[near] * np.array([0.0, 1.0, 1.0])
+    with pytest.raises(CannotAnswer, match="all .* lie in one plane.*off that plane"):
+        calibrate(rods.robot, PoseSet(q[near], flat))
+
+
+def test_a_left_handed_device_is_told():
+    """One mirrored axis fits no rotation; the sentence says which kind of fault it is."""
+    poses = _poses(50)
+    mirrored = replace(poses, position=poses.position * np.array([1.0, -1.0, 1.0]))
+    with pytest.raises(InputError, match="left-handed.*change the sign of one of x_tool"):
+        calibrate(rods_of().robot, mirrored)
+
+
+def test_duplicated_poses_count_once():
+    """A pose that repeats another exactly brings no information, and is named."""
+    poses = _poses(60)
+    twice = poses.take(np.r_[np.arange(60), 3, 4])
+    found = calibrate(rods_of().robot, twice, model="nonparallel")
+    assert any("2 poses repeat another one exactly and count once (pose 4, pose 5)" in w for w in found.warnings)
+    assert found.holdout is not None and found.poses.n + found.holdout.n == 60
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda t: t.replace("y_tool", "why", 1), "has no column y_tool"),
+        (lambda t: t.replace("\n", ",1\n", 1).replace("z_tool", "z_tool", 1), "column|cells|commas|line"),
+        (lambda t: _cell(t, 3, 4, "nan"), r"line 4.*x_tool.*not a number|x_tool"),
+        (lambda t: _cell(t, 3, 4, "1800.0"), "m from the device; positions are in m, not in mm"),
+    ],
+)
+def test_bad_files_are_told_in_a_sentence(tmp_path, spoil, sentence):
+    """Missing columns, broken rows, empty numbers and wrong units each name the place."""
+    rods = rods_of()
+    path = tmp_path / "poses.csv"
+    path.write_text(spoil(to_csv(_poses(12), rods.robot.actuated)))
+    with pytest.raises(InputError, match=sentence):
+        read_poses(path, rods.robot.actuated)
+
+
+def _cell(text: str, row: int, column: int, value: str) -> str:
+    lines = text.split("\n")
+    cells = lines[row].split(",")
+    cells[column - 1] = value
+    lines[row] = ",".join(cells)
+    return "\n".join(lines)
+
+
+def test_poses_come_back_from_their_file(tmp_path):
+    """Positions, orientations, approach and campaigns survive a round trip through CSV."""
+    rods = rods_of("gantry_tau_f1")
+    poses, _ = measured(rods, "complete", 10, 0, reach=0.2)
+    poses = replace(poses, campaign=np.repeat([0, 1], [4, poses.n - 4]), campaigns=("1", "2"))
+    (tmp_path / "p.csv").write_text(to_csv(poses, rods.robot.actuated))
+    again = read_poses(tmp_path / "p.csv", rods.robot.actuated)
+    np.testing.assert_allclose(again.q, poses.q, atol=1e-8)
+    assert again.rotation is not None and poses.rotation is not None
+    np.testing.assert_allclose(again.rotation, poses.rotation, atol=1e-8)
+    assert again.campaign.tolist() == poses.campaign.tolist()
+    assert np.array_equal(again.approach, poses.approach)
+
+
+def test_model_names_that_do_not_exist_are_told():
+    """An unknown structure, addition or joint lists those that there are."""
+    for name in ("perfect", "nonparallel+magic", "nonparallel+periodic:cart9"):
+        with pytest.raises(InputError, match="there are"):
+            calibrate(rods_of().robot, _poses(30), model=name)
+
+
+def test_spoiled_parameters_differ():
+    """The rig really is off nominal, or these tests would show nothing."""
+    geometry = family_at(rods_of()).build(family_at(rods_of()).spec("nonparallel"))
+    assert np.abs(spoiled(geometry, np.random.default_rng(0)) - geometry.parameters.values).min() > 0

@@ -1,0 +1,119 @@
+"""`tau-dyn calibrate`: JSON as the contract says, a page, a saved robot, and one sentence for every fault."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "calibrate"))
+from calibration_rigs import measured, rods_of  # pyright: ignore[reportMissingImports]
+
+from tau_dyn.calibrate.saved import load_calibration
+from tau_dyn.calibrate.simulated import to_csv
+from tau_dyn.cli import main
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """A folder with poses of an L1 whose guideways are skew, and poses to hold out; and what the command wrote of them."""
+    folder = tmp_path_factory.mktemp("campaign")
+    rods = rods_of()
+    poses, _ = measured(rods, "nonparallel", 120, 5)
+    every = np.arange(poses.n)
+    (folder / "poses.csv").write_text(to_csv(poses.take(every[::2]), rods.robot.actuated))
+    (folder / "held.csv").write_text(to_csv(poses.take(every[1::2]), rods.robot.actuated))
+    status = main(
+        ["calibrate", "gantry_tau", str(folder / "poses.csv"), "--holdout", str(folder / "held.csv"), "--quiet"]
+        + ["--json", str(folder / "r.json"), "--report", str(folder / "r.html"), "--out", str(folder / "m.yaml")]
+    )
+    assert status == 0
+    return folder
+
+
+def test_result_is_as_the_contract_says(campaign):
+    """Models with train and held-out errors in m, the chosen one, rank, and what cannot be told and why."""
+    result = json.loads((campaign / "r.json").read_text())
+    assert {"tool_version", "command", "inputs", "seed", "status", "warnings"} <= set(result)
+    assert result["chosen"] == "nonparallel" == result["models"][-1]["name"]
+    for model in result["models"]:
+        for part in ("train", "holdout"):
+            assert set(model[part]["position"]) == {"mean", "rms", "max"}
+            assert model[part]["orientation"] is None
+    assert (
+        result["models"][-1]["holdout"]["position"]["mean"]
+        < 2.5e-5
+        < result["models"][0]["holdout"]["position"]["mean"]
+    )
+    assert result["identifiability"]["rank"] == 21
+    blind = result["identifiability"]["not_identifiable"]
+    assert len(blind) == 6 and all(set(row) == {"parameter", "depends_on"} and row["depends_on"] for row in blind)
+    named = [row["path"] for row in result["inputs"]]
+    assert any(path.endswith("poses.csv") for path in named) and any(path.endswith("held.csv") for path in named)
+
+
+def test_not_identifiable_parameters_are_nominal_without_stderr(campaign):
+    """What no pose can tell is reported at its nominal value, with no standard error, as in every result."""
+    result = json.loads((campaign / "r.json").read_text())
+    rows = {row["name"]: row for row in result["models"][-1]["parameters"]}
+    for blind in result["identifiability"]["not_identifiable"]:
+        row = rows[blind["parameter"]]
+        assert (
+            row["value"] == row["nominal"] and row["stderr"] is None and row["ci95"] is None and not row["identifiable"]
+        )
+    sure = rows["arm1.length"]
+    assert sure["ci95"][0] < sure["value"] < sure["ci95"][1] and sure["stderr"] < 1e-4
+
+
+def test_saved_robot_can_be_read(campaign):
+    """The calibrated robot predicts the held-out poses that the result speaks of."""
+    robot = load_calibration(campaign / "m.yaml")
+    table = np.genfromtxt(campaign / "held.csv", delimiter=",", names=True)
+    q = np.column_stack([table[f"q_{j}"] for j in robot.robot.actuated])
+    seen = np.column_stack([table[f"{a}_tool"] for a in "xyz"])
+    assert np.linalg.norm(robot.seen(q).position - seen, axis=1).mean() < 2.5e-5
+
+
+def test_page_is_one_file_and_tells_the_story(campaign):
+    """The page loads nothing from elsewhere and shows errors, gain, geometry and what is blind."""
+    page = (campaign / "r.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page
+    for section in ("Error before and after", "What each model gained", "Errors in space", "What no pose can tell"):
+        assert section in page
+    assert "made up for by" in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--model", "perfect"], "no model named 'perfect'"),
+        (["--fix", "arm9.length"], "arm9.length"),
+        (["--residual", "sideways"], "sideways"),
+    ],
+)
+def test_faults_are_one_sentence_and_write_nothing(campaign, tmp_path, capsys, arguments, sentence):
+    """A wrong name leaves with status 2, one line, and no file."""
+    out = tmp_path / "r.json"
+    assert (
+        main(["calibrate", "gantry_tau", str(campaign / "poses.csv"), "--json", str(out), "--quiet", *arguments]) == 2
+    )
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1 and not out.exists()
+
+
+def test_broken_model_files_are_told(campaign, tmp_path):
+    """A file that is no calibrated robot, or lacks a parameter, is refused with a sentence."""
+    from tau_dyn.exceptions import InputError
+
+    text = (campaign / "m.yaml").read_text()
+    for spoiled, sentence in (
+        ("a: 1\n", "not a calibrated robot"),
+        (text.replace("name: arm1.length", "name: arm1.depth"), "parameter arm1.length is missing"),
+        (text.replace("travel:", "way:"), "missing or of the wrong kind"),
+    ):
+        (tmp_path / "m.yaml").write_text(spoiled)
+        with pytest.raises(InputError, match=sentence):
+            load_calibration(tmp_path / "m.yaml")
