@@ -1,0 +1,179 @@
+r"""The lead-through controller of Dressler 2012, chapter 8: two force sensors in, one tool velocity out.
+
+    V = P_h(V_h, c) + P_t(V_t, c),   V_h from the handle's impedance,   V_t = K (F - F_ref),   F_ref = press n.
+
+Signs: both wrenches are forces on the robot, as its sensors read them, the hand's and the work's; n points from the work to
+the tool. The thesis prints `V_t = K (F_ref - F_t)` (8.4) with `F_ref = 2 n` and n along F_t: that presses for K > 0 only if
+F_t is the force of the tool on the work and n points into the work; taken as a force on the tool, the tool would flee a weak
+contact and dive into a hard one. With F = -F_t it is the same law.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from tau_dyn.control.lead_through.contact_state import ContactState
+from tau_dyn.control.lead_through.impedance import HandleImpedance
+from tau_dyn.control.lead_through.normal import NormalEstimator
+from tau_dyn.control.lead_through.projections import handle_part, saturation, tool_part
+from tau_dyn.control.lead_through.settings import LeadThroughSettings
+from tau_dyn.control.lead_through.stiffness import StiffnessWatch
+from tau_dyn.exceptions import InputError
+
+_LATE = 0.25  # of a sample time that a reading may be early or late
+_CALM = 0.4  # of the stability limit that the gain is lowered to where the contact proves stiffer than stated
+
+
+class Pose(Protocol):
+    """Where the tool is: a `Pose` of one sample, or a `pinocchio.SE3`'s two parts."""
+
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) [m]."""
+        ...
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """(3, 3)."""
+        ...
+
+
+class LeadThrough:
+    """Turns two wrenches and a pose into a tool velocity, once a sample.
+
+    Attributes:
+        settings: What it was built from.
+        in_contact: The contact state c after the last call.
+        normal: The normal after the last call (3,), world axes.
+        velocity: The last command (6,).
+        stiffness: What the contact's stiffness along the normal proved to be [N/m]; 0 while unknown.
+        tool_force: The work's force and torque on the tool after the last call (6,), world axes, filtered.
+    """
+
+    def __init__(self, settings: LeadThroughSettings) -> None:
+        """Start at rest, without contact."""
+        self.settings = settings
+        self.reset()
+
+    @property
+    def sample_time(self) -> float:
+        """Time between calls [s]."""
+        return self.settings.loop.sample_time
+
+    def reset(self) -> None:
+        """Forget everything measured."""
+        s = self.settings
+        self._handle = HandleImpedance(s.inertia, s.drag, self.sample_time)
+        smoothing = -np.expm1(-2 * np.pi * (s.normal_hz or np.inf) * self.sample_time)
+        calm = s.normal_hz is not None
+        self._normals = NormalEstimator(s.normal, s.correction_range, float(smoothing), calm, s.contact_on)
+        wait = max(1, round(s.contact_wait / self.sample_time))
+        self._contact = ContactState(1.0, s.contact_off / s.contact_on, s.release_force, wait)
+        self._watch = StiffnessWatch(s.contact_on, self.sample_time)
+        self._bearable = _CALM * s.loop.limit(1.0).gain  # gain times stiffness
+        self._gain = float(s.normal @ s.gain[:3, :3] @ s.normal)
+        self.in_contact, self.normal = False, s.normal
+        self.velocity, self.tool_force = np.zeros(6), np.zeros(6)
+        self._last: float | None = None
+
+    def __call__(
+        self, handle_wrench: np.ndarray, tool_wrench: np.ndarray, pose: Pose, time: float | None = None
+    ) -> np.ndarray:
+        """Return the tool velocity to command until the next call (6,), linear first, world axes at the tool point.
+
+        Args:
+            handle_wrench: Reading of the handle's sensor (6,) [N, N m], force and torque on the handle.
+            tool_wrench: Reading of the tool's sensor (6,), force and torque on the tool.
+            pose: The tool's pose, with `position` (3,) and `rotation` (3, 3).
+            time: When the readings were taken [s]; given, a gap that is not the sample time is refused.
+
+        Raises:
+            InputError: A reading that is no number, or came at another rate than the settings'.
+        """
+        rotation = np.asarray(pose.rotation, float)
+        if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
+            raise InputError("the pose's rotation must be a 3 x 3 matrix of finite numbers")
+        self._check_time(time)
+        hand = self.settings.handle_sensor.at_tool(_sound("handle", handle_wrench), rotation)
+        work = self.settings.tool_sensor.at_tool(_sound("tool", tool_wrench), rotation)
+        self.tool_force = self.tool_force + self.settings.loop.smoothing * (work - self.tool_force)
+        self._look(hand, work, np.asarray(pose.position, float))
+        self.velocity = self._command(hand, rotation)
+        return self.velocity.copy()
+
+    @property
+    def stiffness(self) -> float:
+        """See the class."""
+        return self._watch.stiffness
+
+    def _look(self, hand: np.ndarray, raw: np.ndarray, place: np.ndarray) -> None:
+        """Update contact state, stiffness and normal."""
+        s, work = self.settings, self.tool_force
+        if not s.tool_force:
+            return
+        size = abs(float(s.normal @ work[:3])) if s.turns else float(np.linalg.norm(work[:3]))
+        load = size / s.contact_on
+        if s.turns:
+            load = max(load, float(np.linalg.norm(work[3:])) / s.torque_on)
+        self.in_contact = self._contact.update(load, float(self.normal @ hand[:3]))
+        along = float(s.normal @ raw[:3])
+        if along > s.contact_off:
+            self._watch.update(along, -float(s.normal @ place))
+        else:
+            self._watch.reset()
+        if self.in_contact:
+            self.normal = self._normals.update(work[:3], self.velocity[:3])
+        else:
+            self._normals.reset()
+            self.normal = s.normal
+
+    def _command(self, hand: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """Return (8.3) within all limits, and tell the impedance what came of its wish (8.7)."""
+        s, n = self.settings, self.normal
+        target = np.concatenate([s.press * n, np.zeros(3)])
+        locked = None if s.locked_axis is None else rotation @ s.locked_axis
+        by_hand = handle_part(self._handle.step(hand, self.velocity), n, self.in_contact)
+        wish = s.gain @ (self.tool_force - target)
+        wish[:3] *= self._borne()
+        by_force = tool_part(wish, n, self.in_contact, s.turns, locked)
+        by_hand = self._relieved(by_hand)
+        share = saturation(by_hand + by_force, s.speed_limit, s.turning_limit)
+        self._handle.hold(share * by_hand)
+        return share * (by_hand + by_force)
+
+    def _borne(self) -> float:
+        """Return the share of the gain that the contact bears."""
+        product = self._gain * self.stiffness
+        return min(1.0, self._bearable / product) if self.settings.watch and product > 0 else 1.0
+
+    def _relieved(self, twist: np.ndarray) -> np.ndarray:
+        """Return the hand's share without what presses further once the force limit is reached, and with a retreat."""
+        force = self.tool_force[:3]
+        size = float(np.linalg.norm(force))
+        if size < self.settings.force_limit or not self.settings.tool_force:
+            return twist
+        away = force / size
+        out = twist.copy()
+        retreat = float(away @ self.settings.gain[:3, :3] @ away) * (size - self.settings.force_limit)
+        out[:3] += (max(0.0, -float(away @ twist[:3])) + retreat) * away
+        return out
+
+    def _check_time(self, time: float | None) -> None:
+        if time is None:
+            return
+        gap = None if self._last is None else time - self._last
+        if not np.isfinite(time) or (gap is not None and abs(gap - self.sample_time) > _LATE * self.sample_time):
+            raise InputError(
+                f"readings came {'at no time' if gap is None else f'{gap * 1e3:.4g} ms'} after the last ones, but the settings' "
+                f"loop is for {self.sample_time * 1e3:g} ms; its stability limits hold for that alone"
+            )
+        self._last = time
+
+
+def _sound(which: str, wrench: np.ndarray) -> np.ndarray:
+    wrench = np.asarray(wrench, float)
+    if wrench.shape != (6,) or not np.isfinite(wrench).all():
+        raise InputError(f"the {which} wrench must be six finite numbers, force then torque; the sensor gave {wrench}")
+    return wrench
