@@ -114,6 +114,9 @@ def _chosen(r: np.ndarray, priority: np.ndarray, rank: int) -> np.ndarray:
     """
     norm = np.linalg.norm(r, axis=0)
     level = np.minimum(priority - priority.min(initial=0), _LAST)
-    weight = _LESS**level / np.where(norm > 0, norm, np.inf)
+    rounding = norm <= STRUCTURAL * norm.max(
+        initial=0.0
+    )  # a column that is rounding only must not be scaled up to count
+    weight = np.where(rounding, 0.0, _LESS**level / np.where(rounding, 1.0, norm))
     order = np.asarray(linalg.qr(r * weight, mode="r", pivoting=True)[-1])
     return np.sort(order[:rank])

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -50,8 +51,16 @@ class Outcome:
     exit_status: int = 0
 
 
+_NEGATIVE = re.compile(r"^-(\d|\.\d)")
+
+
 class Parser(argparse.ArgumentParser):
     """A parser whose faults are one sentence, like all others."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Take `-1e-3` for a number: argparse before Python 3.14 takes it for an option."""
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = _NEGATIVE
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing usage and leaving."""
@@ -215,6 +224,8 @@ def _given(args: argparse.Namespace) -> set[Path]:
             "obstacles",
             "result",
             "cloud",
+            "positions",
+            "cameras",
         )  # fmt: skip
     )
     named = (text.partition("=")[2] or text for text in getattr(args, "measured", None) or [])  # JOINT=FILE or FILE

@@ -1,0 +1,222 @@
+"""Choose the poses to measure among candidates, and say what they will give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.poses.criteria import SMOOTH, criterion_of, indices
+from tau_dyn.calibrate.poses.design import Design, build_design
+from tau_dyn.calibrate.poses.enough import GAIN, doubling_gain, fewest, grow
+from tau_dyn.calibrate.poses.exchange import PoseExchange
+from tau_dyn.calibrate.poses.prediction import Prediction, predict
+from tau_dyn.exceptions import InputError
+
+MOST = 400
+"""Poses that `auto` takes at most: a day's work with a tracker."""
+_STARTS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class PoseChoice:
+    """Chosen poses.
+
+    Attributes:
+        design: All candidates and what they tell.
+        index: Which were chosen (n,), ascending.
+        criterion: By what.
+        trace: The criterion's value of the set, pose by pose as picked, then after the exchange.
+        curve: Predicted accuracy against the number of poses, as picked (before the exchange).
+        predicted: With the chosen poses.
+        at_random: Predicted root mean square [m] with as many poses drawn at random (median of several draws).
+        warnings: Sentences.
+    """
+
+    design: Design
+    index: np.ndarray
+    criterion: str
+    trace: tuple[float, ...]
+    curve: tuple[Prediction, ...]
+    predicted: Prediction
+    at_random: float
+    warnings: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of chosen poses."""
+        return len(self.index)
+
+    @property
+    def q(self) -> np.ndarray:
+        """Actuated positions of the chosen poses (n, na)."""
+        return self.design.q[self.index]
+
+    @property
+    def not_identifiable(self) -> dict[str, tuple[str, ...]]:
+        """Parameters that stay at their nominal value, and on which others they depend."""
+        found = self.design.found
+        return {found.names[k]: d for k, d in zip(found.dropped, found.depends_on, strict=True)}
+
+    def information(self) -> np.ndarray:
+        """Return the information matrix of the chosen poses (r, r), parameters in scales."""
+        part = self.design.whitened()[self.index].reshape(-1, self.design.slopes.shape[2])
+        return part.T @ part
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for a JSON result."""
+        rows = [{"parameter": name, "depends_on": list(d)} for name, d in self.not_identifiable.items()]
+        return {
+            "candidates": self.design.n,
+            "chosen": self.n,
+            "fewest": fewest(self.design),
+            "criterion": {"name": self.criterion, "trace": list(self.trace), **indices(self.information())},
+            "predicted": self.predicted.to_dict(self.design.names),
+            "predicted_at_random": self.at_random,
+            "doubling_gain": doubling_gain(self.predicted),
+            "curve": [{"poses": p.poses, "rms": p.rms, "held_out": p.held_out} for p in self.curve],
+            "identifiability": {"rank": self.design.found.rank, "not_identifiable": rows},
+        }
+
+
+def choose_poses(
+    geometry: Geometry,
+    candidates: np.ndarray,
+    n: int | Literal["auto"] = "auto",
+    *,
+    criterion: str = "tool",
+    noise: tuple[float, ...] | np.ndarray = (1e-4, 1e-4),
+    frames: Frames | None = None,
+    workspace: np.ndarray | None = None,
+    fix: Sequence[str] = (),
+    free: Sequence[str] = (),
+    device: bool = True,
+    tool: bool = True,
+    weighted: bool = False,
+    gain: float = GAIN,
+    target: float | None = None,
+    seed: int = 0,
+) -> PoseChoice:
+    """Choose poses for a calibration and predict what they will give.
+
+    Args:
+        geometry: Mechanism at its nominal parameters; those that are not `free` stay.
+        candidates: Actuated positions (N, na) [m or rad] that may be measured.
+        n: How many, or `auto`: until twice as many would hardly help.
+        criterion: `tool` (default), `worst`, `determinant`, `condition`, `smallest` or `amplification`.
+        noise: Standard deviations of measured positions [m] and, where they are measured, orientations [rad]; or a
+            covariance for every candidate (N, m, m).
+        frames: Device and target as far as they are known.
+        workspace: Positions (M, na) where accuracy counts; all candidates by default.
+        fix: Names or patterns that stay.
+        free: Names or patterns freed on top.
+        device: Whether the device's frame is unknown.
+        tool: Whether the target's place on the tool is unknown.
+        weighted: Whether the fit will weigh every pose by its own covariance (`refine`) instead of all alike (`fit`).
+        gain: With `auto`, share of the held-out error that twice as many poses must be worth.
+        target: With `auto`, accuracy [m] at which to stop instead.
+        seed: Of the random start that competes with the picked one.
+
+    Raises:
+        InputError: Too few candidates or poses (says how many), or numbers that are none.
+        UnknownName: No such criterion.
+    """
+    design = build_design(
+        geometry,
+        candidates,
+        noise,
+        frames=frames,
+        workspace=workspace,
+        fix=fix,
+        free=free,
+        device=device,
+        tool=tool,
+        weighted=weighted,
+    )
+    return choose_from(design, n, criterion=criterion, gain=gain, target=target, seed=seed)
+
+
+def choose_from(
+    design: Design,
+    n: int | Literal["auto"] = "auto",
+    *,
+    criterion: str = "tool",
+    gain: float = GAIN,
+    target: float | None = None,
+    seed: int = 0,
+) -> PoseChoice:
+    """Choose among candidates whose information is known already; arguments as in `choose_poses`."""
+    _check_numbers(design, n, gain, target)
+    blocks = design.whitened()
+    search = PoseExchange(blocks, criterion_of(criterion, design))
+    first = search if criterion in SMOOTH else PoseExchange(blocks, criterion_of("determinant", design))
+    rng = np.random.default_rng(seed)
+    if n == "auto":
+        picked, curve = grow(design, first, gain=gain, target=target, most=min(MOST, design.n))
+    else:
+        picked = np.array([k for k, _ in zip(first.pick(), range(n), strict=False)])
+        marks = sorted({*np.unique(np.geomspace(fewest(design), n, 12).astype(int)).tolist(), n})
+        curve = [predict(design, picked[:k]) for k in marks]
+    best = search.exchanged(picked)
+    for _ in range(_STARTS - 1):
+        other = search.exchanged(rng.choice(design.n, len(picked), replace=False))
+        best = other if search.value(other) > search.value(best) + 1e-6 else best
+    trace = [search.value(picked[: k + 1]) for k in range(len(picked))]
+    made = predict(design, best)
+    said = _warnings(design, made, n, gain, target)
+    at_random = float(
+        np.median([predict(design, rng.choice(design.n, len(best), replace=False)).rms for _ in range(9)])
+    )
+    return PoseChoice(design, best, criterion, (*trace, search.value(best)), tuple(curve), made, at_random, said)
+
+
+def _check_numbers(design: Design, n: int | Literal["auto"], gain: float, target: float | None) -> None:
+    least = fewest(design)
+    if design.n < least:
+        have = "1 candidate pose is" if design.n == 1 else f"{design.n} candidate poses are"
+        raise InputError(
+            f"{have} too few for {len(design.found.names)} unknowns at {design.per_pose} numbers a pose; at least {least} "
+            f"are needed, {3 * least} are sensible"
+        )
+    if n != "auto" and not least <= n <= design.n:
+        raise InputError(
+            f"{n} poses cannot be chosen: {design.found.rank} parameters need at least {least}, and "
+            f"there are {design.n} candidates"
+        )
+    if not 0 < gain < 1:
+        raise InputError(f"the gain that twice as many poses must bring is a share between 0 and 1, not {gain}")
+    if target is not None and not 0 < target < np.inf:
+        raise InputError(f"the accuracy asked for must be a length above zero, not {target}")
+
+
+def _warnings(
+    design: Design, made: Prediction, n: int | Literal["auto"], gain: float, target: float | None
+) -> tuple[str, ...]:
+    said = []
+    weak = [name for name, e, s in zip(design.names, made.stderr, design.scales, strict=True) if e > s]
+    if weak:
+        more = f" and {len(weak) - 5} more" if len(weak) > 5 else ""
+        said.append(
+            f"{', '.join(weak[:5])}{more} will be uncertain by more than 10 mm or 0.6 degrees (or "
+            "their like), though not blind"
+        )
+    for name, shift in design.untold[:3]:
+        said.append(
+            f"no candidate tells {name}, which moves the tool elsewhere in the workspace: an error "
+            f"of its usual size leaves {1e3 * shift:.3g} mm"
+        )
+    if n == "auto" and target is not None and made.rms > target:
+        said.append(
+            f"{made.poses} poses bring {1e3 * made.rms:.3g} mm, not the {1e3 * target:.3g} mm asked "
+            "for; there are no more to take"
+        )
+    elif n == "auto" and target is None and doubling_gain(made) > 1.5 * gain:
+        said.append(
+            f"{made.poses} poses are not enough yet: twice as many would make the held-out error "
+            f"{100 * doubling_gain(made):.0f} % smaller"
+        )
+    return tuple(said)

@@ -1,0 +1,238 @@
+r"""What every candidate pose would tell: the fit's own analytic derivatives, in units of the measuring noise.
+
+A candidate gives `m` numbers with covariance `S_k`; their derivative by the parameters is `J_k`, columns times the
+parameters' scales (as in `identifiability.py`). The information of a set of poses is `M = sum J_k' S_k^-1 J_k`. `fit`
+weighs all poses alike, so its parameters have
+
+    P = A^-1 B A^-1,   A = sum J_k' W J_k,   B = sum J_k' W S_k W J_k,
+
+`W` from the mean noise; `P = M^-1` where all poses are measured equally well, or where each is weighed by its own
+noise (`refine.py`). Reference: Hollerbach, Khalil & Gautier 2016, 6.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.identifiability import STRUCTURAL, Identifiability, find_identifiable
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.residuals import Problem, State
+from tau_dyn.calibrate.unknowns import Unknowns, collect
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.poses import Poses
+
+_SEEN = 1e-3
+"""Part of the largest tool shift below which a parameter that no candidate tells is left out of the warning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Candidates and what each tells.
+
+    Attributes:
+        geometry: The mechanism at its nominal parameters.
+        frames: Device and target, as far as they are known beforehand.
+        q: Candidates (N, na).
+        workspace: Positions where accuracy counts (M, na).
+        tool: Tool poses there in the robot's base frame (N).
+        unknowns: All that the fit may change.
+        found: Which of it the candidates together can tell.
+        slopes: Derivatives of the measured numbers by what can be told, times scale (N, m, r).
+        noise: Covariance of the measured numbers (N, m, m).
+        places: The tool's shift [m] at the poses where accuracy counts, by what can be told, times scale (M, 3, r).
+        turns: The tool's turn [rad] there (M, 3, r), empty where the tool does not turn.
+        untold: Parameters that no candidate tells although they move the tool where accuracy counts: name and
+            rms shift [m] that an error of one scale leaves.
+        weighted: Whether the fit will weigh every pose by its own covariance.
+    """
+
+    geometry: Geometry
+    frames: Frames
+    q: np.ndarray
+    workspace: np.ndarray
+    tool: Poses
+    unknowns: Unknowns
+    found: Identifiability
+    slopes: np.ndarray
+    noise: np.ndarray
+    places: np.ndarray
+    turns: np.ndarray
+    untold: tuple[tuple[str, float], ...]
+    weighted: bool = False
+
+    @property
+    def n(self) -> int:
+        """Number of candidates."""
+        return len(self.q)
+
+    @property
+    def per_pose(self) -> int:
+        """Numbers that one pose gives."""
+        return self.slopes.shape[1]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what can be told (r,)."""
+        return tuple(self.found.names[k] for k in self.found.kept)
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Their scales (r,)."""
+        return self.unknowns.scales[self.unknowns.free][self.found.kept]
+
+    def whitened(self) -> np.ndarray:
+        """Return each candidate's derivative in units of the noise by which the fit weighs it (N, m, r)."""
+        if not self.weighted:
+            return self.slopes / self.sigma()[:, None]
+        return np.linalg.solve(np.linalg.cholesky(self.noise), self.slopes)
+
+    def sigma(self) -> np.ndarray:
+        """Return the standard deviation by which a fit weighs each number (m,): all positions, all orientations alike."""
+        return _mean_sigma(self.noise)
+
+    def covariance(self, index: np.ndarray) -> np.ndarray:
+        """Return the covariance (r, r), in scales, of what a fit to these candidates estimates."""
+        if self.weighted:
+            own = np.linalg.solve(np.linalg.cholesky(self.noise[index]), self.slopes[index])
+            return np.linalg.pinv(np.einsum("nir,nis->rs", own, own), rcond=1e-14, hermitian=True)
+        weighed = self.slopes[index] / self.sigma()[:, None]
+        spread = self.noise[index] / np.outer(self.sigma(), self.sigma())
+        a = np.einsum("nir,nis->rs", weighed, weighed)
+        b = np.einsum("nir,nij,njs->rs", weighed, spread, weighed, optimize=True)
+        back = np.linalg.pinv(a, rcond=1e-14, hermitian=True)
+        return back @ b @ back
+
+
+def build_design(
+    geometry: Geometry,
+    q: np.ndarray,
+    noise: tuple[float, ...] | np.ndarray,
+    *,
+    frames: Frames | None = None,
+    workspace: np.ndarray | None = None,
+    fix: Sequence[str] = (),
+    free: Sequence[str] = (),
+    device: bool = True,
+    tool: bool = True,
+    weighted: bool = False,
+) -> Design:
+    """Return what candidates would tell about a mechanism.
+
+    Args:
+        geometry: Mechanism at its nominal parameters.
+        q: Candidates (N, na) [m or rad].
+        noise: Standard deviation of positions [m] and, where orientations are measured, of these [rad]; or
+            covariances (N, m, m).
+        frames: Device and target as far as they are known; identity otherwise.
+        workspace: Positions (M, na) where accuracy counts; the candidates by default.
+        fix: Names or patterns of parameters that stay.
+        free: Names or patterns freed on top.
+        device: Whether the device's frame is unknown.
+        tool: Whether the target's place on the tool is unknown.
+        weighted: Whether the fit will weigh every pose by its own covariance (`refine`) instead of all alike (`fit`).
+
+    Raises:
+        InputError: Candidates or noise that are no numbers, or that the nominal robot cannot reach.
+    """
+    q = _checked_q(geometry, q)
+    cov = _covariances(noise, len(q))
+    turned = geometry.orients and cov.shape[1] == 6
+    cov = cov if turned else cov[:, :3, :3]
+    frames = frames if frames is not None else Frames()
+    unknowns = collect(geometry, frames, fix=fix, free=free, device=device, tool=tool, turned=turned)
+    if not unknowns.free.any():
+        raise InputError("no parameter is free that poses could tell; free some, or leave `fix` out")
+    slopes, base, ok = _slopes(geometry, frames, unknowns, q, turned)
+    if not ok.all():
+        raise InputError(
+            f"the nominal robot reaches {int(ok.sum())} of {len(q)} candidate poses (the first that "
+            "it does not is number "
+            f"{int(np.argmin(ok)) + 1}); leave the others out"
+        )
+    names = tuple(name for name, may in zip(unknowns.names, unknowns.free, strict=True) if may)
+    scales = unknowns.scales[unknowns.free]
+    slopes = _without_rounding(slopes, scales)
+    flat = (slopes / _mean_sigma(cov)[:, None]).reshape(-1, slopes.shape[2])
+    found = find_identifiable(flat, names, scales, unknowns.priority[unknowns.free])
+    if not found.rank:
+        raise InputError("no parameter is free that poses could tell; free some, or leave `fix` out")
+    there = q if workspace is None else _checked_q(geometry, workspace)
+    shifts, _, good = _slopes(geometry, frames, unknowns, there, geometry.orients)
+    shifts = shifts[good] * scales
+    kept = slopes[:, :, found.kept] * scales[found.kept]
+    told = shifts[:, :, found.kept]
+    untold = _untold(shifts, found, scales)
+    return Design(
+        geometry, frames, q, there[good], base, unknowns, found, kept, cov, told[:, :3], told[:, 3:], untold, weighted
+    )
+
+
+def _slopes(
+    geometry: Geometry, frames: Frames, unknowns: Unknowns, q: np.ndarray, turned: bool
+) -> tuple[np.ndarray, Poses, np.ndarray]:
+    """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and where they exist."""
+    theta, campaign = geometry.parameters.values, np.zeros(len(q), int)
+    predicted = geometry.forward(theta, q)
+    seen = frames.measured(predicted.poses, campaign)
+    poses = PoseSet(q, seen.position, seen.rotation if turned else None)
+    state = State(theta, frames, predicted.poses, predicted.ok, np.zeros(q.shape[1]))
+    columns = Problem(geometry, poses, unknowns, "forward", turned).columns(state)
+    return columns[:, :, unknowns.free], predicted.poses, predicted.ok
+
+
+def _without_rounding(slopes: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """Return derivatives (N, m, f) with columns that are zero but for rounding set to zero."""
+    size = np.abs(slopes).max(axis=(0, 1)) * scales
+    return np.where(size > STRUCTURAL * size.max(initial=0.0), slopes, 0.0)
+
+
+def _untold(shifts: np.ndarray, found: Identifiability, scales: np.ndarray) -> tuple[tuple[str, float], ...]:
+    """Return what moves the tool where accuracy counts (shifts (M, m, f) per scale) though no candidate tells it."""
+    if not len(found.dropped):
+        return ()
+    factors = found.factors * scales[found.dropped] / scales[found.kept][:, None]
+    rest = shifts[:, :3, found.dropped] - shifts[:, :3, found.kept] @ factors
+    size = np.sqrt(np.mean(np.sum(rest**2, axis=1), axis=0))
+    largest = float(np.sqrt(np.mean(np.sum(shifts[:, :3] ** 2, axis=1), axis=0)).max())
+    return tuple((found.names[k], float(s)) for k, s in zip(found.dropped, size, strict=True) if s > _SEEN * largest)
+
+
+def _mean_sigma(cov: np.ndarray) -> np.ndarray:
+    variances = np.diagonal(cov, axis1=1, axis2=2).mean(axis=0)
+    blocks = [np.full(3, np.sqrt(variances[k : k + 3].mean())) for k in range(0, len(variances), 3)]
+    return np.concatenate(blocks)
+
+
+def _checked_q(geometry: Geometry, q: np.ndarray) -> np.ndarray:
+    q = np.asarray(q, float)
+    na = len(geometry.actuated)
+    if q.ndim != 2 or q.shape[1] != na or not len(q):
+        raise InputError(
+            f"candidate poses must be positions (N, {na}) of {', '.join(geometry.actuated)}, not {q.shape}"
+        )
+    bad = np.flatnonzero(~np.isfinite(q).all(axis=1))
+    if len(bad):
+        raise InputError(f"candidate pose {bad[0] + 1} holds a number that is not finite; leave it out")
+    return q
+
+
+def _covariances(noise: tuple[float, ...] | np.ndarray, n: int) -> np.ndarray:
+    if isinstance(noise, np.ndarray) and noise.ndim == 3:
+        good = noise.shape[0] == n and noise.shape[1:] in ((3, 3), (6, 6)) and np.isfinite(noise).all()
+        if not good or not (np.linalg.eigvalsh(noise) > 0).all():
+            raise InputError(
+                f"covariances of the noise must be finite, positive and ({n}, 3, 3) or ({n}, 6, 6), not {noise.shape}"
+            )
+        return noise
+    sigma = np.atleast_1d(np.asarray(noise, float))
+    if sigma.shape not in ((1,), (2,)) or not np.isfinite(sigma).all() or not (sigma > 0).all():
+        raise InputError(
+            "the noise is a standard deviation of positions [m] and perhaps one of orientations "
+            f"[rad], above zero, not {noise}"
+        )
+    return np.repeat(np.diag(np.repeat(sigma**2, 3))[None], n, axis=0)

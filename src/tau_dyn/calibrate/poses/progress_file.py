@@ -1,0 +1,182 @@
+"""A campaign that can be interrupted: its plan and what was measured so far, in one file written after every pose.
+
+The file appears whole or not at all. Killed at any point, a campaign loses at most the pose that was being measured;
+started again, it goes on with the next one. It is JSON, numbers in m and rad, one entry for every place of the tour.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.files import write_whole
+from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
+
+_VERSION = 1
+Measure = Callable[[int, np.ndarray], "tuple[np.ndarray, np.ndarray | None] | None"]
+"""From a pose's number and positions (na,) to the measured position (3,) and orientation (3, 3) or None; None where
+nothing was seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """A plan and how far it has come.
+
+    Attributes:
+        actuated: Joints, in the order of `q`.
+        q: Places of the tour (k, na).
+        pose: Pose measured there (k,), -1 on the way.
+        state: `open`, `measured` or `missed` of each place; places on the way are `open` until they are passed.
+        position: Measured positions (k, 3) [m], nan where there are none.
+        rotation: Measured orientations (k, 3, 3), nan where there are none.
+    """
+
+    actuated: tuple[str, ...]
+    q: np.ndarray
+    pose: np.ndarray
+    state: tuple[str, ...]
+    position: np.ndarray
+    rotation: np.ndarray
+
+    @property
+    def left(self) -> np.ndarray:
+        """Indices of the places that still come; those on the way only before a pose that does."""
+        open_ = np.array([s == "open" for s in self.state])
+        poses = np.flatnonzero(open_ & (self.pose >= 0))
+        if not len(poses):
+            return np.zeros(0, int)
+        index = np.flatnonzero(open_)
+        return index[index <= poses[-1]]
+
+    def measured(self) -> PoseSet:
+        """Return what was measured."""
+        index = np.array([k for k, s in enumerate(self.state) if s == "measured"], int)
+        turned = len(index) > 0 and bool(np.isfinite(self.rotation[index]).all())
+        names = tuple(f"pose {self.pose[k] + 1}" for k in index)
+        rotation = self.rotation[index] if turned else None
+        return PoseSet(self.q[index], self.position[index], rotation, names, source="measured so far")
+
+    def with_result(self, place: int, found: tuple[np.ndarray, np.ndarray | None] | None) -> Progress:
+        """Return the progress after a place was visited; `found` is None where nothing was seen."""
+        state = list(self.state)
+        if self.pose[place] >= 0:
+            state[place] = "missed" if found is None else "measured"
+        else:
+            state[place] = "passed"
+        position, rotation = self.position.copy(), self.rotation.copy()
+        if found is not None:
+            position[place] = found[0]
+            if found[1] is not None:
+                rotation[place] = found[1]
+        return replace(self, state=tuple(state), position=position, rotation=rotation)
+
+    def save(self, path: str | Path) -> None:
+        """Write the file; it appears whole or not at all."""
+        content = {
+            "version": _VERSION,
+            "actuated": list(self.actuated),
+            "places": [self._row(k) for k in range(len(self.q))],
+        }
+        write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+    def _row(self, k: int) -> dict[str, Any]:
+        row: dict[str, Any] = {"pose": int(self.pose[k]) + 1, "q": self.q[k].tolist(), "state": self.state[k]}
+        if self.state[k] == "measured":
+            row["position"] = self.position[k].tolist()
+            if np.isfinite(self.rotation[k]).all():
+                row["quaternion"] = quaternions(Poses(self.position[k : k + 1], self.rotation[k : k + 1]))[0].tolist()
+        return row
+
+
+def new_progress(actuated: tuple[str, ...], q: np.ndarray, pose: np.ndarray) -> Progress:
+    """Return a plan of which nothing is done yet."""
+    k = len(q)
+    return Progress(actuated, q, pose, ("open",) * k, np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan))
+
+
+def read_progress(path: str | Path, actuated: tuple[str, ...]) -> Progress:
+    """Read a progress file.
+
+    Raises:
+        InputError: It is not one, or belongs to another robot.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        joints = tuple(content["actuated"])
+        rows = content["places"]
+        if content["version"] != _VERSION:
+            raise ValueError
+        found = _read(joints, rows)
+    except FileNotFoundError as fault:
+        raise InputError(f"{path}: no such file") from fault
+    except (OSError, UnicodeDecodeError) as fault:
+        raise InputError(f"{path}: cannot be read as text ({fault})") from fault
+    except (ValueError, KeyError, TypeError, IndexError) as fault:
+        raise InputError(
+            f"{path} is no progress file of a calibration (JSON with actuated, places and version {_VERSION})"
+        ) from fault
+    if joints != actuated:
+        raise InputError(f"{path} belongs to a robot with the joints {', '.join(joints)}, not {', '.join(actuated)}")
+    return found
+
+
+def _read(joints: tuple[str, ...], rows: list[dict[str, Any]]) -> Progress:
+    q = np.array([row["q"] for row in rows], float).reshape(len(rows), -1)
+    pose = np.array([int(row["pose"]) - 1 for row in rows], int)
+    state = tuple(str(row["state"]) for row in rows)
+    if (
+        q.shape[1] != len(joints)
+        or not np.isfinite(q).all()
+        or not set(state) <= {"open", "measured", "missed", "passed"}
+    ):
+        raise ValueError
+    found = replace(new_progress(joints, q, pose), state=state)
+    for k, row in enumerate(rows):
+        if state[k] == "measured":
+            found.position[k] = row["position"]
+            if "quaternion" in row:
+                found.rotation[k] = from_quaternions(
+                    found.position[k : k + 1], np.array([row["quaternion"]], float)
+                ).rotation[0]
+    return found
+
+
+def run_campaign(plan: Progress, measure: Measure, path: str | Path) -> PoseSet:
+    """Drive through a plan, or go on where an earlier call stopped.
+
+    Args:
+        plan: The plan; what the file holds goes before it.
+        measure: Drives to a place and measures; also called on the way, with pose -1, where its answer is not used.
+        path: Progress file, written after every place.
+
+    Returns:
+        What was measured, over all calls.
+
+    Raises:
+        InputError: The file belongs to another plan.
+        CannotAnswer: No pose was seen.
+    """
+    now = plan
+    if Path(path).exists():
+        now = read_progress(path, plan.actuated)
+        if now.q.shape != plan.q.shape or not np.allclose(now.q, plan.q, atol=1e-9) or (now.pose != plan.pose).any():
+            raise InputError(f"{path} belongs to another plan; name another file, or take the plan from this one")
+    else:
+        now.save(path)
+    for place in now.left:
+        found = measure(int(now.pose[place]), now.q[place])
+        now = now.with_result(int(place), found if now.pose[place] >= 0 else None)
+        now.save(path)
+    done = now.measured()
+    if not done.n:
+        raise CannotAnswer(
+            f"none of the {int((plan.pose >= 0).sum())} poses was seen by the device", "another place for the device"
+        )
+    return done

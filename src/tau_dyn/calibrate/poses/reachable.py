@@ -1,0 +1,216 @@
+"""Candidate poses: a grid over the workspace (of a robot of rods), or positions spread over the joints' travel.
+
+The machine's dimensions are only about known, so candidates keep a safety distance from obstacles, from the
+workspace's border and from the ends of the joints' travel, and a safety angle from the ball joints' limits (thesis
+5.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+from tau_dyn.calibrate.poses.path_check import PathCheck
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.kinematics.ball_joints import DEFAULT_ANGLE
+from tau_dyn.kinematics.obstacles import Obstacle
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.workspace.demands import Demands
+from tau_dyn.kinematics.workspace.find import find_workspace
+from tau_dyn.kinematics.workspace.judge import Judge
+from tau_dyn.kinematics.workspace.lattice import INSIDE
+from tau_dyn.kinematics.workspace.machine import Machine, travel
+
+WANTED = 1000
+"""Candidates that are enough to choose a hundred poses from."""
+TILT = float(np.deg2rad(10.0))
+_CELLS = 24
+_DRAWN = 4
+"""Positions drawn for each candidate wanted."""
+
+
+@dataclass(frozen=True)
+class Safety:
+    """What candidates keep from everything, because the robot's dimensions are only about known.
+
+    Attributes:
+        distance: From obstacles and the workspace's border [m].
+        angle: From the ball joints' limits [rad].
+        travel: From each end of a joint's travel, as a share of it.
+    """
+
+    distance: float = 0.05
+    angle: float = float(np.deg2rad(5.0))
+    travel: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        if not (0 <= self.distance < 1e3 and 0 <= self.angle < np.pi / 2 and 0 <= self.travel < 0.5):
+            raise InputError(
+                "safety distances are a length and an angle (below 90 degrees) from zero up and a "
+                "share of the travel below a half, not "
+                f"{self.distance} m, {np.rad2deg(self.angle):.3g} degrees and {self.travel}"
+            )
+
+    def apply(self, demands: Demands) -> Demands:
+        """Return demands with these margins."""
+        around = demands.surroundings
+        walls = tuple(_wider(o, self.distance) for o in around.obstacles)
+        limit = demands.ball_angle if demands.ball_angle is not None else DEFAULT_ANGLE
+        if self.angle > 0 and limit - self.angle <= 0:
+            raise InputError(
+                f"a safety angle of {np.rad2deg(self.angle):.3g} degrees leaves nothing of the ball "
+                f"joints' {np.rad2deg(limit):.3g}"
+            )
+        return replace(
+            demands,
+            ball_angle=limit - self.angle if self.angle > 0 or demands.ball_angle is not None else None,
+            surroundings=replace(around, obstacles=walls),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Reachable:
+    """Poses that the robot may take.
+
+    Attributes:
+        q: Actuated positions (N, na).
+        tool: Tool poses (N).
+        check: Judges further positions and moves, with the same margins but for the border's.
+        warnings: Sentences.
+    """
+
+    q: np.ndarray
+    tool: Poses
+    check: PathCheck
+    warnings: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of poses."""
+        return len(self.q)
+
+
+def find_reachable(
+    machine: Machine,
+    demands: Demands | None = None,
+    safety: Safety | None = None,
+    *,
+    wanted: int = WANTED,
+    tilt: float = TILT,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Reachable:
+    """Find poses that a robot may take.
+
+    Args:
+        machine: The robot.
+        demands: What they must satisfy.
+        safety: Margins on top.
+        wanted: About how many; the grid is made so fine.
+        tilt: Angle by which a plate that can turn is tilted and turned about each axis [rad].
+        seed: Of what is spread at random.
+        progress: Told what is being done.
+
+    Raises:
+        CannotAnswer: There is none.
+    """
+    safety = safety if safety is not None else Safety()
+    strict = safety.apply(demands if demands is not None else Demands())
+    progress("looking for poses in reach")
+    check = PathCheck(machine, strict)
+    if machine.rods is not None:
+        plain = replace(demands if demands is not None else Demands(), collisions=False)
+        border = Judge(machine, plain), safety.distance
+        q, tool, said = _on_grid(machine, strict, border, wanted, 0.0 if machine.rods.translates else tilt)
+    else:
+        q, tool, said = _over_travel(machine, check, wanted, seed)
+    low, high = travel(machine.robot)
+    room = safety.travel * (high - low)
+    inside = ((q >= low + room) & (q <= high - room)).all(axis=1)
+    if not inside.any():
+        raise CannotAnswer(
+            f"{machine.robot.source}: no pose keeps the safety distances ({1e3 * safety.distance:.0f} mm, "
+            f"{np.rad2deg(safety.angle):.0f} degrees, {100 * safety.travel:.0f} % of the travel)",
+            "smaller safety distances, after the dimensions were measured better, or fewer obstacles",
+        )
+    return Reachable(q[inside], tool.take(np.flatnonzero(inside)), check, said)
+
+
+def _on_grid(
+    machine: Machine, demands: Demands, border: tuple[Judge, float], wanted: int, tilt: float
+) -> tuple[np.ndarray, Poses, tuple[str, ...]]:
+    lower, upper = machine.reach()
+    coarse = float(np.max(upper - lower)) / _CELLS
+    space = find_workspace(machine, demands=demands, resolution=coarse)
+    turns = _turns(tilt)
+    cells = max(1.0, wanted / len(turns))
+    step = min(coarse, (space.size.value / cells) ** (1 / max(space.dimension, 1)))
+    grid = _grid(space.lower, space.upper, step)
+    places = grid[[bool(space.inside[space.lattice.nearest(p)]) for p in grid]]
+    if len(places) * len(turns) > 2 * wanted:  # a coarse grid of a small workspace, turned many ways
+        every = np.linspace(0, len(places) - 1, max(1, int(np.ceil(2 * wanted / len(turns)))))
+        places = places[np.unique(every.astype(int))]
+    found_q, positions, rotations = [], [], []
+    for turn in turns:
+        rotation = np.broadcast_to(turn @ space.rotation, (len(places), 3, 3))
+        judged = space.judge.judge(Poses(places, rotation))
+        good = np.flatnonzero(judged.code == INSIDE)
+        good = good[_within(places[good], rotation[good], space.lattice.shape, *border)]
+        found_q.append(judged.q[good])
+        positions.append(places[good])
+        rotations.append(rotation[good])
+    said = tuple(w for w in space.warnings if "resolution" not in w)  # every candidate was judged by itself
+    return np.concatenate(found_q), Poses(np.concatenate(positions), np.concatenate(rotations)), said
+
+
+def _within(
+    places: np.ndarray, rotation: np.ndarray, shape: tuple[int, ...], judge: Judge, distance: float
+) -> np.ndarray:
+    """Return where (N,) the tool can also be a distance away to all sides: not near the workspace's border."""
+    good = np.ones(len(places), bool)
+    if distance <= 0:
+        return good
+    for axis in (k for k, n in enumerate(shape) if n > 1):
+        for sign in (-1, 1):
+            left = np.flatnonzero(good)
+            beside = places[left] + sign * distance * np.eye(3)[axis]
+            good[left] = judge.judge(Poses(beside, rotation[left])).code == INSIDE
+    return good
+
+
+def _grid(lower: np.ndarray, upper: np.ndarray, step: float) -> np.ndarray:
+    axes = []
+    for low, high in zip(lower, upper, strict=True):
+        n = int(np.floor((high - low) / step + 1e-9)) + 1
+        axes.append(0.5 * (low + high) + step * (np.arange(n) - (n - 1) / 2))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _turns(tilt: float) -> list[np.ndarray]:
+    """Return rotations by -tilt, 0 and tilt about each axis, as the thesis' grid (5.4)."""
+    if tilt <= 0:
+        return [np.eye(3)]
+    return [Rotation.from_rotvec(tilt * np.array(v)).as_matrix() for v in product((-1.0, 0.0, 1.0), repeat=3)]
+
+
+def _over_travel(
+    machine: Machine, check: PathCheck, wanted: int, seed: int
+) -> tuple[np.ndarray, Poses, tuple[str, ...]]:
+    low, high = travel(machine.robot)
+    power = int(np.ceil(np.log2(_DRAWN * wanted)))
+    even = qmc.Sobol(machine.robot.na, scramble=False).random_base2(power)
+    share = (even + np.random.default_rng(seed).random(machine.robot.na)) % 1.0  # Cranley & Patterson 1976
+    q = low + share * (high - low)
+    good = np.flatnonzero(check.reasons(q) == "")[:wanted]
+    poses, _ = check.poses(q[good]) if len(good) else (machine.home.take(np.zeros(0, int)), None)
+    return q[good], poses, ()
+
+
+def _wider(obstacle: Obstacle, distance: float) -> Obstacle:
+    return replace(obstacle, margin=max(obstacle.margin, distance))

@@ -1,0 +1,138 @@
+"""The order in which poses are measured: short, and every move free of collisions.
+
+A move takes as long as its slowest joint, so distances are the largest share of the travel. The tour starts at home:
+nearest neighbour first, then 2-opt until no reversal of a stretch makes it shorter. Moves that collide cost too much
+to be taken; where one remains, it goes through a place in between. A pose that nothing leads to is left out and
+named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.calibrate.poses.path_check import PathCheck
+
+_BLOCKED = 1e3
+_ROUNDS = 12
+_BETWEEN = 40
+"""Places that are tried for a way round."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tour:
+    """Places in the order in which they are visited.
+
+    Attributes:
+        q: Actuated positions (k, na), without the start.
+        pose: Index of the pose that is measured there (k,), -1 on the way.
+        left_out: Poses that nothing leads to, and why.
+        length: Of the tour, in whole travels of the slowest joint.
+        as_given: The same in the order given, collisions not counted.
+    """
+
+    q: np.ndarray
+    pose: np.ndarray
+    left_out: dict[int, str]
+    length: float
+    as_given: float
+
+
+def plan_tour(q: np.ndarray, start: np.ndarray, check: PathCheck, ways: np.ndarray | None = None) -> Tour:
+    """Order poses into a short tour.
+
+    Args:
+        q: Poses (n, na).
+        start: Where the robot stands (na,).
+        check: Judges moves.
+        ways: Places (m, na) that moves may go through where the straight one is blocked.
+    """
+    points = np.vstack([start, q])
+    cost = np.max(np.abs(points[:, None] - points[None]) / check.travel, axis=2)
+    plain = cost.copy()
+    known: dict[tuple[int, int], str] = {}
+    order = _short(cost)
+    for _ in range(_ROUNDS):
+        blocked = _look(points, order, check, known)
+        if not blocked:
+            break
+        for a, b in blocked:
+            cost[a, b] = cost[b, a] = _BLOCKED + plain[a, b]
+        order = _short(cost, order)
+    places, pose, left_out = _walk(points, order, check, known, start if ways is None else np.vstack([start, ways]))
+    given = float(np.sum(np.max(np.abs(np.diff(points, axis=0)) / check.travel, axis=1)))
+    track = np.vstack([start, places]) if len(places) else start[None]
+    length = float(np.sum(np.max(np.abs(np.diff(track, axis=0)) / check.travel, axis=1)))
+    return Tour(places, pose, left_out, length, given)
+
+
+def _short(cost: np.ndarray, start: list[int] | None = None) -> list[int]:
+    """Return a short open tour from point 0."""
+    order = start
+    if order is None:
+        order, left = [0], set(range(1, len(cost)))
+        while left:
+            order.append(min(left, key=lambda k: (cost[order[-1], k], k)))
+            left.remove(order[-1])
+    return _two_opt(np.array(order), cost).tolist()
+
+
+def _two_opt(order: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    n, better = len(order), True
+    while better:
+        better = False
+        for i in range(1, n - 1):
+            a, b = order[i - 1], order[i]
+            ends = order[i + 1 :]
+            after = np.append(order[i + 2 :], -1)
+            last = np.where(after < 0, 0.0, cost[ends, after] - cost[b, after])
+            gain = cost[a, b] - cost[a, ends] + last
+            k = int(np.argmax(gain))
+            if gain[k] > 1e-9:
+                order[i : i + k + 2] = order[i : i + k + 2][::-1].copy()
+                better = True
+    return order
+
+
+def _look(
+    points: np.ndarray, order: list[int], check: PathCheck, known: dict[tuple[int, int], str]
+) -> list[tuple[int, int]]:
+    """Judge the moves of a tour that were not judged yet, and return those that are blocked."""
+    legs = [(min(a, b), max(a, b)) for a, b in zip(order[:-1], order[1:], strict=True)]
+    new = [leg for leg in dict.fromkeys(legs) if leg not in known]
+    if new:
+        a, b = np.array(new).T
+        known.update(zip(new, check.blocked(points[a], points[b]), strict=True))
+    return [leg for leg in legs if known[leg]]
+
+
+def _walk(
+    points: np.ndarray, order: list[int], check: PathCheck, known: dict[tuple[int, int], str], ways: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, dict[int, str]]:
+    """Follow a tour, going round what is in the way."""
+    places, pose, left_out, here = [], [], {}, order[0]
+    for there in order[1:]:
+        leg = (min(here, there), max(here, there))
+        if leg not in known:
+            known[leg] = check.blocked(points[[leg[0]]], points[[leg[1]]])[0]
+        if known[leg]:
+            way = _round(points[here], points[there], check, np.atleast_2d(ways))
+            if way is None:
+                left_out[there - 1] = known[leg]
+                continue
+            places.append(way)
+            pose.append(-1)
+        places.append(points[there])
+        pose.append(there - 1)
+        here = there
+    return np.array(places).reshape(-1, points.shape[1]), np.array(pose, int), left_out
+
+
+def _round(start: np.ndarray, end: np.ndarray, check: PathCheck, ways: np.ndarray) -> np.ndarray | None:
+    """Return a place through which a move can go, the shortest way first."""
+    detour = np.max(np.abs(ways - start) / check.travel, axis=1) + np.max(np.abs(ways - end) / check.travel, axis=1)
+    near = ways[np.argsort(detour, kind="stable")[:_BETWEEN]]
+    first = check.blocked(np.repeat(start[None], len(near), axis=0), near)
+    second = check.blocked(near, np.repeat(end[None], len(near), axis=0))
+    return next((way for way, a, b in zip(near, first, second, strict=True) if not a and not b), None)

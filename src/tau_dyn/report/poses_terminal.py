@@ -1,0 +1,78 @@
+"""What the terminal shows of a planned calibration: accuracy, number of poses, what no pose can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.table import Table
+
+from tau_dyn.calibrate.poses.automation import Plan
+from tau_dyn.calibrate.poses.enough import doubling_gain, fewest
+from tau_dyn.report.calibration_words import angle, length
+from tau_dyn.report.terminal import bare_table, plain, put, say
+from tau_dyn.report.words import listed
+
+_ROWS = 8
+
+
+def print_plan(console: Console, plan: Plan, written: Mapping[str, str] | None = None) -> None:
+    """Print a plan for a person.
+
+    Args:
+        console: Where to.
+        plan: The result.
+        written: What was written, such as `{"places": "poses.csv"}`, for the last line.
+    """
+    say(console, summary(plan), "dim")
+    say(console, headline(plan), "bold")
+    say(console, rehearsal_words(plan))
+    put(console, _curve(plan))
+    blind = list(plan.choice.not_identifiable)
+    if blind:
+        say(console, f"kept nominal, for no pose can tell: {listed(blind, 8)}", "dim")
+    if written:
+        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+
+
+def headline(plan: Plan) -> str:
+    """Return the answer in one sentence."""
+    made = plan.choice.predicted
+    turned = f" and {angle(made.turn)}" if made.turn == made.turn else ""
+    return (
+        f"{made.poses} poses will bring the tool to {length(made.rms)}{turned} (rms over the "
+        f"workspace, give or take {length(made.scatter)}); "
+        f"as many at random {length(plan.choice.at_random)}"
+    )
+
+
+def summary(plan: Plan) -> str:
+    """Return what was looked at."""
+    seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
+    why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
+    rank, least = plan.choice.design.found.rank, fewest(plan.choice.design)
+    return f"{seen}{why}; {rank} parameters to be told, at least {least} poses"
+
+
+def rehearsal_words(plan: Plan) -> str:
+    """Return what the simulated calibrations gave, and the tour."""
+    tried, tour = plan.rehearsal, plan.tour
+    rows = tried.to_dict()["position_rms"]
+    ways = int((tour.pose < 0).sum())
+    return (
+        f"simulated: {length(rows['nominal'])} before, {length(tried.achieved)} after "
+        f"({len(tried.after)} robots); twice as many poses "
+        f"would lower held-out errors by {100 * doubling_gain(plan.choice.predicted):.0f} %; tour of "
+        f"{len(tour.q)} places" + (f", {ways} of them on the way" if ways else "")
+    )
+
+
+def _curve(plan: Plan) -> Table:
+    table = bare_table()
+    for title in ("poses", "tool", "held out"):
+        table.add_column(title, no_wrap=True, justify="right")
+    curve = plan.choice.curve
+    step = max(1, -(-len(curve) // _ROWS))
+    for row in [*curve[:-1:step], curve[-1]]:
+        table.add_row(*map(plain, [str(row.poses), length(row.rms), length(row.held_out)]))
+    return table

@@ -1,0 +1,133 @@
+"""All images of a campaign: read, matched between cameras, searched for the pattern, and checked before anything is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.vision.cameras import Cameras
+from tau_dyn.vision.detect import Detection, find_corners
+from tau_dyn.vision.images import find_images, matched, read_image
+from tau_dyn.vision.pattern import Pattern
+
+Images = str | Path | Sequence[str | Path]
+
+
+@dataclass(frozen=True, eq=False)
+class Album:
+    """All images, camera by camera.
+
+    Attributes:
+        paths: Files.
+        moments: Which moment each shows; two cameras' images of one moment show one plate.
+        found: What was found in each.
+        extra: Whether each serves to find the cameras only.
+        sizes: Width and height of each camera's images (c, 2) [px].
+    """
+
+    paths: list[list[Path]]
+    moments: list[list[int]]
+    found: list[list[Detection]]
+    extra: list[list[bool]]
+    sizes: np.ndarray
+
+    def name(self, camera: int, k: int) -> str:
+        """Return an image's file name, with its folder where it is not of the first camera and others are called alike."""
+        path = self.paths[camera][k]
+        alike = sum(other.name == path.name for of in self.paths for other in of) > 1
+        aside = camera > 0 or self.extra[camera][k]
+        return f"{path.parent.name}/{path.name}" if alike and aside else path.name
+
+
+def read_album(
+    images: Images,
+    second: Images | None,
+    extra: Images | None,
+    second_extra: Images | None,
+    pattern: Pattern,
+    progress: Callable[[str], None],
+) -> Album:
+    """Read all images and find the pattern in each; arguments as of `poses_from_images`.
+
+    Raises:
+        InputError: Files that are no images, given twice, of mixed sizes, or that cannot be matched between cameras.
+    """
+    given = [(images, extra)] + ([(second, second_extra)] if second is not None else [])
+    if second is None and second_extra is not None:
+        raise InputError("extra images of a second camera were given, but no images of it")
+    main = [find_images(of) for of, _ in given]
+    more = [find_images(of) if of is not None else [] for _, of in given]
+    _once([*main, *more])
+    moments = matched(main)
+    last = max(m for of in moments for m in of) + 1
+    if any(more):
+        together = matched(more) if all(more) else [list(range(len(of))) for of in more]
+        moments = [a + [last + m for m in b] for a, b in zip(moments, together, strict=True)]
+    paths = [a + b for a, b in zip(main, more, strict=True)]
+    found, sizes = [], []
+    for c, of in enumerate(paths):
+        row, size = _detect(of, pattern, f"camera {c + 1}" if len(paths) > 1 else "images", progress)
+        found.append(row)
+        sizes.append(size)
+    extra_ones = [[False] * len(a) + [True] * len(b) for a, b in zip(main, more, strict=True)]
+    return Album(paths, moments, found, extra_ones, np.array(sizes))
+
+
+def _once(lists: list[list[Path]]) -> None:
+    every = [path.resolve() for of in lists for path in of]
+    if len(set(every)) < len(every):
+        twice = next(p for k, p in enumerate(every) if p in every[:k])
+        raise InputError(f"{twice.name} is given twice; every image belongs to one camera and is read once")
+
+
+def _detect(
+    paths: list[Path], pattern: Pattern, what: str, progress: Callable[[str], None]
+) -> tuple[list[Detection], tuple[int, int]]:
+    out, size = [], (0, 0)
+    for k, path in enumerate(paths):
+        progress(f"{what}: {k + 1} of {len(paths)}")
+        image = read_image(path)
+        here = (image.shape[1], image.shape[0])
+        if k and here != size:
+            raise InputError(
+                f"{path}: {here[0]}x{here[1]} pixels, but {paths[0].name} has {size[0]}x{size[1]}; "
+                "one camera gives images of one size"
+            )
+        size = here
+        out.append(find_corners(image, pattern))
+    return out, size
+
+
+def check_some(seen: Album, pattern: Pattern) -> None:
+    """Refuse images none of which shows the pattern; a size that many show instead is named."""
+    every = [d for of in seen.found for d in of]
+    if any(d.corners is not None for d in every):
+        return
+    others = [d.other for d in every if d.other]
+    if others and max(map(others.count, others)) >= max(2, len(every) // 2):
+        usual = max(set(others), key=others.count)
+        raise InputError(
+            f"no image shows a pattern of {pattern.name} inner corners, but {others.count(usual)} of {len(every)} "
+            f"show one of {usual}; is that yours?"
+        )
+    reason = max({d.reason for d in every}, key=[d.reason for d in every].count)
+    raise InputError(
+        f"none of the {len(every)} images shows the pattern; {seen.paths[0][0].name}: "
+        f"{every[0].reason if len(every) == 1 else reason}"
+    )
+
+
+def check_cameras(cameras: Cameras, seen: Album) -> None:
+    """Refuse known cameras that are not those of the images."""
+    if cameras.n != len(seen.paths):
+        raise InputError(f"the cameras file has {cameras.n} cameras, the images are of {len(seen.paths)}")
+    for c, (known, here) in enumerate(zip(cameras.size, seen.sizes, strict=True)):
+        if tuple(known) != tuple(here):
+            raise InputError(
+                f"{seen.paths[c][0].name} has {here[0]}x{here[1]} pixels, but camera {c + 1} was calibrated with "
+                f"{known[0]}x{known[1]}; calibrate it anew with images of this size"
+            )

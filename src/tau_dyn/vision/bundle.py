@@ -1,0 +1,268 @@
+r"""Bundle adjustment: cameras, lenses and all plates at once, from the corners in all images, with analytic derivatives.
+
+Minimised is the sum of squared corner residuals, each by its camera's noise, plus what is known of the cameras from before.
+A corner of plate k seen by camera c is at u = project(R_c (R_k p + t_k) + t_c). Plates meet only through the cameras, so the
+normal equations
+
+    [A  E] [cameras]
+    [E' B] [plates ],   B block-diagonal of 6 x 6,
+
+are solved by the Schur complement S = A - E B^-1 E' (Brown 1976; Triggs et al. 2000, 6), and the covariance of plate k is
+B_k^-1 (its own corners) + B_k^-1 E_k' S^-1 E_k B_k^-1 (the cameras', common to all plates). Levenberg-Marquardt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.vision.camera import project_with_jacobians
+from tau_dyn.vision.cameras import Cameras
+
+_ITERATIONS = 60
+
+
+class Views(NamedTuple):
+    """What was seen.
+
+    Attributes:
+        corners: (v, n, 2) [px].
+        camera: Which camera saw each view (v,).
+        plate: Which plate each view shows (v,), from 0 without gaps.
+    """
+
+    corners: np.ndarray
+    camera: np.ndarray
+    plate: np.ndarray
+
+    def take(self, mask: np.ndarray) -> Views:
+        """Return some views (mask or index), plates numbered anew."""
+        return Views(self.corners[mask], self.camera[mask], np.unique(self.plate[mask], return_inverse=True)[1])
+
+
+class Plates(NamedTuple):
+    """Where plates are in the first camera's frame.
+
+    Attributes:
+        rotation: (k, 3, 3).
+        position: (k, 3) [m].
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+
+    def moved(self, step: np.ndarray) -> Plates:
+        """Return plates after steps (k, 6): shift [m], then turn about the first camera's axes [rad]."""
+        return Plates(Rotation.from_rotvec(step[:, 3:]).as_matrix() @ self.rotation, self.position + step[:, :3])
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Adjusted cameras and plates.
+
+    Attributes:
+        cameras: With the covariance of their numbers.
+        plates: Poses.
+        covariance: Of each plate (k, 6, 6): position [m], then rotation vector about the first camera's axes [rad].
+        own: The part of it that comes from the plate's own corners; the rest all plates share through the cameras.
+        residuals: Measured less predicted corners (v, n, 2) [px].
+        noise: Corner noise of each camera (c,) [px].
+        cost: Half the weighted sum of squares.
+        scaled: Reduced normal matrix of the free numbers, of diagonal one; nearly singular where images do not tell them.
+    """
+
+    cameras: Cameras
+    plates: Plates
+    covariance: np.ndarray
+    own: np.ndarray
+    residuals: np.ndarray
+    noise: np.ndarray
+    cost: float
+    scaled: np.ndarray
+
+
+class _Normal(NamedTuple):
+    cost: float
+    a: np.ndarray
+    e: np.ndarray
+    b: np.ndarray
+    ga: np.ndarray
+    gb: np.ndarray
+
+
+def adjust(
+    views: Views,
+    points: np.ndarray,
+    cameras: Cameras,
+    plates: Plates,
+    *,
+    noise: np.ndarray,
+    free: np.ndarray | None = None,
+    known: Cameras | None = None,
+) -> Bundle:
+    """Adjust cameras and plates from a start.
+
+    Args:
+        views: Corners.
+        points: The pattern's corners (n, 3) [m].
+        cameras: Start.
+        plates: Start (k).
+        noise: Corner noise of each camera (c,) [px].
+        free: Which of the cameras' numbers may change (p,); by default those of their lens model.
+        known: What is known of the cameras from before, with covariance; numbers of zero variance stay.
+    """
+    free = cameras.free() if free is None else free
+    precision = np.zeros((len(free),) * 2)
+    if known is not None and known.covariance is not None:
+        free = free & (np.diag(known.covariance) > 0)
+        precision[np.ix_(free, free)] = np.linalg.pinv(
+            known.covariance[np.ix_(free, free)], rcond=1e-14, hermitian=True
+        )
+    index = np.flatnonzero(free)
+    precision = precision[np.ix_(index, index)]
+    damping = 1e-3
+    now = _normal(views, points, cameras, plates, noise, index, known, precision)
+    for _ in range(_ITERATIONS):
+        step, steps = _solve(now, damping)
+        moved = cameras.moved(_spread(step, index, len(free))), plates.moved(steps)
+        then = _normal(views, points, *moved, noise, index, known, precision)
+        if not then.cost < now.cost:
+            damping *= 8
+            if damping > 1e10:
+                break
+            continue
+        small = now.cost - then.cost < 1e-9 * now.cost
+        (cameras, plates), now, damping = moved, then, max(damping / 8, 1e-12)
+        if small:
+            break
+    return _finished(views, points, cameras, plates, noise, index, now)
+
+
+def _finished(
+    views: Views,
+    points: np.ndarray,
+    cameras: Cameras,
+    plates: Plates,
+    noise: np.ndarray,
+    index: np.ndarray,
+    now: _Normal,
+) -> Bundle:
+    inverse = np.linalg.inv(now.b)
+    schur = now.a - np.einsum("kpi,kij,kqj->pq", now.e, inverse, now.e)
+    scale = np.sqrt(np.diag(schur).clip(1e-300))
+    scaled = schur / np.outer(scale, scale)
+    shared = (
+        np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) / np.outer(scale, scale) if len(index) else np.zeros((0, 0))
+    )
+    reach = inverse @ np.swapaxes(now.e, 1, 2)
+    covariance = np.zeros((len(cameras.names),) * 2)
+    covariance[np.ix_(index, index)] = shared
+    residuals = views.corners - _predict(views, points, cameras, plates)[0]
+    adjusted = replace(cameras, covariance=covariance, noise=noise)
+    return Bundle(
+        adjusted,
+        plates,
+        inverse + reach @ shared @ np.swapaxes(reach, 1, 2),
+        inverse,
+        residuals,
+        noise,
+        now.cost,
+        scaled,
+    )
+
+
+def _solve(normal: _Normal, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    b = normal.b + damping * normal.b * np.eye(6)
+    a = normal.a + damping * normal.a * np.eye(len(normal.a))
+    inverse = np.linalg.inv(b)
+    reach = normal.e @ inverse
+    schur = a - np.einsum("kpi,kqi->pq", reach, normal.e)
+    step = (
+        np.linalg.lstsq(schur, normal.ga - np.einsum("kpi,ki->p", reach, normal.gb), rcond=1e-15)[0]
+        if len(a)
+        else np.zeros(0)
+    )
+    return step, (inverse @ (normal.gb - np.einsum("kpi,p->ki", normal.e, step))[..., None])[..., 0]
+
+
+def _spread(step: np.ndarray, index: np.ndarray, size: int) -> np.ndarray:
+    out = np.zeros(size)
+    out[index] = step
+    return out
+
+
+def _predict(
+    views: Views, points: np.ndarray, cameras: Cameras, plates: Plates
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return pixels, their derivatives by the point in the camera and by its numbers, and points about plate and camera."""
+    about = np.einsum("vij,nj->vni", plates.rotation[views.plate], points)
+    turned = np.einsum("vij,vnj->vni", cameras.rotation[views.camera], about + plates.position[views.plate][:, None])
+    pixels, by_point, by_numbers = project_with_jacobians(
+        turned + cameras.position[views.camera][:, None], cameras.intrinsics[views.camera][:, None]
+    )
+    return pixels, by_point, by_numbers, about, turned
+
+
+def _normal(
+    views: Views,
+    points: np.ndarray,
+    cameras: Cameras,
+    plates: Plates,
+    noise: np.ndarray,
+    index: np.ndarray,
+    known: Cameras | None,
+    precision: np.ndarray,
+) -> _Normal:
+    """Return the normal equations at a point."""
+    with np.errstate(all="ignore"):
+        pixels, by_point, by_numbers, about, turned = _predict(views, points, cameras, plates)
+        residual = views.corners - pixels
+        by_world = by_point @ cameras.rotation[views.camera][:, None]
+        of_place = np.concatenate([-by_point @ _cross(turned), by_point], axis=-1)
+        of_plate = np.concatenate([by_world, -by_world @ _cross(about)], axis=-1)
+        rows = np.concatenate([by_numbers, of_place, of_plate, residual[..., None]], axis=-1)
+        rows = (rows / noise[views.camera][:, None, None, None]).reshape(len(views.camera), -1, 22)
+        squares = np.ascontiguousarray(np.swapaxes(rows, 1, 2)) @ rows  # (v, 22, 22)
+    full, e, b, gb = _gathered(squares, views, cameras, len(plates.position))
+    a, ga, cost = full[:-1, :-1][np.ix_(index, index)], full[:-1, -1][index], 0.5 * float(full[-1, -1])
+    if known is not None and len(index):
+        off = known.minus(cameras)[index]
+        a, ga, cost = a + precision, ga + precision @ off, cost + 0.5 * float(off @ precision @ off)
+    behind = np.any(turned[..., 2] + cameras.position[views.camera][:, None, 2] <= 0) or not np.isfinite(cost)
+    return _Normal(np.inf if behind else cost, a, e[:, index], b, ga, gb)
+
+
+def _gathered(
+    squares: np.ndarray, views: Views, cameras: Cameras, n: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Add up the views' products of columns (v, 22, 22): nine numbers and six of place of the camera, six of the plate, residual.
+
+    Returns:
+        The cameras' normal matrix with right side and cost as last row and column (p + 1, p + 1); their products with the plates'
+        columns (k, p, 6); the plates' normal matrices (k, 6, 6) and right sides (k, 6).
+    """
+    c, p = cameras.n, len(cameras.names)
+    full, e, b, gb = np.zeros((p + 1, p + 1)), np.zeros((n, p, 6)), np.zeros((n, 6, 6)), np.zeros((n, 6))
+    np.add.at(b, views.plate, squares[:, 15:21, 15:21])
+    np.add.at(gb, views.plate, squares[:, 15:21, 21])
+    for k in range(c):
+        mine = views.camera == k
+        place = np.arange(9 * c + 6 * (k - 1), 9 * c + 6 * k) if k else np.zeros(0, int)
+        local = np.concatenate([np.arange(9), np.arange(9, 15) if k else place, [21]])
+        at = np.concatenate([np.arange(9 * k, 9 * k + 9), place, [p]])
+        full[np.ix_(at, at)] += squares[mine].sum(axis=0)[np.ix_(local, local)]
+        products = np.zeros((int(mine.sum()), p, 6))
+        products[:, at[:-1]] = squares[mine][:, local[:-1], 15:21]
+        np.add.at(e, views.plate[mine], products)
+    return full, e, b, gb
+
+
+def _cross(x: np.ndarray) -> np.ndarray:
+    """Return the matrices (..., 3, 3) that take the cross product with vectors (..., 3)."""
+    out = np.zeros((*x.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -x[..., 2], x[..., 1], -x[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = x[..., 2], -x[..., 1], x[..., 0]
+    return out

@@ -1,0 +1,184 @@
+"""Cameras that look at one scene: their numbers, where they stand to the first of them, how sure that is; kept as YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.files import read_yaml, write_whole
+from tau_dyn.vision.camera import INTRINSICS, LENSES
+
+PLACE = ("rx", "ry", "rz", "x", "y", "z")
+"""Names of a camera's six numbers of place: a small rotation about the first camera's axes [rad], then a shift [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """One or more cameras; a point `X` in the first camera's frame is `rotation[c] X + position[c]` in camera c's.
+
+    Attributes:
+        intrinsics: (c, 9), in the order of `INTRINSICS`.
+        rotation: (c, 3, 3); the first is one.
+        position: (c, 3) [m]; the first is zero.
+        size: Width and height of each camera's images (c, 2) [px].
+        lens: Lens model, a name in `LENSES`.
+        covariance: Of `names` (p, p); zero where a number was taken as known.
+        noise: Standard deviation of a corner in each camera's images (c,) [px]; nan where unknown.
+    """
+
+    intrinsics: np.ndarray
+    rotation: np.ndarray
+    position: np.ndarray
+    size: np.ndarray
+    lens: str = "brown"
+    covariance: np.ndarray | None = None
+    noise: np.ndarray | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of cameras."""
+        return len(self.intrinsics)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all numbers (p,): nine a camera, then six of place for each but the first."""
+        inner = [f"camera{c + 1}.{name}" for c in range(self.n) for name in INTRINSICS]
+        return tuple(inner + [f"camera{c + 1}.{name}" for c in range(1, self.n) for name in PLACE])
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors of `names` (p,); nan where nothing is known of them."""
+        return (
+            np.full(len(self.names), np.nan) if self.covariance is None else np.sqrt(np.diag(self.covariance).clip(0))
+        )
+
+    def free(self) -> np.ndarray:
+        """Return which of `names` the lens model leaves free (p,)."""
+        inner = np.tile(np.arange(9) < LENSES[self.lens], self.n)
+        return np.concatenate([inner, np.ones(6 * (self.n - 1), bool)])
+
+    def moved(self, step: np.ndarray) -> Cameras:
+        """Return the cameras after a step (p,) in `names`; rotations turn on their manifold."""
+        inner, place = step[: 9 * self.n].reshape(-1, 9), step[9 * self.n :].reshape(-1, 6)
+        rotation, position = self.rotation.copy(), self.position.copy()
+        if self.n > 1:
+            rotation[1:] = Rotation.from_rotvec(place[:, :3]).as_matrix() @ rotation[1:]
+            position[1:] = position[1:] + place[:, 3:]
+        return replace(self, intrinsics=self.intrinsics + inner, rotation=rotation, position=position)
+
+    def minus(self, other: Cameras) -> np.ndarray:
+        """Return the step (p,) that leads from other cameras to these."""
+        turned = (
+            Rotation.from_matrix(self.rotation[1:] @ np.swapaxes(other.rotation[1:], 1, 2)).as_rotvec()
+            if self.n > 1
+            else np.zeros((0, 3))
+        )
+        place = np.hstack([turned, self.position[1:] - other.position[1:]])
+        return np.concatenate([(self.intrinsics - other.intrinsics).ravel(), place.ravel()])
+
+    def to_dict(self) -> dict:
+        """Return values and standard errors, camera by camera."""
+        stderr = dict(zip(self.names, self.stderr, strict=True))
+        out = []
+        for c in range(self.n):
+            row: dict = {
+                name: {"value": float(v), "stderr": float(stderr[f"camera{c + 1}.{name}"])}
+                for name, v in zip(INTRINSICS, self.intrinsics[c], strict=True)
+            }
+            row["size"] = [int(s) for s in self.size[c]]
+            row["noise_px"] = None if self.noise is None else float(self.noise[c])
+            if c:
+                row["rotation"] = Rotation.from_matrix(self.rotation[c]).as_quat(canonical=True).tolist()
+                row["position"] = self.position[c].tolist()
+            out.append(row)
+        return {"lens": self.lens, "cameras": out}
+
+
+def check_lens(lens: str) -> None:
+    """Refuse a lens model that does not exist."""
+    if lens not in LENSES:
+        raise UnknownName("lens model", lens, LENSES)
+
+
+def write_cameras(path: str | Path, cameras: Cameras) -> None:
+    """Write cameras as YAML, whole or not at all."""
+    write_whole(path, cameras_text(cameras))
+
+
+def cameras_text(cameras: Cameras) -> str:
+    """Return cameras as YAML text."""
+    rows = []
+    for c in range(cameras.n):
+        row = {"size": [int(s) for s in cameras.size[c]]}
+        row |= {name: float(v) for name, v in zip(INTRINSICS, cameras.intrinsics[c], strict=True)}
+        if c:
+            row["quaternion"] = Rotation.from_matrix(cameras.rotation[c]).as_quat(canonical=True).tolist()
+            row["position"] = cameras.position[c].tolist()
+        rows.append(row)
+    held: dict = {"format": "tau_dyn cameras 1", "lens": cameras.lens, "cameras": rows}
+    if cameras.covariance is not None:
+        held["covariance"] = cameras.covariance.tolist()
+    return yaml.safe_dump(held, sort_keys=False, width=1000)
+
+
+def read_cameras(path: str | Path) -> Cameras:
+    """Read cameras from YAML, as `write_cameras` wrote them; covariance may be left out, and then they are taken as exact.
+
+    Raises:
+        InputError: Keys are missing, or values are no camera.
+    """
+    held = read_yaml(path)
+    try:
+        rows = held["cameras"]
+        if not rows:
+            raise ValueError("no camera in it")
+        inner = np.array(
+            [
+                [_number(row.get(name, 0.0) if name in INTRINSICS[4:] else row[name]) for name in INTRINSICS]
+                for row in rows
+            ]
+        )
+        size = np.array([[int(s) for s in row["size"]] for row in rows]).reshape(len(rows), 2)
+        turned = np.array([[0.0, 0.0, 0.0, 1.0], *([_number(v) for v in row["quaternion"]] for row in rows[1:])])
+        position = np.array([[0.0, 0.0, 0.0], *([_number(v) for v in row["position"]] for row in rows[1:])])
+        lens = held.get("lens", "brown3")
+        cameras = Cameras(inner, Rotation.from_quat(turned).as_matrix(), position, size, lens)
+        covariance = (
+            np.array([[_number(v) for v in row] for row in held["covariance"]])
+            if "covariance" in held
+            else np.zeros((len(cameras.names),) * 2)
+        )
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as fault:
+        raise InputError(
+            f"{path}: not a cameras file ({' '.join(str(fault).split())}); it needs `cameras`, each with size, fx, fy, "
+            "cx, cy and, after the first, quaternion and position"
+        ) from fault
+    check_lens(lens)
+    if not np.all(inner[:, :2] > 0) or np.any(size < 1):
+        raise InputError(f"{path}: focal lengths and image sizes must be positive")
+    if covariance.shape != (len(cameras.names),) * 2 or np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[
+        0
+    ] < -1e-9 * np.trace(covariance).clip(1e-300):
+        raise InputError(
+            f"{path}: the covariance must be a positive matrix of {len(cameras.names)} by {len(cameras.names)} numbers"
+        )
+    return replace(cameras, covariance=covariance)
+
+
+def _number(value: object) -> float:
+    number = float(value)  # type: ignore[arg-type]
+    if not np.isfinite(number):
+        raise ValueError(f"{value} is not finite")
+    return number
+
+
+def same_place(sizes: Sequence[tuple[int, int]]) -> Cameras:
+    """Return cameras of unknown numbers, for a start."""
+    n = len(sizes)
+    return Cameras(np.zeros((n, 9)), np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.array(sizes))

@@ -1,0 +1,153 @@
+"""Corners of the pattern in an image, to a hundredth of a pixel; an image that does not show it whole is refused with a reason.
+
+OpenCV finds the chessboard (Duda & Frese 2018, else its older detector). The order in which it returns the corners depends on
+detector and version and may be upside down; it is settled here by the colours of the squares, so that a pose never flips.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.vision.homography import apply, homography
+from tau_dyn.vision.images import opencv
+from tau_dyn.vision.pattern import Pattern
+from tau_dyn.vision.refine import refine
+
+_CONTRAST = 25.0  # grey values between dark and light below which an image is of no use
+_SMALLEST = 6.0  # [px] side of a square
+_UNEVEN = 0.25  # of a square that corners may be off the plane's picture; a lens bends less
+
+
+class Detection(NamedTuple):
+    """What was found in an image.
+
+    Attributes:
+        corners: (n, 2) [px] in the pattern's order, None where the pattern was not found.
+        reason: Why not, '' where it was.
+        other: Size of another pattern that is in the image, '' where none is.
+    """
+
+    corners: np.ndarray | None
+    reason: str = ""
+    other: str = ""
+
+
+def find_corners(image: np.ndarray, pattern: Pattern) -> Detection:
+    """Return the pattern's inner corners in an image (height, width) uint8."""
+    low, high = np.percentile(image, [1, 99])
+    if high - low < _CONTRAST:
+        dark = "too dark" if high < 80 else "too bright" if low > 180 else "without contrast"
+        return Detection(
+            None, f"the image is {dark} (grey values {low:.0f} to {high:.0f} of 255); change the light or the exposure"
+        )
+    corners = _search(image, pattern)
+    if corners is None:
+        return _why_not(image, pattern)
+    corners = _in_order(image, corners, pattern)
+    if corners is None:
+        return Detection(None, "black and white do not alternate as on a chessboard")
+    return _checked(refine(image, corners, pattern), pattern, image)
+
+
+def _search(image: np.ndarray, pattern: Pattern) -> np.ndarray | None:
+    cv2 = opencv()
+    size = (pattern.columns, pattern.rows)
+    quick = cv2.CALIB_CB_NORMALIZE_IMAGE
+    try:
+        for flags in (quick, quick | cv2.CALIB_CB_EXHAUSTIVE):
+            ok, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
+            if ok:
+                return corners.reshape(-1, 2).astype(float)
+        ok, corners = cv2.findChessboardCorners(
+            image, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        )
+        if not ok:
+            return None
+        side = np.linalg.norm(np.diff(corners.reshape(-1, 2)[: pattern.columns], axis=0), axis=1).min()
+        half = int(np.clip(0.35 * side, 2, 9))
+        enough = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+        return (
+            cv2.cornerSubPix(image, np.ascontiguousarray(corners, np.float32), (half, half), (-1, -1), enough)
+            .reshape(-1, 2)
+            .astype(float)
+        )
+    except cv2.error:
+        return None
+
+
+def _in_order(image: np.ndarray, corners: np.ndarray, pattern: Pattern) -> np.ndarray | None:
+    """Return corners so that columns run to rows as x to y seen from the front, and the first square is black."""
+    grid = corners.reshape(pattern.rows, pattern.columns, 2)
+    along, down = grid[:, -1].mean(0) - grid[:, 0].mean(0), grid[-1].mean(0) - grid[0].mean(0)
+    if along[0] * down[1] - along[1] * down[0] < 0:  # seen from behind: mirrored
+        grid = grid[:, ::-1]
+    sign = _blackness(image, grid)
+    if abs(sign) < 0.5:
+        return None
+    return (grid if sign > 0 else grid[::-1, ::-1]).reshape(-1, 2)
+
+
+def _blackness(image: np.ndarray, grid: np.ndarray) -> float:
+    """Return the correlation between the squares' colours and those of a pattern whose first inner square is black."""
+    middles = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
+    u, v = (middles[..., i].round().astype(int).clip(1, image.shape[1 - i] - 2) for i in (0, 1))
+    grey = np.mean([image[v + dv, u + du] for dv in (-1, 0, 1) for du in (-1, 0, 1)], axis=0)
+    row, column = np.indices(grey.shape)
+    black = np.where(
+        (row + column) % 2 == 0, 1.0, -1.0
+    )  # same colour as the square left above the first corner, one diagonal on
+    local = grey - grey.mean() - _trend(grey)
+    return float(-(local * black).sum() / max(np.abs(local).sum(), 1e-9))
+
+
+def _trend(grey: np.ndarray) -> np.ndarray:
+    """Return the light's gradient over the squares, as a plane."""
+    row, column = np.indices(grey.shape)
+    black = (row + column) % 2
+    a = np.column_stack([np.ones(grey.size), row.ravel(), column.ravel(), black.ravel()])
+    weight = np.linalg.lstsq(a, grey.ravel(), rcond=None)[0]
+    return (a[:, 1:3] @ weight[1:3]).reshape(grey.shape) - (a[:, 1:3] @ weight[1:3]).mean()
+
+
+def _checked(corners: np.ndarray, pattern: Pattern, image: np.ndarray) -> Detection:
+    grid = corners.reshape(pattern.rows, pattern.columns, 2)
+    side = min(np.linalg.norm(np.diff(grid, axis=a), axis=-1).min() for a in (0, 1))
+    if side < _SMALLEST:
+        return Detection(
+            None, f"the pattern is too small: a square is {side:.1f} px wide; come closer or use larger squares"
+        )
+    if np.any(corners < 1) or np.any(corners > np.array(image.shape[::-1]) - 2):
+        return Detection(None, "the pattern is cut off by the image's border")
+    flat = pattern.points[:, :2] / pattern.square
+    off = np.linalg.norm(apply(homography(flat, corners), flat) - corners, axis=1).max()
+    if off > _UNEVEN * side:
+        return Detection(None, f"the corners found are not those of one flat pattern (off by {off:.1f} px)")
+    return Detection(corners)
+
+
+def _why_not(image: np.ndarray, pattern: Pattern) -> Detection:
+    """Return what is in the image instead."""
+    columns, rows = _other(image)
+    other = f"{columns}x{rows}" if rows else ""
+    if not other or {columns, rows} == {pattern.columns, pattern.rows}:
+        return Detection(
+            None, f"no {pattern.name} pattern found: not in the image, partly hidden, blurred, or of another size"
+        )
+    if columns * rows < pattern.n:
+        said = f"only {other} corners of the {pattern.name} can be seen: partly hidden, or another pattern"
+        return Detection(None, said, other)
+    return Detection(None, f"the pattern in the image has {other} inner corners, not {pattern.name}", other)
+
+
+def _other(image: np.ndarray) -> tuple[int, int]:
+    """Return the size of whatever chessboard is in the image, the longer side first; zeros where there is none."""
+    cv2 = opencv()
+    try:
+        flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+        ok, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
+    except (cv2.error, AttributeError):
+        return 0, 0
+    a, b = sorted(meta.shape[:2], reverse=True) if ok else (0, 0)
+    return int(a), int(b)
