@@ -17,7 +17,7 @@ def test_every_public_name_is_there_and_is_no_room(name):
     assert name in dir(tau_dyn)
 
 
-@pytest.mark.parametrize("name", ["identify", "diagnose", "simulate"])
+@pytest.mark.parametrize("name", ["identify", "diagnose", "simulate", "calibrate"])
 def test_a_room_does_not_hide_the_function_of_its_name(name):
     """`import tau_dyn.identify` loads the room; `tau_dyn.identify` stays the function."""
     room = import_module(f"tau_dyn.{name}")

@@ -2,7 +2,7 @@
 
 Question: do FK(IK(x)) and IK(FK(q)) return what went in, in all configurations, and how many poses a second does one core do?
 Inputs: the robots of `urdf/`. Outputs: a table on stdout, with `--out FILE.csv` also as CSV.
-Run: python experiments/benchmarks/kinematics.py [--runs 10000] [--seed 0] [--only NAME] [--speed]
+Run: python experiments/benchmarks/kinematics.py [--runs 10000] [--seed 0] [--only NAME] [--speed] [--cost]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import pandas as pd
 from bench import machine
 
 from tau_dyn.kinematics import (
+    Poses,
     forward_kinematics,
     inverse_kinematics,
     inverse_solutions,
@@ -44,6 +45,7 @@ ROBOTS = {
     "scara_tau": ("scara_tau", {}),
     "stewart": ("stewart", {}),
     "triglide": ("triglide", {}),
+    "triglide complete": ("triglide", {"arms": "complete"}),
     "h4": ("h4", {}),
     "parallelogram": ("parallelogram", {}),
     "linear_axis": ("linear_axis", {}),
@@ -119,6 +121,21 @@ def speed(robot: Robot, n: int) -> float:
     return best
 
 
+def cost(robot: Robot, n: int, seed: int) -> tuple[int, float, float]:
+    """Return how many of n poses around home are reached, and the CPU time [ms] a pose of those and of the others."""
+    rods, rng = rods_of(robot), np.random.default_rng(seed)
+    home = forward_kinematics(robot, robot.home[None]).poses
+    wide = 1.0 if rods is None else float(np.mean(rods.lengths))
+    poses = Poses(home.position + wide * rng.uniform(-1, 1, (n, 3)), np.repeat(home.rotation, n, axis=0))
+    ok = inverse_kinematics(robot, poses, limits=False).ok
+    times = []
+    for some in (ok, ~ok):
+        before = time.process_time()
+        inverse_kinematics(robot, poses.take(some), limits=False)
+        times.append(1e3 * (time.process_time() - before) / max(1, int(some.sum())))
+    return int(ok.sum()), times[0], times[1]
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -126,9 +143,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="")
     parser.add_argument("--speed", action="store_true", help="only the speed")
+    parser.add_argument("--cost", action="store_true", help="only what inverse kinematics costs in and out of reach")
     parser.add_argument("--out")
     args = parser.parse_args()
     print(machine())
+    if args.cost:
+        for name, (file, arguments) in ROBOTS.items():
+            if args.only in name:
+                robot = load_robot(file, **arguments)
+                reached, inside, outside = cost(robot, args.runs if rods_of(robot) else 100, args.seed)
+                print(f"{name}: {reached} reached, {inside:.3f} ms; the others {outside:.3f} ms a pose", flush=True)
+        return
     if not args.only:
         for arms, n in (("simplified", 2_000_000), ("complete", 400_000)):
             print(f"forward kinematics, {arms}: {speed(load_robot('gantry_tau', arms=arms), n):.3g} poses/s")

@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any
 from tau_dyn.version import __version__
 
 if TYPE_CHECKING:
+    from tau_dyn.calibrate import calibrate
     from tau_dyn.control import Feedforward
     from tau_dyn.diagnose import diagnose
     from tau_dyn.dynamics import build_mechanism
     from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
     from tau_dyn.identify import Choices, build_regression, identify
+    from tau_dyn.kinematics import forward_kinematics, inverse_kinematics
     from tau_dyn.log import Log, check_log, read_log
     from tau_dyn.model import Model
     from tau_dyn.modes import find_modes
@@ -39,10 +41,13 @@ _ROOMS = {
     "TauDynError": "tau_dyn.exceptions",
     "build_mechanism": "tau_dyn.dynamics",
     "build_regression": "tau_dyn.identify",
+    "calibrate": "tau_dyn.calibrate",
     "check_log": "tau_dyn.log",
     "diagnose": "tau_dyn.diagnose",
     "find_modes": "tau_dyn.modes",
+    "forward_kinematics": "tau_dyn.kinematics",
     "identify": "tau_dyn.identify",
+    "inverse_kinematics": "tau_dyn.kinematics",
     "load_robot": "tau_dyn.robot",
     "read_log": "tau_dyn.log",
     "simulate": "tau_dyn.simulate",
@@ -61,10 +66,13 @@ __all__ = [
     "__version__",
     "build_mechanism",
     "build_regression",
+    "calibrate",
     "check_log",
     "diagnose",
     "find_modes",
+    "forward_kinematics",
     "identify",
+    "inverse_kinematics",
     "load_robot",
     "read_log",
     "simulate",

@@ -106,7 +106,7 @@ def test_a_temperature_that_one_log_lacks_is_left_out(make):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("coulomb", "viscous", "named"), [(6.0, 0.0, True), (0.0, 15.0, False)])
 def test_friction_along_the_way_is_named_only_where_it_is_coulomb_friction(make, seed, coulomb, viscous, named):
-    """Friction that grows along the way is `position_friction` where it keeps its size at speed, no name where it grows with it."""
+    """Friction that grows along the way is `position_friction` where it is Coulomb's, and has no name where speed makes it."""
     hidden = at("two", lambda m: m.q[:, 1] / 0.2 * (coulomb * m.sign[:, 1] + viscous * m.v[:, 1]))
     rng = np.random.default_rng(seed)
     found = search(make.bench(rng, hidden, joints=JOINTS, causes=(PositionFriction,)), rng, lambda step: None).found

@@ -45,7 +45,7 @@ def test_poses_are_those_of_the_tree(name, arguments, reach):
 def test_a_pose_depends_on_its_own_positions_alone(rng):
     """Backwards, one by one or among others: the same bits up to rounding."""
     robot = load_robot("gantry_tau", arms="complete")
-    q = robot.home + rng.uniform(-0.4, 0.4, (12, 3))
+    q = robot.home + rng.uniform(-0.4, 0.4, (5, 3))
     whole = forward_kinematics(robot, q).poses.position
     assert_allclose(forward_kinematics(robot, q[::-1]).poses.position[::-1], whole, atol=1e-14)
     fresh = load_robot("gantry_tau", arms="complete")

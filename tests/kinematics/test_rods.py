@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.exceptions import UnknownName
+from tau_dyn.exceptions import LoopClosureError, UnknownName
 from tau_dyn.kinematics import NotRods, Poses, build_rods, from_quaternions, quaternions
 from tau_dyn.kinematics.plate_arrays import turned_by
 from tau_dyn.parameters import Parameter, Parameters
@@ -125,3 +125,18 @@ def test_quaternions_go_there_and_back(rng):
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     assert np.all(back[:, 3] >= 0)
     assert_allclose(back, unit * np.sign(unit[:, 3:]), atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["simplified", "f1", "stewart"])
+def test_home_follows_the_geometry(kind, rng):
+    """At other lengths and anchors the plate's home pose closes the new rods; lengths that cannot are refused."""
+    rods = rods_named(kind)
+    values = rods.geometry.values
+    moved = rods.with_geometry(rods.geometry.with_values(values + 1e-3 * rng.standard_normal(len(values))))
+    assert_allclose(moved.gap(rods.robot.home[None], moved.home), 0.0, atol=1e-12)
+    assert 1e-5 < np.abs(moved.home.position - rods.home.position).max() < 0.1
+    again = moved.with_geometry(rods.geometry)
+    assert_allclose(again.home.position, rods.home.position, atol=1e-11)
+    short = {n: 0.01 for n in rods.geometry.names if n.endswith(".length")}
+    with pytest.raises(LoopClosureError, match="cannot be closed at home"):
+        _ = rods.with_geometry(rods.geometry.with_values(short)).home

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import re
 from pathlib import Path
 
 import numpy as np
 
 from tau_dyn.cli.common import Outcome, add_common, command_line, csv_file, robot_file
 from tau_dyn.exceptions import InputError
-
-_NEGATIVE = re.compile(r"^-(\d|\.\d)")
 
 
 def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
@@ -21,7 +18,6 @@ def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
         "--out", metavar="FILE.csv", type=csv_file, help="write q_<joint>, x_tool .. qw_tool, reason here"
     )
     add_common(parser)
-    parser._negative_number_matcher = _NEGATIVE  # argparse takes -1e-3 for an option otherwise (until Python 3.14)
 
 
 def finite(text: str) -> float:

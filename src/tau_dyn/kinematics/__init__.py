@@ -1,5 +1,6 @@
 """The closed loops solved: actuated motion -> motion of the whole mechanism, poses of the tool, and back."""
 
+from tau_dyn.kinematics.follow import Followed, follow
 from tau_dyn.kinematics.forward import Forward, forward_kinematics, forward_solutions
 from tau_dyn.kinematics.inverse import (
     Inverse,
@@ -14,6 +15,7 @@ from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
 from tau_dyn.kinematics.rods import NotRods, Rods, build_rods
 
 __all__ = [
+    "Followed",
     "Forward",
     "Inverse",
     "LoopSolver",
@@ -25,6 +27,7 @@ __all__ = [
     "acceleration_bias",
     "build_rods",
     "configurations",
+    "follow",
     "forward_kinematics",
     "forward_solutions",
     "from_quaternions",

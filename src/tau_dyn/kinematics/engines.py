@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 from tau_dyn.kinematics.free_plate import FreePlate
+from tau_dyn.kinematics.kept import kept
 from tau_dyn.kinematics.rods import NotRods, Rods, build_rods
 from tau_dyn.kinematics.sliding_plate import SlidingPlate
 from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.robot import Robot
 
 Engine = SlidingPlate | FreePlate | TreePose
-
-_OF_ROBOT: WeakKeyDictionary[Robot, Rods | TreePose] = WeakKeyDictionary()
-_OF_RODS: WeakKeyDictionary[Rods, SlidingPlate | FreePlate] = WeakKeyDictionary()
 
 
 def rods_of(robot: Robot | Rods) -> Rods | None:
@@ -33,9 +29,7 @@ def engine_of(robot: Robot | Rods) -> Engine:
     known = robot if isinstance(robot, Rods) else _known(robot)
     if isinstance(known, TreePose):
         return known
-    if known not in _OF_RODS:
-        _OF_RODS[known] = SlidingPlate(known) if known.translates else FreePlate(known)
-    return _OF_RODS[known]
+    return kept(known, "engine", lambda: SlidingPlate(known) if known.translates else FreePlate(known))
 
 
 def robot_of(robot: Robot | Rods) -> Robot:
@@ -44,9 +38,11 @@ def robot_of(robot: Robot | Rods) -> Robot:
 
 
 def _known(robot: Robot) -> Rods | TreePose:
-    if robot not in _OF_ROBOT:
-        try:
-            _OF_ROBOT[robot] = build_rods(robot)
-        except NotRods:
-            _OF_ROBOT[robot] = TreePose(robot)
-    return _OF_ROBOT[robot]
+    return kept(robot, "rods or tree", lambda: _built(robot))
+
+
+def _built(robot: Robot) -> Rods | TreePose:
+    try:
+        return build_rods(robot)
+    except NotRods:
+        return TreePose(robot)

@@ -160,23 +160,8 @@ class FreePlate:
         """Return the plate's twist per actuated velocity (6, na, N)."""
         points, squares = self._given(q)
         at = rows(points, self.rods.on_plate, squares, plate)
-        sides = self.sides(q, points, at.d)
+        sides = geometry.closure_by_q(self.numbers, q, points, at.d)
         return self._six.accurate(at, sides) if self._six else lapack(dense(at), sides)
-
-    def sides(self, q: np.ndarray, points: np.ndarray, d: list[np.ndarray]) -> np.ndarray:
-        """Return `df/dq = d . dA/dq - L dL/dq` (n, na, N)."""
-        joints, carried = self.numbers.joints, self.numbers.carried
-        out = np.zeros((self.rods.n, self.rods.na, q.shape[1]))
-        at = chains.placed(joints, q)
-        for (k, actuator), column in chains.velocities(joints, carried, at, points).items():
-            out[k, actuator] += column[0] * d[k][0] + column[1] * d[k][1] + column[2] * d[k][2]
-        slides = np.flatnonzero(self.numbers.slides >= 0)
-        if slides.size:
-            lengths = np.broadcast_to(geometry.leg_lengths(self.numbers, q), (self.rods.n, q.shape[1]))
-            rates = geometry.leg_rates(self.numbers, q)
-            for k in slides:
-                out[k, self.numbers.slides[k]] -= lengths[k] * rates[k]
-        return out
 
     def _given(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = chains.points(self.numbers.joints, self.numbers.carried, q)

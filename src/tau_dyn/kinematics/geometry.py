@@ -9,13 +9,13 @@ instead, arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: what its plate
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tau_dyn.exceptions import UnknownName
-from tau_dyn.kinematics.chains import Carried, ChainJoint, Placed, path, turned
+from tau_dyn.kinematics.chains import Carried, ChainJoint, Placed, path, placed, turned, velocities
 from tau_dyn.parameters import Parameter, Parameters
 
 AXES = ("x", "y", "z")
@@ -147,7 +147,7 @@ def leg_lengths(numbers: Numbers, q: np.ndarray) -> np.ndarray:
     if not np.any(numbers.slides >= 0):
         return numbers.lengths[:, None]
     out = np.repeat(numbers.lengths[:, None], q.shape[1], axis=1)
-    for k in np.flatnonzero(numbers.slides >= 0):
+    for k in np.flatnonzero(numbers.slides >= 0).tolist():
         reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
         out[k] = np.hypot(reach, numbers.offsets[k]) if numbers.offsets[k] else reach
     return out
@@ -156,12 +156,60 @@ def leg_lengths(numbers: Numbers, q: np.ndarray) -> np.ndarray:
 def leg_rates(numbers: Numbers, q: np.ndarray) -> np.ndarray:
     """Return how fast each rod grows with its own slide (n, N or 1), zero for rods without one."""
     out = np.zeros((len(numbers.names), q.shape[1] if np.any(numbers.offsets) else 1))
-    for k in np.flatnonzero(numbers.slides >= 0):
+    for k in np.flatnonzero(numbers.slides >= 0).tolist():
         out[k] = numbers.gains[k]
         if numbers.offsets[k]:
             reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
             out[k] = numbers.gains[k] * reach / np.hypot(reach, numbers.offsets[k])
     return out
+
+
+def closure_by_q(numbers: Numbers, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the derivative of `(|d|^2 - L^2) / 2` by the positions, `d . dA/dq - L dL/dq` (n, na, N).
+
+    Args:
+        numbers: The geometry.
+        q: Actuated positions (na, N).
+        points: Points A (n, 3, N) [m].
+        d: From B to A, n times (3, N) [m].
+    """
+    out = np.zeros((len(numbers.names), *q.shape))
+    at = placed(numbers.joints, q)
+    for (k, actuator), column in velocities(numbers.joints, numbers.carried, at, points).items():
+        out[k, actuator] += column[0] * d[k][0] + column[1] * d[k][1] + column[2] * d[k][2]
+    slides = np.flatnonzero(numbers.slides >= 0)
+    if slides.size:
+        lengths, rates = leg_lengths(numbers, q), leg_rates(numbers, q)
+        for k in slides:
+            out[k, numbers.slides[k]] -= lengths[k] * rates[k]
+    return out
+
+
+def nearest_rails(numbers: Numbers) -> list[Callable[[np.ndarray], np.ndarray] | None]:
+    """Return for each rod the distance (N,) [m] of places (N, 3) to all that its point A can reach, limits aside.
+
+    A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
+    """
+    return [_rail(numbers, k) for k in range(len(numbers.names))]
+
+
+def _rail(numbers: Numbers, k: int) -> Callable[[np.ndarray], np.ndarray] | None:
+    carrier, local = numbers.carried.carrier[k], numbers.carried.local[k]
+    if carrier < 0:
+        return lambda place: np.linalg.norm(place - local, axis=1)
+    joint = numbers.joints[carrier]
+    if joint.parent >= 0:
+        return None
+    axis, point = joint.direction / np.linalg.norm(joint.direction), joint.rotation @ local
+    centre = joint.origin + (point if joint.slides else axis * (axis @ point))
+    radius = 0.0 if joint.slides else float(np.linalg.norm(point - axis * (axis @ point)))
+
+    def distance(place: np.ndarray) -> np.ndarray:
+        along = (place - centre) @ axis
+        across = np.linalg.norm(place - centre - along[:, None] * axis, axis=1)
+        return across if joint.slides else np.hypot(across - radius, along)
+
+    return distance
 
 
 def _along(numbers: Numbers, k: int) -> float:
@@ -217,4 +265,7 @@ def _vector(owner: str, what: str, value: np.ndarray, unit: str) -> list[Paramet
     return [Parameter(f"{owner}.{what}_{axis}", float(x), unit) for axis, x in zip(AXES, value, strict=True)]
 
 
-__all__ = ["Numbers", "gap_columns", "leg_lengths", "leg_rates", "parameters_of", "turned", "with_values"]
+__all__ = [
+    "Numbers", "closure_by_q", "gap_columns", "leg_lengths", "leg_rates", "nearest_rails", "parameters_of", "turned",
+    "with_values",
+]  # fmt: skip

@@ -14,19 +14,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, chains_of
 from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
+from tau_dyn.kinematics.kept import kept
 from tau_dyn.kinematics.manifold_inverse import ManifoldInverse
 from tau_dyn.kinematics.outcome import BRANCH_CHANGE, JOINT_LIMIT, NOT_A_NUMBER, OK, OUT_OF_REACH, Inverse
 from tau_dyn.kinematics.plate_arrays import log_of, turned_by
 from tau_dyn.kinematics.poses import Poses, checked_poses
 from tau_dyn.kinematics.rods import Rods, checked_positions
 from tau_dyn.kinematics.tree_inverse import tree_inverse, tree_solutions
+from tau_dyn.kinematics.tree_newton import TreeNewton
+from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.robot import Robot
 
 __all__ = ["Inverse", "configurations", "home_configuration", "inverse_kinematics", "inverse_solutions"]
@@ -40,7 +42,7 @@ def inverse_kinematics(
     robot: Robot | Rods,
     poses: Poses,
     *,
-    configuration: Sequence[int] | None = None,
+    configuration: Sequence[int] | np.ndarray | None = None,
     start: np.ndarray | None = None,
     limits: bool = True,
 ) -> Inverse:
@@ -50,7 +52,9 @@ def inverse_kinematics(
         robot: A robot, or its rods (perhaps with another geometry).
         poses: Of the tool (N).
         configuration: One of `configurations`, a sign for each chain; by default home's.
-        start: Positions (N or 1, na) from which to search, where a chain has no closed form; by default home.
+        start: Positions (N or 1, na) from which to search, where a chain has no closed form, by default home. Where actuators
+            can move without the tool (a telescopic arm, a serial arm with a joint to spare), the positions nearest to it
+            are taken. It does not choose the configuration; `follow` does.
         limits: Whether positions outside the file's joint limits are refused.
 
     Raises:
@@ -64,7 +68,7 @@ def inverse_kinematics(
     if rods is None:
         if configuration is not None:
             raise InputError(f"{owner.source}: has no rods, hence no named configurations; give a start instead")
-        return _limited(owner, tree_inverse(engine_of(robot), owner, poses, start, limits), limits)
+        return _limited(owner, tree_inverse(_tree(robot), poses, start, limits), limits)
     solver = _solver(rods)
     return _limited(owner, solver.inverse(poses, solver.signs(configuration), start, configuration is None), limits)
 
@@ -77,7 +81,7 @@ def inverse_solutions(robot: Robot | Rods, poses: Poses) -> np.ndarray:
     """
     rods, poses = rods_of(robot), checked_poses(poses)
     if rods is None:
-        return tree_solutions(engine_of(robot), robot_of(robot), poses)
+        return tree_solutions(_tree(robot), poses)
     return _solver(rods).all(poses)
 
 
@@ -88,6 +92,11 @@ def configurations(robot: Robot | Rods) -> np.ndarray:
         InputError: The robot has no rods.
     """
     return np.array(list(product(*(chain.signs for chain in _solver(_rods(robot)).chains))))
+
+
+def nearest_configuration(rods: Rods, poses: Poses, q: np.ndarray) -> np.ndarray:
+    """Return the configuration (chains,) that has positions (na,) at or near a pose (1 sample)."""
+    return np.array(_solver(rods).signs_near(checked_poses(poses), q))
 
 
 def home_configuration(robot: Robot | Rods) -> np.ndarray:
@@ -104,7 +113,7 @@ class _RodInverse:
         self.separate = whole and all(isinstance(c, RootChain) or len(c.rods) == len(c.actuators) for c in self.chains)
         self.manifold = None if self.separate else ManifoldInverse(rods, self.chains)
 
-    def signs(self, configuration: Sequence[int] | None) -> tuple[int, ...]:
+    def signs(self, configuration: Sequence[int] | np.ndarray | None) -> tuple[int, ...]:
         if configuration is None:
             return tuple(chain.home_sign for chain in self.chains)
         signs = tuple(int(s) for s in configuration)
@@ -113,10 +122,21 @@ class _RodInverse:
             raise InputError(f"{self.rods.robot.source}: configuration {signs} does not exist; one holds ({wanted})")
         return signs
 
+    def signs_near(self, tool: Poses, q: np.ndarray) -> tuple[int, ...]:
+        B = self._plate_points(self._held(tool))
+        found = []
+        for chain in self.chains:
+            roots = {chain.home_sign: 0.0}
+            if isinstance(chain, RootChain):
+                own = {s: chain.solve(B[chain.rods[0]], s, clipped=True)[0, 0] for s in chain.signs}
+                roots = {s: abs(float(x) - q[chain.actuators[0]]) for s, x in own.items()}
+            found.append(min(roots, key=lambda s: roots[s]))
+        return tuple(found)
+
     def inverse(self, tool: Poses, signs: tuple[int, ...], start: np.ndarray | None, home: bool) -> Inverse:
         wanted = self._held(tool)
         if self.manifold is not None:
-            q, rotation = self.manifold.solve(wanted, signs, walk=home)
+            q, rotation = self.manifold.solve(wanted, signs, home, start)
             return self._judged(tool, Poses(wanted.position, rotation), q, home)
         return self._judged(tool, wanted, self._by_chains(wanted, signs, start), home)
 
@@ -209,7 +229,8 @@ class _RodInverse:
         found = np.where(good[:, None], q, np.nan)
         blame[good | ~numbers] = ""
         zero = np.where(good, 0.0, np.nan)
-        return Inverse(found, code, zero, np.where(good, turn, np.nan), blame.astype(str), found)
+        turned = np.where(good[:, None, None], reached.rotation, np.nan)
+        return Inverse(found, code, zero, np.where(good, turn, np.nan), blame.astype(str), found, turned)
 
     def _beyond(self, q: np.ndarray, tool: Poses) -> np.ndarray:
         """Return where the plate is on the other side of a parallel singularity than at home (N,)."""
@@ -223,13 +244,14 @@ class _RodInverse:
         return np.linalg.det(here) * np.linalg.det(at_home) < 0
 
 
-_SOLVERS: WeakKeyDictionary[Rods, _RodInverse] = WeakKeyDictionary()
-
-
 def _solver(rods: Rods) -> _RodInverse:
-    if rods not in _SOLVERS:
-        _SOLVERS[rods] = _RodInverse(rods)
-    return _SOLVERS[rods]
+    return kept(rods, "inverse", lambda: _RodInverse(rods))
+
+
+def _tree(robot: Robot | Rods) -> TreeNewton:
+    engine = engine_of(robot)
+    assert isinstance(engine, TreePose)
+    return kept(robot, "inverse", lambda: TreeNewton(engine))
 
 
 def _rods(robot: Robot | Rods) -> Rods:
@@ -273,6 +295,14 @@ def _limited(robot: Robot, found: Inverse, limits: bool) -> Inverse:
     for k in np.flatnonzero(bad):
         culprit[k] = " ".join(name for name, wrong in zip(robot.actuated, np.ravel(beyond[k]), strict=True) if wrong)
     code = np.where(bad, JOINT_LIMIT, found.code).astype(np.int8)
-    kept = np.where(bad[:, None], np.nan, q)
+    allowed = np.where(bad[:, None], np.nan, q)
     lost = np.where(bad, np.nan, 1.0)
-    return Inverse(kept, code, found.position_error * lost, found.orientation_error * lost, culprit.astype(str), q)
+    return Inverse(
+        allowed,
+        code,
+        found.position_error * lost,
+        found.orientation_error * lost,
+        culprit.astype(str),
+        q,
+        found.rotation,
+    )

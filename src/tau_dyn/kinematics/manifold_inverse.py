@@ -5,25 +5,36 @@ on it. Position is met; the rotation follows (three actuators) or comes as near 
 angle (four, five). Newton on all unknowns at once, `q` and the rotation, with the tool's position fixed where it is
 wanted:
 
-    G_w w + G_q dq = -g,   minimise |w - log(R_wanted R')|,   R <- Exp(w) R.
+    C_w w + C_q dq = -f,   minimise |w - log(R_wanted R')|,   R <- Exp(w) R,   f_k = (|A_k - B_k|^2 - L_k^2) / 2 L_k.
 
-A pose on the surface, as forward kinematics gives them, is found exactly. Reference: Merlet 2006, ch. 2 and 3.
+A pose on the surface, as forward kinematics gives them, is found exactly. Where actuators can move without the plate (a
+telescopic arm on a cart) the positions nearest to a start are taken, slides measured in mean rods' lengths, turns in rad.
+A pose out of reach is given up when its gap stops shrinking. Reference: Merlet 2006, ch. 2 and 3.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from tau_dyn.kinematics import chains as chain_points
+from tau_dyn.kinematics import geometry
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain
-from tau_dyn.kinematics.plate_arrays import log_of, turned_by
+from tau_dyn.kinematics.least_motion import Progress, least_motion, solved
+from tau_dyn.kinematics.plate_arrays import Plate, log_of, rows, turned_by
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
 _ROUNDS = 60
-_DONE = 1e-13
+_PATIENCE = 5  # rounds without progress after which a sample is given up
+_DONE, _NEAR = 1e-13, 1e-8
 _CLOSED = 1e-11  # [m]
 _STEP = 0.3  # largest step, of the rods' length or rad
-_WAY = 0.1  # steps on the way from home, of the rods' length or rad
+_WAY = 0.15  # steps on the way from home, of the rods' length or rad
+_STEPS = 40  # at most on that way
+_ROUGH = 1e-3  # of the rods' length: what may stay open on the way
+_DAMPING = 1e-6  # what an actuator's motion costs beside a turn of the tool
+_SOFT = 1e-7
+_RANK = 1e-9
 
 
 class ManifoldInverse:
@@ -34,47 +45,90 @@ class ManifoldInverse:
         self.rods, self._chains = rods, chains
         self._home_tool = rods.tool_poses(rods.home)
         self.scale = float(np.mean(rods.lengths))
+        self._turns = 0 if rods.translates else 3
+        self._local = (rods.on_plate - rods.tool.translation) @ rods.tool.rotation  # B in the tool's frame
+        turning = np.array([kind == "revolute" for kind in rods.robot.joint_kinds])
+        self._unit = np.where(turning, 1.0, self.scale)
+        by_q = rods.gap_by_q(rods.robot.home[None], rods.home)[0] * self._unit
+        self.idle = rods.na - int(np.linalg.matrix_rank(by_q, tol=_RANK * np.linalg.norm(by_q)))
+        self._weight = np.concatenate([np.zeros(self._turns), _DAMPING / self._unit**2])
+        self._near = geometry.nearest_rails(rods.numbers)
+        self._far = np.where(rods.numbers.slides >= 0, np.inf, rods.lengths) + (
+            np.zeros(rods.n) if rods.translates else np.linalg.norm(self._local, axis=1)
+        )
 
-    def solve(self, tool: Poses, signs: tuple[int, ...], walk: bool) -> tuple[np.ndarray, np.ndarray]:
+    def solve(
+        self, tool: Poses, signs: tuple[int, ...], walk: bool, start: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (N, na) and the tool's rotations (N, 3, 3) there; nan where there are none.
 
         Args:
             tool: Poses wanted.
             signs: Configuration, a sign for each chain.
             walk: Whether to try the way from home where the direct attempt fails.
+            start: Positions (N, na) from which to search; idle motions are chosen nearest to it, by default to home.
         """
-        q, rotation = self.newton(tool, self.started(tool, signs), tool.rotation)
-        q[~self.keeps(q, tool.position, rotation, signs)] = np.nan
-        lost = np.flatnonzero(np.isnan(q[:, 0]) & np.isfinite(tool.position).all(axis=1))
-        if walk and lost.size:
-            q[lost], rotation[lost] = self._from_home(tool.take(lost))
+        toward = np.repeat(self.rods.robot.home[None], len(tool.position), axis=0) if start is None else start
+        q = np.full((len(tool.position), self.rods.na), np.nan)
+        rotation = np.full((len(q), 3, 3), np.nan)
+        lost = np.flatnonzero(self.possible(tool.position))
+        ways = [self.started, *([self._from_home] if walk else [])]
+        ways = ways if start is None else [lambda asked, signs, near: near, *ways]
+        for way in ways:
+            if not lost.size:
+                break
+            asked, near = tool.take(lost), toward[lost]
+            begun = way(asked, signs, near)
+            begun, turned = begun if isinstance(begun, tuple) else (begun, asked.rotation)
+            found, turn = self.newton(asked, begun, turned, near)
+            good = np.isfinite(found[:, 0])
+            if way != self._from_home:  # the way itself keeps the configuration
+                good &= self.keeps(found, asked.position, turn, signs)
+            q[lost[good]], rotation[lost[good]] = found[good], turn[good]
+            lost = lost[~good]
         return q, rotation
 
-    def started(self, tool: Poses, signs: tuple[int, ...]) -> np.ndarray:
-        """Return starts (N, na): each chain's first rod in closed form, as near as it reaches."""
+    def possible(self, position: np.ndarray) -> np.ndarray:
+        """Return where each rod alone could reach the tool's ball of points B, the plate turned as it may (N,)."""
+        here = np.isfinite(position).all(axis=1)
+        if self._turns:
+            for k, near in enumerate(self._near):
+                if near is not None:
+                    with np.errstate(invalid="ignore"):
+                        here &= near(position) <= self._far[k] + 1e-9
+        return np.asarray(here)
+
+    def started(self, tool: Poses, signs: tuple[int, ...], near: np.ndarray) -> np.ndarray:
+        """Return starts (N, na): each chain's first rod in closed form, as near as it reaches; other chains near a start."""
         B = self.rods.plate_points(self.rods.plate_poses(tool)).transpose(1, 2, 0)
-        q = np.repeat(self.rods.robot.home[None], len(tool.position), axis=0)
+        q = near.copy()
         for chain, sign in zip(self._chains, signs, strict=True):
             if isinstance(chain, RootChain):
                 q[:, chain.actuators[0]] = chain.solve(B[chain.rods[0]], sign, clipped=True)[0]
         return q
 
-    def newton(self, tool: Poses, q: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return closed positions and rotations from a start; nan where Newton does not come to rest."""
+    def newton(
+        self, tool: Poses, q: np.ndarray, rotation: np.ndarray, toward: np.ndarray, rounds: int = _ROUNDS
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return closed positions and rotations from a start; nan where Newton does not come to rest.
+
+        With few `rounds`, on a way, what is nearly closed is good enough.
+        """
         q, rotation = q.copy(), np.array(rotation)
         left = np.flatnonzero(np.isfinite(q).all(axis=1) & np.isfinite(tool.position).all(axis=1))
-        closed = np.zeros(len(q), bool)
-        for _ in range(_ROUNDS):
+        closed, progress = np.zeros(len(q), bool), Progress(len(q), _PATIENCE)
+        for _ in range(rounds):
             if not left.size:
                 break
-            gap, w, dq = self._step(tool.take(left), q[left], rotation[left])
+            gap, w, dq = self._step(tool.take(left), q[left], rotation[left], toward[left])
             size = np.maximum(np.abs(w).max(axis=1), np.abs(dq).max(axis=1) / max(self.scale, 1.0))
             share = np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]
             q[left] += share * dq
             rotation[left] = np.moveaxis(turned_by((share * w).T, np.moveaxis(rotation[left], 0, 2)), 2, 0)
             tight = gap < _CLOSED
-            closed[left] = tight & (size < 1e-7)
-            left = left[~(tight & (size < _DONE)) & np.isfinite(size)]
+            closed[left] = (tight & (size < 1e-7)) if rounds == _ROUNDS else gap < _ROUGH * self.scale
+            over = (tight & progress.rests(left, size, _DONE, _NEAR)) | (progress.stalled(left, gap) & ~tight)
+            left = left[~over & np.isfinite(size)]
         q[~closed], rotation[~closed] = np.nan, np.nan
         return q, rotation
 
@@ -90,51 +144,54 @@ class ManifoldInverse:
                     same &= np.abs(own - here) <= np.abs(own - other) + 1e-9
         return np.asarray(same)
 
-    def _from_home(self, tool: Poses) -> tuple[np.ndarray, np.ndarray]:
-        """Walk the tool's position and wanted rotation straight from home."""
+    def _from_home(self, tool: Poses, signs: tuple[int, ...], near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Walk the tool's position and wanted rotation straight from home; each sample in steps of its own."""
         n, home = len(tool.position), self._home_tool
-        turn = log_of(np.moveaxis(tool.rotation @ home.rotation[0].T, 0, 2))
-        away = np.linalg.norm(tool.position - home.position, axis=1).max(initial=0.0) / self.scale
-        steps = int(np.ceil(min(max(away, np.abs(turn).max(initial=0.0)) / _WAY, 100.0)))
-        q = np.repeat(self.rods.robot.home[None], n, axis=0)
-        rotation = np.repeat(home.rotation, n, axis=0)
-        for share in np.linspace(0, 1, steps + 1)[1:]:
-            wanted = np.moveaxis(turned_by(share * turn, np.repeat(np.moveaxis(home.rotation, 0, 2), n, axis=2)), 2, 0)
-            here = Poses(home.position + share * (tool.position - home.position), wanted)
-            q, rotation = self.newton(here, q, rotation)
+        turn = log_of(np.moveaxis(tool.rotation @ home.rotation[0].T, 0, 2)) * bool(self._turns)
+        away = np.linalg.norm(tool.position - home.position, axis=1) / self.scale
+        steps = np.clip(np.ceil(np.maximum(away, np.abs(turn).max(axis=0)) / _WAY), 1, _STEPS)
+        q, rotation = np.repeat(self.rods.robot.home[None], n, axis=0), np.repeat(home.rotation, n, axis=0)
+        for step in range(1, int(steps.max(initial=1.0))):
+            on = np.flatnonzero((step < steps) & np.isfinite(q[:, 0]))
+            if not on.size:
+                break
+            share = step / steps[on]
+            wanted = turned_by(share * turn[:, on], np.repeat(np.moveaxis(home.rotation, 0, 2), len(on), axis=2))
+            place = home.position + share[:, None] * (tool.position[on] - home.position)
+            here = Poses(place, np.moveaxis(wanted, 2, 0))
+            q[on], rotation[on] = self.newton(here, q[on], rotation[on], near[on], rounds=3)
         return q, rotation
 
-    def _step(self, tool: Poses, q: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _step(
+        self, tool: Poses, q: np.ndarray, rotation: np.ndarray, toward: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the largest gap (N,) [m], the turn (N, 3) and the actuated step (N, na)."""
-        rods = self.rods
-        plate = rods.plate_poses(Poses(tool.position, rotation))
-        gap = rods.gap(q, plate)
-        by_pose = rods.gap_by_pose(q, plate)
-        arm = plate.rotation @ rods.tool.translation
-        by_turn = by_pose[:, :, 3:] + np.cross(by_pose[:, :, :3], arm[:, None])
-        C = np.concatenate([by_turn, rods.gap_by_q(q, plate)], axis=2)
+        numbers, qt = self.rods.numbers, q.T
+        points = chain_points.points(numbers.joints, numbers.carried, qt)
+        lengths = geometry.leg_lengths(numbers, qt)
+        at = rows(points, self._local, lengths**2, Plate(tool.position.T, np.moveaxis(rotation, 0, 2)))
+        f = (np.stack(at.f) / lengths).T
+        C = np.empty((len(q), self.rods.n, self._turns + self.rods.na))
+        if self._turns:
+            C[:, :, :3] = -np.stack(at.moment).transpose(2, 0, 1)
+        C[:, :, self._turns :] = geometry.closure_by_q(numbers, qt, points, at.d).transpose(2, 0, 1)
+        C /= np.broadcast_to(lengths, (self.rods.n, len(q))).T[:, :, None]
         if C.shape[1] == C.shape[2]:
-            y = _solved(C, -gap)
+            y = solved(C, -f)
         else:
-            wish = log_of(np.moveaxis(tool.rotation @ np.swapaxes(rotation, 1, 2), 0, 2)).T
-            y = _constrained(C, -gap, wish)
-        return np.abs(gap).max(axis=1), y[:, :3], y[:, 3:]
+            y = self._chosen(C, f, tool.rotation, rotation, toward - q)
+        w = y[:, :3] if self._turns else np.zeros((len(q), 3))
+        return np.abs(f).max(axis=1), w, y[:, self._turns :]
 
-
-def _solved(C: np.ndarray, right: np.ndarray) -> np.ndarray:
-    try:
-        return np.linalg.solve(C, right[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        return np.einsum("nij,nj->ni", np.linalg.pinv(C, rcond=1e-10), right)
-
-
-def _constrained(C: np.ndarray, right: np.ndarray, wish: np.ndarray) -> np.ndarray:
-    """Return `y` with `C y = right` whose first three entries are nearest to a wish."""
-    u, s, vt = np.linalg.svd(C)
-    rank = s.shape[1]
-    kept = s > 1e-10 * s[:, :1]
-    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=kept)
-    y = np.einsum("nki,nk->ni", vt[:, :rank], inverse * np.einsum("nik,ni->nk", u[:, :, :rank], right))
-    free = np.swapaxes(vt[:, rank:], 1, 2)
-    z = np.einsum("nij,nj->ni", np.linalg.pinv(free[:, :3], rcond=1e-9), wish - y[:, :3])
-    return y + np.einsum("nij,nj->ni", free, z)
+    def _chosen(
+        self, C: np.ndarray, f: np.ndarray, wanted: np.ndarray, rotation: np.ndarray, away: np.ndarray
+    ) -> np.ndarray:
+        """Return the step that closes, turns towards the rotation wanted, and idles towards the start."""
+        turning = np.zeros((len(C), self._turns, C.shape[2]))
+        turning[:, :, : self._turns] = np.eye(self._turns)
+        wish = log_of(np.moveaxis(wanted @ np.swapaxes(rotation, 1, 2), 0, 2)).T[:, : self._turns]
+        pull = np.zeros((len(C), C.shape[2]))
+        if self.idle:
+            vt = np.linalg.svd(C[:, :, self._turns :] * self._unit)[2][:, -self.idle :]
+            pull[:, self._turns :] = self._unit * np.einsum("nki,nkj,nj->ni", vt, vt, away / self._unit)
+        return least_motion(C, f, turning, wish, self._weight, pull, _SOFT)

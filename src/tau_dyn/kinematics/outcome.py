@@ -58,6 +58,7 @@ class Inverse:
             freedoms for the orientation asked for.
         culprit: Actuated joints to blame, '' for none (N,).
         unlimited: Positions before joint limits were looked at (N, na).
+        rotation: Rotation that the tool takes there (N, 3, 3), the one asked for where the robot can; nan without `unlimited`.
     """
 
     q: np.ndarray
@@ -66,6 +67,7 @@ class Inverse:
     orientation_error: np.ndarray
     culprit: np.ndarray
     unlimited: np.ndarray = field(repr=False)
+    rotation: np.ndarray = field(repr=False)
 
     @property
     def ok(self) -> np.ndarray:

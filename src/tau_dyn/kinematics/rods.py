@@ -17,6 +17,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import chains, geometry
 from tau_dyn.kinematics.chains import Carried, ChainJoint
 from tau_dyn.kinematics.geometry import Numbers
+from tau_dyn.kinematics.home_pose import pose_at_home
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.recognise import Found, NotRods, recognise
 from tau_dyn.parameters import Parameters
@@ -36,10 +37,10 @@ class Rods:
         on_plate: Points B in the plate's frame (n, 3) [m].
         plate: Plate link.
         translates: Whether the plate keeps `rotation` (simplified arms).
-        rotation: Rotation (3, 3) of the plate at home.
+        rotation: Rotation (3, 3) of the plate at home with the file's geometry.
         tool: Tool frame in the plate's.
         geometry: All geometric parameters.
-        home: Pose of the plate at the nominal robot's home (1 sample).
+        nominal_home: Pose of the plate at home with the file's geometry (1 sample).
         numbers: The same geometry as arrays.
     """
 
@@ -52,8 +53,17 @@ class Rods:
     rotation: np.ndarray
     tool: pin.SE3
     geometry: Parameters
-    home: Poses
+    nominal_home: Poses
     numbers: Numbers
+
+    @cached_property
+    def home(self) -> Poses:
+        """Pose of the plate at home (1 sample), with this geometry.
+
+        Raises:
+            LoopClosureError: With this geometry the rods cannot be closed at home.
+        """
+        return pose_at_home(self, self.nominal_home)
 
     @property
     def n(self) -> int:
@@ -142,7 +152,7 @@ class Rods:
         return out
 
     def with_geometry(self, parameters: Parameters) -> Rods:
-        """Return the robot at other values of some or all geometric parameters."""
+        """Return the robot at other values of some or all geometric parameters; `home` follows."""
         numbers = geometry.with_values(self.numbers, parameters)
         given = {p.name: {"value": p.value, "stderr": p.stderr, "origin": p.origin} for p in parameters}
         return replace(
@@ -197,7 +207,7 @@ def build_rods(robot: Robot) -> Rods:
         rotation=home.rotation[0],
         tool=found.tool,
         geometry=geometry.parameters_of(numbers),
-        home=home,
+        nominal_home=home,
         numbers=numbers,
     )
 

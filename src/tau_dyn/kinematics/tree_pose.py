@@ -1,9 +1,7 @@
 r"""Kinematics of any tree with loops: a serial arm, a plate with joints of its own, a planar mechanism, a wrist on a plate.
 
-Forward: the loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off. Inverse: Newton on the actuated
-joints with the tool's Jacobian `J = J_tree G`, orientation in the null space of position, so that a robot with fewer than
-six freedoms takes the position asked for and comes as near to the orientation as it can. Reference: Siciliano et al.
-2009, ch. 3.5 and 3.7.
+The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse is
+`tree_newton.py`. Reference: Siciliano et al. 2009, ch. 3.
 """
 
 from __future__ import annotations
@@ -13,19 +11,12 @@ import numpy as np
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.kinematics.loop_arrays import Closed, LoopArrays
 from tau_dyn.kinematics.loops import LoopSolver
-from tau_dyn.kinematics.outcome import NO_CONVERGENCE, NOT_A_NUMBER, OK, OUT_OF_REACH
-from tau_dyn.kinematics.plate_arrays import log_of
+from tau_dyn.kinematics.outcome import NOT_A_NUMBER, OK, OUT_OF_REACH
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.tree_arrays import cross, joints_of, motion, point, times
+from tau_dyn.kinematics.tree_arrays import Frames, cross, frames, joints_of, motion, point, times
 from tau_dyn.robot import Robot
 
 _BLOCK = 1024
-_STEP = 0.3  # [m or rad] largest actuated step of the inverse
-_ROUNDS = 60
-_DONE = 1e-13  # [m or rad]
-_SMALL = 1e-6  # [m or rad] where a step that is cut again and again ends
-_REACHED = 1e-9  # [m]
-_RANK = 1e-7
 
 
 class TreePose:
@@ -49,8 +40,8 @@ class TreePose:
         self.loops = LoopArrays(LoopSolver(robot), joints)
         frame = robot.model.frames[robot.tool_frame]
         self._joint, self._tool = int(frame.parentJoint), frame.placement
-        self._carriers = robot.model.supports[self._joint].tolist()[1:]
-        self._by_index = {joint.index: joint for joint in joints}
+        carrying = robot.model.supports[self._joint].tolist()[1:]
+        self.carriers = [joint for joint in joints if joint.index in carrying]
 
     def forward(self, q: np.ndarray, start: Poses | None = None) -> tuple[Poses, np.ndarray]:
         """Return the tool's poses and codes at `q` (N, na), in home's assembly mode."""
@@ -77,21 +68,31 @@ class TreePose:
 
     def pose(self, closed: Closed) -> Poses:
         """Return the tool's poses."""
-        position = point(closed.at, self._joint, self._tool.translation)
-        rotation = times(closed.at.rotation[self._joint], self._tool.rotation)
-        return Poses(position.T.copy(), np.moveaxis(rotation, 2, 0).copy())
+        return self.pose_of(closed.at)
+
+    def pose_of(self, at: Frames) -> Poses:
+        """Return the tool's poses where the joints are."""
+        rotation = times(at.rotation[self._joint], self._tool.rotation)
+        return Poses(self.place_of(at).T.copy(), np.moveaxis(rotation, 2, 0).copy())
+
+    def pose_at(self, x: np.ndarray) -> Poses:
+        """Return the tool's poses at all joints' positions (nv, N)."""
+        return self.pose_of(frames(self.joints, x))
+
+    def place_of(self, at: Frames) -> np.ndarray:
+        """Return the tool's positions (3, N) [m]."""
+        return point(at, self._joint, self._tool.translation)
 
     def jacobian(self, closed: Closed) -> np.ndarray:
         """Return the tool's twist per actuated velocity (N, 6, na), linear first, in world axes at the tool's origin."""
-        place = point(closed.at, self._joint, self._tool.translation)
+        place = self.place_of(closed.at)
         out = np.zeros((6, closed.G.shape[1], place.shape[1]))
-        for index in self._carriers:
-            joint = self._by_index[index]
-            z: np.ndarray = closed.at.axis[index]
+        for joint in self.carriers:
+            z: np.ndarray = closed.at.axis[joint.index]
             if joint.slides:
                 out[:3] += z[:, None] * closed.G[joint.v][None]
             else:
-                arm: np.ndarray = place - closed.at.origin[index]
+                arm: np.ndarray = place - closed.at.origin[joint.index]
                 out[:3] += cross(z, arm)[:, None] * closed.G[joint.v][None]
                 out[3:] += z[:, None] * closed.G[joint.v][None]
         return out.transpose(2, 0, 1)
@@ -109,56 +110,3 @@ class TreePose:
             linear = linear if term is None else linear + term
         angular = np.zeros_like(arm) if dw is None else dw
         return np.concatenate([linear, angular]).T
-
-    def inverse(self, poses: Poses, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return positions (N, na), codes, position errors and orientation errors, from starts (N, na)."""
-        q, code = start.copy(), np.full(len(start), NO_CONVERGENCE, np.int8)
-        errors = np.full((len(start), 2), np.nan)
-        sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
-        code[~sound] = NOT_A_NUMBER
-        left, last = np.flatnonzero(sound), np.zeros_like(q)
-        for _ in range(_ROUNDS):
-            keep, closures = [], self.closed(q, left) if left.size else []
-            for index, closed in closures:
-                step, error = self._step(closed, poses.take(index))
-                errors[index] = error
-                done = np.abs(step).max(axis=1) < _DONE * np.maximum(1.0, np.abs(q[index]).max(axis=1))
-                code[index[done]] = np.where(error[done, 0] < _REACHED, OK, OUT_OF_REACH)
-                q[index] += step
-                last[index] = step
-                keep.append(index[~done])
-            open_ = np.setdiff1d(left, np.concatenate([i for i, _ in closures])) if closures else left
-            q[open_] -= 0.75 * last[open_]  # the loops do not close there: a quarter of the step
-            last[open_] *= 0.25
-            keep.append(open_[np.abs(last[open_]).max(axis=1, initial=0.0) > _SMALL])
-            left = np.concatenate(keep)
-            if not left.size:
-                break
-        near = (code == NO_CONVERGENCE) & (errors[:, 0] < _REACHED)
-        code[near] = OK
-        code[(code == NO_CONVERGENCE) & sound] = OUT_OF_REACH
-        q[code != OK] = np.nan
-        return q, code, errors[:, 0], errors[:, 1]
-
-    def _step(self, closed: Closed, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
-        """Return actuated steps (N, na) and the errors of position and orientation (N, 2)."""
-        at, J = self.pose(closed), self.jacobian(closed)
-        away = poses.position - at.position
-        turn = log_of(np.moveaxis(poses.rotation @ np.swapaxes(at.rotation, 1, 2), 0, 2)).T
-        first = _inverse(J[:, :3], J[:, :3])
-        step = np.einsum("nai,ni->na", first, away)
-        free = np.eye(J.shape[2]) - first @ J[:, :3]
-        turning = J[:, 3:] @ free
-        rest = turn - np.einsum("nia,na->ni", J[:, 3:], step)
-        step = step + np.einsum("nab,nbi,ni->na", free, _inverse(turning, J[:, 3:]), rest)
-        size = np.abs(step).max(axis=1, keepdims=True)
-        step = step * np.minimum(1.0, _STEP / np.maximum(size, 1e-300))
-        return step, np.stack([np.linalg.norm(away, axis=1), np.linalg.norm(turn, axis=1)], axis=1)
-
-
-def _inverse(J: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """Return pseudo-inverses (N, c, r) of matrices (N, r, c), without directions that are rounding beside the whole Jacobian."""
-    u, s, vt = np.linalg.svd(J, full_matrices=False)
-    floor = _RANK * np.linalg.norm(whole, axis=(1, 2))[:, None]
-    weight = np.divide(1.0, s, out=np.zeros_like(s), where=s > floor)
-    return np.swapaxes(vt, 1, 2) * weight[:, None] @ np.swapaxes(u, 1, 2)

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from tau_dyn.kinematics.pose_table import PoseTable
 from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.terminal import bare_table, put, say
+from tau_dyn.report.terminal import MARGIN, bare_table, plain, put, room, say
 
 _ROWS_SHOWN = 200
 _ROWS_PRINTED = 12
@@ -24,7 +25,10 @@ def kinematics_page(table: PoseTable, *, command_line: str = "") -> str:
     """
     answered, rows = int(table.ok.sum()), len(table.q)
     level = "good" if answered == rows else "care"
-    badge = "All rows answered" if answered == rows else f"{rows - answered} without answer"
+    badge = (
+        "Answered" if answered == rows == 1 else "All rows answered" if answered == rows else f"{rows - answered} not"
+    )
+    shown = _shown(table)
     return render(
         "kinematics.html.j2",
         f"{table.robot.name}: {_title(table).lower()}",
@@ -34,11 +38,35 @@ def kinematics_page(table: PoseTable, *, command_line: str = "") -> str:
         command_line=command_line,
         kicker=_title(table),
         name=table.robot.name,
-        heads=_heads(table),
-        rows=[_cells(table, k) for k in range(min(rows, _ROWS_SHOWN))],
+        single=_single(table) if rows == 1 else [],
+        heads=[_heads(table)[k] for k in shown],
+        rows=[[_cells(table, k, "{:.5f}")[c] for c in shown] for k in range(min(rows, _ROWS_SHOWN))],
         more=max(0, rows - _ROWS_SHOWN),
         assumed=table.robot.assumed,
     )
+
+
+def _shown(table: PoseTable) -> list[int]:
+    """Return the page's columns, what is told first; reasons only where there are some."""
+    heads = _heads(table)
+    why = heads.index("why not")
+    kept = [k for k, head in enumerate(heads) if head in ("pose", "row", "signs")]
+    rest = [k for k in range(len(heads)) if k not in (*kept, why)]
+    return [*kept, *([] if table.ok.all() else [why]), *rest]
+
+
+def _single(table: PoseTable) -> list[tuple[str, str, str, str]]:
+    """Return one answer as rows: name, value, unit, and the limits of a joint."""
+    robot = table.robot
+    rows = [
+        (name, _number(x), unit, f"{low:.6g} to {high:.6g}")
+        for name, x, unit, low, high in zip(
+            robot.actuated, table.q[0], robot.position_units, robot.lower, robot.upper, strict=True
+        )
+    ]
+    tool = [(f"tool {axis}", _number(x), "m", "") for axis, x in zip("xyz", table.position[0], strict=True)]
+    tool += [(f"tool q{axis}", _number(x), "", "") for axis, x in zip("xyzw", table.quaternion[0], strict=True)]
+    return [*rows, *tool] if table.inverse else [*tool, *rows]
 
 
 def print_poses(console: Console, table: PoseTable, written: Mapping[str, str] | None = None) -> None:
@@ -54,32 +82,53 @@ def print_poses(console: Console, table: PoseTable, written: Mapping[str, str] |
     if len(table.q) == 1:
         _print_one(console, table)
     else:
-        printed = bare_table()
-        heads = _heads(table)
-        wanted = [k for k, head in enumerate(heads) if head not in ("qx", "qy", "qz", "qw")]  # the table has them
-        for k in wanted:
-            printed.add_column(heads[k], justify="left" if heads[k] == "why not" else "right")
-        for row in range(min(len(table.q), _ROWS_PRINTED)):
-            cells = _cells(table, row, "{:.4f}")
-            printed.add_row(*(cells[k] for k in wanted))
-        put(console, printed)
+        for part in _parts(table, room(console)):
+            put(console, part)
         if len(table.q) > _ROWS_PRINTED:
             say(console, f"and {len(table.q) - _ROWS_PRINTED} rows more; --out FILE.csv writes them all", "dim")
     if written:
         say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
 
 
+def _parts(table: PoseTable, width: int) -> list[Table]:
+    """Return the first rows as tables no wider than the terminal; every one begins with the row's number."""
+    heads, shown = _heads(table), min(len(table.q), _ROWS_PRINTED)
+    cells = [_cells(table, row, "{:.4f}") for row in range(shown)]
+    kept = [k for k, head in enumerate(heads) if head in ("pose", "row", "signs")]
+    joints = [k for k in range(len(kept), len(kept) + table.robot.na)]
+    place = [k for k, head in enumerate(heads) if head in ("x [m]", "y [m]", "z [m]")]
+    why = [] if table.ok.all() else [heads.index("why not")]
+    if table.inverse:  # the answer first; a pose that all rows share stands in the headline
+        wanted = [*joints, *why, *([] if len(np.unique(table.pose)) == 1 else place)]
+    else:
+        wanted = [*place, *why, *joints]
+    widths = [max(len(head), *(len(row[k]) for row in cells)) + 2 for k, head in enumerate(heads)]
+    parts: list[list[int]] = [[]]
+    for k in wanted:
+        used = sum(widths[i] for i in (*kept, *parts[-1])) + MARGIN[3]
+        if parts[-1] and used + widths[k] > width:
+            parts.append([])
+        parts[-1].append(k)
+    return [_part(heads, cells, [*kept, *part]) for part in parts]
+
+
+def _part(heads: list[str], cells: list[list[str]], columns: list[int]) -> Table:
+    printed = bare_table()
+    for k in columns:
+        printed.add_column(plain(heads[k]), justify="left" if heads[k] == "why not" else "right", no_wrap=True)
+    for row in cells:
+        printed.add_row(*(row[k] for k in columns))
+    return printed
+
+
 def _print_one(console: Console, table: PoseTable) -> None:
     """Print one row as a list."""
-    rows = bare_table()
-    for _ in range(3):
-        rows.add_column("", no_wrap=True)
-    for name, x, unit in zip(table.robot.actuated, table.q[0], table.robot.position_units, strict=True):
-        rows.add_row(name, _number(x), unit)
-    for name, x in zip(("x", "y", "z"), table.position[0], strict=True):
-        rows.add_row(f"tool {name}", _number(x), "m")
-    rows.add_row("quaternion", " ".join(_number(x) for x in table.quaternion[0]), "x y z w")
-    put(console, rows)
+    printed = Table.grid(padding=(0, 3, 0, 0))
+    for justify in ("left", "right", "left"):
+        printed.add_column(no_wrap=True, justify=justify)
+    for cells in _single(table):
+        printed.add_row(*(plain(cell) for cell in cells[:3]))
+    put(console, printed)
 
 
 def _title(table: PoseTable) -> str:
@@ -90,19 +139,18 @@ def _headline(table: PoseTable) -> str:
     rows, answered = len(table.q), int(table.ok.sum())
     if rows == 1:
         x, y, z = (f"{v:.6g}" for v in table.position[0])
-        return f"The tool is at ({x}, {y}, {z}) m"
+        return f"The tool {'gets to' if table.inverse else 'is at'} ({x}, {y}, {z}) m"
     if table.configuration.any():
-        return f"{rows} solutions for {_poses(len(np.unique(table.pose)))}, {answered} within the joint limits"
+        poses = len(np.unique(table.pose))
+        x, y, z = (f"{v:.6g}" for v in table.position[0])
+        asked = f"1 pose, ({x}, {y}, {z}) m" if poses == 1 else f"{poses} poses"
+        return f"{rows} solutions for {asked}: {answered} within the joint limits"
     return f"{answered} of {rows} {'poses can be reached' if table.inverse else 'positions have a pose'}"
 
 
 def _summary(table: PoseTable) -> str:
     mode = "all configurations" if table.configuration.any() else "home's configuration and assembly mode"
     return f"{_title(table)} of {table.robot.name}, {mode}; tool in the world frame."
-
-
-def _poses(n: int) -> str:
-    return "1 pose" if n == 1 else f"{n} poses"
 
 
 def _heads(table: PoseTable) -> list[str]:
