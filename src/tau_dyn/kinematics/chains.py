@@ -136,9 +136,8 @@ def velocities(
     for k, carrier in enumerate(carried.carrier):
         for index in path(joints, carrier):
             joint, here = joints[index], at[index]
-            if joint.slides:
-                column = here.direction
-            else:
+            column: np.ndarray = here.direction
+            if not joint.slides:
                 column = cross(np.broadcast_to(here.direction, places[k].shape), places[k] - here.origin)
             key = (k, joint.actuator)
             found[key] = found[key] + column if key in found else column
