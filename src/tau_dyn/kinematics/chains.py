@@ -138,7 +138,9 @@ def velocities(
             joint, here = joints[index], at[index]
             column: np.ndarray = here.direction
             if not joint.slides:
-                column = cross(np.broadcast_to(here.direction, places[k].shape), places[k] - here.origin)
+                arm: np.ndarray = places[k] - here.origin
+                axis: np.ndarray = np.broadcast_to(here.direction, arm.shape)
+                column = cross(axis, arm)
             key = (k, joint.actuator)
             found[key] = found[key] + column if key in found else column
     return found
