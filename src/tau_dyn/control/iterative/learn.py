@@ -1,0 +1,81 @@
+r"""Iterative learning control: repeat a motion, and add to its reference what the last error asks for (thesis chapter 7)."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from tau_dyn.control.iterative.convergence import convergence, require
+from tau_dyn.control.iterative.law import Law
+from tau_dyn.control.iterative.learning import Learning
+from tau_dyn.control.iterative.reference import Reference
+from tau_dyn.control.iterative.sides import Measured
+from tau_dyn.exceptions import InputError
+
+
+class Plant(Protocol):
+    """A robot with its controller, or a simulation of both: `simulate.LearningPlant`."""
+
+    @property
+    def dt(self) -> float:
+        """Step of references and sensors [s]."""
+        ...
+
+    def run(self, reference: np.ndarray, trial: int) -> Measured:
+        """Move along actuator references (N, na), from rest, and return what the sensors showed."""
+        ...
+
+
+def learn(
+    plant: Plant,
+    motion: Reference,
+    law: Law,
+    iterations: int = 10,
+    *,
+    monotone: bool = True,
+    limit: float | None = None,
+    first_trial: int = 0,
+) -> Learning:
+    """Learn a motion.
+
+    Args:
+        plant: What moves.
+        motion: What is repeated.
+        law: How errors become corrections.
+        iterations: Trials with a correction; one without goes before.
+        monotone: Refuse a law that converges, but not in every single iteration, (7.16).
+        limit: Largest correction that may be sent [m or rad]; by default the size of the motion.
+        first_trial: Number of the first trial; another one meets other disturbances.
+
+    Raises:
+        InputError: The law would not converge, sampling steps differ, or a correction is larger than the limit.
+    """
+    if abs(plant.dt - motion.dt) > 1e-9 * motion.dt:
+        raise InputError(
+            f"the robot takes references every {1000 * plant.dt:g} ms, the motion has one every {1000 * motion.dt:g} ms"
+        )
+    if iterations < 1:
+        raise InputError("learning takes at least one iteration")
+    before = convergence(law, motion)
+    require(before, monotone=monotone)
+    wanted = law.side.reference(motion)
+    allowed = float(np.ptp(wanted, axis=0).max()) if limit is None else limit
+    u = np.zeros_like(wanted)
+    kept: list[tuple[np.ndarray, ...]] = []
+    for k in range(iterations + 1):
+        _require_small(u, allowed, k)
+        trial = plant.run(law.side.commands(motion, u), first_trial + k)
+        error = wanted - law.side.estimate(trial)
+        kept.append((u, error, motion.q - trial.q, motion.tool - trial.tool))
+        u = law.update(motion, u, error)
+    return Learning(motion, before, *(np.array(part) for part in zip(*kept, strict=True)))
+
+
+def _require_small(u: np.ndarray, allowed: float, k: int) -> None:
+    size = float(np.abs(u).max(initial=0.0))
+    if not size <= allowed:
+        raise InputError(
+            f"iteration {k} asks for a correction of {size:.3g}, more than the {allowed:.3g} allowed; the robot does not do what "
+            "its model says, or the limit is too low"
+        )

@@ -1,0 +1,189 @@
+r"""A stationary Kalman filter for the tool's position on an identified model (thesis 7.19 to 7.22).
+
+The input is the tool computed from the actuators, z_c; measured is the tool's acceleration y. With the extended model of (7.21)
+and the prediction error covariance P from the Riccati equation,
+
+    M = P Cy' S^-1,  S = Cy P Cy' + R2,    x(t|t) = x(t|t-1) + M (y - Cy x(t|t-1)),    z(t) = Cz x(t|t).
+
+The thesis' (7.22) gives out `Cz x(t|t-1)`, the estimate before the present measurement; its gain is `K = A M`.
+
+Process noise. The thesis takes `R1 = r I`, which means something else in any other coordinates of the states, and treats
+position, velocity and acceleration of the tool as if disturbed independently. Here unknown forces disturb the states: they change
+velocities, so the position moves one step later, and velocity and acceleration follow by the same differences. Of all
+directions in state space, weighted as the input reaches them, those without an immediate change of position are taken:
+`R1 = r E G G' E'`, where `r` is the mean square of what one step's force does to the position by the next step [m^2].
+Reference: Astrom & Wittenmark 1997, ch. 11; Anderson & Moore 1979, Optimal Filtering, ch. 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import null_space, solve_discrete_are, solve_discrete_lyapunov
+
+from tau_dyn.control.iterative.lifted import Operator, convolution, pulse_response
+from tau_dyn.control.observers.extended import Extended, extended
+from tau_dyn.exceptions import InputError
+from tau_dyn.modes.state_space import StateSpace
+
+
+@dataclass(frozen=True, eq=False)
+class KalmanToolObserver:
+    """Tool positions from positions computed by forward kinematics and an accelerometer.
+
+    Attributes:
+        model: From computed to true tool positions, (6.13); it speaks of deviations from rest.
+        process: `r` above [m^2], or a whole covariance of the extended states (n, n).
+        measurement: R2, variance of the accelerometer [(m/s^2)^2]: a number or a matrix (p, p).
+        aligned: Compare the acceleration state with the sample it belongs to, the one before; False does as (7.21) is printed.
+        predict: Give out the prediction, as (7.22) does, instead of the estimate that knows the present measurement.
+    """
+
+    model: StateSpace
+    process: float | np.ndarray
+    measurement: float | np.ndarray
+    aligned: bool = True
+    predict: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse covariances that are none, models with unlike inputs and outputs."""
+        if self.model.B.shape[1] != len(self.model.C):
+            raise InputError("the observer's model goes from computed to true tool positions, the same axes in and out")
+        if not (np.linalg.eigvalsh(self.R1).min() >= -1e-9 * np.abs(self.R1).max() and np.all(np.isfinite(self.R1))):
+            raise InputError("the process noise must be a covariance: symmetric, finite, not negative")
+        if not np.linalg.eigvalsh(self.R2).min() > 0:
+            raise InputError("the accelerometer's variance must be positive; a perfect sensor has none of this use")
+
+    @property
+    def dt(self) -> float:
+        """Sampling step [s]."""
+        return self.model.dt
+
+    @property
+    def axes(self) -> int:
+        """Number of tool directions."""
+        return len(self.model.C)
+
+    @cached_property
+    def extended(self) -> Extended:
+        """The model of (7.21)."""
+        return extended(self.model)
+
+    @cached_property
+    def R1(self) -> np.ndarray:
+        """Covariance of the process noise (n, n)."""
+        n = len(self.extended.A)
+        given = np.asarray(self.process, float)
+        if given.ndim == 0:
+            return float(given) * disturbance_shape(self.extended)
+        if given.shape != (n, n):
+            raise InputError(f"the process noise is a number or a matrix ({n}, {n}), not {given.shape}")
+        return given
+
+    @cached_property
+    def R2(self) -> np.ndarray:
+        """Covariance of the accelerometer (p, p)."""
+        given = np.asarray(self.measurement, float)
+        return float(given) * np.eye(self.axes) if given.ndim == 0 else given
+
+    @cached_property
+    def prediction_covariance(self) -> np.ndarray:
+        """P (n, n), the solution of the Riccati equation."""
+        e = self.extended
+        return np.asarray(solve_discrete_are(e.A.T, e.acceleration.T, self.R1, self.R2))
+
+    @cached_property
+    def innovation_covariance(self) -> np.ndarray:
+        """S (p, p)."""
+        Cy = self.extended.acceleration
+        return Cy @ self.prediction_covariance @ Cy.T + self.R2
+
+    @cached_property
+    def correction(self) -> np.ndarray:
+        """M (n, p): from an innovation to the states at its own sample."""
+        return np.linalg.solve(self.innovation_covariance, self.extended.acceleration @ self.prediction_covariance).T
+
+    @property
+    def gain(self) -> np.ndarray:
+        """K of (7.22) (n, p)."""
+        return self.extended.A @ self.correction
+
+    def estimate(self, kinematic: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """Return tool positions (N, m) [m], from the past alone.
+
+        Args:
+            kinematic: Tool positions computed from the actuators (N, m) [m]; the robot is at rest at the first sample.
+            acceleration: Of the tool, without gravity (N, m) [m/s^2].
+        """
+        return self.run(kinematic, acceleration)[0]
+
+    def run(self, kinematic: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return tool positions (N, m) [m] and innovations (N, m) [m/s^2]."""
+        u, y, rest = self._inputs(kinematic, acceleration)
+        e, M, late = self.extended, self.correction, not self.extended.ahead
+        before, after = np.zeros(len(e.A)), np.zeros(len(e.A))
+        z, innovations = np.empty_like(u), np.empty_like(u)
+        for k in range(len(u)):
+            if k or not late:
+                before = e.A @ after + e.B @ (u[k - 1] if late else u[k])
+            innovations[k] = y[k] - e.acceleration @ before
+            after = before + M @ innovations[k]
+            z[k] = e.position @ (before if self.predict else after)
+        return rest + z, innovations
+
+    def standard_error(self) -> np.ndarray:
+        """Return the estimate's standard deviation (m,) [m] if model and covariances are right."""
+        e, P = self.extended, self.prediction_covariance
+        P = P if self.predict else P - self.correction @ e.acceleration @ P
+        return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", e.position, P, e.position), 0))
+
+    def filters(self) -> tuple[StateSpace, StateSpace]:
+        """Return the observer as models from computed positions and from accelerations to estimates: F_y in (7.4)."""
+        e, M = self.extended, self.correction
+        n, m = len(e.A), self.axes
+        keep = np.eye(n) - M @ e.acceleration
+        # states after a measurement: x+ = keep (A x + B u) + M y
+        A, Bu = keep @ e.A, keep @ e.B
+        C, Du, Dy = e.position @ e.A, e.position @ e.B, np.zeros((m, m))
+        if not self.predict:
+            C, Du, Dy = e.position @ A, e.position @ Bu, e.position @ M
+        K = np.zeros((n, m))
+        by_position = StateSpace(A, Bu, C, Du, K, self.dt, 0 if e.ahead else 1)
+        return by_position, StateSpace(A, M, C, Dy, K, self.dt, 1 if self.aligned else 0)
+
+    def operators(self, n: int) -> tuple[Operator, Operator]:
+        """Return the estimate's (m n, m n) from positions and from accelerations, channel after channel: F_y in (7.7)."""
+        slow, fast = (convolution(pulse_response(f, n)) for f in self.filters())
+        return slow, fast
+
+    def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the same as responses (F, m, m) at frequencies (F,) [Hz]."""
+        slow, fast = (f.frequency_response(frequency) for f in self.filters())
+        return slow, fast
+
+    def _inputs(self, kinematic: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if kinematic.shape != acceleration.shape or kinematic.shape[1:] != (self.axes,) or len(kinematic) < 2:
+            raise InputError(
+                f"an observer of {self.axes} axes takes positions and accelerations (N, {self.axes}), "
+                f"not {kinematic.shape} and {acceleration.shape}"
+            )
+        if not (np.isfinite(kinematic).all() and np.isfinite(acceleration).all()):
+            raise InputError("positions or accelerations hold a number that is not finite")
+        y = np.vstack([np.zeros((1, self.axes)), acceleration[:-1]]) if self.aligned else acceleration
+        return kinematic - kinematic[0], y, kinematic[0]
+
+
+def disturbance_shape(model: Extended) -> np.ndarray:
+    """Return E G G' E' (n, n): what unknown forces of size 1 do to the extended states in a step."""
+    n0 = model.disturbed.shape[1]
+    A, B, C = model.A[:n0, :n0], model.B[:n0], model.position[:, :n0]
+    W = np.asarray(solve_discrete_lyapunov(A, B @ B.T))
+    values, vectors = np.linalg.eigh((W + W.T) / 2)
+    reached = vectors * np.sqrt(np.maximum(values, 0))
+    G = reached @ null_space(C @ reached)
+    moved = C @ A @ G
+    GG = G @ G.T / np.mean(np.sum(moved**2, axis=1))
+    shape = model.disturbed @ GG @ model.disturbed.T
+    return (shape + shape.T) / 2
