@@ -27,7 +27,7 @@ _CLOSED = 1e-10  # [m]
 _ROUGH = 1e-2  # [m] what may stay open on a way
 _STEPS = 12  # on the way from home
 _DAMPING = 1e-4  # what a joint's motion costs beside a turn of the tool
-_SOFT = 1e-5
+_SOFT = 1e-6  # its square times what the orientation pulls with is what the closure is off by
 _IDLE = 1e-7
 
 
