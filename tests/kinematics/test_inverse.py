@@ -22,7 +22,7 @@ from tau_dyn.kinematics import (
 )
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, chains_of
 from tau_dyn.kinematics.inverse import nearest_configuration
-from tau_dyn.robot import load_robot
+from tau_dyn.robot import load_robot, robot_from_urdf
 
 ROBOTS = [
     ("gantry_tau", {}, 0.4),
@@ -263,3 +263,17 @@ def test_what_forward_kinematics_reaches_is_never_given_up(name, arguments, rng)
     found = inverse_kinematics(robot, forward.poses.take(homes), limits=False)
     assert found.ok.all()
     assert_allclose(found.q, q[homes], atol=1e-9)
+
+
+def test_a_planar_arm_closes_whatever_orientation_is_asked(write, rng):
+    """Two hinges place the tool and cannot turn it as asked: the position is met to 1e-10 m all the same."""
+    urdf = write.two_link()
+    last = robot_from_urdf(urdf, "arm").links[-1].link
+    tool = f'<joint name="tool" type="fixed"><origin xyz="0.3 0 0"/><parent link="{last}"/><child link="tool_link"/></joint>'
+    arm = robot_from_urdf(urdf.replace("</robot>", f'<link name="tool_link"/>{tool}</robot>'), "arm")
+    q = arm.home + rng.uniform(0.3, 1.0, (40, arm.na))
+    there = forward_kinematics(arm, q).poses
+    turned = Poses(there.position, Rotation.from_rotvec([0.4, 1.0, 2.0]).as_matrix() @ there.rotation)
+    found = inverse_kinematics(arm, turned, start=q + 0.02, limits=False)
+    assert found.ok.all()
+    assert_allclose(forward_kinematics(arm, found.q).poses.position, there.position, atol=1e-10)

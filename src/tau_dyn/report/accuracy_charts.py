@@ -98,7 +98,10 @@ def growth_chart(found: AccuracyResult) -> Markup:
     if not seen.size:
         return Markup("")
     low, high = 1e-3, max(1.0, 1.3 * float(seen.max()))
-    log = lambda x: np.log10(np.clip(x, low, high))  # noqa: E731
+
+    def log(x: np.ndarray | float) -> np.ndarray:
+        return np.log10(np.clip(x, low, high))
+
     chart = LogChart(520, 300, (float(g.factors[0]), float(g.factors[-1])), (float(log(low)), float(log(high))),
                      "all errors enlarged, worst pose", "times the stated errors", "off by [10ˣ %]")  # fmt: skip
     lines = [chart.line(g.factors, np.where(np.isfinite(c), log(c), np.nan), COMPARED[m]) for m, c in curves.items()]

@@ -11,7 +11,7 @@ from tau_dyn.calibrate.candidates import Candidate
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.report.modes_svg import log_ticks
 from tau_dyn.report.robot_picture import project
-from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, TOP, Chart, label, padded, tag, ticks
+from tau_dyn.report.svg import BOTTOM, LEFT, TOP, Chart, padded, tag
 
 _ARROW = 0.13
 """Length of the largest error vector, as a share of the picture."""
@@ -27,23 +27,14 @@ class LogErrors(Chart):
         at = np.log10(np.maximum(np.asarray(value, float), 1e-300))
         return self.height - BOTTOM - (at - low) / (high - low) * (self.height - TOP - BOTTOM)
 
-    def _axes(self) -> Markup:
-        bottom, right = self.height - BOTTOM, self.width - RIGHT
-        pieces = [
-            tag("text", self.title, x=right, y=12, text_anchor="end", class_="name"),
-            tag("text", self.ylabel, x=LEFT - 40, y=12, class_="axis-name"),
-            tag("text", self.xlabel, x=right, y=self.height - 3, text_anchor="end", class_="axis-name"),
-        ]
-        for value in ticks(*self.xlim, about=max(3, self.width // 110)):
-            at = float(self.x(value))
-            pieces.append(tag("path", d=f"M{at:.1f} {TOP}V{bottom}", class_="grid"))
-            pieces.append(tag("text", label(value, self.xlim), x=at, y=bottom + 14, text_anchor="middle"))
+    def _levels(self, right: int) -> list[Markup]:
+        pieces = []
         for value, named in log_ticks(*self.ylim, most=max(3, self.height // 40)):
             at = float(self.y(value))
             pieces.append(tag("path", d=f"M{LEFT} {at:.1f}H{right}", class_="grid"))
             if named:
                 pieces.append(tag("text", f"{value:.4g}", x=LEFT - 6, y=at + 3.5, text_anchor="end"))
-        return Markup("").join(pieces)
+        return pieces
 
 
 def error_chart(found: Calibration, *, turned: bool = False) -> Markup:

@@ -118,11 +118,16 @@ class Chart:
             at = float(self.x(value))
             pieces.append(tag("path", d=f"M{at:.1f} {TOP}V{bottom}", class_="grid"))
             pieces.append(tag("text", label(value, self.xlim), x=at, y=bottom + 14, text_anchor="middle"))
+        return Markup("").join([*pieces, *self._levels(right)])
+
+    def _levels(self, right: int) -> list[Markup]:
+        """Return the horizontal lines and what they are called."""
+        pieces = []
         for value in ticks(*self.ylim, about=max(2, self.height // 45)):
             at = float(self.y(value))
             pieces.append(tag("path", d=f"M{LEFT} {at:.1f}H{right}", class_="zero" if value == 0 else "grid"))
             pieces.append(tag("text", label(value, self.ylim), x=LEFT - 6, y=at + 3.5, text_anchor="end"))
-        return Markup("").join(pieces)
+        return pieces
 
 
 def label(value: float, limits: tuple[float, float]) -> str:
