@@ -152,9 +152,10 @@ class Compliance(Form):
     def draw(cls, rig: Rig, places: Places, rng: np.random.Generator) -> Self:
         """Draw a joint, the load's share of its inertia and its damping."""
         j = one(rig, rng)
-        inertia = float(rig.inertia(rig.robot.home[None])[0, j, j]) * float(rng.uniform(0.3, 0.8))
+        whole = float(rig.inertia(rig.robot.home[None])[0, j, j])
+        inertia = whole * float(rng.uniform(0.3, 0.8))
         soft = 1 / (inertia * (2 * np.pi * 7.0) ** 2)  # softer ones would swing below 7 Hz
-        return cls((j,), {"inertia": inertia, "damping": log_uniform(rng, 0.02, 0.08)}, soft)
+        return cls((j,), {"inertia": inertia, "damping": log_uniform(rng, 0.02, 0.08), "whole": whole}, soft)
 
     def act(self, run: Recording, amplitude: float) -> Recording:
         """Return the run with the swinging load's force."""
@@ -165,9 +166,14 @@ class Compliance(Form):
         return run.plus(run.column(j, m * swing[:: run.step]))
 
     def truth(self, amplitude: float) -> dict[str, float]:
-        """Return the compliance and the frequency [Hz]."""
-        w = np.sqrt(1 / (amplitude * self.inner["inertia"]))
-        return {"compliance": amplitude, "frequency": w / (2 * np.pi)}
+        """Return the frequency [Hz] and the compliance that forces tell.
+
+        Well below resonance the motor feels `m^2 A` times the jerk's change, so that is all that forces know: a log at the motor says
+        as much of a softer spring with less behind it. With all inertia M behind it, as the cause has it, that is `A (m/M)^2`.
+        """
+        m, whole = self.inner["inertia"], self.inner["whole"]
+        frequency = float(np.sqrt(1 / (amplitude * m)) / (2 * np.pi))
+        return {"compliance": amplitude * (m / whole) ** 2, "frequency": frequency}
 
 
 DRIVE_FORMS: tuple[type[Form], ...] = (Ripple, Delay, DriveGain, TransmissionError, ReducerCoupling, Compliance)

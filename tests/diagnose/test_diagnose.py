@@ -218,3 +218,13 @@ def test_a_log_that_is_trained_on_does_not_confirm():
     assert "held-out" in found.how
     parts = {trace.log: set(np.unique(trace.part)) for trace in found.traces}
     assert parts["made.csv"] == {0} and parts["other.csv"] == {-1, 1, 2}
+
+
+def test_sharp_held_out_strokes_behind_a_slow_training_log_are_predicted_down_to_the_noise(monkeypatch):
+    """Positions of slow waves need a low-pass of 5 Hz; cut alike, strokes would lose accelerations of 20 N."""
+    monkeypatch.setattr(f"{__name__}.ENCODER_M", 2e-5)
+    t = np.arange(0, 60, 1 / RATE_HZ)
+    slow = driven(0.3 * np.sin(2 * np.pi * 0.31 * t) + 0.2 * np.sin(2 * np.pi * 0.83 * t + 1), name="slow.csv")
+    found = diagnose(axis, [slow], holdout=[recorded(name="sharp.csv", seed=4)])
+    assert found.verdict == "nothing_found"
+    assert found.baseline.rms[0] < NOISE_N

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.trials import DRAWS, Library, fit_group, groups, judge, try_all
+from tau_dyn.diagnose.trials import DRAWS, Fit, Library, fit_group, groups, judge, try_all
 from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
 
 CLEAN = 300
@@ -181,3 +181,16 @@ def test_what_the_motion_cannot_show_is_not_tried(make, rng):
     library = Library(replace(channel, scene=replace(channel.scene, fast=channel.scene.slow)))
     assert fit_group(library, ground, ground.draws(4, rng), Stribeck, ("x",)) is None
     assert try_all(library, ground, ground.draws(4, rng), [ThermalDrift, Stribeck], set()) == []
+
+
+def test_joints_that_are_late_alike_have_one_delay(one):
+    """One delay that explains what three do is one delay, though chance gives each joint's scatter another inflation."""
+    joints, units = ("x", "y", "z"), ("N", "N", "N")
+    whole = Fit(Delay(joints, units), 505.0, 1.4, 1, False, 1.5, np.ones(DRAWS))
+    alone = [
+        Fit(Delay((j,), ("N",)), T, 1.4, 1, False, inflation, np.ones(DRAWS))
+        for j, T, inflation in (("x", 189.0, 1.0), ("y", 87.0, 1.3), ("z", 233.0, 1.2))
+    ]
+    assert [fit.effect.joints for fit in judge("delay", [whole, *alone]).fits] == [joints]
+    apart = replace(whole, T=440.0)  # 69 less than three delays explain: they are not alike
+    assert len(judge("delay", [apart, *alone]).fits) == 3

@@ -24,7 +24,7 @@ from tau_dyn.diagnose.force import (
     force_channel,
     force_regression,
     prepared_pieces,
-    smooth_cutoff,
+    smooth_cutoffs,
     thinned_log,
 )
 from tau_dyn.diagnose.limits import limits_of
@@ -174,7 +174,7 @@ class _Case:
     channel: Channel
     physics: Physics
     preparation: Preparation
-    smooth_hz: float
+    smooth_hz: tuple[float, ...]
     clear_hz: float
     held: tuple[bool, ...]
     how: str
@@ -205,7 +205,7 @@ def _gather(
     preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
     progress("columns")
     pieces = [thinned_log(piece, preparation.position_cutoff_hz) for piece in (*train, *held)]
-    smooth_hz, clear_hz = smooth_cutoff(model.robot, train), clear_cutoff(model.robot, train)
+    smooth_hz, clear_hz = smooth_cutoffs(model.robot, train, held), clear_cutoff(model.robot, train)
     prepared = prepared_pieces(model, pieces, preparation, smooth_hz)
     regression = force_regression(model, prepared, preparation)
     physics = physics_of(model)

@@ -28,15 +28,15 @@ Remake = Callable[[Sequence[Log]], Channel]
 """Builds the channel of other logs as the first one was built: same filters, same parts, same baseline."""
 
 
-def noise_only(channel: ForceChannel, model: Model, smooth_hz: float, rng: np.random.Generator) -> list[Log]:
+def noise_only(channel: ForceChannel, model: Model, smooth_hz: Sequence[float], rng: np.random.Generator) -> list[Log]:
     """Return the logs as the fitted baseline would have made them, with fresh encoder noise and none in the forces."""
     found = []
     joints = channel.outputs
-    for piece in channel.prepared:
+    for piece, smooth in zip(channel.prepared, smooth_hz, strict=True):
         m, log = piece.motion, piece.log
         force = model.columns(model.motion(m.q, m.v, m.a, m.sign, t=m.t, signals=m.signals)) @ model.parameters.values
         read = log.joint("q", joints)
-        q = m.q if smooth_hz < piece.preparation.position_cutoff_hz else lowpass(read, smooth_hz, log.rate_hz)
+        q = m.q if smooth < piece.preparation.position_cutoff_hz else lowpass(read, smooth, log.rate_hz)
         q = q + encoder_noise(read) * rng.standard_normal(q.shape)
         step = quantisation_step(read)
         q = np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)

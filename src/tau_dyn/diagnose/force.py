@@ -163,6 +163,15 @@ def smooth_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     return SMOOTH_FACTOR * float(max(edges))
 
 
+def smooth_cutoffs(robot: Robot, train: Sequence[Log], held: Sequence[Log]) -> tuple[float, ...]:
+    """Return that low-pass [Hz] of each log: one for all that trains, at least as wide for what is held out.
+
+    A held-out log may move more sharply than those trained on; cut like them, it would lose acceleration that the robot had.
+    """
+    shared = smooth_cutoff(robot, train)
+    return (*[shared] * len(train), *[max(shared, smooth_cutoff(robot, [log])) for log in held])
+
+
 def clear_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     """Return the low-pass [Hz] of the forces that springs carry.
 
@@ -174,14 +183,14 @@ def clear_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
 
 
 def prepared_pieces(
-    model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: float
+    model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: Sequence[float]
 ) -> tuple[Prepared, ...]:
-    """Return all pieces ready for making columns, in their order."""
+    """Return all pieces ready for making columns, in their order; `smooth_hz` is the low-pass of each one's positions."""
     names = list(dict.fromkeys(piece.name for piece in pieces))
     found = []
-    for piece in pieces:
+    for piece, smooth in zip(pieces, smooth_hz, strict=True):
         campaign = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))} if len(names) > 1 else {}
-        found.append(prepare(model, piece, preparation, signals=campaign, smooth_hz=smooth_hz))
+        found.append(prepare(model, piece, preparation, signals=campaign, smooth_hz=smooth))
     return tuple(found)
 
 

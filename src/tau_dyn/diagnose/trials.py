@@ -233,13 +233,18 @@ def _disjoint(fits: list[Fit]) -> list[Fit]:
     whole = max(fits, key=lambda fit: len(fit.effect.joints))
     parts = [fit for fit in fits if not set(fit.effect.joints) & set(whole.effect.joints) or fit is whole]
     alone = [fit for fit in fits if len(fit.effect.joints) < len(whole.effect.joints)]
-    if alone and sum(fit.merit for fit in alone) > whole.merit and len(whole.effect.joints) > 2:
+    if alone and len(whole.effect.joints) > 2 and _merit(alone, whole.inflation) > whole.merit:
         return _disjoint(alone)
     kept: list[Fit] = []
     for fit in sorted(parts, key=lambda f: -f.merit):
         if not any(set(fit.effect.joints) & set(other.effect.joints) for other in kept):
             kept.append(fit)
     return kept
+
+
+def _merit(fits: list[Fit], inflation: float) -> float:
+    """Return the merit of several groups under one inflation, so that its own scatter does not choose between laws."""
+    return sum(replace(fit, inflation=inflation).merit for fit in fits)
 
 
 def _explained(effects: list[Effect], library: Library, ground: Ground, both: np.ndarray) -> np.ndarray:

@@ -218,7 +218,10 @@ def prepare(
     factor = preparation.factor(rate)
     share = decimate(lowpass(gate, preparation.force_cutoff_hz, rate), factor)
     usable = share > MIN_SHARE
-    edge = int(np.ceil(edge_samples(preparation.force_cutoff_hz, rate) / factor))
+    edge = edge_samples(preparation.force_cutoff_hz, rate)
+    if smooth_hz is not None:
+        edge = max(edge, edge_samples(smooth_hz, rate))
+    edge = int(np.ceil(edge / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
     return Prepared(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0), rate)
 
