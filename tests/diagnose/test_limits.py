@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.limits import limits_of, noncentrality
+from tau_dyn.diagnose.limits import limits_of, middle, noncentrality
 from tau_dyn.diagnose.search import FAMILY_LEVEL, Search, family
 from tau_dyn.diagnose.trials import DRAWS, Library, try_all
 from tau_dyn.effects import (
@@ -53,8 +53,7 @@ def test_an_effect_at_its_limit_is_found_in_95_of_100_draws(make, rng, name):
     assert untestable == () and [x.cause for x in limits] == [cls.name for cls in causes]
     limit = next(x for x in limits if x.cause == name)
     cls = next(cls for cls in causes if cls.name == name)
-    grid = cls.grid(channel.scene, ("x",))
-    effect = cls(("x",), ("N",), **grid[len(grid) // 2])
+    effect = middle(channel, cls(("x",), ("N",)))
     force = search.ground.left(search.ground.rows(channel.columns(effect)))[:, 0]
     found = []
     for noise in search.ground.draws(120, rng).T:

@@ -53,6 +53,15 @@ def test_stribeck_peak_has_fallen_to_a_twentieth_at_three_times_its_speed() -> N
     assert_allclose(force(cause("stribeck", speed=0.02), motion, stribeck=12), [4.4146, -0.5974], atol=1e-4)
 
 
+def test_stribeck_peak_of_the_second_power_is_flat_on_top_and_sooner_gone() -> None:
+    """12 N at 20 mm/s: 9.346 N at half that speed (7.278 with the first power), 0.0015 N at three times."""
+    motion = line(v=[0.01, -0.06])
+    gauss = force(cause("stribeck", speed=0.02, power=2), motion, stribeck=12)
+    assert_allclose(gauss, [12 * np.exp(-0.25), -12 * np.exp(-9)], rtol=1e-12)
+    with pytest.raises(InputError, match="power"):
+        cause("stribeck", power=0)
+
+
 def test_position_friction_is_a_parabola_over_the_range() -> None:
     """P1 = x and P2 = (3 x^2 - 1) / 2 on 0.1 .. 0.5 m; beyond the end the friction stays as at the end."""
     effect = cause("position_friction", middle=0.3, half=0.2, degree=2)

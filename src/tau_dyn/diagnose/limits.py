@@ -79,7 +79,7 @@ def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candid
 
 def _amplitude(channel: Channel, library: Library, ground: Ground, fit: Fit, families: int) -> float | None:
     """Return the amplitude seen with 95 % power, or None where it would exceed half of what is measured."""
-    effect = _middle(channel, fit.effect)
+    effect = middle(channel, fit.effect)
     C = ground.rows(library.columns(effect))
     units = [p.unit for p in effect.parameters]
     C = C[:, [unit == units[0] for unit in units]]
@@ -115,6 +115,9 @@ def _one_way(channel: Channel, joint: str) -> bool:
     return bool(v) and len(np.unique(np.sign(np.concatenate(v)))) < 2
 
 
-def _middle(channel: Channel, effect: Effect) -> Effect:
+def middle(channel: Channel, effect: Effect) -> Effect:
+    """Return an effect with the middle one of its settings, the form of its law being the first."""
     grid = type(effect).grid(channel.scene, effect.joints)
+    if effect.refined:
+        grid = [g for g in grid if all(g[key] == grid[0][key] for key in g if key not in effect.refined)]
     return effect.with_settings(**grid[len(grid) // 2])
