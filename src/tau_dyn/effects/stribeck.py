@@ -2,8 +2,8 @@
 
     tau = stribeck sign(v) exp(-(|v| / speed)^power)
 
-added to Coulomb and viscous friction. The exponent's power is 1 in some texts and 2 in others; a setting here. Reference: Stribeck 1902; Armstrong-Helouvry,
-Dupont & Canudas de Wit 1994.
+added to Coulomb and viscous friction. The exponent's power is 1 in some texts and 2 in others; a setting here.
+Reference: Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 from tau_dyn.effects.effect import JointMotion, JointwiseEffect, Scene
 from tau_dyn.effects.words import amount, quantity
 from tau_dyn.parameters import Parameter
-
 
 _POWERS = {1.0: 1.0, 2.0: 3**0.5}
 """Powers tried, and how many times the speed makes the peak about as wide as with the first."""
