@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.laws import DriveLaw, GuideLaw
-from tau_dyn.kinematics import chains
-from tau_dyn.kinematics.chains import Carried, ChainJoint
+from tau_dyn.calibrate.placed_rods import PlacedRods
+from tau_dyn.calibrate.rod_numbers import TURN, numbers_at
 from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.geometry import AXES, Numbers, gap_columns, leg_lengths, leg_rates
+from tau_dyn.kinematics.geometry import Numbers
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.parameters import Parameter, Parameters
@@ -30,7 +30,6 @@ from tau_dyn.parameters import Parameter, Parameters
 _STEPS = 12
 _AT_REST = 1e-12  # [m]: what the last Newton step may be
 _CLOSED = 1e-9  # [m]
-_TURN = "turn"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +73,7 @@ class RodGeometry:
         for p in self.rods.geometry:
             owner, _, what = p.name.rpartition(".")
             if owner in turning and what.startswith("axis_"):
-                rows.append(Parameter(f"{owner}.{_TURN}_{what[-1]}", 0.0, "rad"))
+                rows.append(Parameter(f"{owner}.{TURN}_{what[-1]}", 0.0, "rad"))
             else:
                 rows.append(p)
         for law in (*self.drives, *self.guides):
@@ -134,7 +133,7 @@ class RodGeometry:
     def numbers(self, theta: np.ndarray) -> Numbers:
         """Return the robot's dimensions at these parameters, without the laws."""
         values = dict(zip(self.parameters.names, np.asarray(theta, float).tolist(), strict=True))
-        return _numbers(self.rods.numbers, values)
+        return numbers_at(self.rods.numbers, values)
 
     def rods_at(self, theta: np.ndarray) -> Rods:
         """Return the robot with these dimensions, without the laws."""
@@ -150,10 +149,11 @@ class RodGeometry:
             k += n
         return found
 
-    def _at(self, theta: np.ndarray, q: np.ndarray) -> _Placed:
-        return _Placed(self, np.asarray(theta, float), np.asarray(q, float))
+    def _at(self, theta: np.ndarray, q: np.ndarray) -> PlacedRods:
+        theta = np.asarray(theta, float)
+        return PlacedRods(self.numbers(theta), self.drives, self.guides, self.law_values(theta), np.asarray(q, float))
 
-    def _newton(self, at: _Placed, plate: Poses) -> tuple[Poses, np.ndarray]:
+    def _newton(self, at: PlacedRods, plate: Poses) -> tuple[Poses, np.ndarray]:
         """Return plate poses that close the rods, and where they do (N,)."""
         position, rotation = plate.position.copy(), plate.rotation.copy()
         lost = ~(np.isfinite(position).all(axis=1) & np.isfinite(rotation).all(axis=(1, 2)))
@@ -188,14 +188,14 @@ class RodGeometry:
         out[:, :rows] = found
         return out
 
-    def _tool_twist(self, at: _Placed, plate: Poses, columns: np.ndarray) -> np.ndarray:
+    def _tool_twist(self, at: PlacedRods, plate: Poses, columns: np.ndarray) -> np.ndarray:
         twist = -self._solve(at.by_pose(plate), columns)
         arm = plate.rotation @ self.rods.tool.translation
         if arm.any():
             twist[:, :3] += np.cross(twist[:, 3:], arm[:, :, None], axis=1)
         return twist
 
-    def _by_parameter(self, at: _Placed, plate: Poses) -> np.ndarray:
+    def _by_parameter(self, at: PlacedRods, plate: Poses) -> np.ndarray:
         index = {name: k for k, name in enumerate(self.parameters.names)}
         out = np.zeros((len(at.q), self.rods.n, len(index)))
         unit = at.directions(plate)
@@ -204,7 +204,7 @@ class RodGeometry:
                 out[:, k, index[name]] = value
         for joint, place in at.turning():
             for k, column in at.by_turn(joint, place, unit):
-                first = index[f"{joint.name}.{_TURN}_x"]
+                first = index[f"{joint.name}.{TURN}_x"]
                 out[:, k, first : first + 3] = column
         k = len(self.rods.geometry)
         by_q = at.by_effective_joint(unit) if self.drives else None
@@ -219,7 +219,7 @@ class RodGeometry:
             k += n
         return out
 
-    def _by_joint(self, at: _Placed, plate: Poses) -> np.ndarray:
+    def _by_joint(self, at: PlacedRods, plate: Poses) -> np.ndarray:
         unit = at.directions(plate)
         out = at.by_effective_joint(unit)
         for law, shift in zip(self.drives, at.drive_shifts, strict=True):
@@ -227,141 +227,6 @@ class RodGeometry:
         for law, shift in zip(self.guides, at.guide_shifts, strict=True):
             out[:, :, law.actuator] += np.einsum("nki,nki->nk", unit, shift.slope)
         return out
-
-
-class _Placed:
-    """Points A of a geometry at some positions, everything evaluated once; arrays of chains have samples last."""
-
-    def __init__(self, geometry: RodGeometry, theta: np.ndarray, q: np.ndarray) -> None:
-        laws = geometry.law_values(theta)
-        self.numbers = geometry.numbers(theta)
-        self.q = q
-        self.drive_shifts = [law.drive(laws[k], q) for k, law in enumerate(geometry.drives)]
-        self.effective = q.copy()
-        for law, shift in zip(geometry.drives, self.drive_shifts, strict=True):
-            self.effective[:, law.actuator] += shift.error
-        first = len(geometry.drives)
-        self.guide_shifts = [law.guide(laws[first + k], q) for k, law in enumerate(geometry.guides)]
-        self.moving = np.ascontiguousarray(self.effective.T)
-        self.frames = chains.placed(self.numbers.joints, self.moving)
-        self.places = chains.points(self.numbers.joints, self.numbers.carried, self.moving)
-        self.points = self.places.transpose(2, 0, 1) + sum(s.shift for s in self.guide_shifts)
-        self.lengths = np.broadcast_to(leg_lengths(self.numbers, self.moving).T, self.points.shape[:2])
-
-    def _between(self, plate: Poses) -> tuple[np.ndarray, np.ndarray]:
-        arms = self.numbers.on_plate @ np.swapaxes(plate.rotation, 1, 2)
-        return self.points - plate.position[:, None] - arms, arms
-
-    def gap(self, plate: Poses) -> np.ndarray:
-        """Return `|A - B| - L` (N, n)."""
-        return np.linalg.norm(self._between(plate)[0], axis=2) - self.lengths
-
-    def directions(self, plate: Poses) -> np.ndarray:
-        """Return unit vectors from B to A (N, n, 3)."""
-        between, _ = self._between(plate)
-        return between / np.linalg.norm(between, axis=2, keepdims=True)
-
-    def by_pose(self, plate: Poses) -> np.ndarray:
-        """Return the gaps' derivative by the plate's twist (N, n, 6)."""
-        between, arms = self._between(plate)
-        unit = between / np.linalg.norm(between, axis=2, keepdims=True)
-        return -np.concatenate([unit, np.cross(arms, unit)], axis=2)
-
-    def columns(self, unit: np.ndarray, plate: Poses) -> dict[tuple[int, str], np.ndarray]:
-        """Return the gaps' derivatives by the dimensions."""
-        rotation = np.moveaxis(np.asarray(plate.rotation), 0, 2)
-        return gap_columns(self.numbers, self.frames, self.moving, self.places, unit.transpose(1, 2, 0), rotation)
-
-    def turning(self) -> list[tuple[ChainJoint, int]]:
-        """Return the turning joints and their places in the chain list."""
-        return [(j, k) for k, j in enumerate(self.numbers.joints) if not j.slides]
-
-    def by_turn(self, joint: ChainJoint, place: int, unit: np.ndarray) -> list[tuple[int, np.ndarray]]:
-        r"""Return, rod by rod on this joint, the gap's derivative (N, 3) by its `turn`.
-
-        The frame is `S = R_parent R_0 Exp(t)`; a change of `t` turns all behind it by `S J_r(t) dt` about the joint's
-        origin.
-        """
-        parent = self.frames[joint.parent].rotation if joint.parent >= 0 else np.eye(3)[:, :, None]
-        frame = (
-            chains.product(parent, joint.rotation)
-            if parent.shape[2] > 1
-            else (parent[:, :, 0] @ joint.rotation)[:, :, None]
-        )
-        origin = self.frames[place].origin
-        found = []
-        for k, carrier in enumerate(self.numbers.carried.carrier):
-            if place in chains.path(self.numbers.joints, carrier):
-                arm = self.places[k] - origin
-                moment = np.cross(arm.T, unit[:, k])  # u . (w x arm) = w . (arm x u)
-                own = np.einsum("ijn,ni->nj", np.broadcast_to(frame, (3, 3, len(moment))), moment)
-                found.append((k, own @ _right_jacobian(self._turn_of(joint))))
-        return found
-
-    def _turn_of(self, joint: ChainJoint) -> np.ndarray:
-        return self._turns.get(joint.name, np.zeros(3))
-
-    @cached_property
-    def _turns(self) -> dict[str, np.ndarray]:
-        return getattr(self.numbers, "turns", {})
-
-    def by_effective_joint(self, unit: np.ndarray) -> np.ndarray:
-        """Return the gaps' derivative by positions after the drives (N, n, na)."""
-        out = np.zeros((*unit.shape[:2], self.q.shape[1]))
-        for (k, a), column in chains.velocities(
-            self.numbers.joints, self.numbers.carried, self.frames, self.places
-        ).items():
-            out[:, k, a] = np.einsum("ni,in->n", unit[:, k], np.broadcast_to(column, (3, len(unit))))
-        rates = np.broadcast_to(leg_rates(self.numbers, self.moving), (unit.shape[1], len(unit)))
-        for k in np.flatnonzero(self.numbers.slides >= 0):
-            out[:, k, self.numbers.slides[k]] -= rates[k]
-        return out
-
-
-@dataclass(frozen=True, eq=False)
-class _Turned(Numbers):
-    """Dimensions that remember the rotation vectors of turning joints."""
-
-    turns: dict[str, np.ndarray] | None = None
-
-
-def _numbers(nominal: Numbers, values: dict[str, float]) -> Numbers:
-    def vector(owner: str, what: str) -> np.ndarray:
-        return np.array([values[f"{owner}.{what}_{a}"] for a in AXES])
-
-    joints, turns = list(nominal.joints), {}
-    if nominal.arms:
-        for arm, carrier in zip(nominal.arms, nominal.carried.carrier, strict=True):
-            joints[carrier] = joints[carrier]._replace(origin=vector(arm, "origin"), direction=vector(arm, "direction"))
-        lengths = np.array([values[f"{arm}.length"] for arm in nominal.arms])
-        return replace(nominal, joints=tuple(joints), lengths=lengths)
-    for k, joint in enumerate(joints):
-        if joint.slides:
-            joints[k] = joint._replace(origin=vector(joint.name, "origin"), direction=vector(joint.name, "direction"))
-            continue
-        turn = turns[joint.name] = vector(joint.name, _TURN)
-        own = joint.rotation.T @ joint.direction  # the axis in the joint's own frame
-        rotation = joint.rotation @ Rotation.from_rotvec(turn).as_matrix()
-        joints[k] = joint._replace(origin=vector(joint.name, "origin"), direction=rotation @ own, rotation=rotation)
-    return _Turned(
-        **{
-            **{f: getattr(nominal, f) for f in Numbers.__dataclass_fields__},
-            "joints": tuple(joints),
-            "carried": Carried(nominal.carried.carrier, np.array([vector(n, "base") for n in nominal.names])),
-            "lengths": np.array([values[f"{n}.length"] for n in nominal.names]),
-            "on_plate": np.array([vector(n, "plate") for n in nominal.names]),
-        },
-        turns=turns,
-    )
-
-
-def _right_jacobian(t: np.ndarray) -> np.ndarray:
-    """Return `J_r(t)` (3, 3): `Exp(t + dt) = Exp(t) Exp(J_r dt)` (Chirikjian 2012)."""
-    angle = float(np.linalg.norm(t))
-    k = chains.skew(t)
-    if angle < 1e-6:
-        return np.eye(3) - 0.5 * k + k @ k / 6
-    return np.eye(3) - (1 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * (k @ k)
 
 
 def _priority(name: str, first: str) -> int:
