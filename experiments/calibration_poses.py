@@ -34,7 +34,7 @@ from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.find import find_workspace
-from tau_dyn.kinematics.workspace.machine import machine_of
+from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.robot import load_robot
 
 OFF = 0.1  # of the scales: 1 mm, 1 mrad, 0.001

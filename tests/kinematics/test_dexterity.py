@@ -11,7 +11,7 @@ from tau_dyn.kinematics.dexterity import Rates, dexterity, tool_jacobian, worst_
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.stiffness import Springs, compliance, in_series, softest, stiffness_matrix
-from tau_dyn.kinematics.workspace.machine import machine_of
+from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.kinematics.workspace.maps import Quality, elasticity
 from tau_dyn.robot import load_robot
 

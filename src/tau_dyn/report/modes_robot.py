@@ -13,7 +13,8 @@ import numpy as np
 from markupsafe import Markup
 from scipy.spatial import ConvexHull, QhullError
 
-from tau_dyn.modes.on_robot import Pair, ShapesOnRobot, Skeleton, Swing
+from tau_dyn.modes.figure import Skeleton
+from tau_dyn.modes.on_robot import Pair, ShapesOnRobot, Swing
 from tau_dyn.report.modes_shapes import PERIOD
 from tau_dyn.report.robot_picture import project
 from tau_dyn.report.svg import tag

@@ -23,7 +23,7 @@ from tau_dyn.calibrate.poses.tour import plan_tour
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.obstacles import Surroundings, surroundings_from
 from tau_dyn.kinematics.workspace.demands import Demands
-from tau_dyn.kinematics.workspace.machine import machine_of
+from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.report.poses_terminal import headline, rehearsal_words, summary
 
 LAB = surroundings_from(

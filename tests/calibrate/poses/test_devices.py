@@ -21,7 +21,7 @@ from tau_dyn.calibrate.poses.visible import find_visible
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.obstacles import Surroundings, surroundings_from
 from tau_dyn.kinematics.workspace.demands import Demands
-from tau_dyn.kinematics.workspace.machine import machine_of
+from tau_dyn.kinematics.workspace.machines import machine_of
 
 SPREAD = at((1.7, -0.6, 0.7), (1.4, -0.2, 1.0), (2.1, -0.9, 0.4), (1.8, -0.3, 0.3))
 

@@ -30,7 +30,7 @@ from tau_dyn.calibrate.poses.visible import Visible, find_visible
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.demands import Demands
-from tau_dyn.kinematics.workspace.machine import machine_of
+from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.robot import Robot
 
 _NOISE = (1e-4, 1e-4)

@@ -13,7 +13,8 @@ from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.footprint import footprint_of
 from tau_dyn.kinematics.workspace.judge import Judge
 from tau_dyn.kinematics.workspace.lattice import INSIDE, Explored, Lattice, explore, lattice_over
-from tau_dyn.kinematics.workspace.machine import Machine, machine_of
+from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.kinematics.workspace.measure import bounding_box, connected, deep, missed_size, size_of
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.robot import Robot

@@ -13,16 +13,17 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.workspace.catalogue import Catalogue, catalogue
 from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.find import find_workspace
-from tau_dyn.kinematics.workspace.machine import machine_of
+from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.kinematics.workspace.maps import Quality, elasticity
 from tau_dyn.kinematics.workspace.orientations import Tilt, tilt, turns_freely
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.kinematics.workspace.sections import Section, parse_section, section, usual_sections
 from tau_dyn.robot import Robot
+from tau_dyn.shown import Shown
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Shown):
     """A workspace and what was asked about it.
 
     Attributes:
