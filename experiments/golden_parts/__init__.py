@@ -1,0 +1,1 @@
+"""Answers that must not drift, one function a study."""
