@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-sys.path.insert(0, str(EXPERIMENTS))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from golden_parts.cases import CASES, REASONS, Case, l1_log
 from golden_parts.drift import drifted, read_golden
 
