@@ -1,0 +1,92 @@
+"""Would the tests notice? Breaks the core rooms on purpose, one small change at a time, and runs their tests.
+
+    python experiments/mutation.py [--rooms estimate effects ...] [--sample 60] [--seed 0] [--jobs 2] [--out DIR]
+
+In: this checkout, with cosmic-ray installed (`pip install cosmic-ray`). A random sample of each room's mutants (another operator,
+number, comparison, a loop that never runs, a decorator gone) is tried in copies of the project; the tests named after the
+file run first, then the room's. Out: `mutation.csv`, a row a mutant; `mutation.md`, killed and survived by room with the
+95 % interval of the share, and every survivor with its line, to be explained or to be killed. Interrupted, it goes on where
+it stopped.
+"""
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+import pandas as pd
+from mutation_parts.mutants import sampled
+from mutation_parts.trial import ROOT, judged, tested
+from scipy.stats import binomtest
+
+from tau_dyn.files import write_whole
+from tau_dyn.scale import run_journaled
+
+ROOMS: dict[str, list[str]] = {
+    "log": ["tests/log"],
+    "robot": ["tests/robot"],
+    "dynamics": ["tests/dynamics"],
+    "effects": ["tests/effects"],
+    "model.py": ["tests/model"],
+    "estimate": ["tests/estimate"],
+    "identify": ["tests/identify"],
+}
+_SLACK, _FACTOR = 30.0, 4.0
+"""Time a mutant's tests may take [s]: this, and this many times what the tests take unbroken."""
+
+
+def main(rooms: list[str], sample: int, seed: int, jobs: int, out_dir: Path) -> pd.DataFrame:
+    out_dir.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for room in rooms:
+        limit = _limit(ROOMS[room])
+        items = [
+            {**m.to_dict(), "name": m.name, "folder": str(out_dir), "tests": ROOMS[room], "limit": limit}
+            for m in sampled(ROOT / "src" / "tau_dyn", room, sample, seed)
+        ]
+        journal = out_dir / f"mutation_{Path(room).stem}.jsonl"
+        about = {"room": room, "sample": sample, "seed": seed}
+        found = run_journaled(judged, items, journal, name=lambda item: item["name"], about=about, jobs=jobs)
+        for k, (item, result) in enumerate(zip(items, found, strict=True), 1):
+            rows.append({"room": room, **{key: item[key] for key in ("module", "line", "operator")}, **result})
+            print(f"{room} {k}/{len(items)} {item['name']}: {result['outcome']}", flush=True)
+    table = pd.DataFrame(rows)
+    write_whole(out_dir / "mutation.csv", table.to_csv(index=False))
+    write_whole(out_dir / "mutation.md", page(table))
+    print(page(table))
+    return table
+
+
+def _limit(tests: list[str]) -> float:
+    begun = time.monotonic()
+    if tested(ROOT, tests, 3600.0) != "survived":
+        raise SystemExit(f"{tests} fail without any mutation; mend them first")
+    return _SLACK + _FACTOR * (time.monotonic() - begun)
+
+
+def page(table: pd.DataFrame) -> str:
+    """Return the table by room and the list of survivors, as Markdown."""
+    table = table[table["outcome"] != "none"]
+    lines = ["| room | mutants | killed | share (95 %) |", "|---|---|---|---|"]
+    for room, part in table.groupby("room", sort=False):
+        killed, n = int((part["outcome"] != "survived").sum()), len(part)
+        low, high = binomtest(killed, n).proportion_ci()
+        lines.append(f"| `{room}` | {n} | {killed} | {100 * killed / n:.0f} % ({100 * low:.0f} to {100 * high:.0f}) |")
+    lines += ["", "| survivor | was | became |", "|---|---|---|"]
+    for _, row in table[table["outcome"] == "survived"].iterrows():
+        was, became = (str(row[key]).replace("|", "\\|") for key in ("was", "became"))
+        lines.append(f"| {row['module']}:{row['line']} | `{was}` | `{became}` |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS), metavar="ROOM")
+    parser.add_argument("--sample", type=int, default=60, help="mutants a room")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR")
+    args = parser.parse_args()
+    import mutation  # under its own name, so that other processes find its functions
+
+    mutation.main(args.rooms, args.sample, args.seed, args.jobs, args.out)
