@@ -36,7 +36,6 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 
 _FASTEST = 0.98
-_ALL = (ClockOffset, *(e for e in EFFECTS.values() if e.cause and issubclass(e, JointwiseDisplacement)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +82,12 @@ class DeflectionChannel(Channel):
         return found
 
 
+def _all() -> list[type[Effect]]:
+    return [ClockOffset, *(e for e in EFFECTS.values() if e.cause and issubclass(e, JointwiseDisplacement))]
+
+
 def deflection_channel(
-    robot: Robot, train: Sequence[Log], held: Sequence[Log] = (), causes: Sequence[type[Effect]] = _ALL
+    robot: Robot, train: Sequence[Log], held: Sequence[Log] = (), causes: Sequence[type[Effect]] | None = None
 ) -> DeflectionChannel:
     """Build the channel.
 
@@ -112,7 +115,16 @@ def deflection_channel(
     parts = divide(runs, [out for _, out in stretches], bool(held), gap)
     scene = _scene(joints, units, pieces, preparation)
     channel = DeflectionChannel(
-        "deflection", joints, lengths, parameters, runs, tuple(parts), scene, tuple(causes), pieces, preparation
+        "deflection",
+        joints,
+        lengths,
+        parameters,
+        runs,
+        tuple(parts),
+        scene,
+        tuple(_all() if causes is None else causes),
+        pieces,
+        preparation,
     )
     for part, what in ((0, "train on"), (1, "confirm on"), (2, "measure the gain on")):
         if sum(int(mask.sum()) for mask in channel.masks(part)) < 10 * len(parameters):
@@ -128,7 +140,7 @@ def diagnose_deflection(
     logs: Log | Iterable[Log],
     *,
     holdout: Log | Iterable[Log] = (),
-    causes: Sequence[type[Effect]] = _ALL,
+    causes: Sequence[type[Effect]] | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Diagnosis:

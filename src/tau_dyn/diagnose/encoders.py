@@ -1,9 +1,10 @@
 r"""What encoder noise alone would make of a cause, found by making the same mistake on purpose.
 
 Encoder noise sits in the columns and, times a mass, in the residual; whitening cannot cure what both share. So the fitted
-baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs,
-and the whole preparation is repeated. What a cause explains of that misfit is the noncentrality that its score would have on a
-clean log: chance is then judged by a noncentral chi-square, with twice that noncentrality, as it is an estimate itself.
+baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs, its forces
+what the controller answers to that noise (`feedback.py`), and the whole preparation is repeated. What a cause explains of that
+misfit is the noncentrality that its score would have on a clean log: chance is then judged by a noncentral chi-square, with
+twice that noncentrality, as it is an estimate itself.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
 from tau_dyn.diagnose.parts import TRAIN
@@ -29,17 +31,19 @@ Remake = Callable[[Sequence[Log]], Channel]
 
 
 def noise_only(channel: ForceChannel, model: Model, smooth_hz: Sequence[float], rng: np.random.Generator) -> list[Log]:
-    """Return the logs as the fitted baseline would have made them, with fresh encoder noise and none in the forces."""
+    """Return logs as the fitted baseline would have made them: fresh encoder noise, and in the forces only the answer to it."""
     found = []
     joints = channel.outputs
     for piece, smooth in zip(channel.prepared, smooth_hz, strict=True):
         m, log = piece.motion, piece.log
         force = model.columns(model.motion(m.q, m.v, m.a, m.sign, t=m.t, signals=m.signals)) @ model.parameters.values
         read = log.joint("q", joints)
-        q = m.q if smooth < piece.preparation.position_cutoff_hz else lowpass(read, smooth, log.rate_hz)
-        q = q + encoder_noise(read) * rng.standard_normal(q.shape)
+        smooth_q = m.q if smooth < piece.preparation.position_cutoff_hz else lowpass(read, smooth, log.rate_hz)
+        taps = feedback_taps(read, log.joint("tau", joints) - force, smooth, log.rate_hz)
+        q = smooth_q + encoder_noise(read) * rng.standard_normal(smooth_q.shape)
         step = quantisation_step(read)
         q = np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
+        force = force + answered(taps, q - smooth_q)
         channels = dict(log.channels)
         for k, joint in enumerate(joints):
             channels |= {f"q_{joint}": q[:, k], f"tau_{joint}": force[:, k]}

@@ -12,7 +12,7 @@ from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
 from tau_dyn.diagnose.result import Errors, Gain
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import Estimate, Physics, Regression, solve_least_squares
-from tau_dyn.estimate.noise import BLOCK_S
+from tau_dyn.estimate.noise import BLOCK_S, ROUNDING
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
@@ -127,7 +127,7 @@ def _blocks(channel: Channel, residuals: Sequence[np.ndarray]) -> tuple[np.ndarr
     """Return sums of squares and counts (blocks, m) over 2 s blocks of the part used for nothing else."""
     squares, counts = [], []
     for run, e, mask in zip(channel.runs, residuals, channel.masks(GAIN), strict=True):
-        number = ((run.t - run.t[0]) / BLOCK_S).astype(int)
+        number = ((run.t - run.t[0]) / BLOCK_S + ROUNDING).astype(int)
         for b in np.unique(number[mask.any(axis=1)]):
             rows = number == b
             squares.append(np.sum(np.where(mask[rows], e[rows], 0.0) ** 2, axis=0))

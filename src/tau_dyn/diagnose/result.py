@@ -11,6 +11,7 @@ import numpy as np
 from tau_dyn.effects import Effect
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
+from tau_dyn.shown import Shown
 
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
 Status = Literal["confirmed", "suspected", "parameter"]
@@ -237,7 +238,7 @@ class TimeTrace:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Shown):
     """What a simulation gets wrong, why, and how much better it is with the cause.
 
     Attributes:
