@@ -21,6 +21,7 @@ from hidden_effects_parts.judge import about, row_of
 from hidden_effects_parts.sets import draw_set
 from hidden_effects_parts.summary import confusion, sentences
 
+from tau_dyn.files import write_whole
 from tau_dyn.scale import run_many
 
 KINDS = ("clean", "feedback", "single", "pairs", "unknown")
@@ -44,18 +45,21 @@ def main(kinds: list[str], sets: int, seed: int, jobs: int, cluster: str | None,
     out_dir.mkdir(parents=True, exist_ok=True)
     path = out_dir / "hidden_effects.csv"
     table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["what", "number"])
+    if "seed" in table and (table["seed"].dropna() != seed).any():
+        raise SystemExit(f"{path} holds sets of seed {table['seed'].iloc[0]:.0f}; name another folder with --out")
     for what in kinds:
         done = set(table.loc[table["what"] == what, "number"])
         items = [(what, number, seed) for number in range(sets) if number not in done]
         for row in run_many(one_of, items, cluster=cluster, jobs=min(jobs, max(1, len(items)))):
-            table = pd.concat([table, pd.DataFrame([row])], ignore_index=True)
-            table.to_csv(path, index=False, float_format="%.6g")
+            table = pd.concat([table, pd.DataFrame([row | {"seed": seed}])], ignore_index=True)
+            write_whole(path, table.to_csv(index=False, float_format="%.6g"))  # a kill leaves the table before this row
             print(what, row["number"], row["names"], row["lambda"], "->", row.get("all"), row.get("unexplained"),
                   row["fault"], flush=True)  # fmt: skip
+    table = pd.read_csv(path) if path.exists() else table  # as a later call reads it
     text = "\n".join(sentences(table))
     print(text)
-    (out_dir / "hidden_effects.txt").write_text(text + "\n")
-    confusion(table).to_csv(out_dir / "confusion.csv")
+    write_whole(out_dir / "hidden_effects.txt", text + "\n")
+    write_whole(out_dir / "confusion.csv", confusion(table).to_csv())
     if (table["what"] == "single").any():
         power_curve(table, out_dir / "hidden_effects.png")
 

@@ -9,6 +9,7 @@ on, 20 s of `prbs` held out. Out: `recovery.csv`, one row a seed and base parame
 parameter, the largest mean z of a parameter of one plant in multiples of its own error (chance gives 2.6 to 3), and the
 residual on held-out logs over that of the noise alone, put through the same filters and masks. The plain run answers for
 L1 at 500 Hz, in about 2 minutes on one core; `--all` adds other log rates, encoders, colours, motions and robots, 25 minutes.
+Interrupted, it goes on where it stopped (`recovery.jsonl`).
 """
 
 import argparse
@@ -24,11 +25,12 @@ import yaml
 
 from tau_dyn.cli.demo import true_model
 from tau_dyn.effects import friction_model
+from tau_dyn.files import write_whole
 from tau_dyn.identify import Identification, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.scale import run_many
+from tau_dyn.scale import run_journaled
 from tau_dyn.simulate import CascadeController, CascadeLaw, PlantRun, Sensors, drive, measure, named_motion
 from tau_dyn.version import __version__
 
@@ -169,9 +171,10 @@ def summary(table: pd.DataFrame) -> dict:
 
 def main(seeds: int, everything: bool, jobs: int, cluster: str | None, out_dir: Path) -> None:
     scenarios = (STANDARD, *(OTHERS if everything else ()))
-    found = run_many(
-        trial, [(scenario, seed) for scenario in scenarios for seed in range(seeds)], cluster=cluster, jobs=jobs
-    )
+    out_dir.mkdir(parents=True, exist_ok=True)
+    journal = out_dir / "recovery.jsonl"
+    items = [(scenario, seed) for scenario in scenarios for seed in range(seeds)]
+    found = run_journaled(trial, items, journal, name=lambda i: f"{i[0]} {i[1]}", cluster=cluster, jobs=jobs)
     tables, summaries = [], {}
     for scenario in scenarios:
         table = pd.DataFrame([row for rows in islice(found, seeds) for row in rows])
@@ -182,10 +185,10 @@ def main(seeds: int, everything: bool, jobs: int, cluster: str | None, out_dir: 
         print(f"{scenario.name:34s} max |z| {s['max_abs_z']:.2f}  rms z {s['rms_z']:.2f}  95 % intervals cover "
               f"{s['coverage_percent']:.1f} % ({kinds})  held-out / floor {s['held_over_floor']['mean']:.3f}  "
               f"largest bias {bias}", flush=True)  # fmt: skip
-    out_dir.mkdir(parents=True, exist_ok=True)
-    pd.concat(tables).to_csv(out_dir / "recovery.csv", index=False)
+    write_whole(out_dir / "recovery.csv", pd.concat(tables).to_csv(index=False))
     content = {"tool_version": __version__, "seeds": f"0 to {seeds - 1}", "scenarios": summaries}
-    (out_dir / "recovery.yaml").write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    write_whole(out_dir / "recovery.yaml", yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    journal.unlink()
 
 
 if __name__ == "__main__":

@@ -168,8 +168,9 @@ class Compliance(Form):
     def truth(self, amplitude: float) -> dict[str, float]:
         """Return the frequency [Hz] and the compliance that forces tell.
 
-        Well below resonance the motor feels `m^2 A` times the jerk's change, so that is all that forces know: a log at the motor says
-        as much of a softer spring with less behind it. With all inertia M behind it, as the cause has it, that is `A (m/M)^2`.
+        Well below resonance the motor feels `m^2 A` times the jerk's change, so that is all that forces know: a log at the
+        motor says as much of a softer spring with less behind it. With all inertia M behind it, as the cause has it, that is
+        `A (m/M)^2`.
         """
         m, whole = self.inner["inertia"], self.inner["whole"]
         frequency = float(np.sqrt(1 / (amplitude * m)) / (2 * np.pi))

@@ -63,8 +63,11 @@ def rate(flags: pd.Series) -> str:
 def confusion(table: pd.DataFrame) -> pd.DataFrame:
     """Return how often each hidden form (rows) was first called what (columns)."""
     single = table[table["what"] == "single"]
-    silent = np.where(single["unexplained"].fillna("").str.contains("confirmed"), "unexplained", "nothing")
-    said = single["first"].fillna("").mask(single["first"].fillna("") == "", pd.Series(silent, single.index))
+    first, rest = (
+        single[key].fillna("").astype(str) for key in ("first", "unexplained")
+    )  # empty columns read as floats
+    silent = np.where(rest.str.contains("confirmed"), "unexplained", "nothing")
+    said = first.mask(first == "", pd.Series(silent, single.index))
     return pd.crosstab(single["names"], said)
 
 

@@ -6,6 +6,19 @@ cannot answer, 1 for a defect of ours.
 
 from __future__ import annotations
 
+LONGEST_SENTENCE = 1000
+"""Characters of a message; what a file holds may be quoted in it, and has no end."""
+
+
+def one_line(text: str) -> str:
+    """Return text as one printable line of bounded length: names in it must neither steer a terminal nor fill it."""
+    words = " ".join(text.split())
+    if len(words) > LONGEST_SENTENCE:
+        words = f"{words[: LONGEST_SENTENCE - 300]} ... {words[-250:]}"
+    return (
+        words if words.isprintable() else "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)
+    )
+
 
 class TauDynError(Exception):
     """Base of every error this package raises on purpose."""
@@ -13,8 +26,8 @@ class TauDynError(Exception):
     exit_status = 1
 
     def __str__(self) -> str:
-        """Return the sentence itself (a KeyError would quote it)."""
-        return str(self.args[0]) if self.args else ""
+        """Return the sentence itself (a KeyError would quote it), printable and of bounded length."""
+        return one_line(str(self.args[0])) if self.args else ""
 
 
 class InputError(TauDynError, ValueError):

@@ -1,10 +1,16 @@
-"""Files that appear whole or not at all, and YAML read safely; every fault becomes a sentence."""
+"""Files read within bounds, files that appear whole or not at all, and YAML read safely; every fault becomes a sentence."""
 
 from __future__ import annotations
 
+import errno
 import os
+import platform
+import select
+import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +18,137 @@ import yaml
 
 from tau_dyn.exceptions import InputError
 
+_NUMBER = count()
+_LONGEST = 120
+"""Characters of a name that its temporary file repeats; file systems allow 255 bytes in all."""
+
+_ADVICE = {
+    errno.ENOSPC: "free some space, or name a file on another disk",
+    errno.EDQUOT: "free some of your quota, or name a file on another disk",
+    errno.EFBIG: "the disk or a limit of this shell (ulimit -f) allows no larger file",
+    errno.EROFS: "name a file on a disk that can be written to",
+    errno.EACCES: "name a file in a folder that you may write to",
+    errno.EPERM: "name a file in a folder that you may write to",
+    errno.ENAMETOOLONG: "give it a shorter name",
+    errno.EIO: "the disk reports a fault; name a file on another one",
+}
+
+LARGEST_YAML = 4 * 2**20
+"""[bytes] A model file with its robot is a few hundred kB."""
+
+_MOST_NODES = 10**6
+"""Nodes of a YAML file with its aliases written out."""
+
+_DEEPEST = 100
+_LONGEST_NUMBER = 400
+
+_PATIENCE = 10.0
+"""[s] How long a pipe may keep silent before anything came through it."""
+
+
+def read_bytes(path: str | Path, most: int | None = None) -> bytes:
+    """Read a file, or a pipe that somebody writes into; never wait for what does not come.
+
+    Args:
+        path: A regular file, a link to one, or a pipe such as `/dev/stdin`.
+        most: Largest size [bytes]; None for any.
+
+    Raises:
+        InputError: A device, a socket, a silent pipe, or larger than `most`.
+        OSError: What `open` says of other faults.
+    """
+    if os.path.isdir(path):
+        raise IsADirectoryError(21, "is a folder", str(path))
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb", buffering=0) as file:
+        kind = os.fstat(handle)
+        if stat.S_ISFIFO(kind.st_mode):
+            data = _from_pipe(handle, path, most)
+        elif not stat.S_ISREG(kind.st_mode):
+            raise InputError(f"{path} is a device or a socket; give a file")
+        elif most is not None and kind.st_size > most:
+            raise InputError(f"{path} has {kind.st_size} bytes; such a file has {most} at most")
+        else:
+            data = file.readall()
+    return data or b""
+
+
+def _from_pipe(handle: int, path: str | Path, most: int | None) -> bytes:
+    """Read until the writers are done."""
+    if not select.select([handle], [], [], _PATIENCE)[0]:
+        raise InputError(f"{path} is a pipe into which nobody writes; give a file")
+    os.set_blocking(handle, True)
+    pieces, size = [], 0
+    while piece := os.read(handle, 2**20):
+        pieces.append(piece)
+        size += len(piece)
+        if most is not None and size > most:
+            raise InputError(f"{path} gives more than {most} bytes, which such a file has at most")
+    return b"".join(pieces)
+
+
+class PlainLoader(yaml.SafeLoader):
+    """YAML as plain data: no code, no aliases that grow without end, nobody else's tags.
+
+    xacro adds tags that evaluate expressions to PyYAML's own safe loader; this one has a table of its own.
+    """
+
+    yaml_constructors = yaml.SafeLoader.yaml_constructors.copy()
+
+    def fetch_flow_collection_start(self, TokenClass: Any) -> None:  # noqa: N803
+        """Open a bracket; PyYAML's time grows with the square of how many are open."""
+        if self.flow_level >= _DEEPEST:
+            raise yaml.YAMLError(f"brackets stand more than {_DEEPEST} deep inside each other")
+        super().fetch_flow_collection_start(TokenClass)
+
+    def number(self, node: Any) -> int | float:
+        """Read a number; one of thousands of digits takes long to read and cannot be printed."""
+        if len(text := str(self.construct_scalar(node))) > _LONGEST_NUMBER:
+            raise yaml.YAMLError(f"a number of {len(text)} characters")
+        return self.construct_yaml_int(node) if node.tag.endswith(":int") else self.construct_yaml_float(node)
+
+    def get_single_node(self) -> Any:
+        """Compose the document; refuse aliases that hold themselves or grow beyond bounds."""
+        node = super().get_single_node()
+        _written_out(node, {}, set())
+        return node
+
+
+PlainLoader.add_constructor("tag:yaml.org,2002:int", PlainLoader.number)
+PlainLoader.add_constructor("tag:yaml.org,2002:float", PlainLoader.number)
+
+
+def _written_out(node: Any, known: dict[int, int], above: set[int]) -> int:
+    """Return how many nodes a node has with its aliases written out."""
+    if id(node) in above:
+        raise yaml.YAMLError("an alias stands inside what it names")
+    if id(node) not in known:
+        above.add(id(node))
+        inside: Any = node.value if isinstance(node, yaml.SequenceNode) else ()
+        if isinstance(node, yaml.MappingNode):
+            inside = [child for pair in node.value for child in pair]
+        known[id(node)] = 1 + sum(_written_out(child, known, above) for child in inside)
+        above.discard(id(node))
+        if known[id(node)] > _MOST_NODES:
+            raise yaml.YAMLError(f"with its aliases written out it has more than {_MOST_NODES} entries")
+    return known[id(node)]
+
+
+YAML_FAULTS = (yaml.YAMLError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError, RecursionError)
+"""What PyYAML raises of bad YAML: its own errors; others for `2026-13-01`, `!!int ''`, `!!timestamp soon`, `1:2:..` too long."""
+
 
 def read_yaml(path: str | Path) -> Any:
-    """Read YAML with the safe loader; faults become sentences."""
+    """Read YAML with a safe loader; faults become sentences."""
     try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        return yaml.load(read_bytes(path, LARGEST_YAML).decode("utf-8"), Loader=PlainLoader)  # noqa: S506
+    except InputError:
+        raise
     except FileNotFoundError as fault:
         raise InputError(f"{path}: no such file") from fault
     except (OSError, UnicodeDecodeError) as fault:
         raise InputError(f"{path}: cannot be read as text ({fault})") from fault
-    except (yaml.YAMLError, ValueError, RecursionError) as fault:  # ValueError: a date such as 2026-13-01
+    except YAML_FAULTS as fault:
         raise InputError(f"{path}: not valid YAML ({' '.join(str(fault).split())})") from fault
 
 
@@ -29,27 +156,80 @@ def read_yaml(path: str | Path) -> Any:
 def writing_whole(path: str | Path) -> Iterator[Path]:
     """Give a temporary file to write; it takes the place of `path` when the block ends well, and goes away when it does not.
 
+    What a killed process left beside `path` goes away too. An existing file keeps its permissions; a write-protected one stays.
+
     Raises:
         InputError: The destination cannot be written.
     """
     path = Path(path).resolve()  # a link keeps pointing where it did
     if path.is_dir():
         raise InputError(f"{path} cannot be written: it is a folder; name a file")
-    if path.exists() and not path.is_file():  # a pipe or a device is written to, never replaced
+    if path.name.endswith(".part") and f".{owner()}." in path.name:  # temporary already: whoever gave it sees to it
         yield path
         return
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary = path.with_name(f".{path.name[:_LONGEST]}.{owner()}.{next(_NUMBER)}.part")
     try:
-        yield temporary
-        os.replace(temporary, path)
+        if path.exists() and not path.is_file():  # a pipe or a device is written to, never replaced
+            yield path
+            return
+        if path.exists() and not os.access(path, os.W_OK):
+            raise InputError(f"{path} is write-protected; name another file, or allow writing to it")
+        sweep(path.parent, f".{path.name[:_LONGEST]}.")
+        try:
+            yield temporary
+            _settle(temporary, path)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except BrokenPipeError:
+        raise
     except OSError as fault:
-        reason = fault.strerror or str(fault)
-        raise InputError(f"{path} cannot be written: {reason}; name a file in an existing folder") from fault
-    finally:
-        temporary.unlink(missing_ok=True)
+        raise refusal(path, fault) from fault
+
+
+def refusal(path: Path, fault: OSError) -> InputError:
+    """Return the sentence about a file that cannot be written."""
+    advice = _ADVICE.get(fault.errno or 0, "name a file in an existing folder")
+    return InputError(f"{path} cannot be written: {fault.strerror or fault}; {advice}")
 
 
 def write_whole(path: str | Path, text: str) -> None:
     """Write a text file so that it appears whole or not at all."""
     with writing_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def owner() -> str:
+    """Return a name for this process among all that may share a folder, without dots."""
+    return f"{platform.node().replace('.', '_')[:40] or 'here'}-{os.getpid()}"
+
+
+def sweep(folder: Path, start: str) -> None:
+    """Remove what processes of this machine that are dead left behind: names `<start><owner>.<number>.part`."""
+    machine, _, _ = owner().rpartition("-")
+    for left in folder.glob("*.part"):
+        name, _, _ = left.name.removeprefix(start).partition(".")
+        theirs, _, number = name.rpartition("-")
+        if left.name.startswith(start) and theirs == machine and number.isdigit() and not _alive(int(number)):
+            shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
+
+
+def _settle(temporary: Path, path: Path) -> None:
+    """Put the bytes on the disk before the name: after a power cut the file must not be there and empty."""
+    with temporary.open("rb+") as file:
+        os.fsync(file.fileno())
+    if path.exists():
+        shutil.copymode(path, temporary)
+
+
+def _alive(process: int) -> bool:
+    """Tell whether a process of this machine lives; where that cannot be asked harmlessly, say that it does."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True

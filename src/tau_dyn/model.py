@@ -23,6 +23,7 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL, Robot, robot_from_urdf
+from tau_dyn.shown import Shown
 
 _FORMAT = 1
 
@@ -42,7 +43,7 @@ _SMALL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class Model(Shown):
     """A robot with effects and values.
 
     Attributes:

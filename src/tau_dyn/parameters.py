@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.shown import Shown
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Parameter:
         return bool(abs(self.value - self.lower) < 1e-6 * scale or abs(self.value - self.upper) < 1e-6 * scale)
 
 
-class Parameters:
+class Parameters(Shown):
     """An ordered, immutable collection of `Parameter`, addressed by name or by shell pattern."""
 
     def __init__(self, items: Iterable[Parameter] = ()) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -277,3 +278,13 @@ def test_a_planar_arm_closes_whatever_orientation_is_asked(write, rng):
     found = inverse_kinematics(arm, turned, start=q + 0.02, limits=False)
     assert found.ok.all()
     assert_allclose(forward_kinematics(arm, found.q).poses.position, there.position, atol=1e-10)
+
+
+def test_an_arm_with_a_straight_wrist_at_home_keeps_the_orientation_asked_for():
+    """At a singular home (arm and wrist straight) an axis idles that idles nowhere else: away from it all six freedoms answer."""
+    robot = load_robot(Path(__file__).parents[2] / "experiments" / "lead_through_parts" / "irb140.urdf")
+    q = robot.home + [0, 0, 0.8, 0, 0.8, 0] + np.random.default_rng(3).uniform(-0.4, 0.4, (20, 6))
+    asked = forward_kinematics(robot, q).poses
+    found = inverse_kinematics(robot, asked, start=q + 0.05)
+    assert found.ok.all()
+    assert found.orientation_error.max() < 1e-9

@@ -111,7 +111,8 @@ def joined(sets: Sequence[PoseSet]) -> PoseSet:
             f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give poses alike"
         )
     names = tuple(dict.fromkeys(name for s in sets for name in s.campaigns))
-    numbers = [np.array([names.index(name) for name in s.campaigns])[s.campaign] for s in sets]
+    place = {name: k for k, name in enumerate(names)}
+    numbers = [np.array([place[name] for name in s.campaigns])[s.campaign] for s in sets]
     return PoseSet(
         q=np.concatenate([s.q for s in sets]),
         position=np.concatenate([s.position for s in sets]),
@@ -207,8 +208,8 @@ def _campaigns(table: Table) -> tuple[np.ndarray, tuple[str, ...]]:
     if "campaign" not in table.cells:
         return np.zeros(table.n_rows, int), ("1",)
     words = [str(x) for x in table.cells["campaign"]]
-    order = tuple(dict.fromkeys(words))
-    return np.array([order.index(w) for w in words], int), order
+    number = {word: k for k, word in enumerate(dict.fromkeys(words))}
+    return np.array([number[word] for word in words], int), tuple(number)
 
 
 def _approach(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:

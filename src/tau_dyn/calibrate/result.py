@@ -15,12 +15,13 @@ from tau_dyn.calibrate.fit import Fit
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.sensitivity import sensitivities
 from tau_dyn.robot import Robot
+from tau_dyn.shown import Shown
 
 _TOGETHER = 0.9  # correlation from which two parameters are named as one
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(Shown):
     """A robot's geometry from measured poses.
 
     Attributes:
@@ -103,7 +104,16 @@ class Calibration:
             "frames": frame_rows(self.fit),
             "orientations": turn_rows(self.fit),
             "sensitivity": [s._asdict() for s in sensitivities(self.fit)],
+            "errors_at_poses": self._errors_at_poses(),
         }
+
+    def _errors_at_poses(self) -> dict[str, object]:
+        """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws."""
+        at, device = self.at(), self.fit.frames.device
+        frames = [device[min(int(c), len(device) - 1)] for c in at.campaign]
+        turn, shift = np.array([f.rotation for f in frames]), np.array([f.translation for f in frames])
+        models = {m.name: np.einsum("nji,nj->ni", turn, self.errors(m).position) for m in self.models}
+        return {"points": np.einsum("nji,nj->ni", turn, at.position - shift), "models": models}
 
     def _model(self, model: Candidate) -> dict[str, object]:
         return {

@@ -23,6 +23,7 @@ from tau_dyn.effects.pinion_scale import PinionScale
 from tau_dyn.effects.position_friction import PositionFriction
 from tau_dyn.effects.quadratic_drag import QuadraticDrag
 from tau_dyn.effects.reducer_coupling import ReducerCoupling
+from tau_dyn.effects.registry import EFFECTS, register
 from tau_dyn.effects.stribeck import Stribeck
 from tau_dyn.effects.structural_compliance import StructuralCompliance
 from tau_dyn.effects.thermal_drift import ThermalDrift
@@ -58,8 +59,8 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     FrictionChange,
 )
 
-EFFECTS: dict[str, type[Effect]] = {cls.name: cls for cls in _IN_ORDER}
-"""Every effect by the name model files use."""
+for _effect in _IN_ORDER:
+    register(_effect)
 
 FRICTION_MODELS: dict[str, tuple[type[Effect], ...]] = {
     "rigid": (),
@@ -115,4 +116,5 @@ __all__ = [
     "TransmissionError",
     "ViscousAsymmetry",
     "friction_model",
+    "register",
 ]

@@ -19,6 +19,12 @@ VISIBLE = 1e-5
 RANK_TOLERANCE = 1e-6
 """Part of a unit column that others must leave unexplained; closures are solved to 1e-12, so dependence shows to ~1e-10."""
 
+_CLEAR = 10.0
+"""Tolerances by which a column that was left out must be unexplained before the choice of the others is doubted."""
+_COARSEST = 1e-2
+_NEGLIGIBLE = 1e-6
+"""Part of a dropped unit column below which a kept one has no share in it."""
+
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
@@ -93,12 +99,12 @@ def find_base(
     unit = np.divide(W, norm, out=np.zeros_like(W), where=seen)
     R = np.asarray(np.linalg.qr(unit, mode="r")) if len(unit) > len(names) else unit
     rank = _rank(R, tolerance)
-    kept: list[int] = []
-    for column in range(len(names)):
-        if len(kept) == rank or not seen[column]:
-            continue
-        if not kept or _unexplained(R[:, kept], R[:, column]) > tolerance:
-            kept.append(column)
+    kept, small = _leftmost(R, seen, rank, tolerance), _NEGLIGIBLE
+    while tolerance < _COARSEST and _left_out(R, seen, kept) > _CLEAR * tolerance:
+        tolerance *= (
+            2  # noise made columns on the left differ by little, and they took the places of those on the right
+        )
+        kept, small = _leftmost(R, seen, rank, tolerance), _CLEAR * tolerance
     dropped = [c for c in range(len(names)) if c not in kept]
     K = (
         np.linalg.lstsq(R[:, kept], R[:, dropped], rcond=None)[0]
@@ -107,7 +113,25 @@ def find_base(
     )
     K = K * norm[dropped] / norm[kept][:, None]
     relative = np.abs(K) * norm[kept][:, None] / np.where(norm[dropped] > 0, norm[dropped], 1.0)
-    return BaseParameters(names, np.array(kept, int), np.array(dropped, int), np.where(relative > 1e-6, K, 0.0))
+    return BaseParameters(names, np.array(kept, int), np.array(dropped, int), np.where(relative > small, K, 0.0))
+
+
+def _leftmost(R: np.ndarray, seen: np.ndarray, rank: int, tolerance: float) -> list[int]:
+    """Return the first columns, at most as many as the rank, that those before them leave unexplained."""
+    kept: list[int] = []
+    for column in np.flatnonzero(seen):
+        if len(kept) < rank and (not kept or _unexplained(R[:, kept], R[:, column]) > tolerance):
+            kept.append(int(column))
+    return kept
+
+
+def _left_out(R: np.ndarray, seen: np.ndarray, kept: list[int]) -> float:
+    """Return the largest part of a seen unit column that the kept ones do not explain."""
+    rest = [c for c in np.flatnonzero(seen) if c not in kept]
+    if not rest or not kept:
+        return 0.0
+    q, _ = np.linalg.qr(R[:, kept])
+    return float(np.linalg.norm(R[:, rest] - q @ (q.T @ R[:, rest]), axis=0).max())
 
 
 def _visible(norm: np.ndarray, units: Sequence[str] | None) -> np.ndarray:

@@ -21,6 +21,7 @@ from scipy import linalg, signal
 from tau_dyn.estimate.regression import Regression, Rows
 
 BLOCK_S = 2.0
+ROUNDING = 1e-6  # of a block: a clock's last digit must not move a sample from one to the next
 MAX_ORDER = 12
 
 
@@ -193,7 +194,7 @@ def _first_pass(scores: Scores, inverse: np.ndarray) -> tuple[list[Autoregressio
             for k, lag in enumerate(lags):
                 open_[k] = _add_stretches(lag, rows.y[:, k], rows.usable[:, k], bool(open_[k]))
             score = np.einsum("nmr,nm->nr", rows.W, np.where(rows.usable, rows.y, 0.0)) @ inverse
-            blocks.add(((rows.t - start) / BLOCK_S).astype(int), score, np.any(rows.usable, axis=1))
+            blocks.add(((rows.t - start) / BLOCK_S + ROUNDING).astype(int), score, np.any(rows.usable, axis=1))
         blocks.close()
     models = [lag.model() if lag.seen else Autoregression(np.zeros(0), 0.0) for lag in lags]
     return models, blocks.total, blocks.count

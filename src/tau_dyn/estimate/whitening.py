@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_toeplitz
 
-from tau_dyn.estimate.noise import BLOCK_S, Autoregression
+from tau_dyn.estimate.noise import BLOCK_S, ROUNDING, Autoregression
 from tau_dyn.estimate.regression import Run
 
 
@@ -46,7 +46,7 @@ class Whitener:
         predictors = [_predictors(model) for model in noise]
         rows, index, block, t, first = [], [], [], [], 0
         for run, mask in zip(runs, masks, strict=True):
-            number = first + ((run.t - run.t[0]) / BLOCK_S).astype(int)
+            number = first + ((run.t - run.t[0]) / BLOCK_S + ROUNDING).astype(int)
             first = int(number[-1]) + 1
             for k, predictor in enumerate(predictors):
                 used = np.flatnonzero(mask[:, k])

@@ -16,7 +16,7 @@ import numpy as np
 from tau_dyn.effects.hysteresis import Hysteresis
 from tau_dyn.estimate import Rows, Run, Totals
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import prepare
 from tau_dyn.log import Log, edge_samples
 from tau_dyn.log.names import ROOM_TEMPERATURE
@@ -131,7 +131,7 @@ def cut(stretch: Stretch | InMemory, number: int, preparation: Preparation, widt
     n = -(-stretch.n_samples // factor)
     size = max(FEWEST, SIZE // width // factor)
     middle = int(share * n)
-    gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz))
+    gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz - ROUNDING))
     edges = (0, middle, min(middle + gap, n - 1), n)
     found = []
     for section, (start, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):

@@ -14,7 +14,7 @@ import numpy as np
 from tau_dyn.estimate import Regression
 from tau_dyn.identify.choices import scale_outputs
 from tau_dyn.identify.logs import log_warnings
-from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import build_regression, even_pieces
 from tau_dyn.identify.streaming import Engine, Progress, channels, even_stretches, refuse_missing, stream_regression
 from tau_dyn.log import Log, Recording
@@ -111,7 +111,7 @@ def _split(regression: Regression) -> tuple[Regression, Regression]:
     first, last = [], []
     for run in regression.runs:
         cut = int(TRAIN_SHARE * len(run.t))
-        gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz)) if len(run.t) > 1 else 0
+        gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz - ROUNDING)) if len(run.t) > 1 else 0
         first.append(run.window(slice(0, cut)))
         last.append(run.window(slice(min(cut + gap, len(run.t) - 1), len(run.t))))
     return replace(regression, runs=tuple(first)), replace(regression, runs=tuple(last))

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.estimate import Estimate
+from tau_dyn.estimate import DETERMINED, Estimate
+from tau_dyn.parameters import Parameters
+from tau_dyn.robot import INERTIAL
 
 _ILL_CONDITIONED = 200.0
 _CORRELATED = 0.99
+_UNLIKE = 30.0
+"""Factor between identified and nominal inertia beyond which units are doubted; a robot file may be wrong by much less."""
 
 
 def doubts(estimate: Estimate) -> list[str]:
@@ -18,6 +22,26 @@ def doubts(estimate: Estimate) -> list[str]:
         *_unseen(estimate),
         *_undetermined(estimate),
         *_conditioning(estimate),
+    ]
+
+
+def unlike_the_file(estimate: Estimate, nominal: Parameters) -> list[str]:
+    """Return a sentence where masses and inertias are orders of magnitude from the robot file's: mostly a unit is wrong."""
+    base = estimate.base
+    before, names = base.combine(nominal.select(base.names).values), [base.names[k] for k in base.kept]
+    inertial = np.array([name.rpartition(".")[2] in INERTIAL for name in names], bool)
+    seen = inertial & (estimate.stderr < DETERMINED * np.abs(estimate.beta)) & (before != 0)
+    if not seen.any():
+        return []
+    ratio = np.abs(estimate.beta[seen] / before[seen])
+    typical = float(np.exp(np.median(np.log(ratio))))
+    if 1 / _UNLIKE < typical < _UNLIKE:
+        return []
+    k = np.flatnonzero(seen)[np.argmin(np.abs(np.log(ratio / typical)))]
+    such = f"{names[k]} with {estimate.beta[k]:.3g} instead of {before[k]:.3g} {estimate.parameters[names[k]].unit}"
+    return [
+        f"masses and inertias are about {typical:.2g} times those of the robot file, such as {such}; check the units of t [s], "
+        "q [m or rad] and tau [N or N m], and the file's"
     ]
 
 

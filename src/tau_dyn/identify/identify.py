@@ -19,7 +19,7 @@ from tau_dyn.estimate import DETERMINED, BaseParameters, Estimate, Regression, s
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices
 from tau_dyn.identify.data import Data
-from tau_dyn.identify.doubts import doubts, equivalences
+from tau_dyn.identify.doubts import doubts, equivalences, unlike_the_file
 from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.estimators import Estimator
 from tau_dyn.identify.logs import each_once, listed, without_trained
@@ -119,6 +119,7 @@ def _identify(
     warnings += [*robot.warnings, *data.warnings(), *held_out.warnings(), *doubled]
     progress("columns")
     training = data.regression(prepared)
+    _refuse_constant_forces(train_logs, training)
     warnings += _singularities(prepared, training)
     progress("structure")
     structural = structural_base(prepared, seed)
@@ -146,7 +147,7 @@ def _identify(
         held=held,
         nominal=prepared.parameters,
         friction=str(model) if isinstance(model, str) and model in FRICTION_MODELS else "",
-        warnings=tuple(dict.fromkeys([*warnings, *doubts(estimate)])),
+        warnings=tuple(dict.fromkeys([*warnings, *doubts(estimate), *unlike_the_file(estimate, prepared.parameters)])),
         equivalent=equivalences(estimate, robot.actuated),
         seed=seed,
         logs=tuple(train_logs),
@@ -229,17 +230,27 @@ def _refuse_if_nothing_determined(estimate: Estimate) -> None:
     """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing."""
     if np.any(estimate.stderr < DETERMINED * np.abs(estimate.beta)):
         return
-    regression = estimate.regression
-    flat = [j for k, j in enumerate(regression.outputs) if all(np.ptp(run.y_all[:, k]) == 0 for run in regression.runs)]
+    raise CannotAnswer(
+        "this motion determines no parameter, alone or in combination, to within 30 %",
+        f"move {', '.join(estimate.regression.outputs)} in both directions over several speeds, accelerate more than the "
+        "noise shows, and let the model have friction (--model asymmetric)",
+    )
+
+
+def _refuse_constant_forces(logs: list[Log | Recording], regression: Regression) -> None:
+    """Refuse a force that is the same to the last bit while its joint moves: it was not measured."""
+    here = [log for log in logs if isinstance(log, Log)]
+    moving = [j for k, j in enumerate(regression.outputs) if any(run.usable[:, k].any() for run in regression.runs)]
+    flat = [j for j in moving if len(here) == len(logs) and all(_flat(log, "tau", j) for log in here)]
+    flat = [j for j in flat if not all(_flat(log, "q", j) for log in here)]
     if flat:
         raise CannotAnswer(
             f"the logged force of {', '.join(flat)} never changes", "log the drives' forces and repeat the motion"
         )
-    raise CannotAnswer(
-        "this motion determines no parameter, alone or in combination, to within 30 %",
-        f"move {', '.join(regression.outputs)} in both directions over several speeds, accelerate more than the noise shows, "
-        "and let the model have friction (--model asymmetric)",
-    )
+
+
+def _flat(log: Log, signal: str, joint: str) -> bool:
+    return np.ptp(log.joint(signal, [joint])) == 0
 
 
 def _provenance(train: list[Log | Recording], held: list[Log | Recording], seed: int) -> dict:

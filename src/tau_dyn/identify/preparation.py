@@ -35,6 +35,12 @@ NOISE_FACTOR = 10.0
 SLOWEST_HZ = 5.0
 """A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
 
+ROUNDING = 1e-6
+"""Samples; a clock's rounding must not turn five samples into six."""
+
+FEWEST = 10
+"""Samples of the shortest stretch; fewer have neither a noise nor a band."""
+
 MEMORY = 2.0
 """Half-width of what the first filter makes of a step, in periods of its cutoff; 0.3 % of the step is left after it."""
 
@@ -61,7 +67,7 @@ class Preparation:
 
     def factor(self, rate_hz: float) -> int:
         """Return the whole number by which a log of this rate is decimated."""
-        return max(1, int(rate_hz // self.rate_hz))
+        return max(1, int(rate_hz / self.rate_hz + ROUNDING))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers for JSON."""
@@ -84,6 +90,9 @@ def choose_preparation(
     Raises:
         CannotAnswer: No joint moves above its encoder's noise.
     """
+    short = min(logs, key=lambda log: log.n_samples)
+    if short.n_samples < FEWEST:
+        raise InputError(f"{short.name} has {short.n_samples} samples in a row; {FEWEST} are needed to say anything")
     rate = min(log.rate_hz for log in logs)
     if rate < SLOWEST_HZ:
         raise InputError(f"{logs[0].name} is sampled at {rate:.3g} Hz; t must be in s (does it stand in ms or us?)")

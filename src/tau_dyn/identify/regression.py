@@ -24,7 +24,7 @@ from tau_dyn.effects import Effect, Motion
 from tau_dyn.effects.effect import JointMotion, JointwiseEffect
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.preparation import Preparation, choose_preparation
+from tau_dyn.identify.preparation import ROUNDING, Preparation, choose_preparation
 from tau_dyn.identify.signals import measured_signals, refuse_missing_campaign, refuse_missing_temperature
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, segments
 from tau_dyn.model import COMPUTED, Model
@@ -237,9 +237,9 @@ def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation, rate
         for speed, indices in effect.other_speeds(replace(motion, signals=felt)):
             shut[:, indices] |= _unsure(speed, float(np.hypot.reduce(threshold[indices])))[:, None]
     shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
-    half = int(np.ceil(preparation.window_s * rate))
+    half = int(np.ceil(preparation.window_s * rate - ROUNDING))
     gate = 1.0 - _widened(shut, half)
-    ramp = np.hanning(2 * int(np.ceil(rate / preparation.position_cutoff_hz)) + 3)
+    ramp = np.hanning(2 * int(np.ceil(rate / preparation.position_cutoff_hz - ROUNDING)) + 3)
     return convolve1d(gate, ramp / ramp.sum(), axis=0, mode="nearest")
 
 
@@ -253,7 +253,7 @@ def _widened(shut: np.ndarray, half: int) -> np.ndarray:
 
 def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:
     """Return where a speed (N,) has no sure sign: too slow, or just reversed."""
-    unsure = np.abs(speed) < threshold
+    unsure = np.abs(speed) <= threshold  # a joint at rest has no sign, even without noise
     unsure[1:] |= np.sign(speed[1:]) != np.sign(speed[:-1])
     return unsure
 

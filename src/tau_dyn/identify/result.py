@@ -12,12 +12,13 @@ from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
+from tau_dyn.shown import Shown
 
 _Z95 = 1.959964
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Shown):
     """Identified parameters and how far to trust them.
 
     Attributes:

@@ -112,9 +112,9 @@ class _Reader:
         raise InputError(f"{self.where}: {text}")
 
     def keys(self, given: Mapping[Any, Any], needed: set[str], optional: set[str]) -> None:
-        unknown = next((k for k in given if k not in needed | optional), None)
-        if unknown is not None:
-            self.fault(f"'{unknown}' is not known here; there are {', '.join(sorted(needed | optional))}")
+        unknown = [k for k in given if k not in needed | optional]
+        if unknown:
+            self.fault(f"'{unknown[0]}' is not known here; there are {', '.join(sorted(needed | optional))}")
         missing = min(needed - set(given), default=None)
         if missing is not None:
             self.fault(f"'{missing}' is missing")

@@ -15,13 +15,14 @@ from tau_dyn.kinematics.inverse import configurations, inverse_kinematics, inver
 from tau_dyn.kinematics.outcome import JOINT_LIMIT, OK, REASONS, Inverse
 from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
 from tau_dyn.robot import Robot
+from tau_dyn.shown import Shown
 
 TOOL = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
 
 
 @dataclass(frozen=True, eq=False)
-class PoseTable:
+class PoseTable(Shown):
     """Rows of positions and poses.
 
     Attributes:

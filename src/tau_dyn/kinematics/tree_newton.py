@@ -29,6 +29,7 @@ _STEPS = 12  # on the way from home
 _DAMPING = 1e-4  # what a joint's motion costs beside a turn of the tool
 _SOFT = 1e-6  # its square times what the orientation pulls with is what the closure is off by
 _IDLE = 1e-7
+_NEARBY = 0.05  # [m or rad] from home, where what idles is looked for
 
 
 class TreeNewton:
@@ -42,10 +43,14 @@ class TreeNewton:
         self._ends = [[(int(f.parentJoint), f.placement.translation.copy()) for f in pair] for pair in ends]
         self._active = self.robot.active_v
         self.home = self.begun(self.robot.home[None])
-        at = frames(engine.joints, self.home)
-        whole = np.concatenate([self._closure(at), self._twist(at)[:, 3:]], axis=1)[0]
+        # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
+        near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
+        x = self.begun(np.vstack([self.robot.home, self.robot.home + near]))
+        at = frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
+        whole = np.concatenate([self._closure(at), self._twist(at)[:, 3:]], axis=1)
         _, s, vt = np.linalg.svd(whole)
-        null = vt[int(np.sum(s > _IDLE * s[:1].max(initial=0.0))) :]
+        ranks = np.sum(s > _IDLE * s.max(axis=1, initial=0.0, keepdims=True), axis=1)
+        null = vt[np.argmax(ranks), ranks.max() :]
         self._idle = len(null) if np.abs(null[:, self._active]).max(initial=0.0) > _IDLE else 0
 
     def begun(self, q: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
     """Find the band of the motion in measured positions (N, n), evenly spaced and not filtered."""
     q = np.asarray(q, dtype=np.float64)
     acceleration = np.diff(q, 2, axis=0) * rate_hz**2
-    n = min(len(acceleration), int(_WINDOW_S * rate_hz))
+    n = min(len(acceleration), round(_WINDOW_S * rate_hz))  # a rate of 199.9999 Hz is one of 200
     f, power = signal.welch(acceleration, rate_hz, "blackmanharris", nperseg=n, detrend=cast(Any, False), axis=0)
     gain = (2 * np.sin(np.pi * f / rate_hz)) ** 4 * rate_hz**4
     upper = (f > 0.25 * rate_hz) & (f < 0.49 * rate_hz)

@@ -8,6 +8,7 @@ in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing i
 in `read.py`.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
@@ -18,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import LARGEST_YAML, YAML_FAULTS, PlainLoader, read_bytes
 from tau_dyn.log.names import SIGNALS, is_contract_name, listed, map_joints
 
 SOURCE_KEYS = ("column", "scale", "offset", "file")
@@ -93,13 +95,13 @@ class ColumnMap:
         return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name)
 
 
-class _UniqueLoader(yaml.SafeLoader):
-    """YAML's safe loader, which would let the second of two equal keys win without a word."""
+class _UniqueLoader(PlainLoader):
+    """A safe loader of YAML, which would let the second of two equal keys win without a word."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        for key in seen:
-            if seen.count(key) > 1:
+        keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for key, times in keys.items():
+            if times > 1:
                 raise yaml.constructor.ConstructorError(None, None, f"key {key} stands twice", node.start_mark)
         return super().construct_mapping(node, deep)
 
@@ -107,15 +109,17 @@ class _UniqueLoader(yaml.SafeLoader):
 def _load_yaml(path: Path) -> dict[Any, Any]:
     try:
         entries = yaml.load(
-            path.read_text(encoding="utf-8"), Loader=_UniqueLoader
-        )  # a SafeLoader: it builds plain data only
+            read_bytes(path, LARGEST_YAML).decode("utf-8"), Loader=_UniqueLoader
+        )  # builds plain data only
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; give the path of a column map.") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}; give a readable column map.") from None
     except UnicodeDecodeError:
         raise InputError(f"{path.name} is not UTF-8; save the column map as UTF-8.") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a date such as 2026-13-01
+    except YAML_FAULTS as error:
         mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
         line = f", line {mark.line + 1}" if mark is not None else ""
         raise InputError(
@@ -174,7 +178,14 @@ def _files(name: str, value: Any) -> dict[str, str]:
         raise InputError(f"{name}: files has to be a mapping such as {{pos: positions.csv, cur: currents.csv}}.")
     for key, path in value.items():
         windows = PureWindowsPath(path)  # understands both kinds of separators
-        if not path.strip() or windows.drive or windows.root or ".." in windows.parts or path.startswith("~"):
+        if (
+            not path.strip()
+            or windows.drive
+            or windows.root
+            or ".." in windows.parts
+            or path.startswith("~")
+            or "\0" in path
+        ):
             raise InputError(f"{name}: files.{key} is '{path}'; name a file in the log's own folder or below it.")
     return dict(value)
 

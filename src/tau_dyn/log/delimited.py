@@ -17,6 +17,9 @@ from tau_dyn.exceptions import InputError
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
+MOST_COLUMNS = 10_000
+"""Columns of a table; a header with more is no header."""
+
 
 class _Layout(NamedTuple):
     name: str
@@ -72,7 +75,7 @@ def _lay_out(name: str, text: str) -> _Layout:
     if at is None:
         raise InputError(f"{name} has no header; a log needs a line naming its columns and one line a sample.")
     separator = max(SEPARATORS, key=lambda s: (lines[at].count(s), s == ","))
-    header = [cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator))]
+    header = [cell.strip() for cell in _cells_of(name, at + 1, lines[at], separator)]
     _check_header(name, at + 1, header)
     kept = [i for i in range(at + 1, len(lines)) if lines[i].strip()]
     if not kept:
@@ -81,14 +84,28 @@ def _lay_out(name: str, text: str) -> _Layout:
     return _Layout(name, separator, header, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip())
 
 
+def _cells_of(name: str, line: int, text: str, separator: str) -> list[str]:
+    """Return a line's cells; a cell longer than the csv module takes (128 KiB) is no cell."""
+    try:
+        return next(csv.reader([text], delimiter=separator))
+    except csv.Error as fault:
+        raise InputError(f"{name}, line {line}: not a line of cells ({fault}); write plain CSV.") from None
+
+
 def _check_header(name: str, line: int, header: list[str]) -> None:
+    if len(header) > MOST_COLUMNS:
+        raise InputError(
+            f"{name}, line {line}: the header names {len(header)} columns; a log has {MOST_COLUMNS} at most."
+        )
+    seen: set[str] = set()
     for position, column in enumerate(header, start=1):
         if not column:
             raise InputError(f"{name}, line {line}: column {position} has no name; the header must name every column.")
-        if column in header[: position - 1]:
+        if column in seen:
             raise InputError(
                 f"{name}, line {line}: column {column} stands twice; every column needs a name of its own."
             )
+        seen.add(column)
     if all(_is_number(column) for column in header):
         first = ", ".join(header[:3])
         raise InputError(
@@ -120,7 +137,8 @@ def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
 def _count_cells(layout: _Layout) -> NDArray[np.int64]:
     """Return the number of cells of each row; quoted cells are counted by the csv module, which is slower."""
     if any('"' in line for line in layout.lines):
-        counts = [len(next(csv.reader([line], delimiter=layout.separator))) for line in layout.lines]
+        rows = zip(layout.numbers, layout.lines, strict=True)
+        counts = [len(_cells_of(layout.name, number, line, layout.separator)) for number, line in rows]
     else:
         counts = [line.count(layout.separator) + 1 for line in layout.lines]
     return np.asarray(counts, dtype=np.int64)
@@ -153,15 +171,35 @@ def _parse(layout: _Layout) -> pd.DataFrame:
 def _last_cell_is_cut(layout: _Layout) -> bool:
     """Tell whether the file stops inside its last number.
 
-    Only a file without a final newline can. Its last cell is taken as cut when it is no number in a column of numbers,
-    or when it has fewer characters than each of the 50 cells above it (`1.5` of `1.52e-05` would pass for a number).
+    Only a file without a final newline can. Its last cell is taken as cut when it is no number in a column of numbers, or
+    when it has fewer characters, decimals or digits of an exponent than each of the 50 cells above it (`1.5` of `1.52e-05`
+    would pass for a number, and `1.52e-0` as well).
     """
     if layout.ends_with_newline or len(layout.lines) < 3:
         return False
     *above, last = (line.rpartition(layout.separator)[2].strip().strip('"') for line in layout.lines[-51:])
     if not all(_is_number(cell) for cell in above):
         return False
-    return not _is_number(last) or len(above) >= 10 and len(last) < min(map(len, above))
+    if not _is_number(last):
+        return True
+    if len(above) < 10:
+        return False
+    exponents = [len(cell) for cell in map(_exponent, above) if cell]
+    return (
+        len(last) < min(map(len, above))
+        or len(_decimals(last)) < min(len(_decimals(cell)) for cell in above)
+        or bool(_exponent(last))
+        and len(_exponent(last)) < min(exponents, default=0)
+    )
+
+
+def _decimals(cell: str) -> str:
+    """Return the decimal point and what follows it."""
+    return "".join(cell.lower().partition("e")[0].partition(".")[1:])
+
+
+def _exponent(cell: str) -> str:
+    return cell.lower().partition("e")[2]
 
 
 def _without_last(layout: _Layout) -> _Layout:

@@ -7,6 +7,8 @@ is, `warning` that an answer will be poorer, `ok` that a thing was looked at and
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from tau_dyn.shown import Shown
+
 Severity = Literal["ok", "warning", "fault"]
 
 
@@ -22,7 +24,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class LogCheck:
+class LogCheck(Shown):
     """The judgement of a log.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""A CSV or Parquet file, ours or foreign, becomes a `Log` in SI units; everything is converted here, once.
+"""A recorded file, ours or foreign, becomes a `Log` in SI units; everything is converted here, once.
 
 Our own files name their columns as the contract says. A foreign file comes with a `ColumnMap`; its columns that the map
 does not mention keep their names. Every cell that the library will use is checked, and a fault is one sentence with
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.column_map import ColumnMap
+from tau_dyn.log.containers import has_topics, read_any
 from tau_dyn.log.log import Log
 from tau_dyn.log.names import listed, used_columns
-from tau_dyn.log.table import Table, read_table
+from tau_dyn.log.table import Table
 
 MIN_SAMPLES = 10
 """A log with fewer samples answers nothing and is taken for a mistake."""
@@ -26,8 +27,8 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
     """Read a recording.
 
     Args:
-        path: CSV with one header line (comma, semicolon or tab), or Parquet. With a map that has `files`, their folder
-            will do.
+        path: CSV with one header line (comma, semicolon or tab), Parquet, MCAP, a ROS bag or a MATLAB file
+            (`containers.py`). With a map that has `files`, their folder will do.
         columns: Map for a foreign log, or the path of one.
 
     Returns:
@@ -37,7 +38,7 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
         InputError: The file cannot be used; the message names file, line and column.
     """
     if columns is None:
-        table = read_table(path)
+        table = read_any(path)
         return _build({None: table}, table, _own_columns(table, tuple(table.cells)), warnings=table.warnings)
     map_ = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
     return _read_foreign(Path(path), map_)
@@ -65,6 +66,8 @@ def _read_foreign(path: Path, map_: ColumnMap) -> Log:
 
 def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
     """Read every file that the map takes a column from: its `files` by their keys, the log given by None."""
+    if has_topics(path) and not map_.files:
+        return {None: read_any(path, {ours: source.column for ours, source in map_.sources.items()})}
     folder = path if path.is_dir() else path.parent
     wanted = dict.fromkeys(source.file for source in map_.sources.values())
     if path.is_dir() and None in wanted:
@@ -76,7 +79,8 @@ def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
         raise InputError(
             f"{path.name} is none of the files that {map_.name} reads ({listed(map_.files.values())}); give one."
         )
-    return {key: read_table(file) for key, file in paths.items()}
+    asked = {key: {o: s.column for o, s in map_.sources.items() if s.file == key} for key in wanted}
+    return {key: read_any(file, asked[key]) for key, file in paths.items()}
 
 
 def _same_file(one: Path, other: Path) -> bool:

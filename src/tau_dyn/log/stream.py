@@ -12,6 +12,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,11 +23,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import owner, sweep
 from tau_dyn.log.column_map import ColumnMap
+from tau_dyn.log.containers import has_topics
 from tau_dyn.log.log import Log
 from tau_dyn.log.names import listed, used_columns
 from tau_dyn.log.read import MIN_SAMPLES, read_log
-from tau_dyn.log.table import PARQUET_SUFFIXES, Table
+from tau_dyn.log.table import PARQUET_SUFFIXES, Table, parquet_cells
 from tau_dyn.log.text_chunks import text_chunks
 
 LARGE = 2**18
@@ -39,10 +42,15 @@ GROUP_ROWS = 2**20
 """Rows of a row group up to which it is decoded at once."""
 
 
+State = tuple[int, int]
+"""What changes when a file is written: its size and the time of its last change [ns]."""
+
+
 class Part(NamedTuple):
-    """One row group: its file, number, first row in the recording and in the file (from 0), and how many."""
+    """One row group: its file and state, number, first row in the recording and in the file (from 0), and how many."""
 
     path: str
+    state: State
     group: int
     first: int
     in_file: int
@@ -53,8 +61,9 @@ class TemporaryFolder:
     """A folder that is gone when nobody uses it any more."""
 
     def __init__(self) -> None:
-        """Make it where the system keeps temporary files (`TMPDIR`)."""
-        self.path = Path(tempfile.mkdtemp(prefix="tau_dyn_"))
+        """Make it where the system keeps temporary files (`TMPDIR`); those of killed processes go."""
+        sweep(Path(tempfile.gettempdir()), "tau_dyn_")
+        self.path = Path(tempfile.mkdtemp(prefix=f"tau_dyn_{owner()}.", suffix=".part"))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
@@ -69,6 +78,8 @@ class Recording:
         columns: The files' columns.
         map_: How foreign columns are read; None for our own names.
         warnings: What was doubtful on the way in.
+        states: The files' states when they were opened.
+        digest: Hash of what was read, where that is known already.
         copied: Keeps a temporary copy alive.
     """
 
@@ -78,6 +89,8 @@ class Recording:
     columns: tuple[str, ...]
     map_: ColumnMap | None = None
     warnings: tuple[str, ...] = ()
+    states: tuple[State, ...] = ()
+    digest: str = ""
     copied: TemporaryFolder | None = field(default=None, repr=False)
 
     def __getstate__(self) -> dict:
@@ -91,8 +104,19 @@ class Recording:
 
     @property
     def sha256(self) -> str:
-        """Hash of the files' bytes; of several, the hash of their hashes."""
-        digests = [_sha256(str(path), path.stat().st_mtime_ns) for path in self.paths]
+        """Hash of the files' bytes; of several, the hash of their hashes.
+
+        Raises:
+            InputError: A file was written to since it was opened, so nobody knows what was read.
+        """
+        if self.digest:
+            return self.digest
+        for path, state in zip(self.paths, self.states, strict=True):
+            if not path.is_file() or _state(path) != state:
+                raise InputError(
+                    f"{path.name} was written to while it was read; let the recording end, or copy it first"
+                )
+        digests = [_sha256(str(path), state) for path, state in zip(self.paths, self.states, strict=True)]
         return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def has(self, name: str) -> bool:
@@ -170,7 +194,7 @@ def open_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
     """
     path = Path(path)
     map_ = columns if columns is None or isinstance(columns, ColumnMap) else ColumnMap.load(columns)
-    if map_ is not None and map_.files:
+    if map_ is not None and map_.files or has_topics(path):
         return read_log(path, map_)
     if path.is_dir():
         recording = _opened(path.name, _files_in(path), map_)
@@ -198,9 +222,9 @@ def _files_in(folder: Path) -> tuple[Path, ...]:
 
 def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recording:
     """Read what the files say of themselves."""
-    parts, first, columns = [], 0, ()
-    for path in paths:
-        file = _parquet(str(path))
+    parts, first, columns, states = [], 0, (), tuple(_state(path) for path in paths)
+    for path, state in zip(paths, states, strict=True):
+        file = _parquet(str(path), state)
         theirs = tuple(file.schema_arrow.names)
         if len(set(theirs)) < len(theirs):
             twice = next(c for c in theirs if theirs.count(c) > 1)
@@ -216,20 +240,28 @@ def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recor
         for group in range(file.metadata.num_row_groups):
             rows = file.metadata.row_group(group).num_rows
             if rows:
-                parts.append(Part(str(path), group, first, in_file, rows))
+                parts.append(Part(str(path), state, group, first, in_file, rows))
             first, in_file = first + rows, in_file + rows
     if not parts:
         raise InputError(f"{name} has columns but no rows; a log needs one row a sample.")
     if any(part.rows > GROUP_ROWS for part in parts):
-        return _copied_groups(name, paths, map_)
-    return Recording(name, paths, tuple(parts), columns, map_)
+        return _copied_groups(name, paths, states, map_)
+    return Recording(name, paths, tuple(parts), columns, map_, states=states)
+
+
+def _state(path: Path) -> State:
+    about = path.stat()
+    return about.st_size, about.st_mtime_ns
 
 
 @lru_cache(maxsize=16)
-def _parquet(path: str) -> pq.ParquetFile:
+def _parquet(path: str, state: State) -> pq.ParquetFile:
+    """Open a file; one that was written to since is another one."""
     try:
-        return pq.ParquetFile(path)
-    except (pa.ArrowException, OSError):
+        file = pq.ParquetFile(path)
+        file.schema_arrow.names  # noqa: B018  a name that is no UTF-8 is found here
+        return file
+    except (pa.ArrowException, OSError, ValueError):
         raise InputError(f"{Path(path).name} is not a Parquet file; give CSV another suffix than .parquet.") from None
 
 
@@ -237,11 +269,18 @@ def _parquet(path: str) -> pq.ParquetFile:
 def _cells(part: Part, column: str) -> np.ndarray:
     """Return one column of a row group as checked numbers (rows,); the last few are kept, as windows overlap."""
     try:
-        cells = _parquet(part.path).read_row_group(part.group, columns=[column]).column(column)
+        cells = _parquet(part.path, part.state).read_row_group(part.group, columns=[column]).column(column)
     except (pa.ArrowException, OSError) as fault:
         raise InputError(f"{Path(part.path).name} is damaged: {str(fault).splitlines()[0]}") from None
     places = np.arange(part.in_file + 1, part.in_file + part.rows + 1)
-    table = Table(Path(part.path).name, Path(part.path), "", {column: cells.to_pandas().to_numpy()}, places, "row")
+    table = Table(
+        Path(part.path).name,
+        Path(part.path),
+        "",
+        {column: parquet_cells(Path(part.path).name, column, cells)},
+        places,
+        "row",
+    )
     values = None if used_columns((column,)) else table.numbers_or_none(column)
     values = table.numbers(column) if values is None else values
     values.setflags(write=False)
@@ -262,36 +301,51 @@ def _refuse_backwards(part: Part, t: np.ndarray, row: int, before: float, where:
 
 def _copied_text(path: Path, map_: ColumnMap | None) -> Recording:
     """Copy a large text file to Parquet, piece by piece, every cell checked where it stands."""
-    folder = TemporaryFolder()
+    folder, digest = TemporaryFolder(), hashlib.sha256()
     target, warnings, writer = folder.path / f"{path.stem}.parquet", [], None
     theirs = {source.column for source in map_.sources.values()} if map_ is not None else set()
-    for table in text_chunks(path):
-        used = theirs | set(used_columns(tuple(table.cells)))
-        numbers = {c: table.numbers(c) for c in table.cells if c in used}
-        warnings += table.warnings
-        writer = writer or pq.ParquetWriter(target, pa.table(numbers).schema, compression="snappy")
-        writer.write_table(pa.table(numbers), row_group_size=2**17)
-    if writer is None:
-        raise InputError(f"{path.name} has no rows; a log needs one line a sample.")
-    writer.close()
+    with _room_for_a_copy(path.name, folder):
+        for table in text_chunks(path, digest):
+            used = theirs | set(used_columns(tuple(table.cells)))
+            numbers = {c: table.numbers(c) for c in table.cells if c in used}
+            warnings += table.warnings
+            writer = writer or pq.ParquetWriter(target, pa.table(numbers).schema, compression="snappy")
+            writer.write_table(pa.table(numbers), row_group_size=2**17)
+        if writer is None:
+            raise InputError(f"{path.name} has no rows; a log needs one line a sample.")
+        writer.close()
     recording = _opened(path.name, (target,), map_)
-    return replace(recording, name=path.name, paths=(path,), warnings=tuple(warnings), copied=folder)
+    said = tuple(warnings)
+    return replace(recording, name=path.name, paths=(path,), warnings=said, digest=digest.hexdigest(), copied=folder)
 
 
-def _copied_groups(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recording:
+def _copied_groups(name: str, paths: tuple[Path, ...], states: tuple[State, ...], map_: ColumnMap | None) -> Recording:
     """Copy Parquet files whose row groups are too large to row groups that are not."""
     folder = TemporaryFolder()
     copies = []
-    for number, path in enumerate(paths):
-        file, target = _parquet(str(path)), folder.path / f"{number:06d}_{path.name}"
-        with pq.ParquetWriter(target, file.schema_arrow, compression="snappy") as writer:
-            for batch in file.iter_batches(batch_size=min(2**17, GROUP_ROWS)):
-                writer.write_batch(batch)
-        copies.append(target)
-    return replace(_opened(name, tuple(copies), map_), paths=paths, copied=folder)
+    with _room_for_a_copy(name, folder):
+        for number, (path, state) in enumerate(zip(paths, states, strict=True)):
+            file, target = _parquet(str(path), state), folder.path / f"{number:06d}_{path.name}"
+            with pq.ParquetWriter(target, file.schema_arrow, compression="snappy") as writer:
+                for batch in file.iter_batches(batch_size=min(2**17, GROUP_ROWS)):
+                    writer.write_batch(batch)
+            copies.append(target)
+    return replace(_opened(name, tuple(copies), map_), paths=paths, states=states, copied=folder)
+
+
+@contextmanager
+def _room_for_a_copy(name: str, folder: TemporaryFolder) -> Iterator[None]:
+    """Say where the room is missing when a copy does not fit."""
+    try:
+        yield
+    except OSError as fault:
+        raise InputError(
+            f"{name} is too large to be read at once, and its copy in {folder.path.parent} failed ({fault.strerror or fault}); "
+            "free some space there, or name another folder in TMPDIR"
+        ) from fault
 
 
 @lru_cache(maxsize=4096)
-def _sha256(path: str, changed: int) -> str:
+def _sha256(path: str, state: State) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

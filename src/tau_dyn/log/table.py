@@ -7,6 +7,7 @@ in `read.py`.
 """
 
 import hashlib
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.delimited import parse_delimited
+from tau_dyn.files import read_bytes
+from tau_dyn.log.delimited import MOST_COLUMNS, parse_delimited
 from tau_dyn.log.names import listed
 
 LARGEST = 1e15
@@ -115,7 +117,7 @@ def read_table(path: str | Path) -> Table:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; give the path of a CSV or Parquet log.") from None
     except IsADirectoryError:
@@ -133,14 +135,31 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
     """Return the columns of a Parquet file; no Python object is ever restored from it."""
     try:
         table = pq.read_table(pa.BufferReader(data))
-    except (pa.ArrowException, OSError):
+        names = Counter(table.column_names)
+    except (pa.ArrowException, OSError, ValueError):  # ValueError: a name that is no UTF-8
         raise InputError(f"{name} is not a Parquet file; give CSV another suffix than .parquet.") from None
-    twice = [c for c in dict.fromkeys(table.column_names) if table.column_names.count(c) > 1]
+    twice = [column for column, times in names.items() if times > 1]
     if twice:
         raise InputError(f"{name} names column {twice[0]} twice; every column needs a name of its own.")
     if table.num_rows == 0:
         raise InputError(f"{name} has columns but no rows; a log needs one row a sample.")
-    return {column: table.column(column).to_pandas().to_numpy() for column in table.column_names}
+    if len(names) > MOST_COLUMNS:
+        raise InputError(f"{name} has {len(names)} columns; a log has {MOST_COLUMNS} at most.")
+    return {column: parquet_cells(name, column, table.column(column)) for column in table.column_names}
+
+
+def parquet_cells(name: str, column: str, cells: pa.ChunkedArray) -> NDArray[Any]:
+    """Return a Parquet file's column (N,) as numbers or text.
+
+    Raises:
+        InputError: Its values cannot be had, such as a date far from ours, or text that is no UTF-8.
+    """
+    try:
+        return cells.to_pandas().to_numpy()
+    except (pa.ArrowException, ValueError, OverflowError, TypeError) as fault:
+        raise InputError(
+            f"{name}, column {column}: its {cells.type} cannot be read ({' '.join(str(fault).split())[:200]})."
+        ) from None
 
 
 def _to_float(cells: NDArray[Any]) -> NDArray[np.float64]:
@@ -149,7 +168,11 @@ def _to_float(cells: NDArray[Any]) -> NDArray[np.float64]:
         return cells.astype(np.float64)
     if cells.dtype.kind in "bmM":
         return np.full(cells.shape, np.nan)
-    return np.asarray(pd.to_numeric(pd.Series(cells), errors="coerce"), dtype=np.float64)
+    try:
+        return np.asarray(pd.to_numeric(pd.Series(cells), errors="coerce"), dtype=np.float64)
+    except OverflowError:  # a whole number of hundreds of digits stays one
+        shown = pd.Series([str(cell) + ".0" if isinstance(cell, int) else cell for cell in cells])
+        return np.asarray(pd.to_numeric(shown, errors="coerce"), dtype=np.float64)
 
 
 def _is_blank(cell: object) -> bool:

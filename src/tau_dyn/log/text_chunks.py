@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.delimited import parse_delimited
@@ -13,11 +15,27 @@ CHUNK_BYTES = 2**24
 """Size of the text parsed at once."""
 
 
-def text_chunks(path: Path) -> Iterator[Table]:
-    """Yield a delimited file's rows as tables, each with its lines' numbers in the file."""
+def text_chunks(path: Path, digest: Any = None) -> Iterator[Table]:
+    """Yield a delimited file's rows as tables, each with its lines' numbers in the file.
+
+    A file that grows meanwhile is read as far as it went at the start.
+
+    Args:
+        path: The file.
+        digest: A hash of `hashlib` that is given every byte read.
+    """
     with path.open("rb") as file:
-        head, lines = _head(file, path)
-        while body := file.readlines(CHUNK_BYTES):
+        left = os.fstat(file.fileno()).st_size
+        head, lines, taken = _head(file, path)
+        _count(digest, taken)
+        left -= len(taken)
+        while left > 0:
+            body = _next_lines(file, left)
+            left -= sum(map(len, body))
+            for line in body:
+                _count(digest, line)
+            if not body:
+                return
             if not b"".join(body).strip():
                 lines += len(body)
                 continue
@@ -32,12 +50,28 @@ def text_chunks(path: Path) -> Iterator[Table]:
             lines += len(body)
 
 
-def _head(file, path: Path) -> tuple[bytes, int]:
-    """Return the header line, and how many lines the file's top has up to it."""
+def _next_lines(file: BinaryIO, left: int) -> list[bytes]:
+    """Return the lines to parse at once; the last ones come together, as an incomplete line is told by those above it."""
+    body = file.readlines(CHUNK_BYTES if left > 2 * CHUNK_BYTES else left)
+    over = sum(map(len, body)) - left
+    if over > 0:
+        body[-1] = body[-1][:-over]
+    return body
+
+
+def _count(digest: Any, data: bytes) -> None:
+    if digest is not None:
+        digest.update(data)
+
+
+def _head(file: BinaryIO, path: Path) -> tuple[bytes, int, bytes]:
+    """Return the header line, how many lines the file's top has up to it, and all of them."""
+    taken = []
     for number, line in enumerate(file, start=1):
+        taken.append(line)
         text = line.removeprefix(b"\xef\xbb\xbf")
         if text.strip() and not text.lstrip().startswith(b"#"):
-            return text if text.endswith(b"\n") else text + b"\n", number
+            return text if text.endswith(b"\n") else text + b"\n", number, b"".join(taken)
     raise InputError(f"{path.name} has no header; a log needs a line naming its columns and one line a sample.")
 
 

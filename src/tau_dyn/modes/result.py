@@ -18,6 +18,7 @@ from tau_dyn.modes.poles import Pole
 from tau_dyn.modes.spectra import Empirical
 from tau_dyn.modes.stabilisation import StabilityPoint
 from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.shown import Shown
 from tau_dyn.version import __version__
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(Shown):
     """The answer of `find_modes`.
 
     Attributes:

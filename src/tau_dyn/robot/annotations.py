@@ -14,7 +14,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.numbers import check_numbers
+from tau_dyn.robot.numbers import check_numbers, check_tree
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"
@@ -94,6 +94,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         raise InputError(f"{where}: not well-formed XML ({fault})") from fault
     if root.tag != "robot":
         raise InputError(f"{where}: the root element is <{root.tag}>, a robot file's is <robot>")
+    check_tree(root, where)
     check_numbers(root, where)
     reader = _Reader(root, where)
     mechanism = reader.ours("mechanism")

@@ -1,19 +1,23 @@
 """From a robot file to plain URDF text: short names, xacro arguments, and XML that cannot expand entities.
 
-A xacro file is code: it evaluates Python expressions. xacro itself hides the builtins and refuses names with double
-underscores; we add that neither the file nor anything it includes may declare a document type or entities. Load robot
-files only from people whose scripts you would run.
+A xacro file is code: it evaluates Python expressions. Here they may not reach for Python itself (`expressions.py`), and
+neither the file nor anything it includes may declare a document type or entities; but a xacro may still read files, and
+compute without end. Load one only from people whose scripts you would run, or refuse them all with `xacro=False`. A file that
+neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
+import os
+import stat
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr
 from importlib.resources import files
 from pathlib import Path
+from typing import IO, Any
 from xml.dom.minidom import Document
 from xml.parsers.expat import ExpatError
 
@@ -22,8 +26,14 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.minidom import parseString
 
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.files import read_bytes
+from tau_dyn.robot.expressions import checked_expressions
+from tau_dyn.robot.numbers import check_depth
 
 _LOCK = threading.Lock()  # xacro keeps its state in module globals
+
+LARGEST_ROBOT = 32 * 2**20
+"""[bytes] Of a robot file; real ones, without their meshes, have less than one MiB."""
 
 
 def urdf_folder() -> Path:
@@ -45,7 +55,11 @@ def find_robot(robot: str | Path) -> Path:
         UnknownName: A bare word that is no short name.
     """
     path = Path(robot)
-    if path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as fault:
+        raise InputError(f"{path}: no such robot file ({fault.strerror})") from fault
+    if there:
         if not path.name.endswith((".urdf", ".urdf.xacro", ".xacro", ".xml")):
             raise InputError(f"{path}: a robot file ends in .urdf or .urdf.xacro")
         return path
@@ -57,33 +71,46 @@ def find_robot(robot: str | Path) -> Path:
     return known[str(robot)]
 
 
-def expand(path: Path, arguments: Mapping[str, object] | None = None) -> str:
+def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluate: bool = True) -> str:
     """Expand a robot file to URDF text.
 
     Args:
         path: A `.urdf` or `.urdf.xacro` file.
         arguments: xacro arguments by name.
+        evaluate: Whether a xacro may be evaluated; a plain URDF never is.
 
     Raises:
-        InputError: The file is not well-formed, declares entities, or xacro cannot expand it.
+        InputError: The file is not well-formed, declares entities, is a xacro that may not be evaluated, or cannot be expanded.
         UnknownName: An argument that the file does not declare.
     """
     given = {name: str(value) for name, value in (arguments or {}).items()}
-    with _LOCK, _defused_xacro():
+    with _LOCK, _defused_xacro(), checked_expressions():
         try:
             document = _parse(None, str(path))
             _check_arguments(path, document, given)
-            xacro.init_stacks(str(path))
-            with redirect_stderr(io.StringIO()):
-                xacro.process_doc(document, mappings=given)
-        except InputError:
-            raise
+            if is_xacro(path, document):
+                if not evaluate:
+                    raise InputError(
+                        f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first"
+                    )
+                xacro.init_stacks(str(path))
+                with redirect_stderr(io.StringIO()):
+                    xacro.process_doc(document, mappings=given)
+                check_depth(document, str(path))
+            return document.toprettyxml(indent="  ")
+        except InputError as fault:
+            raise fault if str(fault).startswith(str(path)) else InputError(f"{path}: {fault}") from fault
         except (RecursionError, MemoryError) as fault:
             raise InputError(f"{path}: expands without end") from fault
         except Exception as fault:  # whatever an expression in the file raised: its fault, named below
             reason = " ".join(str(fault).split()) or type(fault).__name__
             raise InputError(f"{path}: xacro cannot expand it: {reason}") from fault
-    return document.toprettyxml(indent="  ")
+
+
+def is_xacro(path: Path, document: Document) -> bool:
+    """Tell whether a robot file is to be evaluated: by its name, or by xacro's namespace on its root."""
+    root: Any = document.documentElement
+    return path.name.endswith(".xacro") or root.hasAttribute("xmlns:xacro") or root.tagName.startswith("xacro:")
 
 
 def sha256_of(path: Path) -> str:
@@ -104,8 +131,10 @@ def _parse(inp: object, filename: str | None = None) -> Document:
         return inp
     name = filename or "robot text"
     try:
-        text = Path(str(filename)).read_bytes() if inp is None else str(inp).encode()
-        return parseString(text, forbid_dtd=True)  # type: ignore[arg-type]
+        text = read_bytes(str(filename), LARGEST_ROBOT) if inp is None else str(inp).encode()
+        document = parseString(text, forbid_dtd=True)  # type: ignore[arg-type]
+        check_depth(document, name)
+        return document
     except OSError as fault:
         raise InputError(f"{name}: cannot be read ({fault.strerror})") from fault
     except DefusedXmlException as fault:
@@ -121,9 +150,19 @@ def _prefix_hint(message: str) -> str:
 
 @contextmanager
 def _defused_xacro() -> Iterator[None]:
-    """Let xacro, which parses included files by itself, parse them our way."""
+    """Let xacro, which parses included files and opens tables by itself, do so our way."""
     original, xacro.parse = xacro.parse, _parse
+    xacro.open = _open_file  # stands before the builtin
     try:
         yield
     finally:
         xacro.parse = original
+        del xacro.open
+
+
+def _open_file(name: str, *more: Any) -> IO[Any]:
+    """Open a regular file; a pipe or a device would be waited for."""
+    about = os.stat(name)
+    if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST_ROBOT:
+        raise InputError(f"{name}: not a file, or larger than {LARGEST_ROBOT >> 20} MiB")
+    return open(name, *more)

@@ -22,12 +22,15 @@ from tau_dyn.robot.expand import expand, find_robot, sha256_of
 from tau_dyn.robot.robot import LinkInertia, Loop, Robot, inertial_parameters
 
 
-def load_robot(robot: str | Path, /, *, actuated: Iterable[str] | None = None, **arguments: object) -> Robot:
+def load_robot(
+    robot: str | Path, /, *, actuated: Iterable[str] | None = None, xacro: bool = True, **arguments: object
+) -> Robot:
     """Load a robot from a file or by its short name.
 
     Args:
         robot: Path to a `.urdf` or `.urdf.xacro`, or the short name of a robot that comes with the package.
         actuated: Names of the actuated joints; by default those with a `<transmission>`.
+        xacro: Whether a xacro may be evaluated; False takes plain URDF only, for a file from people you do not trust.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
@@ -35,7 +38,7 @@ def load_robot(robot: str | Path, /, *, actuated: Iterable[str] | None = None, *
         UnknownName: An unknown robot, xacro argument or joint.
     """
     path = find_robot(robot)
-    urdf = expand(path, arguments)
+    urdf = expand(path, arguments, evaluate=xacro)
     given = {k: str(v) for k, v in arguments.items()}
     return robot_from_urdf(urdf, str(robot), actuated=actuated, arguments=given, sha256=sha256_of(path))
 

@@ -7,12 +7,55 @@ through it into every force.
 from __future__ import annotations
 
 from math import isfinite
+from typing import Any
+from xml.dom.minidom import Document
 from xml.etree.ElementTree import Element
 
 from tau_dyn.exceptions import InputError
 
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _LIMITS = ("lower", "upper", "velocity", "effort")
+
+
+DEEPEST = 100
+"""Levels of a robot file; parsers go down one call a level."""
+
+MOST_LINKS = 1000
+"""Links of a robot; Pinocchio's tables grow with their square."""
+
+
+def check_depth(document: Document, where: str) -> None:
+    """Refuse a file with elements so deep inside each other that a parser would use up its stack.
+
+    Raises:
+        InputError: It names the file.
+    """
+    level: list[Any] = [document.documentElement]
+    for _ in range(DEEPEST):
+        level = [child for node in level for child in node.childNodes]
+        if not level:
+            return
+    raise InputError(f"{where}: elements stand more than {DEEPEST} deep inside each other; a robot file has few levels")
+
+
+def check_tree(root: Element, where: str) -> None:
+    """Refuse a tree too deep or of too many links, as `check_depth` does for a document.
+
+    Raises:
+        InputError: It names the file.
+    """
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [child for node in level for child in node]
+        if not level:
+            break
+    else:
+        raise InputError(
+            f"{where}: elements stand more than {DEEPEST} deep inside each other; a robot file has few levels"
+        )
+    links = len(root.findall("link"))
+    if links > MOST_LINKS:
+        raise InputError(f"{where}: {links} links; a robot has {MOST_LINKS} at most")
 
 
 def check_numbers(root: Element, where: str) -> None:

@@ -17,6 +17,7 @@ import pinocchio as pin
 from tau_dyn.exceptions import UnknownName
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.annotations import ArmNames, Spring
+from tau_dyn.shown import Shown
 
 INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
@@ -64,7 +65,7 @@ class Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(Shown):
     """A mechanism and its nominal parameters; build it with `load_robot`.
 
     Attributes:

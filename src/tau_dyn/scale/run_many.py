@@ -74,7 +74,7 @@ def connected(cluster: str | None, jobs: int) -> Iterator[Any]:
     with ExitStack() as stack:
         stack.enter_context(config.set(quiet))
         if cluster is None:
-            local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=":0", silence_logs=50)
+            local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50)
             yield stack.enter_context(Client(stack.enter_context(local)))
             return
         try:

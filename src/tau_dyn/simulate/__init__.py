@@ -1,10 +1,15 @@
 """A model, a motion, a controller and sensors become a `Log`."""
 
+from tau_dyn.simulate.contact import ContactRun, ContactSensors, run_contact
+from tau_dyn.simulate.contact_arm import ServoArm
+from tau_dyn.simulate.contact_hand import Hand
+from tau_dyn.simulate.contact_work import CompliantSurface, Hole
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
 from tau_dyn.simulate.effects_file import read_effects_file
 from tau_dyn.simulate.flexible import VibrationSensors, binary_log, push_log, vibration_log
 from tau_dyn.simulate.fourier import base_condition, exciting_motion, fourier_motion
 from tau_dyn.simulate.law_file import read_law_file
+from tau_dyn.simulate.learning_plant import LearningPlant, Trial, Unrepeatable
 from tau_dyn.simulate.limits import broken_limit, condition_bound
 from tau_dyn.simulate.motions import (
     MOTIONS,
@@ -19,6 +24,7 @@ from tau_dyn.simulate.replay import replay
 from tau_dyn.simulate.replay_result import Replay
 from tau_dyn.simulate.sensors import Sensors, measure
 from tau_dyn.simulate.simulate import drive, simulate
+from tau_dyn.simulate.square_path import square_path
 from tau_dyn.simulate.trajectory import Trajectory, concatenate, move
 
 __all__ = [
@@ -54,4 +60,15 @@ __all__ = [
     "slow_motion",
     "stroke_motion",
     "vibration_log",
+    "ContactRun",
+    "ContactSensors",
+    "run_contact",
+    "ServoArm",
+    "Hand",
+    "CompliantSurface",
+    "Hole",
+    "LearningPlant",
+    "Trial",
+    "Unrepeatable",
+    "square_path",
 ]

@@ -22,6 +22,9 @@ from tau_dyn.log import Log, lowpass, read_table
 MEASURED_CUTOFF_HZ = 20.0
 """Low-pass on measured positions before they serve as a reference [Hz]; a reference should not repeat encoder noise."""
 
+_MOST_SAMPLES = 10**8
+"""Samples of a motion; more do not fit into memory, and come of times in another unit."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -122,6 +125,10 @@ class Trajectory:
     def resampled(self, rate_hz: float) -> Trajectory:
         """Return the motion on a clock of this rate [Hz] that starts at zero, untouched where it stands there already."""
         n = int(np.floor(self.duration * rate_hz * (1 + 1e-9) + 1e-6)) + 1
+        if n > _MOST_SAMPLES:
+            raise InputError(
+                f"{self.name} lasts {self.duration:g} s, {n:.3g} samples at {rate_hz:g} Hz; are its times in s?"
+            )
         clock = np.arange(n) / rate_hz
         if n == self.n_samples and np.max(np.abs(self.t - self.t[0] - clock)) < 1e-6 / rate_hz:
             return replace(self, t=clock)

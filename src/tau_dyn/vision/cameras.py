@@ -102,8 +102,8 @@ class Cameras:
 
 def check_lens(lens: str) -> None:
     """Refuse a lens model that does not exist."""
-    if lens not in LENSES:
-        raise UnknownName("lens model", lens, LENSES)
+    if not isinstance(lens, str) or lens not in LENSES:
+        raise UnknownName("lens model", str(lens), LENSES)
 
 
 def write_cameras(path: str | Path, cameras: Cameras) -> None:
@@ -154,7 +154,7 @@ def read_cameras(path: str | Path) -> Cameras:
             if "covariance" in held
             else np.zeros((len(cameras.names),) * 2)
         )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as fault:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as fault:
         raise InputError(
             f"{path}: not a cameras file ({' '.join(str(fault).split())}); it needs `cameras`, each with size, fx, fy, "
             "cx, cy and, after the first, quaternion and position"

@@ -91,9 +91,9 @@ class _Part:
         self.where = where
         if not isinstance(content, Mapping):
             self.fault(f"needs {', '.join(sorted(known))}")
-        unknown = next((k for k in content if k not in known), None)
-        if unknown is not None:
-            self.fault(f"'{unknown}' is not known here; there are {', '.join(sorted(known))}")
+        unknown = [k for k in content if k not in known]
+        if unknown:
+            self.fault(f"'{unknown[0]}' is not known here; there are {', '.join(sorted(known))}")
         self.content = content
 
     def fault(self, text: str) -> NoReturn:

@@ -109,7 +109,7 @@ def read_progress(path: str | Path, actuated: tuple[str, ...]) -> Progress:
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
-        joints = tuple(content["actuated"])
+        joints = tuple(map(str, content["actuated"]))
         rows = content["places"]
         if content["version"] != _VERSION:
             raise ValueError
@@ -118,7 +118,7 @@ def read_progress(path: str | Path, actuated: tuple[str, ...]) -> Progress:
         raise InputError(f"{path}: no such file") from fault
     except (OSError, UnicodeDecodeError) as fault:
         raise InputError(f"{path}: cannot be read as text ({fault})") from fault
-    except (ValueError, KeyError, TypeError, IndexError) as fault:
+    except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
         raise InputError(
             f"{path} is no progress file of a calibration (JSON with actuated, places and version {_VERSION})"
         ) from fault

@@ -18,6 +18,7 @@ from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.robot import Robot
+from tau_dyn.shown import Shown
 
 CLOUD = 600
 """Random errors drawn for the picture of the error body."""
@@ -78,7 +79,7 @@ class MethodSummary(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class AccuracyResult:
+class AccuracyResult(Shown):
     """Everything `tau-dyn accuracy` found.
 
     Attributes:

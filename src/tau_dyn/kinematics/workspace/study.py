@@ -21,6 +21,9 @@ from tau_dyn.kinematics.workspace.sections import Section, parse_section, sectio
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
+_MOST_PLACES = 2000
+"""Places of a result file at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Study(Shown):
@@ -51,7 +54,16 @@ class Study(Shown):
             **self.catalogue.to_dict(),
             "sections": [self._section(s) for s in self.sections],
             "tilt": None if self.tilt is None else self.tilt.to_dict(),
+            "cloud": self._cloud(),
         }
+
+    def _cloud(self) -> dict[str, Any]:
+        """Return places inside [m], thinned, with the maps there: what a viewer draws."""
+        space = self.workspace
+        inside = np.flatnonzero(space.place_codes == 0)
+        chosen = inside[:: max(1, -(-len(inside) // _MOST_PLACES))]
+        values = self.quality.values(self.maps, space.q[chosen], space.poses(space.places[chosen]))
+        return {"points": space.places[chosen], "values": values}
 
     def _section(self, s: Section) -> dict[str, Any]:
         reach = s.code != 0

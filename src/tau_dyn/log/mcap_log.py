@@ -1,0 +1,205 @@
+"""MCAP files (extra `mcap`): JSON messages, and ROS 2 messages in CDR whose definition the file carries.
+
+Records are framed here and read by the `mcap` library, so that each is checked against what the file still holds before
+it is taken into memory, and a compressed chunk against the size that it declares. Chunks are checked by their checksums. A file
+without an end (the recorder lost power) is read to where it breaks off. Reference: the MCAP specification, mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log.messages import Recorded, table_of_messages
+from tau_dyn.log.table import Table
+
+LARGEST_CHUNK = 2**28
+"""A chunk larger than this [bytes] is not opened; recorders write chunks of a few MB."""
+
+_MAGIC = b"\x89MCAP0\r\n"
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
+_FRAME = struct.Struct("<BQ")
+
+
+def read_mcap(path: Path, wanted: Mapping[str, str] | None = None, files: Sequence[Path] = ()) -> Table:
+    """Read an MCAP file, or several that follow each other, as a table on its main topic's clock.
+
+    Args:
+        path: The file, or the folder that `files` are in.
+        wanted: The columns that a map asks for, by our names; None without a map.
+        files: The files, in order; by default `path` alone.
+
+    Raises:
+        InputError: The extra is missing, the file is damaged, or it is not clear what in it is the log.
+    """
+    _library()
+    paths = tuple(files) or (path,)
+    warnings: list[str] = []
+    kinds: dict[str, str] = {}
+    for file in paths:
+        kinds |= {m.topic: m.kind for m in _messages(file, [])}
+    if not kinds:
+        raise InputError(f"{path.name} is an MCAP file without messages; record it again.")
+    messages = (message for file in paths for message in _messages(file, warnings))
+    return table_of_messages(path, paths, messages, kinds, wanted, warnings)
+
+
+def _library() -> None:
+    try:
+        import mcap.records  # noqa: F401
+        import mcap_ros2.decoder  # noqa: F401
+    except ImportError:
+        raise InputError("reading MCAP files needs an extra: pip install 'tau_dyn[mcap]'.") from None
+
+
+def _messages(path: Path, warnings: list[str]) -> Iterator[Recorded]:
+    """Yield a file's messages in its order."""
+    schemas: dict[int, Any] = {}
+    channels: dict[int, Any] = {}
+    decoders = _Decoders(path.name)
+    for opcode, record in _records(path, warnings):
+        if opcode == _SCHEMA:
+            schemas[record.id] = record
+        elif opcode == _CHANNEL:
+            channels[record.id] = record
+        elif record.channel_id in channels:
+            channel = channels[record.channel_id]
+            schema = schemas.get(channel.schema_id)
+            decode = decoders.of(channel, schema, record.data)
+            yield Recorded(channel.topic, schema.name if schema else "", min(record.log_time, 2**63 - 1), decode)
+
+
+def _records(path: Path, warnings: list[str]) -> Iterator[tuple[int, Any]]:
+    """Yield schemas, channels and messages with their kind, chunks opened."""
+    from mcap.exceptions import McapError
+
+    try:
+        with path.open("rb") as file:
+            yield from _framed(path, file, warnings)
+    except InputError:
+        raise
+    except (McapError, ValueError, struct.error, EOFError, MemoryError, OverflowError) as fault:
+        raise InputError(f"{path.name} is damaged: {_words(fault)}; 'mcap recover' may save the rest of it.") from None
+
+
+def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[int, Any]]:
+    size = path.stat().st_size
+    if file.read(len(_MAGIC)) != _MAGIC:
+        raise InputError(
+            f"{path.name} is not an MCAP file (it does not begin as one); give CSV another suffix than .mcap."
+        )
+    opcode = 0
+    while opcode != _DATA_END:
+        frame = file.read(_FRAME.size)
+        opcode, length = _FRAME.unpack(frame) if len(frame) == _FRAME.size else (0, 1)
+        if length > size - file.tell():
+            warnings.append(f"{path.name} breaks off before its end; it is read to there, and what came after is lost.")
+            return
+        if opcode == _CHUNK:
+            for record in _opened(path.name, file.read(length), length):
+                yield from _told(record)
+        elif opcode in (_SCHEMA, _CHANNEL, _MESSAGE):
+            yield opcode, _read(opcode, file.read(length))
+        else:
+            file.seek(length, 1)
+
+
+def _read(opcode: int, data: bytes) -> Any:
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Channel, Message, Schema
+
+    stream = ReadDataStream(BytesIO(data))
+    if opcode == _MESSAGE:
+        return Message.read(stream, len(data))
+    return Schema.read(stream) if opcode == _SCHEMA else Channel.read(stream)
+
+
+def _told(record: Any) -> Iterator[tuple[int, Any]]:
+    from mcap.records import Channel, Message, Schema
+
+    for kind, opcode in ((Message, _MESSAGE), (Channel, _CHANNEL), (Schema, _SCHEMA)):
+        if isinstance(record, kind):
+            yield opcode, record
+
+
+def _opened(name: str, data: bytes, length: int) -> list[Any]:
+    """Return a chunk's records; it is decompressed no further than the size it declares."""
+    from dataclasses import replace
+
+    from mcap.data_stream import ReadDataStream
+    from mcap.records import Chunk
+    from mcap.stream_reader import breakup_chunk
+
+    chunk = Chunk.read(ReadDataStream(BytesIO(data)))
+    if chunk.uncompressed_size > LARGEST_CHUNK:
+        raise InputError(
+            f"{name} has a chunk of {chunk.uncompressed_size / 2**20:.0f} MB; chunks up to {LARGEST_CHUNK / 2**20:.0f} MB are "
+            "opened; write it again with 'mcap filter'."
+        )
+    plain = _decompressed(name, chunk.compression, chunk.data, chunk.uncompressed_size)
+    if len(plain) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk does not have the {chunk.uncompressed_size} bytes that it declares")
+    return breakup_chunk(replace(chunk, compression="", data=plain), validate_crc=True)
+
+
+def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
+    """Return at most one byte more than `size`."""
+    if kind == "":
+        return data
+    try:
+        if kind == "zstd":
+            import zstandard
+
+            return zstandard.ZstdDecompressor().stream_reader(BytesIO(data)).read(size + 1)
+        if kind == "lz4":
+            import lz4.frame
+
+            return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    except (RuntimeError, ValueError, EOFError) as fault:
+        raise ValueError(f"a chunk cannot be decompressed ({_words(fault)})") from None
+    except Exception as fault:  # ZstdError has no base of its own
+        raise ValueError(f"a chunk cannot be decompressed ({_words(fault)})") from None
+    raise InputError(
+        f"{name} has chunks compressed by '{kind[:20]}', which is not read; write it again with zstd or lz4."
+    )
+
+
+class _Decoders:
+    """Decodes messages by their channel's encoding."""
+
+    def __init__(self, name: str) -> None:
+        from mcap_ros2.decoder import DecoderFactory
+
+        self.name, self._ros2 = name, DecoderFactory()
+
+    def of(self, channel: Any, schema: Any, data: bytes) -> Callable[[], Any]:
+        """Return what decodes a message when it is asked to."""
+        return lambda: self._decoded(channel, schema, data)
+
+    def _decoded(self, channel: Any, schema: Any, data: bytes) -> Any:
+        encoding = channel.message_encoding
+        try:
+            if encoding == "json":
+                return json.loads(data)
+            decoder = self._ros2.decoder_for(encoding, schema)
+            if decoder is not None:
+                return decoder(data)
+        except Exception as fault:  # definitions and messages come from the file: whatever they break is its fault
+            raise InputError(
+                f"{self.name}: a message of {channel.topic} cannot be decoded ({_words(fault)})."
+            ) from None
+        definition = f" with a definition in {schema.encoding}" if schema is not None and schema.encoding else ""
+        raise InputError(
+            f"{self.name}: messages of {channel.topic} are encoded as '{encoding[:20]}'{definition}; json, and cdr with a "
+            "definition in ros2msg, are read."
+        )
+
+
+def _words(fault: BaseException) -> str:
+    text = " ".join(str(fault).split()).rstrip(".")
+    return text[:120] or type(fault).__name__

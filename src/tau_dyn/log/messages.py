@@ -1,0 +1,107 @@
+"""Recorded messages of many topics, read once, of which the needed topics are kept: what MCAP files and bags share.
+
+Without a map those are the joint states, or all where no type says so; with one, those that the map names as well. Only these are
+decoded. A file that breaks off, as a recording does whose computer lost power, is read up to there with a warning.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log.names import listed
+from tau_dyn.log.table import Table
+from tau_dyn.log.topic_columns import Budget, Topic, TopicRecorder
+from tau_dyn.log.topics import table_of
+
+
+class Recorded(NamedTuple):
+    """One message: its topic, when it was recorded [ns], and what decodes it."""
+
+    topic: str
+    kind: str
+    log: int
+    decode: Callable[[], Any]
+
+
+def table_of_messages(
+    path: Path,
+    files: Sequence[Path],
+    messages: Iterator[Recorded],
+    kinds: Mapping[str, str],
+    wanted: Mapping[str, str] | None,
+    warnings: list[str],
+) -> Table:
+    """Return recorded messages as a table; see `topics.table_of`.
+
+    Args:
+        path: What was asked for, for messages.
+        files: The files behind it, for the hash.
+        messages: All messages; they are decoded only where needed.
+        kinds: Type by topic, as far as it is known beforehand.
+        wanted: The columns that a map asks for, by our names; None without a map.
+        warnings: What reading has to say; filled while `messages` runs.
+    """
+    budget = Budget(path.name)
+    recorders: dict[str, TopicRecorder] = {}
+    need = _needed(kinds, wanted)
+    others: set[str] = set()
+    for message in messages:
+        if not need(message.topic, message.kind):
+            others.add(message.topic.lstrip("/"))
+            continue
+        if message.topic not in recorders:
+            recorders[message.topic] = TopicRecorder(message.topic, message.kind, budget)
+        recorders[message.topic].add(message.log, message.decode())
+    topics = [topic for recorder in recorders.values() for topic in recorder.topics()]
+    if not topics:
+        about = f"it has {listed(sorted(others))}" if others else "it has no messages"
+        raise InputError(
+            f"{path.name} has no joint states, and no topic that a map names: {about}; name one in a column map."
+        )
+    return table_of(path, sha256_of(files), _in_order(topics), wanted, warnings)
+
+
+def _needed(kinds: Mapping[str, str], wanted: Mapping[str, str] | None) -> Callable[[str, str], bool]:
+    """Return what tells whether a topic of some type is decoded."""
+    joints = any(_is_joint_state(kind) for kind in kinds.values())
+    columns = tuple((wanted or {}).values())
+
+    def need(topic: str, kind: str) -> bool:
+        start = f"{topic.lstrip('/')}."
+        return not joints or _is_joint_state(kind) or any(column.startswith(start) for column in columns)
+
+    return need
+
+
+def _is_joint_state(kind: str) -> bool:
+    return kind.replace(".", "/").rpartition("/")[2] == "JointState"
+
+
+def _in_order(topics: Sequence[Topic]) -> list[Topic]:
+    """Sort each topic's messages by the time of recording, which files need not be."""
+    out = []
+    for topic in topics:
+        order = np.argsort(topic.log, kind="stable")
+        if np.array_equal(order, np.arange(order.size)):
+            out.append(topic)
+            continue
+        columns = {field: column[order] for field, column in topic.columns.items()}
+        stamp = None if topic.stamp is None else topic.stamp[order]
+        out.append(replace(topic, log=topic.log[order], stamp=stamp, columns=columns))
+    return out
+
+
+def sha256_of(files: Sequence[Path]) -> str:
+    """Return the hash of a file's bytes; of several, the hash of their hashes."""
+    digests = []
+    for path in files:
+        with path.open("rb") as file:
+            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+    return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()

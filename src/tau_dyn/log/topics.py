@@ -1,0 +1,228 @@
+"""Topics, each with a clock of its own, become one table on the main topic's clock.
+
+The main topic is the one that a column map takes positions from, else the only one with joint states, else the only one with
+columns of ours. Its own fields stand under our names, and all of them as `topic.field`; fields of other topics come in only
+where a map asks for them, interpolated (`topic_clock.py`) with a warning. The clock is the header's stamp where every topic
+in use has one: it says when the message was measured, the log time when it arrived (a map may choose that: `t: TOPIC.log_time`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log.names import listed
+from tau_dyn.log.table import Table
+from tau_dyn.log.topic_clock import on_clock
+from tau_dyn.log.topic_columns import Topic
+
+LOG_TIME = "log_time"
+LEAST_OVERLAP = 0.5
+"""Share of the main topic's messages that another one has to cover."""
+
+
+def table_of(
+    path: Path, sha256: str, topics: Sequence[Topic], wanted: Mapping[str, str] | None, warnings: Sequence[str] = ()
+) -> Table:
+    """Return the topics as one table.
+
+    Args:
+        path: The file.
+        sha256: Hash of its bytes.
+        topics: What it holds.
+        wanted: The file's columns that a map asks for, by our names; None without a map.
+        warnings: What was doubtful while reading.
+
+    Raises:
+        InputError: It is not clear which topic is meant, a column asked for does not exist, or clocks do not go together.
+    """
+    wanted = dict(wanted or {})
+    main = _main(path.name, topics, wanted)
+    others = _others(path.name, topics, main, wanted)
+    clock = _Clock(path.name, (main, *(topic for topic, _ in others)), wanted)
+    keep = clock.distinct(main)
+    t = clock.seconds(main)[keep]
+    covered = np.ones(t.size, bool)
+    for topic, _ in others:
+        covered &= clock.covers(topic, t)
+    if covered.sum() < LEAST_OVERLAP * t.size:
+        names = listed([topic.name for topic, _ in others])
+        raise InputError(
+            f"{path.name}: {names} and {main.name} were recorded together for {covered.mean():.0%} of the messages only; their "
+            "clocks have to be one and the same."
+        )
+    chosen = np.flatnonzero(keep)[covered]
+    cells = {"t": t[covered], **_own(main, chosen)}
+    said = [*warnings, *clock.said(main, int((~keep).sum()), int((~covered).sum()))]
+    for topic, column in others:
+        cells[column], how = clock.moved(topic, column, t[covered])
+        said += [f"{path.name}: {column} was put on the clock of {main.name or 'the log'}: {how}."] if how else []
+    return Table(path.name, path, sha256, cells, chosen + 1, _word(main), tuple(said))
+
+
+def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topic:
+    if not topics:
+        raise InputError(f"{name} has no topic with numbers in it; a log needs joint positions.")
+    for key in (*(k for k in wanted if k.startswith("q_")), *wanted):
+        for topic in topics:
+            if _field(topic, wanted[key]) is not None:
+                return topic
+    for kind in ([t for t in topics if t.joints], [t for t in topics if t.ours], list(topics)):
+        positions = [t for t in kind if any(c.startswith("q_") for c in t.ours)] or kind
+        named = [t for t in positions if t.name.rpartition("/")[2] == "joint_states"]
+        most = named or positions
+        if len({t.name for t in most}) == 1:
+            return most[0]  # of one name, the joints with the most messages stand first
+        if most:
+            break
+    raise InputError(
+        f"{name} has the topics {listed(_names(topics))}, and it is not clear which is the log; a column map says so: "
+        f"q_axis: {_example(topics)}."
+    )
+
+
+def _others(name: str, topics: Sequence[Topic], main: Topic, wanted: Mapping[str, str]) -> list[tuple[Topic, str]]:
+    """Return the topics and columns that a map takes from elsewhere than the main topic."""
+    found = []
+    for ours, column in wanted.items():
+        if _field(main, column) is not None or column in main.ours or column in ("t", main.full(LOG_TIME)):
+            continue
+        topic = next((t for t in topics if _field(t, column) is not None), None)
+        if topic is None:
+            known = [t.full(field) for t in topics for field in t.columns]
+            start = column.rpartition(".")[0].split(".")[0]
+            near = [c for c in known if start and c.startswith(start)] or known
+            raise InputError(f"{name} has no column {column}, which the map takes for {ours}; it has {listed(near)}.")
+        if (topic, column) not in found:
+            found.append((topic, column))
+    return found
+
+
+def _field(topic: Topic, column: str) -> str | None:
+    """Return the topic's field that a column of the file is, or None."""
+    start = topic.full("")
+    field = column.removeprefix(start)
+    return field if column.startswith(start) and field in topic.columns else None
+
+
+def _own(main: Topic, chosen: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the main topic's columns, under our names and under its own, and when its messages were recorded."""
+    cells = {ours: main.columns[field][chosen] for ours, field in main.ours.items() if ours != "t"}
+    if main.name:
+        cells |= {main.full(field): column[chosen] for field, column in main.columns.items()}
+    else:
+        cells |= {field: column[chosen] for field, column in main.columns.items() if field not in ("t", *cells)}
+    if main.log.dtype.kind == "i" and main.log.size:
+        cells[main.full(LOG_TIME)] = (main.log - main.log[0])[chosen] / 1e9
+    return cells
+
+
+class _Clock:
+    """The times of all topics in use, from one kind of clock."""
+
+    def __init__(self, name: str, used: Sequence[Topic], wanted: Mapping[str, str]) -> None:
+        self.name, self.used = name, used
+        asked = wanted.get("t", "").endswith(f".{LOG_TIME}")
+        self.lacking = [topic.name for topic in used if topic.stamp is None]
+        self.stamped = not asked and not self.lacking
+        self.asked = asked
+        first = self._times(used[0])
+        self._epoch = first[0] if first.dtype.kind == "i" and first.size else 0
+
+    def _times(self, topic: Topic) -> np.ndarray:
+        return topic.stamp if self.stamped and topic.stamp is not None else topic.log
+
+    def seconds(self, topic: Topic) -> np.ndarray:
+        """Return times (N,) [s]; of messages, from the main topic's first."""
+        times = self._times(topic)
+        return (times - self._epoch) / 1e9 if times.dtype.kind == "i" else times
+
+    def distinct(self, topic: Topic) -> np.ndarray:
+        """Return which messages (N,) are not the one before, sent again.
+
+        Raises:
+            InputError: The clock goes back, or stands still while the numbers change.
+        """
+        times = self._times(topic)
+        keep = np.ones(times.size, bool)
+        wrong = np.flatnonzero(np.diff(times) <= 0) + 1
+        for k in wrong:
+            same = times[k] == times[k - 1] and all(_equal(c[k], c[k - 1]) for c in topic.columns.values())
+            if not same:
+                self._refuse(topic, int(k))
+        keep[wrong] = False
+        return keep
+
+    def covers(self, topic: Topic, t: np.ndarray) -> np.ndarray:
+        own = self.seconds(topic)
+        return (t >= own.min()) & (t <= own.max()) if own.size else np.zeros(t.size, bool)
+
+    def moved(self, topic: Topic, column: str, wanted: np.ndarray) -> tuple[np.ndarray, str]:
+        """Return a column of another topic at the main one's times (M,) [s], and how."""
+        field = _field(topic, column) or ""
+        if field in topic.truths:
+            raise InputError(f"{self.name}: {column} is true or false, which cannot be put on another topic's clock.")
+        keep = self.distinct(topic)
+        t, x = self.seconds(topic)[keep], topic.columns[field][keep]
+        if not np.isfinite(x).all():
+            row = int(np.flatnonzero(keep)[int(np.argmin(np.isfinite(x)))]) + 1
+            raise InputError(
+                f"{self.name}, {_word(topic)} {row} of {topic.name}: {column} is not a finite number; each needs one."
+            )
+        return on_clock(f"{self.name}: {column}", t, x, wanted)
+
+    def said(self, main: Topic, repeated: int, cut: int) -> list[str]:
+        """Return sentences about the clock and what was left out."""
+        if main.log.dtype.kind == "f":
+            said = []
+        elif self.stamped:
+            said = [
+                f"{self.name}: t is the stamp in the messages of {main.name}, from its first on, not when they were recorded."
+            ]
+        elif self.asked:
+            said = []
+        else:
+            said = [
+                f"{self.name}: t is when messages of {main.name} were recorded, from the first on, since {listed(self.lacking)} "
+                "has no stamps; the delay on the way is in it."
+            ]
+        samples, topic = f"{_word(main)}(s)", main.name or "the log"
+        if repeated:
+            said.append(f"{self.name}: {repeated} {samples} of {topic} repeat the one before, and were left out.")
+        if cut:
+            said.append(
+                f"{self.name}: {cut} {samples} of {topic} at its ends were left out; other topics have none there."
+            )
+        return said
+
+    def _refuse(self, topic: Topic, k: int) -> None:
+        times = self.seconds(topic)
+        what = "stands still" if times[k] == times[k - 1] else "goes back"
+        remedy = (
+            f"a map with 't: {topic.full(LOG_TIME)}' takes the times of recording"
+            if self.stamped
+            else "cut the log there"
+        )
+        raise InputError(
+            f"{self.name}, {_word(topic)} {k + 1} of {topic.name or 'the log'}: its clock {what} (t = {times[k]:.9g} s after "
+            f"{times[k - 1]:.9g} s); was something restarted? {remedy}."
+        )
+
+
+def _word(topic: Topic) -> str:
+    return "message" if topic.log.dtype.kind == "i" else "row"
+
+
+def _equal(a: float, b: float) -> bool:
+    return a == b or (a != a and b != b)
+
+
+def _names(topics: Sequence[Topic]) -> list[str]:
+    return list(dict.fromkeys(topic.name for topic in topics))
+
+
+def _example(topics: Sequence[Topic]) -> str:
+    return next((topic.full(field) for topic in topics for field in topic.columns), "topic.position.axis")

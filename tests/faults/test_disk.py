@@ -1,0 +1,206 @@
+"""A disk that is full, a folder that may not be written to, an output that is an input: status 2, one sentence, nothing lost."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tau_dyn.cli import build_parser, main
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import write_whole, writing_whole
+from tau_dyn.log import Log, open_log, stream
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full and fork")
+
+
+@pytest.fixture
+def log(tmp_path) -> Path:
+    """A file that `check` takes: 4 s of an axis at 250 Hz."""
+    t = np.arange(1000) / 250
+    path = tmp_path / "monday.csv"
+    Log(t, {"q_axis": 0.2 * np.sin(3 * t), "tau_axis": np.cos(3 * t)}).to_csv(path)
+    return path
+
+
+def says(capsys, argv: list, *words: str) -> None:
+    """Check that a command ends with status 2 and one line with these words."""
+    assert main([str(a) for a in argv]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    errors = [line for line in lines if line.startswith("error: ")]
+    assert len(errors) == 1 and not any("Traceback" in line for line in lines)
+    assert all(word in errors[0] for word in words), errors
+
+
+@linux
+@pytest.mark.parametrize("option", ["--json", "--report"])
+def test_a_full_device_is_a_sentence(log, capsys, option: str) -> None:
+    """/dev/full takes no byte."""
+    says(capsys, ["check", log, "--quiet", option, "/dev/full"], "/dev/full cannot be written", "No space left", "free")
+
+
+@linux
+def test_a_screen_that_takes_nothing_does_not_undo_the_files(log, tmp_path, capsys, monkeypatch) -> None:
+    """The terminal's log file is on a full disk: one sentence, and the result stands."""
+    full = open("/dev/full", "w")  # noqa: SIM115 - closing it fails as well
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", full)
+        status = main(["check", str(log), "--json", str(tmp_path / "r.json")])
+    with suppress(OSError):
+        full.close()
+    said = capsys.readouterr().err
+    assert status == 2 and "could not be shown (No space left on device)" in said and "written" in said
+    assert (tmp_path / "r.json").read_text().endswith("}\n")
+
+
+@linux
+def test_a_folder_of_somebody_else(log, open_folder, child) -> None:
+    """Without the right to write there is one sentence, and no file; a write-protected file stays, too."""
+    closed = open_folder / "closed"
+    closed.mkdir(mode=0o555)
+    mine = open_folder / "mine.json"
+    mine.write_text("mine")
+    mine.chmod(0o444)
+
+    def refused(path: Path) -> int:
+        try:
+            write_whole(path, "new")
+        except InputError as fault:
+            known = (
+                "Permission denied; name a file in a folder that you may write to",
+                "is write-protected; name another file",
+            )
+            return 2 if any(words in str(fault) for words in known) else 3
+        return 0
+
+    assert child(partial(refused, closed / "r.json"), nobody=True) == 2
+    assert child(partial(refused, mine), nobody=True) == 2
+    assert list(closed.iterdir()) == [] and mine.read_text() == "mine"
+    closed.chmod(0o755)
+
+
+def test_what_a_file_may_and_who_may_read_it_stays(tmp_path) -> None:
+    """A result that only its owner may read is not shown to others by being written anew."""
+    path = tmp_path / "secret.json"
+    path.write_text("old")
+    path.chmod(0o600)
+    write_whole(path, "new")
+    assert path.read_text() == "new" and path.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ENOSPC, "free some space, or name a file on another disk"),
+        (errno.EROFS, "name a file on a disk that can be written to"),
+        (errno.EIO, "the disk reports a fault"),
+        (errno.ENOENT, "name a file in an existing folder"),
+    ],
+)
+@pytest.mark.parametrize("where", ["write", "settle", "replace"])
+def test_every_fault_of_a_disk_leaves_the_old_file(tmp_path, monkeypatch, number: int, words: str, where: str) -> None:
+    """Wherever the disk fails - writing, settling (network disks say it only there), renaming - the old file stays alone."""
+    path = tmp_path / "r.json"
+    path.write_text("old")
+
+    def fail(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    if where != "write":
+        monkeypatch.setattr(f"os.{'fsync' if where == 'settle' else 'replace'}", fail)
+    with pytest.raises(InputError, match=words), writing_whole(path) as temporary:
+        temporary.write_text("new")
+        if where == "write":
+            fail()
+    monkeypatch.undo()
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("r.json", "old")]
+
+
+def test_no_room_for_a_copy_of_a_large_log(log, tmp_path, monkeypatch) -> None:
+    """A log that must be copied first says where the room is missing."""
+    monkeypatch.setattr(stream, "TEXT_BYTES", 1000)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(stream.pq.ParquetWriter, "write_table", full)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(
+        InputError, match=r"its copy in .* failed \(No space left on device\); free some space there.*TMPDIR"
+    ):
+        open_log(log)
+
+
+def test_a_very_long_name_is_written(tmp_path) -> None:
+    """A name as long as file systems allow leaves no room for a longer temporary one, and needs none."""
+    path = tmp_path / (251 * "x" + ".csv")
+    write_whole(path, "whole")
+    assert path.read_text() == "whole"
+
+
+def test_no_output_overwrites_an_input(tmp_path, capsys) -> None:
+    """For every command and every argument that names a file to read: naming it as an output as well is refused."""
+    parser = build_parser()
+    commands = next(a.choices for a in parser._actions if a.dest == "command")
+    assert commands is not None
+    tried = 0
+    for name, command in commands.items():
+        written = {"json", "report", "out", "propose", "save_cameras", "rapid", "resume"}
+        for action in command._actions:
+            reads = getattr(action.type, "__name__", "") == "Path" or action.dest in ("logs", "robot", "a", "b")
+            if not reads or action.dest in written or "--json" not in command._option_string_actions:
+                continue
+            path = tmp_path / "input.csv"
+            path.write_text("q_axis: precious\n")
+            argv = [name, *_needed(command, action.dest, path), "--json", str(path)]
+            if action.option_strings:
+                argv += [action.option_strings[0], str(path)]
+            status = main(argv)
+            said = capsys.readouterr().err
+            assert status == 2 and "would be overwritten" in said, f"{' '.join(argv)}: {said}"
+            assert path.read_text() == "q_axis: precious\n"
+            tried += 1
+    assert tried > 20
+
+
+def _needed(command, dest: str, path: Path) -> list[str]:
+    """Return the arguments that a command cannot do without, one of them naming the file."""
+    found = []
+    for action in command._actions:
+        plain = {"pattern": "8x6", "square": "0.04"}.get(action.dest, "linear_axis")
+        value = str(path) if action.dest == dest else next(iter(action.choices or [plain]))
+        if (
+            not action.option_strings
+            and action.nargs not in ("?", "*")
+            or action.dest == dest
+            and not action.option_strings
+        ):
+            found.append(str(value))
+        elif action.required and action.dest != dest:
+            found += [action.option_strings[0], str(value)]
+    return found
+
+
+def test_the_files_of_a_column_map_are_inputs(log, tmp_path, capsys) -> None:
+    """A map that takes columns from further files makes these inputs, too."""
+    (tmp_path / "map.yaml").write_text(
+        "files: {force: force.csv}\nq_axis: q_axis\ntau_axis: {column: f, file: force}\n"
+    )
+    (tmp_path / "force.csv").write_text("f\n" + "1\n" * 1000)
+    argv = ["check", log, "--columns", tmp_path / "map.yaml", "--json", tmp_path / "force.csv"]
+    says(capsys, argv, "force.csv is an input of this command and would be overwritten")
+
+
+def test_a_recording_in_pieces_is_not_overwritten(log, tmp_path, capsys) -> None:
+    """Nor is one of a folder's files."""
+    folder = tmp_path / "day"
+    folder.mkdir()
+    log.rename(folder / "a.parquet")
+    argv = ["identify", "linear_axis", folder, "--json", folder / "a.parquet"]
+    says(capsys, argv, "a.parquet is an input of this command and would be overwritten")

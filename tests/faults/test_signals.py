@@ -1,0 +1,59 @@
+"""Told to end, a command says one line, leaves with the status that shells expect, and has written nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tau_dyn.cli.ending import ASKED, machine_fault, unwinding
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+
+
+def spent(process: int) -> float:
+    """Return the processor time [s] of a process."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_long_command_ends_in_one_line(tmp_path: Path, number: int, status: int) -> None:
+    """Ctrl-C, and what batch systems send at the end of the time: one line, no traceback, no file, no temporary one."""
+    command = [sys.executable, "-m", "tau_dyn.cli", "demo", "--out", "made", "--quiet", "--json", "r.json"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        begun = time.monotonic()
+        while spent(running.pid) < 2.0 and time.monotonic() - begun < 60:
+            time.sleep(0.05)
+        running.send_signal(number)
+        out, err = running.communicate(timeout=60)
+    assert running.returncode == status and out == ""
+    assert err.count("\n") == 1 and "every output file is as it was, or complete" in err, err
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+def test_what_others_do_with_signals_stays_theirs() -> None:
+    """Under nohup a closing terminal still ends nothing, and a program that calls the command line keeps its handlers."""
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, *ASKED)}
+    try:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        with unwinding():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            assert signal.getsignal(signal.SIGTERM) is not before[signal.SIGTERM]
+        assert signal.getsignal(signal.SIGTERM) is before[signal.SIGTERM]
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler, "importing the command line changed it"
+
+
+def test_what_a_machine_lacks_is_no_defect() -> None:
+    """Too many open files and no memory are sentences; an OSError that nobody foresaw stays a defect, with its traceback."""
+    assert "raise ulimit -n" in str(machine_fault(OSError(24, "Too many open files", "a.csv")))
+    assert "out of memory" in str(machine_fault(MemoryError()))
+    assert machine_fault(FileNotFoundError(2, "No such file or directory")) is None

@@ -1,0 +1,91 @@
+"""What fuzzing found, one case each; every one was a traceback, a hang or worse, and is a sentence now."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from fuzz_parts import seeds
+from fuzz_parts.judge import judge
+from fuzz_parts.readers import READERS
+
+
+def parquet(**columns: object) -> bytes:
+    """Return a Parquet file with twenty rows of a clock and these columns."""
+    out = io.BytesIO()
+    pq.write_table(pa.table({"t": [k * 0.1 for k in range(20)], **columns}), out)
+    return out.getvalue()
+
+
+def csv(header: str, cell: str = "0") -> bytes:
+    """Return a log of twenty rows in which one cell is odd."""
+    rows = [f"{k / 10},{cell if k == 3 else k % 5},0" for k in range(20)]
+    return "\n".join([header, *rows]).encode()
+
+
+LOG = "t,q_axis,tau_axis"
+NOT_UTF8 = parquet(q_axis=[0.0] * 20).replace(b"q_axis", b"q_\xe0xis")
+DEEP_CHAIN = seeds.PENDULUM.replace(
+    "</robot>", "".join(f'<link name="k{k}_link"/>' for k in range(3000)) + "</robot>"
+).encode()
+FOUND = {
+    "a header cell beyond the csv module's 128 KiB": ("csv", csv("t,q_axis," + "x" * 140_000)),
+    "a quoted cell beyond 128 KiB": ("csv", csv(LOG, '"' + "x" * 140_000 + '"')),
+    "a header of 200000 names": ("csv", csv(",".join(f"c{k}" for k in range(200_000)))),
+    "a whole number of 400 digits": ("csv", csv(LOG, "9" * 400)),
+    "a name of kilobytes in the message": ("csv", csv("t," + "x" * 50_000 + "," + "x" * 50_000)),
+    "a Parquet name that is no UTF-8": ("parquet", NOT_UTF8),
+    "a Parquet date beyond Python's": ("parquet", parquet(q_axis=pa.array([10**8] * 20, pa.int32()).cast(pa.date32()))),
+    "a Parquet time beyond nanoseconds": ("parquet", parquet(q_axis=pa.array([10**15] * 20, pa.timestamp("s")))),
+    "sixty-based numbers of any length": ("camera", b"camera: 1:" + b"1:" * 600 + b"1.5\n"),
+    "an empty whole number": ("controller", b"position_gain: !!int ''\n"),
+    "a date that is none": ("tracker", b"tracker: !!timestamp soon\n"),
+    "a truth that is none": ("errors", b"actuators: !!bool maybe\n"),
+    "20000 open brackets": ("errors", b"actuators: " + b"[" * 20_000),
+    "aliases of 10^9 entries": ("surroundings", b"a: &a [x, x, x, x, x, x, x, x, x]\n" + b"".join(
+        b"%c: &%c [%s]\n" % (98 + k, 98 + k, b", ".join([b"*%c" % (97 + k)] * 9)) for k in range(9))),
+    "a map of thousands of equal keys": ("column_map", b"q_axis: a\n" * 4_000),
+    "a coordinate axis called nothing": ("surroundings", b"limits: {null: [0, 1]}\n"),
+    "a part of a camera called nothing": ("camera", seeds.CAMERA + b"null: 1\n"),
+    "inputs that are no list": ("state_space", seeds.STATE_SPACE.replace(b"inputs: [u]", b"inputs: true")),
+    "a matrix of a truth": ("state_space", seeds.STATE_SPACE.replace(b"A: [[0.9, 0.1], [-0.1, 0.9]]", b"A: true")),
+    "a provenance that is a list": ("state_space", seeds.STATE_SPACE.replace(b"{logs: []}", b"[1, 2]")),
+    "a lens that is a list": ("cameras", seeds.CAMERAS.replace(b"lens: brown", b"lens: []")),
+    "joints that are no names": ("progress", json.dumps({**seeds.PROGRESS, "actuated": [True]}).encode()),
+    "a motion of thousands of years": ("motion", b"t,q_ref_axis\n" + b"".join(b"%d,0.1\n" % (k * 10**10) for k in range(20))),
+    "a robot of 3000 links": ("urdf", DEEP_CHAIN),
+    "elements 20000 deep": ("xacro", seeds.XACRO.replace("</robot>", "<a>" * 20_000 + "</a>" * 20_000 + "</robot>").encode()),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FOUND)
+def test_what_was_found_is_refused_in_a_sentence(case: str, tmp_path: Path) -> None:
+    """The file that broke the reader, or the smallest like it."""
+    name, data = FOUND[case]
+    path = tmp_path / f"case{READERS[name].suffix}"
+    path.write_bytes(data)
+    verdict = judge(READERS[name].read, path, 5.0)
+    assert verdict.kind == "refused", verdict
+
+
+def test_poses_of_as_many_campaigns_as_poses_are_read_in_linear_time(tmp_path: Path) -> None:
+    """Each name was looked up in a list."""
+    path = tmp_path / "poses.csv"
+    rows = "".join(f"0,0,0,1,c{k}\n" for k in range(60_000))
+    path.write_text("q_axis,x_tool,y_tool,z_tool,campaign\n" + rows)
+    assert judge(READERS["calibration_poses"].read, path, 5.0).kind == "answer"
+
+
+def test_a_result_with_numbers_beyond_a_float_is_refused(tmp_path: Path) -> None:
+    """JSON has whole numbers of any length."""
+    path = tmp_path / "r.json"
+    row = {"name": "a", "value": 10**400, "unit": ""}
+    path.write_text(json.dumps({**seeds.IDENTIFY, "parameters": [row]}))
+    assert judge(READERS["result"].read, path, 5.0).kind == "refused"
