@@ -215,7 +215,7 @@ def test_the_command_writes_source_and_header(tmp_path, write, capsys) -> None:
         (["--to", "c", "--out", "x.c", "--name", "a-b"], "cannot name a function in C"),
         (["--to", "python", "--out", "x.py", "--name", "class"], "cannot name a function in Python"),
         (["--to", "c", "--out", "x.c", "--width", "0.1", "0.2"], "must be a number or"),
-        (["--to", "fortran", "--out", "x.f"], "invalid choice"),
+        (["--to", "fortran", "--out", "x.f"], "there is no --to"),
     ],
 )
 def test_bad_requests_end_in_a_sentence(more, said, tmp_path, monkeypatch, capsys, write) -> None:

@@ -29,6 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     export.add_argument("--shape", choices=("ramp", "tanh"), default="ramp", help="of the smoothed sign (default ramp)")
     export.add_argument("--steady", action="store_true", help="leave out effects that need a history, and say which")
+    export.set_defaults(own_file=lambda args: f"{args.name}{_ENDINGS[args.to]}")
     add_common(export)
 
 
@@ -40,6 +41,7 @@ def run(args: argparse.Namespace) -> Outcome:
     with progress(args.quiet) as step:
         step("tracing")
         from tau_dyn.control import Feedforward, build_program, c_source, python_source
+        from tau_dyn.control.export_c_text import header_beside, including
         from tau_dyn.control.export_model import ARGUMENTS
         from tau_dyn.model import Model
 
@@ -50,11 +52,9 @@ def run(args: argparse.Namespace) -> Outcome:
         program = build_program(Feedforward(kept, width=width, shape=args.shape))
         files: dict[Path, str] = {}
         if args.to == "c":
-            header = args.out.with_suffix(".h")
-            if header.is_dir():
-                raise InputError(f"{header} is a folder; the header would be written there")
+            header = header_beside(args.out)
             source, declared = c_source(program, args.name)
-            files = {args.out: source.replace(f'"{args.name}.h"', f'"{header.name}"'), header: declared}
+            files = {args.out: including(source, args.name, header), header: declared}
         else:
             files = {args.out: python_source(program, args.name)}
     size = len(program.graph.needed(program.outputs))

@@ -1,8 +1,161 @@
-"""Feedforward for a controller: in Python, or written out as C or Python of its own."""
+"""Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; as code and files too."""
 
-from tau_dyn.control.export_c import c_source
-from tau_dyn.control.export_model import Program, build_program
-from tau_dyn.control.export_python import python_source
-from tau_dyn.control.feedforward import Feedforward
+from __future__ import annotations
 
-__all__ = ["Feedforward", "Program", "build_program", "c_source", "python_source"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tau_dyn.control.export_c import c_source
+    from tau_dyn.control.export_c_kinematics import kinematics_source
+    from tau_dyn.control.export_kinematics import KinematicsProgram, build_kinematics
+    from tau_dyn.control.export_learning import learning_source
+    from tau_dyn.control.export_model import Program, build_program
+    from tau_dyn.control.export_observer import observer_source
+    from tau_dyn.control.export_python import python_source
+    from tau_dyn.control.feedforward import Feedforward
+    from tau_dyn.control.interface import (
+        CommandLimits,
+        Correction,
+        check_motion,
+        corrected,
+        correction_of,
+        rapid_motion,
+        read_correction,
+        read_reference,
+        reference_of,
+        write_correction,
+        write_reference,
+    )
+    from tau_dyn.control.iterative import (
+        Convergence,
+        Learning,
+        LearningLaw,
+        MotorSide,
+        NormOptimalLaw,
+        Reference,
+        TimeShift,
+        ToolSide,
+        ZeroPhase,
+        band_stop,
+        controlled_actuators,
+        convergence,
+        dip,
+        learn,
+        low_pass,
+        picture,
+        product,
+        require,
+        robust_filter,
+    )
+    from tau_dyn.control.lead_through import ForceLoop, ForceSensor, LeadThrough, LeadThroughSettings
+    from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
+    from tau_dyn.control.observers import (
+        ComplementaryToolObserver,
+        KalmanToolObserver,
+        KalmanTuning,
+        Whiteness,
+        log_likelihood,
+        tune_complementary,
+        tune_kalman,
+        whiteness,
+    )
+
+_PLACES = {
+    "export_c": ("c_source",),
+    "export_c_kinematics": ("kinematics_source",),
+    "export_kinematics": ("KinematicsProgram", "build_kinematics"),
+    "export_learning": ("learning_source",),
+    "export_model": ("Program", "build_program"),
+    "export_observer": ("observer_source",),
+    "export_python": ("python_source",),
+    "feedforward": ("Feedforward",),
+    "interface": (
+        "Correction", "CommandLimits", "check_motion", "corrected", "correction_of", "rapid_motion", "read_correction",
+        "read_reference", "reference_of", "write_correction", "write_reference",
+    ),
+    "iterative": (
+        "Convergence", "Learning", "LearningLaw", "MotorSide", "NormOptimalLaw", "Reference", "TimeShift", "ToolSide",
+        "ZeroPhase", "band_stop", "controlled_actuators", "convergence", "dip", "learn", "low_pass", "picture", "product",
+        "require", "robust_filter",
+    ),
+    "lead_through": ("ForceLoop", "ForceSensor", "LeadThrough", "LeadThroughSettings"),
+    "motion": ("MotionLimits", "MotionPlan", "plan_motion"),
+    "observers": (
+        "ComplementaryToolObserver", "KalmanToolObserver", "KalmanTuning", "Whiteness", "log_likelihood",
+        "tune_complementary", "tune_kalman", "whiteness",
+    ),
+}  # fmt: skip
+"""What each module offers here; it is loaded when one of its names is first used."""
+
+_MODULE = {name: module for module, names in _PLACES.items() for name in names}
+
+__all__ = [
+    "ComplementaryToolObserver",
+    "Convergence",
+    "Correction",
+    "Feedforward",
+    "ForceLoop",
+    "ForceSensor",
+    "KalmanToolObserver",
+    "KalmanTuning",
+    "KinematicsProgram",
+    "LeadThrough",
+    "LeadThroughSettings",
+    "Learning",
+    "LearningLaw",
+    "CommandLimits",
+    "MotionLimits",
+    "MotionPlan",
+    "MotorSide",
+    "NormOptimalLaw",
+    "Program",
+    "Reference",
+    "TimeShift",
+    "ToolSide",
+    "Whiteness",
+    "ZeroPhase",
+    "band_stop",
+    "build_kinematics",
+    "build_program",
+    "c_source",
+    "check_motion",
+    "controlled_actuators",
+    "convergence",
+    "corrected",
+    "correction_of",
+    "dip",
+    "kinematics_source",
+    "learn",
+    "learning_source",
+    "log_likelihood",
+    "low_pass",
+    "observer_source",
+    "picture",
+    "plan_motion",
+    "product",
+    "python_source",
+    "rapid_motion",
+    "read_correction",
+    "read_reference",
+    "reference_of",
+    "require",
+    "robust_filter",
+    "tune_complementary",
+    "tune_kalman",
+    "whiteness",
+    "write_correction",
+    "write_reference",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE:
+        raise AttributeError(f"module 'tau_dyn.control' has no attribute '{name}'")
+    found = getattr(import_module(f"{__name__}.{_MODULE[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

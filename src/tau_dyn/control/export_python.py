@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from tau_dyn.control.export_c import CLOSED, ITERATIONS, STEP, STEPS
+from tau_dyn.control.export_c_loops import CLOSED, ITERATIONS, STEP, STEPS
 from tau_dyn.control.export_model import Program
 from tau_dyn.control.export_text import about
 from tau_dyn.control.graph import Graph, Node

@@ -96,7 +96,7 @@ class Tree:
         for k, joint in enumerate(self.joints):
             above = out[joint.parent] if joint.parent >= 0 else LinkMotion(still, still, -gravity, np.eye(3), still)
             u = joint.axis
-            R = joint.R if joint.slides else _exact(joint.R @ _turn(u, q[k]))
+            R = joint.R if joint.slides else exact(joint.R @ turn(u, q[k]))
             p = joint.p + joint.R @ u * q[k] if joint.slides else joint.p
             w, dw = R.T @ above.w, R.T @ above.dw
             c = R.T @ (above.c + cross(above.dw, p) + cross(above.w, cross(above.w, p)))
@@ -162,9 +162,9 @@ def _joint(robot: Robot, data: pin.Data, j: int, pi: np.ndarray) -> TreeJoint:
     S = np.asarray(data.joints[j].S).reshape(6)
     slides = bool(np.linalg.norm(S[:3]) > np.linalg.norm(S[3:]))
     place = model.jointPlacements[j]
-    axis = _exact(np.array(S[:3] if slides else S[3:]))
+    axis = exact(np.array(S[:3] if slides else S[3:]))
     return TreeJoint(
-        model.names[j], model.parents[j] - 1, axis, slides, _exact(place.rotation), _exact(place.translation), pi
+        model.names[j], model.parents[j] - 1, axis, slides, exact(place.rotation), exact(place.translation), pi
     )
 
 
@@ -177,23 +177,23 @@ def _inertial(robot: Robot) -> dict[int, np.ndarray]:
     return out
 
 
-def _turn(u: np.ndarray, angle: Any) -> np.ndarray:
+def turn(u: np.ndarray, angle: Any) -> np.ndarray:
     """Return the rotation by an angle about a unit axis: `1 + sin K + (1 - cos) K K` (Rodrigues)."""
-    K = _exact(np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]], float))
+    K = exact(np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]], float))
     sine, cosine = np.sin(traced([angle]))[0], np.cos(traced([angle]))[0]
-    along = _exact(np.outer(u, u))
+    along = exact(np.outer(u, u))
     return along + (np.eye(3) - along) * cosine + K * sine
 
 
 def _needed(pi: np.ndarray, m: LinkMotion) -> tuple[np.ndarray, np.ndarray]:
     """Return the force and moment (3,), (3,) about its origin that a link needs for its motion."""
-    mass, s = float(pi[0]), pi[1:4]
+    mass, s = pi[0], pi[1:4]
     inertia = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
     f = m.c * mass + cross(m.dw, s) + cross(m.w, cross(m.w, s))
     return f, inertia @ m.dw + cross(m.w, inertia @ m.w) + cross(s, m.c)
 
 
-def _exact(x: np.ndarray) -> np.ndarray:
+def exact(x: np.ndarray) -> np.ndarray:
     """Return plain numbers with what is only rounding of 0, 1 and -1 taken away; expressions stay."""
     x = np.array(x)
     if x.dtype == object:

@@ -61,19 +61,19 @@ class ComplementaryToolObserver:
             acceleration: Of the tool, without gravity (N, m) [m/s^2].
         """
         rest = _checked(kinematic, acceleration, self.axes)
-        slow = [p.run(kinematic[:, k] - rest[k]) for k, (p, _) in enumerate(self._pairs())]
-        fast = [p.run(acceleration[:, k]) for k, (_, p) in enumerate(self._pairs())]
+        slow = [p.run(kinematic[:, k] - rest[k]) for k, (p, _) in enumerate(self.pairs())]
+        fast = [p.run(acceleration[:, k]) for k, (_, p) in enumerate(self.pairs())]
         return rest + np.column_stack(slow) + np.column_stack(fast)
 
     def operators(self, n: int) -> tuple[Operator, Operator]:
         """Return the estimate's (m n, m n) from positions and from accelerations, channel after channel: F_y in (7.7)."""
-        pairs = [(p.matrix(n), a.matrix(n)) for p, a in self._pairs()]
+        pairs = [(p.matrix(n), a.matrix(n)) for p, a in self.pairs()]
         slow, fast = (_channelwise([pair[k] for pair in pairs]) for k in (0, 1))
         return slow, fast
 
     def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the same as responses (F, m, m) at frequencies (F,) [Hz]."""
-        slow, fast = ([p[k].response(frequency, self.dt) for p in self._pairs()] for k in (0, 1))
+        slow, fast = ([p[k].response(frequency, self.dt) for p in self.pairs()] for k in (0, 1))
         return _diagonal_responses(slow), _diagonal_responses(fast)
 
     def standard_error(self, kinematic_noise: float, acceleration_noise: float) -> np.ndarray:
@@ -86,17 +86,24 @@ class ComplementaryToolObserver:
         power = [np.mean(np.abs(np.einsum("fii->fi", x)) ** 2, axis=0) for x in (slow, fast)]
         return np.sqrt(power[0] * kinematic_noise**2 + power[1] * acceleration_noise**2)
 
-    def _pairs(self) -> list[tuple[_Passes, _Passes]]:
+    def pairs(self) -> list[tuple[Passes, Passes]]:
+        """Return for each axis the filter of the position and that of the acceleration."""
         return [(_causal if self.causal else _zero_phase)(f, self.dt) for f in self.cutoff_hz]
 
 
 @dataclass(frozen=True, eq=False)
-class _Passes:
-    """A filter forwards, then another backwards, both from rest."""
+class Passes:
+    """A filter forwards, then another backwards, both from rest.
+
+    Attributes:
+        forwards: Numerator and denominator.
+        backwards: The same, None for a causal filter.
+        held: After its end the signal keeps its last value; otherwise it is zero there.
+    """
 
     forwards: tuple[np.ndarray, np.ndarray]
     backwards: tuple[np.ndarray, np.ndarray] | None
-    held: bool  # after its end the signal keeps its last value; otherwise it is zero there
+    held: bool
 
     def run(self, x: np.ndarray) -> np.ndarray:
         """Filter (N, ...) along time; the backward pass begins one length after the end, where all has settled."""
@@ -114,6 +121,7 @@ class _Passes:
         return self.run(np.eye(n))
 
     def response(self, frequency: np.ndarray, dt: float) -> np.ndarray:
+        """Return the response (F,) at frequencies (F,) [Hz]."""
         w = 2 * np.pi * np.asarray(frequency, float) * dt
         once = np.asarray(cast(Any, freqz)(*self.forwards, worN=w)[1])
         return (
@@ -121,10 +129,10 @@ class _Passes:
         )
 
 
-def _zero_phase(cutoff: float, dt: float) -> tuple[_Passes, _Passes]:
+def _zero_phase(cutoff: float, dt: float) -> tuple[Passes, Passes]:
     low, high = (_arrays(butter(2, cutoff, kind, fs=1 / dt)) for kind in ("lowpass", "highpass"))
     size = (2 / dt * np.tan(np.pi * cutoff * dt)) ** 2
-    return _Passes(low, low, True), _Passes((low[0] / size, low[1]), high, False)
+    return Passes(low, low, True), Passes((low[0] / size, low[1]), high, False)
 
 
 def _arrays(ba: object) -> tuple[np.ndarray, np.ndarray]:
@@ -132,12 +140,12 @@ def _arrays(ba: object) -> tuple[np.ndarray, np.ndarray]:
     return b, a
 
 
-def _causal(cutoff: float, dt: float) -> tuple[_Passes, _Passes]:
+def _causal(cutoff: float, dt: float) -> tuple[Passes, Passes]:
     w = 2 / dt * np.tan(np.pi * cutoff * dt)
     below = [1, 2 * w, 2 * w**2, w**3]
     position = _arrays(bilinear(below[1:], below, fs=1 / dt))
     acceleration = _arrays(bilinear([1, 0], below, fs=1 / dt))
-    return _Passes(position, None, True), _Passes(acceleration, None, False)
+    return Passes(position, None, True), Passes(acceleration, None, False)
 
 
 def _checked(kinematic: np.ndarray, acceleration: np.ndarray, axes: int) -> np.ndarray:

@@ -51,7 +51,7 @@ class KalmanToolObserver:
         """Refuse covariances that are none, models with unlike inputs and outputs."""
         if self.model.B.shape[1] != len(self.model.C):
             raise InputError("the observer's model goes from computed to true tool positions, the same axes in and out")
-        if not (np.linalg.eigvalsh(self.R1).min() >= -1e-9 * np.abs(self.R1).max() and np.all(np.isfinite(self.R1))):
+        if not (np.linalg.eigvalsh(self.R1).min() >= -1e-7 * np.abs(self.R1).max() and np.all(np.isfinite(self.R1))):
             raise InputError("the process noise must be a covariance: symmetric, finite, not negative")
         if not np.linalg.eigvalsh(self.R2).min() > 0:
             raise InputError("the accelerometer's variance must be positive; a perfect sensor has none of this use")

@@ -1,0 +1,109 @@
+"""What every exported C file shares: names that C takes, comments that nothing breaks out of, the frame of a header."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from tau_dyn.exceptions import InputError
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
+_KEYWORDS = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
+    "return short signed sizeof static struct switch typedef union unsigned void volatile while main".split()
+)
+
+
+def checked_name(name: str) -> str:
+    """Return a name for a function of C.
+
+    Raises:
+        InputError: It is no identifier of C.
+    """
+    if not _NAME.fullmatch(name) or name in _KEYWORDS:
+        raise InputError(f"'{name}' cannot name a function in C; use letters, digits and underscores, a letter first")
+    return name
+
+
+def identifiers(names: Iterable[str]) -> list[str]:
+    """Return names as parts of C identifiers, each different: other characters become `_`, repetitions get a number."""
+    out: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:40] or "_"
+        found, k = plain, 2
+        while found in out:
+            found, k = f"{plain}_{k}", k + 1
+        out.append(found)
+    return out
+
+
+def comment(lines: Iterable[str]) -> str:
+    """Return lines as a block comment without its ends; whatever they hold, the comment goes on.
+
+    `*/` ends a comment, `/*` and trigraphs draw warnings, invisible characters can make text look like code.
+    """
+    return "\n".join(f" * {_tame(line)}".rstrip() for line in lines)
+
+
+def header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
+    """Return a header: what it is, then declarations that C and C++ read."""
+    guard = f"{name.upper()}_H"
+    frame = ["#ifdef __cplusplus", 'extern "C" {', "#endif"], ["#ifdef __cplusplus", "}", "#endif"]
+    top = ["/*", comment(words), " */", f"#ifndef {guard}", f"#define {guard}", ""]
+    return "\n".join([*top, *frame[0], "", *declared, "", *frame[1], f"#endif /* {guard} */", ""])
+
+
+def source(name: str, first: str, body: Iterable[str]) -> str:
+    """Return a source file that includes its header and `math.h`."""
+    top = [
+        f"/* {_tame(first)} Units, joints and provenance: {name}.h */",
+        f'#include "{name}.h"',
+        "",
+        "#include <math.h>",
+        "",
+    ]
+    return "\n".join([*top, *body, ""])
+
+
+def table(kind: str, name: str, values: Iterable[str], size: str = "") -> str:
+    """Return a constant array, wrapped at the usual width."""
+    rows, row = [], ""
+    for x in values:
+        if len(row) + len(x) > 108:
+            rows.append(row)
+            row = ""
+        row += f"{x}, "
+    rows.append(row.rstrip(", "))
+    text = "\n    ".join(r.rstrip() for r in rows)
+    return f"static const {kind} {name}[{size}] = {{\n    {text}\n}};"
+
+
+def _tame(line: str) -> str:
+    plain = line.encode("ascii", "backslashreplace").decode("ascii")
+    plain = re.sub(r"[\x00-\x1f\x7f]", " ", plain)
+    for wrong, right in (("*/", "* /"), ("/*", "/ *"), ("??", "? ?")):
+        while wrong in plain:
+            plain = plain.replace(wrong, right)
+    return plain.rstrip("\\ ")
+
+
+def header_beside(source: Path) -> Path:
+    """Return where the header of a source file goes.
+
+    Raises:
+        InputError: A folder is there, or C could not include a file of that name.
+    """
+    header = source.with_suffix(".h")
+    if header.is_dir():
+        raise InputError(f"{header} is a folder; the header would be written there")
+    if not re.fullmatch(r"[A-Za-z0-9_.+ -]+", header.name):
+        raise InputError(f"{header.name}: a C file includes its header by name; use letters, digits, _, -, + and dots")
+    return header
+
+
+def including(text: str, name: str, header: Path) -> str:
+    """Return a source's text that includes its header under the name of its file."""
+    return text.replace(f'#include "{name}.h"', f'#include "{header.name}"', 1).replace(
+        f": {name}.h */", f": {header.name} */", 1
+    )

@@ -1,0 +1,202 @@
+"""A robot's kinematics as traced functions, ready to be written out: forward, inverse, Jacobian.
+
+Three kinds. `closed`: three rods and a plate that only translates; nothing is iterated. `rods`: a free plate on six rods,
+its pose by Newton's method; drives that each move one rod still have a closed inverse. `tree`: serial arms and trees with
+loops. What was traced is compared with Python over random states before anything is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.control import export_closed_kinematics as closed_form
+from tau_dyn.control.export_check import reachable_positions
+from tau_dyn.control.export_rods import rod_equations
+from tau_dyn.control.export_tree_kinematics import TreeKinematics
+from tau_dyn.control.graph import Graph
+from tau_dyn.control.traced import inputs
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics import Rods, forward_kinematics, jacobian
+from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
+from tau_dyn.robot import Robot
+
+_SEED = 3
+_RANK = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One traced function.
+
+    Attributes:
+        graph: Its expressions.
+        arguments: Names of its input arrays and their sizes.
+        outputs: Its output arrays, flat, by name.
+    """
+
+    graph: Graph
+    arguments: dict[str, int]
+    outputs: dict[str, tuple[Any, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicsProgram:
+    """Kinematics as traced functions.
+
+    Attributes:
+        robot: The robot.
+        rods: Its rods, None for a tree.
+        kind: 'closed', 'rods' or 'tree'.
+        forward: Of a closed form or a serial arm: `q` -> `p` (3), `R` (9), `J`.
+        inverse: Where it has a closed form: `p`, `R` -> `q`.
+        equations: Else: `q`, `z` -> `gap` and its derivative `G` by drives and the freedoms of `z`.
+        tool: Of a tree: `q`, `z` -> `p`, `R`, and its twist `T` by drives and `z`.
+        home: Drives and `z` at home (na + nz,): of rods the plate's place and rotation, of a tree its passive joints.
+        freedoms: Of `z`: 6 for a plate, else as many as passive joints are solved for.
+        rank: How many freedoms the drives give the tool, 6 at most.
+        idle: Whether drives can move without the tool.
+        no_inverse: Why there is no inverse kinematics, '' where there is.
+        difference: Largest difference from Python over random states [m, 1, or rad].
+    """
+
+    robot: Robot
+    rods: Rods | None
+    kind: str
+    home: np.ndarray
+    forward: Piece | None = None
+    inverse: Piece | None = None
+    equations: Piece | None = None
+    tool: Piece | None = None
+    freedoms: int = 0
+    rank: int = 6
+    idle: bool = False
+    no_inverse: str = ""
+    difference: float = 0.0
+
+    @property
+    def rows(self) -> int:
+        """Rows of the Jacobian: 3 of a plate that only translates, else 6."""
+        return 3 if self.kind == "closed" else 6
+
+
+def build_kinematics(robot: Robot | Rods) -> KinematicsProgram:
+    """Return a robot's kinematics as traced functions, compared with Python over random states.
+
+    Args:
+        robot: A robot, or its rods (perhaps calibrated).
+
+    Raises:
+        InputError: It has no tool frame, or nothing of this kind can be written out for it.
+        LoopClosureError: It cannot be closed at home.
+    """
+    from tau_dyn.control.export_kinematics_check import compared
+
+    rods, owner = rods_of(robot), robot_of(robot)
+    if rods is None:
+        program = _of_tree(owner)
+    elif closed_form.is_closed(rods):
+        program = _closed(rods)
+    else:
+        program = _of_rods(rods)
+    return replace(program, difference=compared(program))
+
+
+def piece(arguments: dict[str, np.ndarray], make: Callable[..., dict[str, Any]]) -> Piece:
+    """Trace a function of input arrays, given with their values at the reference state."""
+    graph = Graph()
+    made = make(*(inputs(graph, name, value) for name, value in arguments.items()))
+    outputs = {name: tuple(np.ravel(np.asarray(x, dtype=object))) for name, x in made.items()}
+    return Piece(graph, {name: len(value) for name, value in arguments.items()}, outputs)
+
+
+def _closed(rods: Rods) -> KinematicsProgram:
+    robot = rods.robot
+
+    def forward(q: Any) -> dict[str, Any]:
+        return dict(zip(("p", "R", "J"), closed_form.forward(rods, np.asarray(q)), strict=True))
+
+    return KinematicsProgram(
+        robot, rods, "closed", robot.home, forward=piece({"q": robot.home}, forward), inverse=_inverse(rods), rank=3
+    )
+
+
+def _inverse(rods: Rods) -> Piece:
+    home = forward_kinematics(rods, rods.robot.home[None]).poses
+    values = {"p": home.position[0], "R": home.rotation[0].ravel()}
+    return piece(values, lambda p, R: {"q": closed_form.inverse(rods, np.asarray(p), np.asarray(R).reshape(3, 3))})
+
+
+def _of_rods(rods: Rods) -> KinematicsProgram:
+    robot = rods.robot
+    if rods.translates or rods.n != 6:
+        raise InputError(
+            f"{robot.source}: a plate that {'only translates' if rods.translates else 'is free'} on {rods.n} rods is not written "
+            "out; three rods of a translating plate and six of a free one are"
+        )
+    z = np.concatenate([rods.home.position[0], rods.home.rotation[0].ravel()])
+
+    def equations(q: Any, z: Any) -> dict[str, Any]:
+        at = rod_equations(rods.numbers, np.asarray(q), np.asarray(z[:3]), np.asarray(z[3:]).reshape(3, 3))
+        return {"gap": at.gap, "G": at.by}
+
+    rank, idle = _freedoms(rods)
+    program = KinematicsProgram(
+        robot,
+        rods,
+        "rods",
+        np.concatenate([robot.home, z]),
+        equations=piece({"q": robot.home, "z": z}, equations),
+        inverse=_inverse(rods) if closed_form.inverse_is_closed(rods) else None,
+        freedoms=6,
+        rank=rank,
+        idle=idle,
+    )
+    return replace(program, no_inverse=_why_no_inverse(program))
+
+
+def _of_tree(robot: Robot) -> KinematicsProgram:
+    engine_of(robot)  # says what is wrong with a robot that has no kinematics at all
+    tree = TreeKinematics(robot)
+    z = np.zeros(0) if tree.loops is None else tree.loops.home[tree.passive]
+    state = {"q": robot.home, "z": z} if len(z) else {"q": robot.home}
+
+    def tool(q: Any, z: Any = ()) -> dict[str, Any]:
+        at = tree.tool(np.asarray(q), np.asarray(z))
+        return {"p": at.p, "R": at.R, "T": at.twist}
+
+    def equations(q: Any, z: Any) -> dict[str, Any]:
+        gap, G = tree.gaps(np.asarray(q), np.asarray(z))
+        return {"gap": gap, "G": G}
+
+    rank, idle = _freedoms(robot)
+    program = KinematicsProgram(
+        robot,
+        None,
+        "tree",
+        np.concatenate([robot.home, z]),
+        equations=piece(state, equations) if len(z) else None,
+        tool=piece(state, tool),
+        freedoms=len(z),
+        rank=rank,
+        idle=idle,
+    )
+    return replace(program, no_inverse=_why_no_inverse(program))
+
+
+def _freedoms(robot: Robot | Rods) -> tuple[int, bool]:
+    """Return how many freedoms the drives give the tool, and whether some motion of theirs gives it none."""
+    q = reachable_positions(robot, 8, np.random.default_rng(_SEED))
+    ranks = [int(np.linalg.matrix_rank(J, tol=_RANK * max(1.0, np.abs(J).max()))) for J in jacobian(robot, q)]
+    return max(ranks), robot_of(robot).na > max(ranks)
+
+
+def _why_no_inverse(program: KinematicsProgram) -> str:
+    if program.inverse is not None or program.rank == 6 or (program.rank >= 3 and not program.idle):
+        return ""
+    if program.rank < 3:
+        return f"the drives give the tool {program.rank} freedom(s), too few to hold its position"
+    return f"{program.robot.na} drives give the tool {program.rank} freedoms, and which positions are best is not written out"

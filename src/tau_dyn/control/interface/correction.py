@@ -1,0 +1,195 @@
+"""Learned corrections: what is added to the drives' references, and its derivative to their speeds (thesis 3.5).
+
+A file names the motion that it was learnt on (a hash of its reference) and the sample period; added to another motion, at
+another period or beyond its limits it is refused. Columns `t`, `dq_J`, `dv_J` [s, m or rad, per s].
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tau_dyn.control.interface.check import check_motion
+from tau_dyn.control.interface.limits import CommandLimits
+from tau_dyn.control.interface.period import PERIOD, require_period
+from tau_dyn.control.interface.reference import digest
+from tau_dyn.control.iterative import Learning
+from tau_dyn.control.iterative.law import Law
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import write_whole
+from tau_dyn.log import read_table
+from tau_dyn.model import Model
+from tau_dyn.simulate import Trajectory
+
+_HEAD = re.compile(r"# correction of motion ([0-9a-f]{16}), a sample every ([0-9.e+-]+) s\s*")
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What is added to a reference.
+
+    Attributes:
+        joints: Drives.
+        dt: Sample period [s].
+        dq: Added to positions (N, na) [m or rad].
+        motion: Hash of the reference that it belongs to.
+    """
+
+    joints: tuple[str, ...]
+    dt: float
+    dq: np.ndarray
+    motion: str
+
+    def __post_init__(self) -> None:
+        """Refuse what is no signal."""
+        if (
+            self.dq.ndim != 2
+            or self.dq.shape[1] != len(self.joints)
+            or len(self.dq) < 2
+            or not np.isfinite(self.dq).all()
+        ):
+            raise InputError(
+                f"a correction of {len(self.joints)} joints is finite and (N, {len(self.joints)}), not {self.dq.shape}"
+            )
+        if not self.dt > 0:
+            raise InputError(f"a correction's sample period must be positive, not {self.dt:g} s")
+
+    @property
+    def dv(self) -> np.ndarray:
+        """Added to speeds (N, na) [m/s or rad/s]: central differences, at rest before and after."""
+        wide = np.pad(self.dq, ((1, 1), (0, 0)))
+        return (wide[2:] - wide[:-2]) / (2 * self.dt)
+
+
+def correction_of(done: Learning, law: Law, joints: Sequence[str], *, trial: int = -1) -> Correction:
+    """Return what a learning has learnt, for the drives.
+
+    Args:
+        done: From `learn`.
+        law: The law that it learnt by; it knows which drives a tool's correction moves.
+        joints: Names of the drives.
+        trial: Which trial's correction; by default the last one's.
+    """
+    q = law.side.commands(done.motion, done.corrections[trial])
+    return Correction(tuple(joints), done.motion.dt, q - done.motion.q, digest(_reference(done, joints)))
+
+
+def _reference(done: Learning, joints: Sequence[str]) -> Trajectory:
+    t = np.arange(done.motion.n) * done.motion.dt
+    return Trajectory.through(joints, t, done.motion.q)
+
+
+def corrected(
+    model: Model, reference: Trajectory, correction: Correction, limits: CommandLimits | None = None
+) -> Trajectory:
+    """Return a reference with its correction, checked as a whole.
+
+    Raises:
+        InputError: The correction belongs to another motion, joints or period, or a limit is broken.
+    """
+    limits = CommandLimits.of(model.robot) if limits is None else limits
+    require_fitting(reference, correction)
+    _require_small(correction, limits, model.robot.position_units)
+    q = reference.q + correction.dq
+    found = Trajectory.through(reference.joints, reference.t, q, f"{reference.name} with its correction")
+    check_motion(model, found, limits)
+    return found
+
+
+def require_fitting(reference: Trajectory, correction: Correction) -> None:
+    """Refuse a correction that belongs to another motion.
+
+    Raises:
+        InputError: Joints, period, length or the motion itself differ; the message says which.
+    """
+    if correction.joints != reference.joints:
+        raise InputError(
+            f"the correction is for {', '.join(correction.joints)}, the motion moves {', '.join(reference.joints)}"
+        )
+    require_period(reference.t, correction.dt, f"{reference.name}, for a correction every {1e3 * correction.dt:g} ms")
+    if len(correction.dq) != reference.n_samples:
+        raise InputError(f"the correction has {len(correction.dq)} samples, {reference.name} has {reference.n_samples}")
+    if correction.motion != digest(reference):
+        raise InputError(
+            f"the correction was learnt on another motion ({correction.motion}) than {reference.name} ({digest(reference)})"
+        )
+
+
+def write_correction(
+    path: str | Path,
+    model: Model,
+    reference: Trajectory,
+    correction: Correction,
+    *,
+    period: float = PERIOD,
+    limits: CommandLimits | None = None,
+) -> None:
+    """Write a correction file, the whole of it or none.
+
+    Args:
+        path: Where.
+        model: Robot and effects.
+        reference: The motion that it belongs to.
+        correction: The correction.
+        period: The controller's sample period [s].
+        limits: By default the robot file's, 10 deg of a turning drive and 10 mm of a slide.
+
+    Raises:
+        InputError: See `corrected`; or the controller has another sample period.
+    """
+    require_period(reference.t, period, reference.name)
+    corrected(model, reference, correction, limits)
+    write_whole(path, correction_text(correction))
+
+
+def correction_text(correction: Correction) -> str:
+    """Return a correction file's text."""
+    columns = {"t": np.arange(len(correction.dq)) * correction.dt}
+    for signal, values in (("dq", correction.dq), ("dv", correction.dv)):
+        columns |= {f"{signal}_{j}": values[:, k] for k, j in enumerate(correction.joints)}
+    head = f"# correction of motion {correction.motion}, a sample every {correction.dt!r} s\n"
+    return head + pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n")
+
+
+def read_correction(path: str | Path, joints: Sequence[str], *, period: float = PERIOD) -> Correction:
+    """Read a correction file.
+
+    Raises:
+        InputError: It cannot be read, is no correction, or its sample period is not the controller's.
+    """
+    table = read_table(path)
+    with Path(path).open(encoding="utf-8", errors="replace") as file:
+        head = _HEAD.fullmatch(file.readline())
+    if head is None:
+        raise InputError(
+            f"{table.name}: its first line does not say which motion it corrects; it is no correction file"
+        )
+    t = table.numbers("t")
+    if len(t) < 2:
+        raise InputError(f"{table.name}: a correction has at least two samples, not {len(t)}")
+    require_period(t, period, table.name)
+    dq = np.column_stack([table.numbers(f"dq_{j}") for j in joints])
+    return Correction(tuple(joints), period, dq, head[1])
+
+
+def _require_small(correction: Correction, limits: CommandLimits, units: Sequence[str]) -> None:
+    excess = np.abs(correction.dq) - limits.correction
+    k, j = divmod(int(np.argmax(excess)), excess.shape[1])
+    if excess[k, j] > 0:
+        shown = lambda x: f"{np.rad2deg(x):.4g} deg" if units[j] == "rad" else f"{1e3 * x:.4g} mm"  # noqa: E731
+        raise InputError(
+            f"the correction of joint {correction.joints[j]} is {shown(correction.dq[k, j])} at sample {k + 1} and may be no "
+            f"more than {shown(limits.correction[j])}"
+        )
+    jump = np.abs(np.diff(np.pad(correction.dq, ((1, 1), (0, 0))), axis=0)) / correction.dt
+    k, j = divmod(int(np.argmax(jump - limits.speed)), jump.shape[1])
+    if jump[k, j] > limits.speed[j]:
+        raise InputError(
+            f"the correction of joint {correction.joints[j]} jumps at sample {k + 1}: {jump[k, j]:.4g} {units[j]}/s, the drive "
+            f"may no more than {limits.speed[j]:.4g}; fade it in and out"
+        )

@@ -1,0 +1,132 @@
+r"""A motion as a RAPID module: a list of places with the time to reach each, by `MoveAbsJ` (drives) or `MoveL` (tool).
+
+The robot's own controller interpolates between the places, so fewer than one every 4 ms are needed: those between which
+a straight line, in the drives or in the tool's path, leaves the motion by less than a tolerance. `\T` gives each move
+its time. A corner path (`z0`) rounds the places; what must be followed exactly belongs into a reference file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.control.interface.rapid_text import array, checked_joints, checked_name, comment, jointtarget, robtarget
+from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics import forward_kinematics, quaternions
+from tau_dyn.robot import Robot
+from tau_dyn.simulate import Trajectory
+
+MOST = 4000
+"""Most places of a module."""
+
+
+def rapid_motion(
+    robot: Robot,
+    motion: Trajectory,
+    *,
+    by: str = "joints",
+    tolerance: float = 1e-4,
+    name: str = "TauDynMotion",
+    tool: str = "tool0",
+    wobj: str = "wobj0",
+) -> str:
+    """Return a motion as a RAPID module.
+
+    Args:
+        robot: The robot.
+        motion: What it shall do, corrections included; see `corrected`.
+        by: 'joints' for `MoveAbsJ`, 'tool' for `MoveL`.
+        tolerance: How far straight lines between the places may leave the motion [m or rad]; of `MoveL` of the tool's place.
+        name: Of the module.
+        tool: RAPID tool data; with 'tool' it must be the robot file's tool frame.
+        wobj: RAPID work object; with 'tool' the robot's base.
+
+    Raises:
+        InputError: A name that RAPID does not take, joints that are not the robot's, or too many places.
+    """
+    checked_joints(robot.joint_kinds)
+    for text, what in ((name, "a RAPID module"), (tool, "RAPID tool data"), (wobj, "a RAPID work object")):
+        checked_name(text, what)
+    if by not in ("joints", "tool"):
+        raise InputError(f"a RAPID motion goes by 'joints' or by 'tool', not by '{by}'")
+    if motion.joints != robot.actuated:
+        raise InputError(f"{motion.name} moves {', '.join(motion.joints)}, the robot has {', '.join(robot.actuated)}")
+    if not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"the tolerance of a RAPID motion must be above zero, not {tolerance:g}")
+    poses = forward_kinematics(robot, motion.q).poses if by == "tool" else None
+    if poses is not None and not np.isfinite(poses.position).all():
+        raise InputError(f"{motion.name}: it leaves the robot's reach, so there is no tool path to write")
+    keep = waypoints(motion.t, motion.q if poses is None else poses.position, tolerance)
+    if poses is None:
+        rows, kind = [jointtarget(row, robot.joint_kinds) for row in motion.q[keep]], "jointtarget"
+    else:
+        few = poses.take(keep)
+        rows, kind = [robtarget(p, r) for p, r in zip(few.position, quaternions(few), strict=True)], "robtarget"
+    seconds = [f"{x:.4f}" for x in np.diff(motion.t[keep], prepend=motion.t[0])]
+    return "\n".join(_module(robot, motion, name, kind, rows, seconds, (tool, wobj))) + "\n"
+
+
+def waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return indices of the samples (k,) between which straight lines in time stay within a tolerance of a path (N, m).
+
+    From each place the farthest sample is taken that a line reaches so, found by doubling and halving.
+
+    Raises:
+        InputError: More than 4000 are needed.
+    """
+    keep = [0]
+    while keep[-1] < len(t) - 1:
+        if len(keep) >= MOST:
+            raise InputError(
+                f"a RAPID module of more than {MOST} places is asked for; allow a larger tolerance, or cut the motion"
+            )
+        keep.append(_farthest(t, path, keep[-1], tolerance))
+    return np.array(keep)
+
+
+def _farthest(t: np.ndarray, path: np.ndarray, start: int, tolerance: float) -> int:
+    good, step = start + 1, 2
+    while start + step < len(t) and _straight(t, path, start, start + step, tolerance):
+        good, step = start + step, 2 * step
+    low, high = good, min(start + step, len(t) - 1)
+    while low < high:
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if _straight(t, path, start, middle, tolerance) else (low, middle - 1)
+    return low
+
+
+def _straight(t: np.ndarray, path: np.ndarray, a: int, b: int, tolerance: float) -> bool:
+    share = ((t[a : b + 1] - t[a]) / (t[b] - t[a]))[:, None]
+    line = path[a] + share * (path[b] - path[a])
+    return bool(np.abs(path[a : b + 1] - line).max() <= tolerance)
+
+
+def _module(
+    robot: Robot, motion: Trajectory, name: str, kind: str, rows: list[str], seconds: list[str], frames: tuple[str, str]
+) -> list[str]:
+    tool, wobj = frames
+    joints = kind == "jointtarget"
+    option, move = (" \\NoEOffs", "MoveAbsJ") if joints else ("", "MoveL")
+    end = f"{tool};" if joints else f"{tool} \\WObj:={wobj};"
+    units = ", ".join(
+        f"{j} [{'mm' if k == 'prismatic' else 'deg'}]" for j, k in zip(robot.actuated, robot.joint_kinds, strict=True)
+    )
+    target = lambda k: f"places{{{k}}}{option}"  # noqa: E731
+    return [
+        f"MODULE {name}",
+        comment(f"{motion.name}: {motion.duration:.4g} s in {len(rows)} places"),
+        comment(f"axes: {units}" if joints else "places of the tool in the robot's base, mm; quaternions"),
+        f"  CONST num n_places := {len(rows)};",
+        *array(f"{kind} places", rows),
+        comment("Time to reach each place from the one before, s."),
+        *array("num seconds", seconds),
+        "",
+        "  PROC main()",
+        *([] if joints else ["    ConfL \\Off;"]),
+        f"    {'MoveAbsJ' if joints else 'MoveJ'} {target('1')}, v100, fine, {end}",
+        "    FOR k FROM 2 TO n_places - 1 DO",
+        f"      {move} {target('k')}, v1000 \\T:=seconds{{k}}, z0, {end}",
+        "    ENDFOR",
+        f"    {move} {target('n_places')}, v1000 \\T:=seconds{{n_places}}, fine, {end}",
+        "  ENDPROC",
+        "ENDMODULE",
+    ]

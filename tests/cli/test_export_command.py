@@ -1,0 +1,116 @@
+"""`export` for controllers: C kinematics of a robot or a model, references at the controller's period, RAPID."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from tau_dyn.cli import main
+from tau_dyn.control import Correction, read_reference, write_correction, write_reference
+from tau_dyn.control.interface.reference import digest
+from tau_dyn.model import Model
+from tau_dyn.robot import load_robot
+from tau_dyn.simulate import Trajectory, move
+
+ROBOT = load_robot("gantry_tau")
+
+
+@pytest.fixture
+def motion(tmp_path, monkeypatch) -> Trajectory:
+    """Return a move of 1000 Hz and one of 250 Hz, in files here."""
+    monkeypatch.chdir(tmp_path)
+    move(ROBOT.actuated, ROBOT.home, ROBOT.home + 0.02, 0.6).to_csv("fast.csv")
+    slow = move(ROBOT.actuated, ROBOT.home, ROBOT.home + 0.02, 0.6, 250.0)
+    slow.to_csv("motion.csv")
+    return slow
+
+
+def test_kinematics_of_a_robot_and_of_a_model(tmp_path, monkeypatch, capsys) -> None:
+    """A short name with its arguments, or a model file; the C compiles and the header has the file's name."""
+    monkeypatch.chdir(tmp_path)
+    Model.of(ROBOT, []).save("m.yaml")
+    assert main(["export", "m.yaml", "--to", "c", "--json", "r.json"]) == 0
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert found["kind"] == "closed" and found["functions"] == [f"gantry_tau_{x}" for x in ("fk", "jacobian", "ik")]
+    command = ["export", "gantry_tau", "--set", "arms=complete", "--to", "c", "--out", "my kin.c", "--name", "kin"]
+    assert main(command) == 0 and "kin_fk" in capsys.readouterr().out
+    assert '#include "my kin.h"' in (tmp_path / "my kin.c").read_text()
+    if shutil.which("cc"):
+        for name in ("m.c", "my kin.c"):
+            subprocess.run(
+                ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-c", name, "-o", "x.o"], check=True
+            )
+
+
+def test_a_reference_and_a_program(motion, tmp_path) -> None:
+    """Resampled only when asked; a correction is added; RAPID says the same motion."""
+    assert (
+        main(["export", "gantry_tau", "--to", "reference", "--motion", "fast.csv", "--resample", "--out", "ref.csv"])
+        == 0
+    )
+    found = read_reference(tmp_path / "ref.csv", ROBOT.actuated)
+    assert np.abs(found.q - motion.q).max() < 1e-6
+    model = Model.of(ROBOT, [])
+    shape = 1e-3 * np.sin(np.linspace(0, np.pi, motion.n_samples))[:, None] ** 2 * np.ones(3)
+    given = Trajectory.from_csv("motion.csv", ROBOT.actuated)
+    write_correction("c.csv", model, given, Correction(ROBOT.actuated, 0.004, shape, digest(given)))
+    command = [
+        "export",
+        "gantry_tau",
+        "--to",
+        "reference",
+        "--motion",
+        "motion.csv",
+        "--correction",
+        "c.csv",
+        "--out",
+        "both.csv",
+    ]
+    assert main(command) == 0
+    assert np.abs(read_reference("both.csv", ROBOT.actuated).q - motion.q - shape).max() < 1e-9
+    assert (
+        main(["export", "gantry_tau", "--to", "rapid", "--motion", "motion.csv", "--by", "tool", "--out", "m.mod"]) == 0
+    )
+    assert (tmp_path / "m.mod").read_text().startswith("MODULE TauDynMotion\n")
+    write_reference("again.csv", model, motion)
+    assert len((tmp_path / "again.csv").read_text().splitlines()) == motion.n_samples + 1
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (
+            ["--to", "reference", "--motion", "fast.csv", "--out", "r.csv"],
+            "a sample every 1 ms, the controller takes one every 4 ms",
+        ),
+        (
+            ["--to", "reference", "--motion", "motion.csv", "--speed", "0.01", "--out", "r.csv"],
+            "may no more than 0.01 m/s",
+        ),
+        (
+            ["--to", "reference", "--motion", "motion.csv", "--force", "1", "2", "--out", "r.csv"],
+            "force limit must be one number or 3",
+        ),
+        (["--to", "reference", "--out", "r.csv"], "--to reference needs --motion"),
+        (["--to", "c", "--motion", "motion.csv", "--out", "r.c"], "--to c takes no --motion"),
+        (["--to", "c", "--out", "r.h"], "ends in .c"),
+        (["--to", "c", "--out", 'a"b.c'], "a C file includes its header by name"),
+        (["--to", "c", "--name", "a-b", "--out", "r.c"], "cannot name a function in C"),
+        (["--to", "rapid", "--motion", "motion.csv", "--name", "while", "--out", "r.mod"], "no word of RAPID"),
+        (
+            ["--to", "reference", "--motion", "motion.csv", "--correction", "motion.csv", "--out", "r.csv"],
+            "is no correction file",
+        ),
+        (["--to", "urdf", "--out", "r.urdf"], "gantry_tau"),
+    ],
+)
+def test_bad_requests_end_in_a_sentence(more, said, motion, tmp_path, capsys) -> None:
+    """Status 2, one line, no file."""
+    assert main(["export", "gantry_tau", *more]) == 2
+    error = capsys.readouterr().err
+    assert said in error and len(error.splitlines()) == 1
+    assert {p.name for p in tmp_path.iterdir()} == {"fast.csv", "motion.csv"}
