@@ -1,244 +1,126 @@
-"""Every robot of `urdf/` at home as a small drawing, from its file alone: boxes, cylinders, balls and driven joints.
+"""Every robot of `urdf/` at home as a picture, drawn by the viewer in headless Chromium (software rendering).
 
     python experiments/draw_robots.py [--out docs/figures/robots] [--only delta h4]
 
-Writes one SVG a robot. Orthographic view from the front right and above, z up; `VIEWS` has those that look better from elsewhere.
-Blue: driven links and their names; orange: the plate; grey: the frame; dots: ball joints; arrows: the tool's x (red), y (green),
-z (blue).
+Writes one PNG a robot. Grey: frame, blue: driven, dark: rods, orange: plate; axes: the tool's x (red), y (green), z (blue). Needs
+the extra `view`, Pillow and a Chromium on the path.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 from pathlib import Path
-from typing import NamedTuple
-from xml.etree.ElementTree import Element
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
-from defusedxml.ElementTree import fromstring
-from scipy.spatial import ConvexHull
+from chromium import Page, find_chromium
 
-from tau_dyn.files import write_whole
-from tau_dyn.kinematics import LoopSolver
+from tau_dyn.files import writing_whole
 from tau_dyn.robot import Robot, load_robot, short_names
+from tau_dyn.view import Placer, shapes_of
+from tau_dyn.view.placement import pose
+from tau_dyn.view.scene import Figure, add_floor, light_scene, outline
 
-WIDTH, HEIGHT, MARGIN = 420, 340, 36
+WIDTH, HEIGHT, FOV = 600, 450, 0.5
+MARGIN = 1.1
 VIEWS = {
-    "gantry_tau_f1": (-60, 14),
-    "gantry_tau_queensland": (-75, 50),
-    "gantry_tau_t2": (-55, 28),
-    "h4": (-65, 22),
-    "hexaglide": (-55, 30),
-    "hexarot": (-30, 22),
-    "parallelogram": (-80, 8),
-    "scara_tau": (-38, 26),
-    "stewart": (-70, 16),
+    "gantry_tau_f1": (-40, 14),
+    "gantry_tau_queensland": (-60, 30),
+    "gantry_tau_t2": (-60, 26),
+    "gantry_tau_5dof": (-60, 26),
+    "h4": (-65, 16),
+    "hexaglide": (-62, 24),
+    "hexarot": (-35, 22),
+    "linear_axis": (-60, 25),
+    "parallelogram": (-75, 10),
+    "scara_tau": (-38, 24),
+    "stewart": (-70, 18),
 }
+USUAL = (-62, 20)
 VARIANTS = {"gantry_tau": {"arms": "complete"}}
 """Azimuth and elevation in degrees, and arguments, where they are not the usual ones."""
 
 
-class Shape(NamedTuple):
-    """One thing to draw: how far away it is, and its SVG."""
-
-    depth: float
-    svg: str
-
-
-class Solid(NamedTuple):
-    """A visual: its link, the joint that moves it, where it is, half its size (3,) [m], and a cylinder's radius or zero."""
-
-    link: str
-    joint: int
-    place: pin.SE3
-    half: np.ndarray
-    radius: float
-
-    @property
-    def corners(self) -> np.ndarray:
-        """Eight corners of a box, both ends of a cylinder (n, 3) [m]."""
-        if self.radius:
-            local = np.outer([-1, 1], self.half)
-        else:
-            local = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * self.half
-        return local @ self.place.rotation.T + self.place.translation
-
-    def nearest(self, point: np.ndarray) -> np.ndarray:
-        """Return its point that is nearest to a point [m]."""
-        return self.place.act(np.clip(self.place.actInv(point), -self.half, self.half))
+def draw(server: Any, client: Any, robot: Robot, azimuth: float, elevation: float) -> bytes:
+    """Return a robot at home as PNG."""
+    server.scene.reset()
+    server.scene.world_axes.visible = False
+    server.scene.set_up_direction("+z")
+    light_scene(server.scene, shadows=True)
+    place = Placer(robot, shapes_of(robot))
+    placed = place(robot.home)
+    Figure(server.scene, "robot", place.shapes).move(placed)
+    corners = outline(place.shapes, placed)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if place.tool is not None:
+        length = 0.07 * float(np.linalg.norm(high - low))
+        corners = np.vstack([corners, place.tool.translation + length * np.vstack([np.eye(3), -np.eye(3)])])
+        axes = server.scene.add_frame("/tool", axes_length=length, axes_radius=0.04 * length)
+        axes.position, axes.wxyz = pose(place.tool)
+    add_floor(server.scene, low, high)
+    position, wxyz = camera(corners, azimuth, elevation)
+    server.flush()
+    client.get_render(HEIGHT // 10, WIDTH // 10, position=position, wxyz=wxyz, fov=FOV, timeout=120)  # all has arrived
+    image = client.get_render(HEIGHT, WIDTH, position=position, wxyz=wxyz, fov=FOV, transport_format="png", timeout=120)
+    return packed(image)
 
 
-class View:
-    """World points to the page."""
+def camera(points: np.ndarray, azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return position (3,) [m] and quaternion w x y z of a camera that sees points (n, 3); it looks along its z, y is down."""
+    import pinocchio as pin
 
-    def __init__(self, azimuth: float, elevation: float, points: np.ndarray) -> None:
-        """Fit all points (n, 3) [m] into the page."""
-        a, e = np.deg2rad([azimuth, elevation])
-        self._axes = np.array(
-            [
-                [-np.sin(a), np.cos(a), 0],
-                [np.cos(a) * np.sin(e), np.sin(a) * np.sin(e), -np.cos(e)],
-                [-np.cos(a) * np.cos(e), -np.sin(a) * np.cos(e), -np.sin(e)],
-            ]
-        )
-        flat = points @ self._axes[:2].T
-        low, high = flat.min(axis=0), flat.max(axis=0)
-        room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
-        self.scale = float(np.min(room / np.maximum(high - low, 1e-6)))
-        self._shift = np.array([WIDTH, HEIGHT]) / 2 - self.scale * (low + high) / 2
-
-    def page(self, points: np.ndarray) -> np.ndarray:
-        """Return places on the page (n, 2)."""
-        return self.scale * (np.atleast_2d(points) @ self._axes[:2].T) + self._shift
-
-    def depth(self, point: np.ndarray) -> float:
-        """Return how far away a point is [m]; larger is farther."""
-        return float(self._axes[2] @ point)
+    a, e = np.deg2rad([azimuth, elevation])
+    forward = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    axes = np.column_stack([right, np.cross(forward, right), forward])
+    local = points @ axes
+    middle = (local.min(axis=0) + local.max(axis=0)) / 2
+    local = local - middle
+    tall = np.tan(FOV / 2)
+    wide = tall * WIDTH / HEIGHT
+    back = MARGIN * np.max(np.maximum(np.abs(local[:, 0]) / wide, np.abs(local[:, 1]) / tall) - local[:, 2])
+    x, y, z, w = pin.Quaternion(axes).coeffs()
+    return axes @ middle - back * forward, np.array([w, x, y, z])
 
 
-def draw(robot: Robot, azimuth: float, elevation: float) -> str:
-    """Return a robot at home as SVG."""
-    solver = LoopSolver(robot)
-    model, data, q = robot.model, solver.data, solver.close(robot.home)
-    pin.computeJointJacobians(model, data, q)
-    pin.updateFramePlacements(model, data)
-    solids = _solids(robot, data)
-    view = View(azimuth, elevation, np.concatenate([solid.corners for solid in solids]))
-    shapes = [_shape(view, solid) for solid in solids]
-    shapes += _struts(view, robot, data, solids)
-    shapes += [_dot(view, data.oMf[loop.frame_a].translation) for loop in robot.loops]
-    ordered = [s.svg for s in sorted(shapes, key=lambda s: -s.depth)]
-    parts = [*ordered, *_tool(view, robot, data), *_names(view, robot, data)]
-    title = f"<title>{robot.name} at home</title>"
-    style = "<style>text{font:11px sans-serif;fill:#1f4e79;paint-order:stroke;stroke:#fff;stroke-width:3px}</style>"
-    ground = f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#fff"/>'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}">'
-    return "\n".join([head + title + style + ground, *parts, "</svg>\n"])
+def packed(image: np.ndarray) -> bytes:
+    """Return an image (h, w, 3 or 4) as a small PNG of at most 256 colours, on white."""
+    from PIL import Image
 
-
-def _solids(robot: Robot, data: pin.Data) -> list[Solid]:
-    """Return all boxes and cylinders of the file."""
-    found = []
-    for link in fromstring(robot.urdf).findall("link"):
-        name = link.get("name", "")
-        frame = robot.model.getFrameId(name, pin.FrameType.BODY)
-        for visual in link.findall("visual"):
-            place = data.oMf[frame] * _origin(visual)
-            box, cylinder = visual.find("geometry/box"), visual.find("geometry/cylinder")
-            if box is not None:
-                half, radius = np.array([float(x) for x in box.get("size", "").split()]) / 2, 0.0
-            elif cylinder is not None:
-                half = np.array([0, 0, float(cylinder.get("length", "0")) / 2])
-                radius = float(cylinder.get("radius", "0"))
-            else:
-                continue
-            found.append(Solid(name, robot.model.frames[frame].parentJoint, place, half, radius))
-    return found
-
-
-def _origin(visual: Element) -> pin.SE3:
-    origin = visual.find("origin")
-    if origin is None:
-        return pin.SE3.Identity()
-    xyz, rpy = (np.array([float(x) for x in origin.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))
-    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
-
-
-def _shape(view: View, solid: Solid) -> Shape:
-    fill, line = _colours(solid.link)
-    places = view.page(solid.corners)
-    depth = np.inf if solid.link == "base_link" else view.depth(solid.place.translation)
-    if solid.radius:
-        width = max(2 * solid.radius * view.scale, 1.6)
-        return Shape(
-            depth, f'<path d="{_path(places)}" stroke="{line}" stroke-width="{width:.1f}" stroke-linecap="round"/>'
-        )
-    hull = places[ConvexHull(places).vertices]
-    return Shape(depth, f'<path d="{_path(hull)}Z" fill="{fill}" fill-opacity=".85" stroke="{line}" stroke-width="1"/>')
-
-
-def _struts(view: View, robot: Robot, data: pin.Data, solids: list[Solid]) -> list[Shape]:
-    """Return thin lines from bodies to the joints they carry beside what is drawn of them."""
-    found = []
-    for joint, place in _carried(robot, data):
-        spots = [(s.nearest(place), s.link) for s in solids if s.joint == joint]
-        if not spots:
-            continue
-        spot, link = min(spots, key=lambda s: float(np.linalg.norm(s[0] - place)))
-        if np.linalg.norm(spot - place) * view.scale < 2:
-            continue
-        ends = _path(view.page(np.array([spot, place])))
-        line = f'<path d="{ends}" stroke="{_colours(link)[1]}" stroke-width="1.6"/>'
-        found.append(Shape(np.inf if link == "base_link" else view.depth(place), line))
-    return found
-
-
-def _carried(robot: Robot, data: pin.Data) -> list[tuple[int, np.ndarray]]:
-    """Return the carrying body's joint and the place [m] of all joints, loop ends and the tool, but the plate's first."""
-    model = robot.model
-    joints = [j for j in range(1, model.njoints) if model.names[j] != "plate_x"]
-    frames = [f for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
-    frames += [] if robot.tool_frame is None else [robot.tool_frame]
-    return [(model.parents[j], data.oMi[j].translation) for j in joints] + [
-        (model.frames[f].parentJoint, data.oMf[f].translation) for f in frames
-    ]
-
-
-def _colours(name: str) -> tuple[str, str]:
-    """Return fill and line of a link."""
-    if name == "base_link":
-        return "#d9d9d9", "#a0a0a0"
-    if name.startswith(("plate", "bar")):
-        return "#f6c28b", "#b5651d"
-    return ("#555", "#555") if name.startswith(("rod", "triangle")) else ("#9dc3e6", "#2e75b6")
-
-
-def _dot(view: View, point: np.ndarray) -> Shape:
-    x, y = view.page(point)[0]
-    return Shape(view.depth(point) - 1e-3, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.6" fill="#222"/>')
-
-
-def _tool(view: View, robot: Robot, data: pin.Data) -> list[str]:
-    if robot.tool_frame is None:
-        return []
-    tool, size, parts = data.oMf[robot.tool_frame], 26 / view.scale, []
-    for axis, colour in zip(tool.rotation.T, ("#d62728", "#2ca02c", "#1f77b4"), strict=True):
-        ends = view.page(np.array([tool.translation, tool.translation + size * axis]))
-        parts.append(f'<path d="{_path(ends)}" stroke="{colour}" stroke-width="2"/>')
-    return parts
-
-
-def _names(view: View, robot: Robot, data: pin.Data) -> list[str]:
-    """Return the driven joints' names, those of joints close together in one label, which stands left of the joint."""
-    groups: list[tuple[np.ndarray, list[str]]] = []
-    for name in robot.actuated:
-        spot = view.page(data.oMi[robot.model.getJointId(name)].translation)[0]
-        near = next((names for place, names in groups if np.linalg.norm(place - spot) < 16), None)
-        if near is None:
-            groups.append((spot, [name]))
-        else:
-            near.append(name)
-    return [
-        f'<text x="{max(x - 16, 5.5 * len(", ".join(names))):.1f}" y="{y - 4:.1f}" text-anchor="end">{", ".join(names)}</text>'
-        for (x, y), names in groups
-    ]
-
-
-def _path(points: np.ndarray) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+    layer = Image.fromarray(image).convert("RGBA")
+    page = Image.alpha_composite(Image.new("RGBA", layer.size, "white"), layer).convert("RGB")
+    out = io.BytesIO()
+    page.quantize(256, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    return out.getvalue()
 
 
 def main() -> None:
     """Draw them all."""
+    import viser
+
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "figures" / "robots")
     parser.add_argument("--only", nargs="*", help="short names; all without it")
     given = parser.parse_args()
-    for name in given.only or short_names():
-        robot = load_robot(name, **VARIANTS.get(name, {}))
-        write_whole(given.out / f"{name}.svg", draw(robot, *VIEWS.get(name, (-62, 18))))
-        print(f"{given.out / name}.svg")
+    if find_chromium() is None:
+        parser.error("no chromium on the path")
+    server = viser.ViserServer(host="127.0.0.1", port=8180, verbose=False)
+    page = Page(f"http://127.0.0.1:{server.get_port()}", WIDTH, HEIGHT)
+    try:
+        while not server.get_clients():
+            page.wait(0.5)
+        client = next(iter(server.get_clients().values()))
+        for name in given.only or short_names():
+            robot = load_robot(name, **VARIANTS.get(name, {}))
+            path = given.out / f"{name}.png"
+            picture = draw(server, client, robot, *VIEWS.get(name, USUAL))
+            with writing_whole(path) as temporary:
+                temporary.write_bytes(picture)
+            print(f"{path}: {path.stat().st_size // 1024} kB", flush=True)
+    finally:
+        page.close()
+        server.stop()
 
 
 if __name__ == "__main__":

@@ -11,6 +11,9 @@ from tau_dyn.kinematics import LoopSolver
 from tau_dyn.robot import Robot
 from tau_dyn.view.shapes import Shape
 
+Placed = list[tuple[np.ndarray, np.ndarray]]
+"""Position (3,) [m] and quaternion (4,) w x y z in the world, of each shape."""
+
 
 class Placer:
     """Places a robot's shapes."""
@@ -19,10 +22,10 @@ class Placer:
         """Prepare for a robot and its shapes."""
         self.robot, self.shapes = robot, tuple(shapes)
         self._solver = LoopSolver(robot)
-        self._local = [pin.SE3(s.rotation, s.position) for s in self.shapes]
+        self._local = [s.local for s in self.shapes]
 
-    def __call__(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return position (3,) [m] and quaternion (4,) w x y z in the world, of each shape, at actuated positions (na,).
+    def __call__(self, q: np.ndarray) -> Placed:
+        """Return where each shape is at actuated positions (na,).
 
         Raises:
             LoopClosureError: The robot cannot reach these positions.
@@ -30,14 +33,17 @@ class Placer:
         model, data = self.robot.model, self._solver.data
         pin.forwardKinematics(model, data, self._solver.close(q))
         pin.updateFramePlacements(model, data)
-        placed = [data.oMi[s.joint].act(local) for s, local in zip(self.shapes, self._local, strict=True)]
-        return [(p.translation, _wxyz(p.rotation)) for p in placed]
+        return [pose(data.oMi[s.joint] * local) for s, local in zip(self.shapes, self._local, strict=True)]
 
     @property
-    def tool(self) -> np.ndarray | None:
-        """The tool's position (3,) [m] at the last call, or None for a robot without a tool."""
+    def tool(self) -> pin.SE3 | None:
+        """The tool's pose at the last call, or None for a robot without a tool."""
         frame = self.robot.tool_frame
-        return None if frame is None else self._solver.data.oMf[frame].translation.copy()
+        return None if frame is None else pin.SE3(self._solver.data.oMf[frame])
+
+    def at(self, joint: str) -> np.ndarray:
+        """Return where a joint is at the last call (3,) [m]."""
+        return self._solver.data.oMi[self.robot.model.getJointId(joint)].translation.copy()
 
     def moved_by(self, joint: str) -> list[int]:
         """Return which shapes a joint carries itself: up to the next actuated joint, to show where it is."""
@@ -49,7 +55,19 @@ class Placer:
                 carried.add(child)
         return [k for k, s in enumerate(self.shapes) if s.joint in carried]
 
+    def carried_by(self, part: str) -> list[int]:
+        """Return the shapes of a joint, link or rod of this name; none where the robot has no such part."""
+        model = self.robot.model
+        if part in self.robot.actuated:
+            return self.moved_by(part)
+        links = [name for name in (part, f"{part}_link") if model.existFrame(name, pin.FrameType.BODY)]
+        joint = model.frames[model.getFrameId(links[0], pin.FrameType.BODY)].parentJoint if links else None
+        if joint is None and model.existJointName(part):
+            joint = model.getJointId(part)
+        return [k for k, s in enumerate(self.shapes) if s.joint == joint]
 
-def _wxyz(rotation: np.ndarray) -> np.ndarray:
-    x, y, z, w = pin.Quaternion(rotation).coeffs()
-    return np.array([w, x, y, z])
+
+def pose(place: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
+    """Return a pose as position (3,) and quaternion (4,) w x y z."""
+    x, y, z, w = pin.Quaternion(place.rotation).coeffs()
+    return place.translation.copy(), np.array([w, x, y, z])

@@ -1,0 +1,202 @@
+"""The panels of results: findings, clouds, error vectors, modes, uncertainty."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Findings, Uncertainty
+from tau_dyn.view.palette import coloured, legend, panel, plain
+from tau_dyn.view.swings import SwingPanel
+
+if TYPE_CHECKING:
+    from tau_dyn.view.viewer import Viewer
+
+NONE = "none"
+_STEPS = tuple(str(int(m * 10**e)) for e in range(6) for m in (1, 2, 5))
+"""By how much arrows may be enlarged."""
+
+
+def add_content(viewer: Viewer, content: Content) -> Any:
+    """Add one content with its panel, which is returned."""
+    if isinstance(content, Findings):
+        return FindingsPanel(viewer, content)
+    if isinstance(content, Cloud):
+        return CloudPanel(viewer, content)
+    if isinstance(content, ErrorVectors):
+        return ErrorsPanel(viewer, content)
+    if isinstance(content, Uncertainty):
+        return UncertaintyPanel(viewer, content)
+    return SwingPanel(viewer, content)
+
+
+def _free_name(viewer: Viewer, stem: str) -> str:
+    """Return a name in the scene that no earlier panel took."""
+    viewer.names[stem] = viewer.names.get(stem, 0) + 1
+    return f"/{stem}{viewer.names[stem]}"
+
+
+class FindingsPanel:
+    """A list of findings; the chosen one's parts light up, with its sentence and a label beside them."""
+
+    def __init__(self, viewer: Viewer, findings: Findings) -> None:
+        """Add the panel with the first finding chosen."""
+        self._viewer, gui = viewer, viewer.server.gui
+        titles = [f"{k + 1}. {f.title}" for k, f in enumerate(findings.rows)]
+        self._rows = dict(zip(titles, findings.rows, strict=True))
+        self._name, self._label = _free_name(viewer, "finding"), None
+        with gui.add_folder("findings"):
+            gui.add_html(plain(findings.headline or f"{len(titles)} findings" if titles else "Nothing was found."))
+            if titles:
+                self._choice = gui.add_dropdown("finding", (NONE, *titles), initial_value=titles[0])
+                self._said = gui.add_html("")
+                self._choice.on_update(lambda _: self.choose(self._choice.value))
+                self.choose(titles[0])
+
+    def choose(self, title: str) -> None:
+        """Light what a finding is about."""
+        row, viewer = self._rows.get(title), self._viewer
+        if self._label is not None:
+            self._label.remove()
+            self._label = None
+        lit = viewer.light(row.parts if row else ())
+        if row is None:
+            self._said.content = ""
+            return
+        parts = ", ".join(row.parts) or "the whole robot"
+        self._said.content = panel(f"<b>{escape(parts)}</b><br>{escape(' '.join(row.sentence.split()))}")
+        if lit:
+            top = max((viewer.figure.handles[k].position for k in lit[:1]), key=lambda p: p[2])
+            place = np.asarray(top) + np.array([0, 0, 0.06 * viewer.size])
+            text = f"{row.title}: {row.parts[0]}" + ("" if len(row.parts) == 1 else " …")
+            self._label = viewer.server.scene.add_label(self._name, text, position=place, anchor="bottom-center")
+
+
+class CloudPanel:
+    """Points coloured by one of their numbers, with its scale, and a cut to look inside."""
+
+    def __init__(self, viewer: Viewer, cloud: Cloud) -> None:
+        """Add the panel and the points."""
+        self._viewer, self._cloud = viewer, cloud
+        self._name = _free_name(viewer, "cloud")
+        gui, points = viewer.server.gui, cloud.points
+        with gui.add_folder(" ".join(cloud.name.split())):
+            if cloud.note:
+                gui.add_html(plain(cloud.note))
+            if len(points):
+                self._legend = gui.add_html("")
+                self._by = gui.add_dropdown("colour", (*cloud.values, NONE)) if cloud.values else None
+                self._cut = None if cloud.flat or np.ptp(points[:, 1]) <= 0 else self._add_cut(gui, points)
+                self._shown = gui.add_checkbox("show", True)
+        sight = [x for x in (cloud.box, points) if x is not None and len(x)]
+        if sight:
+            viewer.widen(np.concatenate(sight))
+        if cloud.box is not None:
+            viewer.server.scene.add_line_segments(f"{self._name}/box", _edges(cloud.box), (120, 128, 140), thickness=1.5,
+                                                  thickness_units="screen")  # fmt: skip
+        if len(points):
+            self._size = _spacing(points) * (1.0 if cloud.flat else 0.3)
+            for handle in (self._by, self._cut, self._shown):
+                if handle is not None:
+                    handle.on_update(lambda _: self.draw())
+            self.draw()
+
+    def _add_cut(self, gui: Any, points: np.ndarray) -> Any:
+        low, high = float(points[:, 1].min()), float(points[:, 1].max())
+        return gui.add_slider("cut: y above [m]", low, high, (high - low) / 200, low)
+
+    def draw(self) -> None:
+        """Draw the points as the panel says."""
+        cloud, by = self._cloud, None if self._by is None else self._by.value
+        value = cloud.values.get(by) if by is not None else None
+        colours = coloured(value, len(cloud.points))
+        keep = np.ones(len(cloud.points), bool) if self._cut is None else cloud.points[:, 1] >= self._cut.value - 1e-9
+        self._legend.content = "" if value is None else legend(str(by), value)
+        self._viewer.server.scene.add_point_cloud(
+            f"{self._name}/points", cloud.points[keep].astype(np.float32), colours[keep], point_size=self._size,
+            point_shape="square" if cloud.flat else "circle", point_shading="flat" if cloud.flat else "gradient",
+            precision="float32", visible=self._shown.value,
+        )  # fmt: skip
+
+
+class ErrorsPanel:
+    """Error vectors as enlarged arrows, coloured by their length."""
+
+    def __init__(self, viewer: Viewer, errors: ErrorVectors) -> None:
+        """Add the panel and the arrows of the first model."""
+        self._viewer, self._errors = viewer, errors
+        self._name, gui = _free_name(viewer, "errors"), viewer.server.gui
+        first = next(iter(errors.models))
+        size = float(np.nanmedian(np.linalg.norm(errors.models[first], axis=1)))
+        spread = float(np.ptp(errors.points, axis=0).max()) or viewer.size
+        wanted = 0.09 * spread / max(size, 1e-9)
+        start = min(_STEPS, key=lambda s: abs(np.log(float(s) / max(wanted, 1e-9))))
+        with gui.add_folder("calibration errors"):
+            self._said = gui.add_html("")
+            self._model = gui.add_dropdown("model", tuple(errors.models), initial_value=first)
+            self._enlarged = gui.add_dropdown("arrows enlarged ×", _STEPS, initial_value=start)
+        viewer.widen(errors.points)
+        self._model.on_update(lambda _: self.draw())
+        self._enlarged.on_update(lambda _: self.draw())
+        self.draw()
+
+    def draw(self) -> None:
+        """Draw the chosen model's errors."""
+        errors, viewer = self._errors, self._viewer
+        vectors = errors.models[self._model.value]
+        good = np.isfinite(vectors).all(axis=1)
+        length = 1e3 * np.linalg.norm(vectors[good], axis=1)
+        first = 1e3 * np.linalg.norm(next(iter(errors.models.values())), axis=1)
+        ends = errors.points[good] + float(self._enlarged.value) * vectors[good]
+        scale = np.concatenate([length, [0.0, float(np.nanmax(first, initial=0.0))]])  # one scale for all models
+        colours = coloured(scale, len(scale))[:-2]
+        thick = 0.0035 * viewer.size
+        viewer.server.scene.add_arrows(
+            self._name, np.stack([errors.points[good], ends], axis=1).astype(np.float32), colours, shaft_radius=thick,
+            head_radius=2.4 * thick, head_length=6 * thick,
+        )  # fmt: skip
+        rms, most = (f"{x:.3g} mm" for x in (np.sqrt(np.mean(length**2)), length.max(initial=0.0)))
+        said = f"measured minus predicted at {int(good.sum())} poses: rms {rms}, largest {most}"
+        self._said.content = plain(said) + legend("error [mm]", scale)
+
+
+class UncertaintyPanel:
+    """Each link in the colour of how well its mass is known; pale where the data cannot tell."""
+
+    def __init__(self, viewer: Viewer, known: Uncertainty) -> None:
+        """Paint the links and add the scale."""
+        percent = {k: 100 * v for k, v in known.links.items()}
+        finite = {k: v for k, v in percent.items() if np.isfinite(v)}
+        value = np.array(list(finite.values()))
+        colours = coloured(np.log10(np.maximum(value, 1e-6)), len(value))
+        paints = {link: tuple(map(int, c)) for link, c in zip(finite, colours, strict=True)}
+        shapes = {k: rgb for link, rgb in paints.items() for k in viewer.placer.carried_by(link)}
+        viewer.figure.paint({k: (r, g, b) for k, (r, g, b) in shapes.items()})
+        with viewer.server.gui.add_folder("how well masses are known"):
+            if len(value):
+                viewer.server.gui.add_html(legend("standard error [%], logarithmic", value))
+            rows = "".join(f"<div>{escape(k)}: {_percent(v)}</div>" for k, v in percent.items())
+            viewer.server.gui.add_html(panel(rows))
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2g} %" if np.isfinite(value) else "not determined"
+
+
+def _spacing(points: np.ndarray) -> float:
+    """Return how far points (n, 3) stand apart [m]."""
+    if len(points) < 2:
+        return 0.05
+    away, _ = cKDTree(points).query(points[:3000], k=2)
+    return max(float(np.median(away[:, 1])), 1e-4)
+
+
+def _edges(box: np.ndarray) -> np.ndarray:
+    """Return the edges (12, 2, 3) of a box by its corners (2, 3)."""
+    corner = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
+    pairs = [(i, j) for i in range(8) for j in range(i) if np.abs(corner[i] - corner[j]).sum() == 1]
+    place = np.where(corner == 1, box[1], box[0])
+    return np.array([[place[i], place[j]] for i, j in pairs], np.float32)

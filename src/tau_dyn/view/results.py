@@ -1,0 +1,208 @@
+"""A command's JSON result, or a table of points, as something to show on the robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.robot import Robot
+from tau_dyn.view import recompute
+from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Finding, Findings, Uncertainty
+
+_BEST = ("exact", "certified", "montecarlo", "ellipsoid", "parallelepiped", "linear")
+_MOST_POINTS = 100_000
+_LARGEST = 64 * 1024 * 1024
+"""Largest file that is read [bytes]."""
+
+
+def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Content]:
+    """Return what a result holds for this robot.
+
+    Args:
+        path: Written by `--json` of diagnose, workspace, accuracy, calibrate, modes or identify.
+        robot: The robot to show it on.
+        compute: Work out what the file lacks: coarse points of a workspace, errors of the uncalibrated robot.
+
+    Raises:
+        InputError: The file is not such a result, holds nothing to show, or belongs to another robot.
+    """
+    content = _content(path)
+    command = content.get("command")
+    reader = _READERS.get(command if isinstance(command, str) else "")
+    if reader is None and "findings" in content:
+        reader = _diagnose
+    if reader is None:
+        known = ", ".join(_READERS)
+        raise InputError(f"{path}: not a result that can be shown; --json of {known} can")
+    try:
+        return reader(content, robot, path, compute)
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as fault:
+        raise InputError(f"{path}: not a whole result of tau-dyn {command or 'diagnose'}: {fault!r}") from fault
+
+
+def read_cloud(path: Path) -> Cloud:
+    """Return the points of a CSV with x y z or x_tool y_tool z_tool, coloured by its further numeric columns.
+
+    A column `inside` of 0 and 1, as `workspace --out` writes it, leaves out the points outside.
+
+    Raises:
+        InputError: The file is not such a table.
+    """
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, comment="#")
+    except (OSError, ValueError) as fault:
+        raise InputError(f"{path}: cannot be read as CSV") from fault
+    sets = (("x_tool", "y_tool", "z_tool"), ("x", "y", "z"))
+    names = next((n for n in sets if set(n) <= set(table.columns)), None)
+    if names is None:
+        there = ", ".join(map(str, table.columns))
+        raise InputError(f"{path}: a cloud needs columns x y z or x_tool y_tool z_tool; there are {there}")
+    if "inside" in table.columns and set(table["inside"].unique()) <= {0, 1}:
+        table = table[table["inside"] == 1].drop(columns="inside")
+    table = table.iloc[:: max(1, len(table) // _MOST_POINTS)]
+    points = table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    good = np.isfinite(points).all(axis=1)
+    further = [c for c in table.columns if c not in names and pd.api.types.is_numeric_dtype(table[c])]
+    values = {str(c): table[c].to_numpy(float)[good] for c in further}
+    quality = {k: v for k, v in values.items() if not k.startswith("q_")}
+    return Cloud(path.name, points[good], quality | {k: v for k, v in values.items() if k not in quality})
+
+
+def _content(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{path}: larger than {_LARGEST >> 20} MB; a result is not")
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as fault:
+        raise InputError(f"{path}: {fault.strerror or 'cannot be read'}") from fault
+    except (ValueError, RecursionError) as fault:
+        raise InputError(f"{path}: not a result of tau-dyn: no JSON") from fault
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: not a result of tau-dyn: a JSON object is expected")
+    return content
+
+
+def _diagnose(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
+    rows = tuple(_finding(row, robot) for row in content["findings"])
+    return [Findings(str(content.get("sentence") or ""), rows)]
+
+
+def _finding(row: dict[str, Any], robot: Robot) -> Finding:
+    """Return a finding; one without joints is about the parts that its parameters belong to."""
+    joints = tuple(map(str, row["joints"]))
+    if not joints:
+        names = [str(p["name"]).partition(".")[0] for p in row.get("parameters", ())]
+        joints = tuple(dict.fromkeys(part for name in names for part in _parts(name, robot)))
+    title = f"{row['cause']} ({row['status']})"
+    gain = row.get("gain") or {}
+    said = str(row.get("sentence") or row.get("equation") or "")
+    if "sentence" not in row and gain.get("reduction_percent") is not None:
+        said += f"; explains {float(gain['reduction_percent']):.0f} % of the error"
+    return Finding(title, said, joints)
+
+
+def _parts(name: str, robot: Robot) -> list[str]:
+    """Return the parts that a parameter's owner is: `arm2` of a Gantry-Tau is its cart and its rods."""
+    if not name.startswith("arm") or name in robot.model.names or not name[3:].isdigit():
+        return [name]
+    number = name[3:]
+    rods = [str(n).partition("_")[0] for n in robot.model.names if n.startswith(f"rod{number}")]
+    return [j for j in robot.actuated if j.endswith(number)] + list(dict.fromkeys(rods))
+
+
+def _workspace(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
+    size, box = content["size"], content["bounding_box"]
+    low, high = float(size["low"]), float(size["high"])
+    unit = {"m3": "m³", "m2": "m²"}.get(str(size["unit"]), str(size["unit"]))
+    note = f"{size['name']} {float(size['value']):.3g} {unit} ({low:.3g} to {high:.3g})"
+    corners = np.array([box["lower"], box["upper"]], float)
+    if content.get("cloud"):
+        points = np.array(content["cloud"]["points"], float).reshape(-1, 3)
+        values = {str(k): np.array(v, float) for k, v in content["cloud"].get("values", {}).items()}
+        return [Cloud("workspace", points, values, note, corners)]
+    if compute:
+        points, values = recompute.workspace(robot, float(content["resolution_m"]), corners)
+        return [Cloud("workspace", points, values, note + "; points computed now, coarsely", corners)]
+    return [Cloud("workspace", np.zeros((0, 3)), {}, note + "; its box. --compute adds points", corners)]
+
+
+def _accuracy(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
+    methods = [m for m in _BEST if m in content.get("methods", {})]
+    grid, section = content.get("map"), content.get("section")
+    if not methods or grid is None or section is None:
+        worst = [content["methods"][m]["worst_pose"]["tool"] for m in methods]
+        if not worst:
+            raise InputError(f"{path}: no errors of the tool in it; name what is wrong with --actuator-error")
+        values = {f"largest error, {m} [mm]": np.array([1e3 * content["methods"][m]["max"]]) for m in methods[:1]}
+        return [Cloud("accuracy: worst pose", np.array(worst[:1], float), values)]
+    u, v = np.array(grid["u"], float), np.array(grid["v"], float)
+    axis = "xyz".index(section["axis"])
+    a, b = (k for k in range(3) if k != axis)
+    points = np.zeros((len(v), len(u), 3))
+    points[..., axis], points[..., a], points[..., b] = float(section["value"]), u[None, :], v[:, None]
+    maps = {m: 1e3 * np.array(grid[m], dtype=float) for m in methods}
+    there = np.isfinite(maps[methods[0]])
+    values = {f"largest error, {m} [mm]": x[there] for m, x in maps.items()}
+    note = f"section {section['axis']} = {float(section['value']):.4g} m"
+    return [Cloud("accuracy", points[there], values, note, flat=True)]
+
+
+def _calibrate(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
+    findings = _diagnose(content, robot, path, compute)
+    at = content.get("errors_at_poses")
+    if at is None and compute:
+        at = recompute.calibration(content, robot, path)
+    if at is None:
+        return findings
+    points = np.array(at["points"], float).reshape(-1, 3)
+    models = {str(k): np.array(v, float).reshape(-1, 3) for k, v in at["models"].items()}
+    if not models or any(x.shape != points.shape for x in models.values()):
+        raise ValueError("errors_at_poses: points and vectors differ in number")
+    return [*findings, ErrorVectors(points, models)]
+
+
+def _modes(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
+    from tau_dyn.modes.modal import Mode
+    from tau_dyn.modes.on_robot import shapes_on_robot
+
+    outputs = [str(name) for name in content["outputs_used"]]
+    modes = []
+    for m in content["modes"]:
+        shape = np.array([complex(m["shape"][o]["re"], m["shape"][o]["im"]) for o in outputs])
+        f, zeta = float(m["frequency_hz"]), float(m["damping_ratio"])
+        modes.append(Mode(f, zeta, float("nan"), float("nan"), shape, float("nan")))
+    shapes = shapes_on_robot(robot, modes, outputs)
+    if shapes is None:
+        why = "no mode" if not modes else f"its outputs ({', '.join(outputs)}) name no place of {robot.name}"
+        raise InputError(f"{path}: nothing to swing: {why}")
+    return [shapes]
+
+
+def _identify(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
+    known = {p["name"]: p for p in content["parameters"]}
+    links = {}
+    for link in robot.links:
+        p = known.get(f"{link.link}.mass")
+        if p is not None:
+            error, value = p.get("stderr"), float(p["value"])
+            links[link.link] = float("nan") if error is None or not value else abs(float(error) / value)
+    if not links:
+        raise InputError(f"{path}: none of its parameters is the mass of a link of {robot.name}")
+    return [Uncertainty(links)]
+
+
+_READERS: dict[str, Callable[[dict[str, Any], Robot, Path, bool], list[Content]]] = {
+    "diagnose": _diagnose,
+    "workspace": _workspace,
+    "accuracy": _accuracy,
+    "calibrate": _calibrate,
+    "modes": _modes,
+    "identify": _identify,
+}
