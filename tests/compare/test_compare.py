@@ -141,3 +141,86 @@ def test_reading_a_result_of_identify(tmp_path):
     assert read.quantities["cart1.viscous_pos"] == Quantity(60.0, 2.0, "N/(m/s)")
     assert read.errors == {"holdout error": (3.5, "%")} and read.logs == {"s"}
     assert np.isclose(compare(read, side({"cart1.viscous_pos": (61.0, 2.0, "N/(m/s)")}, "b")).changes[0].stderr, 8**0.5)
+
+
+def folder(path, command="identify", *, mass=1.0, log="s", options=None, versions=None, **more):
+    """Write a run folder by hand, as the command line leaves them."""
+    path.mkdir()
+    row = {"name": "m", "value": mass, "stderr": 0.1, "unit": "kg"}
+    inputs = [{"path": "monday.csv", "sha256": log}, {"path": "robot.xacro", "sha256": "r"}]
+    result = {"command": command, "inputs": inputs, "parameters": [row], **more}
+    (path / "result.json").write_text(json.dumps(result))
+    run = {
+        "run_format": 1, "command": command, "command_line": "tau-dyn", "configuration": options or {"model": "rigid"},
+        "inputs": inputs, "versions": versions or {"numpy": "2.0"}, "seed": 0, "started": "2026-11-21T22:00:00+00:00",
+        "duration_s": 1.0, "exit_status": 0, "files": {},
+    }  # fmt: skip
+    (path / "run.json").write_text(json.dumps(run))
+    return path
+
+
+def test_two_runs_say_what_was_different(tmp_path, capsys):
+    """Another log under the same name, another option, another library: all three are named, what is alike is not."""
+    a = folder(tmp_path / "a")
+    b = folder(tmp_path / "b", mass=3.0, log="t", options={"model": "symmetric"}, versions={"numpy": "2.1"})
+    assert main(["compare", str(a), str(b), "--json", str(tmp_path / "r.json")]) == 0
+    said, found = capsys.readouterr().out, json.loads((tmp_path / "r.json").read_text())
+    assert {i["a"]: i["state"] for i in found["input_changes"]} == {"monday.csv": "changed", "robot.xacro": "same"}
+    assert found["configuration_changes"] == [{"name": "model", "a": "rigid", "b": "symmetric"}]
+    assert found["version_changes"] == [{"name": "numpy", "a": "2.0", "b": "2.1"}]
+    assert found["changes"][0]["changed"]
+    for word in ("monday.csv is changed", "model rigid → symmetric", "numpy 2.0 → 2.1"):
+        assert word in " ".join(said.split())
+    assert "robot.xacro" not in said
+
+
+def test_files_are_matched_by_path_then_content_then_name():
+    """A log that moved is renamed, one that was recorded again is changed, one that is gone is said."""
+    from tau_dyn.compare.circumstances import input_changes
+
+    found = input_changes({"a/m.csv": "1", "a/n.csv": "2", "x": "3"}, {"b/m.csv": "1", "b/n.csv": "4", "y": "5"})
+    assert [(i.a, i.b, i.state) for i in found] == [
+        ("a/m.csv", "b/m.csv", "renamed"),
+        ("a/n.csv", "b/n.csv", "changed"),
+        ("x", None, "only in the first"),
+        (None, "y", "only in the second"),
+    ]
+
+
+def test_errors_and_findings_come_with_their_intervals(tmp_path):
+    """Diagnosed errors have intervals, a cause what it is worth; a cause in one run only appeared or vanished."""
+    gain = {"rms_before": 2.0, "rms_after": 1.0, "reduction_percent": 50.0, "ci95": [40.0, 60.0]}
+    cause = {"cause": "stribeck", "joints": ["axis"], "status": "confirmed", "parameters": [], "gain": gain}
+    one = {"extended": {"relative_error_percent": 1.0, "relative_ci95": [0.9, 1.1]}, "findings": []}
+    two = {"extended": {"relative_error_percent": 0.5, "relative_ci95": [0.4, 0.6]}, "findings": [cause]}
+    a, b = (read_side(folder(tmp_path / n, "diagnose", **more)) for n, more in (("a", one), ("b", two)))
+    found = compare(a, b)
+    assert found.errors[0].to_dict() == {
+        "name": "extended error", "unit": "%", "a": 1.0, "b": 0.5, "ci95_a": [0.9, 1.1], "ci95_b": [0.4, 0.6]
+    }  # fmt: skip
+    (change,) = found.findings
+    assert change.what == "appeared" and change.gain_b == (50.0, 40.0, 60.0) and change.gain_a is None
+
+
+def test_two_runs_with_nothing_in_common_still_have_circumstances(tmp_path):
+    """A check beside a simulation: no quantity to compare, but files, options and versions."""
+    a = folder(tmp_path / "a", "check", parameters=None)
+    b = folder(tmp_path / "b", "simulate", parameters=None, options={"motion": "prbs"})
+    found = compare(read_side(a), read_side(b))
+    assert not found.changes and {d.name for d in found.configuration} == {"model", "motion"}
+
+
+def test_a_run_without_an_answer_says_what_its_data_lacked(tmp_path):
+    """Compared with a run that answered, the one that could not is a warning, not a refusal."""
+    a = folder(tmp_path / "a")
+    b = folder(tmp_path / "b", status="cannot_answer", missing="the axis never moved", parameters=None)
+    assert any("the axis never moved" in w for w in compare(read_side(a), read_side(b)).warnings)
+
+
+@pytest.mark.parametrize(("name", "says"), [("run.json", "no run folder"), ("result.json", "no such file")])
+def test_half_a_run_folder_is_refused(tmp_path, capsys, name, says):
+    """A folder without run.json is no run; without a result there is nothing to compare."""
+    a = folder(tmp_path / "a")
+    (a / name).unlink()
+    assert main(["compare", str(a), str(folder(tmp_path / "b"))]) == 2
+    assert says in capsys.readouterr().err

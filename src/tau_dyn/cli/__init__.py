@@ -6,6 +6,9 @@ import sys
 import warnings
 from collections.abc import Sequence
 
+from tau_dyn.cli.ending import Ended, machine_fault, quiet_start, unwinding  # first: from here on Ctrl-C is answered
+
+# isort: split
 from tau_dyn.cli import (
     accuracy,
     calibrate,
@@ -20,14 +23,16 @@ from tau_dyn.cli import (
     identify,
     ik,
     modes,
+    plan_motion,
     plan_poses,
     see,
     simulate,
     view,
     workspace,
 )
-from tau_dyn.cli.common import Parser, execute
-from tau_dyn.exceptions import TauDynError
+from tau_dyn.cli.common import Parser
+from tau_dyn.cli.execute import execute
+from tau_dyn.exceptions import TauDynError, one_line
 from tau_dyn.version import __version__
 
 COMMANDS = {
@@ -41,6 +46,7 @@ COMMANDS = {
     "see": see,
     "calibrate": calibrate,
     "plan-poses": plan_poses,
+    "plan-motion": plan_motion,
     "feedforward": feedforward,
     "export": export,
     "compare": compare,
@@ -56,16 +62,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     warnings.simplefilter("ignore", RuntimeWarning)  # numbers out of range end in a sentence of ours
     try:
-        args = build_parser().parse_args(argv)
-        return execute(args.command, COMMANDS[args.command].run, args)
+        with unwinding():
+            args = build_parser().parse_args(argv)
+            return execute(args.command, COMMANDS[args.command].run, args)
     except TauDynError as fault:
         print(f"error: {' '.join(str(fault).split())}", file=sys.stderr)
         return fault.exit_status
     except KeyboardInterrupt:
-        print("interrupted; nothing was written", file=sys.stderr)
+        print("interrupted; every output file is as it was, or complete", file=sys.stderr)
         return 130
+    except Ended as told:
+        print(f"ended by {told.name}; every output file is as it was, or complete", file=sys.stderr)
+        return int(told.code or 0)
     except BrokenPipeError:
         return 0
+    except (OSError, MemoryError) as fault:
+        if (sentence := machine_fault(fault)) is None:
+            raise
+        print(f"error: {one_line(sentence)}", file=sys.stderr)
+        return 2
 
 
 def build_parser() -> Parser:
@@ -76,3 +91,6 @@ def build_parser() -> Parser:
     for name, module in COMMANDS.items():
         module.add(commands.add_parser(name, help=module.HELP, description=module.__doc__))
     return parser
+
+
+quiet_start.over()

@@ -153,7 +153,7 @@ def _errors(args: argparse.Namespace, robot, rods, measured):
     errors = Errors({**stated, **seen}, given.rods)
     if not errors.actuators and not errors.rods:
         if not args.measured:
-            raise InputError("say what is wrong: --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv")
+            raise InputError("no error is given; say --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv")
         return None, False
     return errors, bool(seen)
 

@@ -1,21 +1,16 @@
-"""What all commands share: arguments, faults as one line, results as JSON, and files that appear whole or not at all.
-
-A command's `run` returns an `Outcome`; nothing is written before it is complete. Exit status: 0 the answer stands, 2 the
-input is at fault (no file written), 3 the data cannot answer (`--json` is written and says so), 1 a defect of ours.
-"""
+"""What all commands share: arguments, the robot, progress, and the `Outcome` that a command's `run` hands to `execute.py`."""
 
 from __future__ import annotations
 
 import argparse
-import hashlib
+import difflib
 import json
 import math
-import os
 import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -23,9 +18,8 @@ from typing import Any, NoReturn
 import numpy as np
 from rich.console import Console
 
-from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.files import write_whole, writing_whole
-from tau_dyn.version import __version__
+from tau_dyn.cli.run_folder import out_argument
+from tau_dyn.exceptions import InputError
 
 
 @dataclass
@@ -51,6 +45,7 @@ class Outcome:
     exit_status: int = 0
 
 
+_RUN_FOLDER = "result, report and run.json (what went in, options, versions) go here"
 _NEGATIVE = re.compile(r"^-(\d|\.\d)")
 
 
@@ -59,12 +54,69 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         """Take `-1e-3` for a number: argparse before Python 3.14 takes it for an option."""
+        self.writes = False
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = _NEGATIVE
 
+    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
+        """Add an argument; `--out` also takes a run folder, in which the command's own file is called as its metavar."""
+        if "--out" in names:
+            shown, self.writes = options.get("metavar", "FILE"), True
+            options["type"] = out_argument(options.get("type", Path), shown)
+            if shown not in ("DIR", "FOLDER/"):
+                options["help"] = f"{options.get('help', '')}; FOLDER/ takes it with result, report and run.json"
+            self.set_defaults(own_file=shown.lower() if Path(shown).suffix else "")
+        return super().add_argument(*names, **options)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse what a command does not know itself, so that its own help is named."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = did_you_mean(unknown[0], re.findall(r"--[\w-]+", self.format_usage()))
+            self.error(f"there is no {unknown[0]} here{near}")
+        return known, unknown
+
     def error(self, message: str) -> NoReturn:
-        """Raise instead of printing usage and leaving."""
-        raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
+        """Raise instead of printing usage and leaving; in words that say what would be right."""
+        raise InputError(f"{self.prog}: {_in_words(message)}; see {self.prog} --help")
+
+
+_KINDS = {
+    "whole_number": "a whole number from zero up",
+    "positive": "a number above zero",
+    "positive_large": "a number above zero",
+    "not_negative": "zero or a number above it",
+    "positive_whole": "a whole number above zero",
+    "number_of_poses": "a whole number above zero, or auto",
+    "finite": "a finite number",
+    "float": "a number",
+    "int": "a whole number",
+    "_port": "a port between 1 and 65535",
+    "port": "a port between 1 and 65535",
+}
+"""What the readers of arguments take, for messages."""
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """Return a question about the nearest known word, in brackets; nothing where none is near."""
+    near = difflib.get_close_matches(word, known, n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def _in_words(message: str) -> str:
+    """Return argparse's message as a person would say it."""
+    if match := re.match(r"argument (.+?): invalid (\w+) value: (.+)$", message):
+        kind = _KINDS.get(match[2], match[2].strip("_").replace("_", " "))
+        return f"{match[1]} {match[3]}: write {kind}"
+    if match := re.match(r"argument (.+?): invalid choice: '?(.+?)'? \(choose from (.+)\)$", message):
+        known = [word.strip("' ") for word in match[3].split(",")]
+        what = match[1].lower() if match[1] == "COMMAND" else match[1]
+        return f"there is no {what} '{match[2]}'{did_you_mean(match[2], known)}; there are {', '.join(known)}"
+    if match := re.match(r"the following arguments are required: (.+)$", message):
+        if match[1] == "COMMAND":
+            return "name a command, such as demo"
+        return f"{' and '.join(match[1].rsplit(', ', 1))} {'are' if ',' in match[1] else 'is'} missing"
+    return re.sub(r"^argument (\S+): ", r"\1 ", message)
 
 
 def whole_number(text: str) -> int:
@@ -97,6 +149,8 @@ def csv_file(text: str) -> Path:
 
 def add_common(parser: argparse.ArgumentParser) -> None:
     """Add the options that every command takes."""
+    if isinstance(parser, Parser) and not parser.writes:
+        parser.add_argument("--out", metavar="FOLDER/", help=_RUN_FOLDER)
     group = parser.add_argument_group("output")
     group.add_argument("--json", metavar="FILE", type=Path, help="write the result here")
     group.add_argument("--report", metavar="FILE.html", type=Path, help="write one self-contained page here")
@@ -123,6 +177,11 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
         action="extend",
         help="actuated joints, if not those with a <transmission>",
     )
+    parser.add_argument(
+        "--no-xacro",
+        action="store_true",
+        help="take plain URDF only: a xacro is code, and is refused (those that come along, too)",
+    )
 
 
 def load_robot_from(args: argparse.Namespace):
@@ -137,7 +196,9 @@ def load_robot_from(args: argparse.Namespace):
         given[name] = value
     if "actuated" in given:
         raise InputError("--set actuated=...: actuated joints are named with --actuated JOINT ...")
-    return load_robot(args.robot, actuated=args.actuated, **given)
+    if "xacro" in given:
+        raise InputError("--set xacro=...: --no-xacro refuses every xacro")
+    return load_robot(args.robot, actuated=args.actuated, xacro=not args.no_xacro, **given)
 
 
 def robot_file(args: argparse.Namespace) -> list[Path]:
@@ -161,126 +222,6 @@ def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
         return
     with console.status("...") as status:
         yield lambda step: status.update(step)
-
-
-class _Screen(Console):
-    """A console whose reader may leave early, as `head` does."""
-
-    def on_broken_pipe(self) -> NoReturn:
-        """Leave quietly: everything was written already."""
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(0)
-
-
-def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: argparse.Namespace) -> int:
-    """Run a command, print, write, and return the exit status."""
-    out = getattr(args, "out", None) if command != "demo" else None  # the demo makes its folder
-    proposed = getattr(args, "propose", None)
-    destinations = [p for p in (args.json, args.report, out, proposed) if p is not None]
-    for path in destinations:
-        if not path.resolve().parent.is_dir():
-            raise InputError(f"{path}: the folder {path.parent} does not exist")
-        if path.is_dir():
-            raise InputError(f"{path} is a folder; name a file")
-    if len({path.resolve() for path in destinations}) < len(destinations):
-        raise InputError("two outputs are to be written to one file; give each its own")
-    for path in destinations:
-        if path.resolve() in _given(args):
-            raise InputError(f"{path} is an input of this command and would be overwritten; name another file")
-    try:
-        outcome = run(args)
-    except CannotAnswer as fault:
-        _cannot_answer(command, args, fault)
-        return fault.exit_status
-    if args.report is not None and outcome.report is None:
-        raise InputError(f"tau-dyn {command} has no report; leave --report out")
-    report = outcome.report() if args.report is not None and outcome.report else None
-    _write(command, args, outcome, report)
-    errors = Console(stderr=True, soft_wrap=True, highlight=False)
-    for sentence in dict.fromkeys(outcome.warnings):
-        errors.print(f"warning: {sentence}", markup=False)
-    if not args.quiet:
-        outcome.show(_Screen(soft_wrap=False, highlight=False))
-    return outcome.exit_status
-
-
-def _given(args: argparse.Namespace) -> set[Path]:
-    """Return every file that the arguments name as an input."""
-    single = (
-        getattr(args, name, None)
-        for name in (
-            "robot",
-            "log",
-            "columns",
-            "effects",
-            "model",
-            "motion",
-            "controller",
-            "noise_from",
-            "a",
-            "b",
-            "errors",
-            "poses",
-            "obstacles",
-            "result",
-            "cloud",
-            "positions",
-            "cameras",
-        )  # fmt: skip
-    )
-    named = (text.partition("=")[2] or text for text in getattr(args, "measured", None) or [])  # JOINT=FILE or FILE
-    many = [*(getattr(args, "logs", None) or []), *(getattr(args, "holdout", None) or []), *named]
-    return {Path(item).resolve() for item in (*single, *many) if item is not None and Path(item).is_file()}
-
-
-def _write(command: str, args: argparse.Namespace, outcome: Outcome, report: str | None) -> None:
-    files = dict(outcome.files)
-    if report is not None:
-        files[args.report] = report
-    if args.json is not None:
-        files[args.json] = to_json(envelope(command, args, outcome.inputs, "ok", outcome.warnings) | outcome.result)
-    with ExitStack() as staged:  # all are complete before the first takes its place
-        for path, content in files.items():
-            temporary = staged.enter_context(writing_whole(path))
-            if isinstance(content, str):
-                temporary.write_text(content, encoding="utf-8")
-            else:
-                content(temporary)
-
-
-def _cannot_answer(command: str, args: argparse.Namespace, fault: CannotAnswer) -> None:
-    errors = Console(stderr=True, soft_wrap=True, highlight=False)
-    for sentence in fault.warnings:
-        errors.print(f"warning: {sentence}", markup=False)
-    errors.print(f"cannot answer: {fault.missing}. The experiment that would: {fault.experiment}.", markup=False)
-    if args.json is not None:
-        inputs = [Path(p) for p in getattr(args, "logs", [])]
-        result = envelope(command, args, inputs, "cannot_answer", fault.warnings)
-        write_whole(args.json, to_json(result | {"missing": fault.missing, "experiment": fault.experiment}))
-
-
-def envelope(
-    command: str,
-    args: argparse.Namespace,
-    inputs: Sequence[Path | tuple[str, str]],
-    status: str,
-    warnings: Sequence[str],
-) -> dict[str, Any]:
-    """Return what every result says of itself."""
-    return {
-        "tool_version": __version__,
-        "command": command,
-        "inputs": [{"path": path, "sha256": sha256} for path, sha256 in map(_hashed, inputs) if sha256],
-        "seed": args.seed,
-        "status": status,
-        "warnings": list(dict.fromkeys(warnings)),
-    }
-
-
-def _hashed(item: Path | tuple[str, str]) -> tuple[str, str]:
-    if isinstance(item, tuple):
-        return item
-    return str(item), hashlib.sha256(item.read_bytes()).hexdigest() if item.is_file() else ""
 
 
 def to_json(value: Any) -> str:

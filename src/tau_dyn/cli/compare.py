@@ -1,4 +1,4 @@
-"""Two models or results: what changed in parameters, errors and findings, and whether by more than chance."""
+"""Two runs, results or models: what changed in parameters, errors and findings, by more than chance, and what was different."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from tau_dyn.cli.common import Outcome, add_common, command_line, progress
 
-HELP = "what changed between two models or results, with intervals"
+HELP = "what changed between two runs, results or models, with intervals"
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = "a model file (.yaml) or the --json result of identify, diagnose, modes or calibrate"
+    text = "a run folder (--out FOLDER/), the --json result of a command, or a model file (.yaml)"
     parser.add_argument("a", metavar="A", type=Path, help=text)
     parser.add_argument("b", metavar="B", type=Path, help="another one")
     add_common(parser)
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
-        inputs=[args.a, args.b],
+        inputs=[found.a.path, found.b.path],
         show=lambda console: print_comparison(console, found),
         report=lambda: comparison_page(found, command_line=command_line()),
     )

@@ -7,12 +7,10 @@ that the model which is fitted does not know: cart 2's pinion pushes once a toot
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import numpy as np
 
 from tau_dyn.cli.common import Outcome, add_common, progress
-from tau_dyn.exceptions import InputError
 
 HELP = "the main job on made data with hidden effects: simulate, identify, diagnose, report"
 
@@ -29,18 +27,12 @@ PEAK = {"cart1": 18.0, "cart2": 20.0, "cart3": 22.0}
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("tau_dyn_demo"), help="folder (default tau_dyn_demo)"
-    )
+    parser.add_argument("--out", metavar="DIR", default="tau_dyn_demo", help="folder (default tau_dyn_demo)")
     add_common(parser)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run the demo."""
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
-        raise InputError(f"--out {args.out}: {fault.strerror}; name a folder") from fault
     with progress(args.quiet) as step:
         step("loading")
         from tau_dyn.diagnose import diagnose
@@ -83,7 +75,6 @@ def run(args: argparse.Namespace) -> Outcome:
         warnings=found.warnings,
         show=lambda console: _show(console, found, written),
         files={
-            args.out / "report.html": page,
             args.out / "identification.html": plain,
             args.out / "model.yaml": fit.model.save,
             args.out / "extended.yaml": found.extended_model.save,

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> Outcome:
         robot = load_robot_from(args)
         if args.q is not None and len(args.q) != robot.na:
             named = ", ".join(robot.actuated)
-            raise InputError(f"--q: {robot.na} actuated joints ({named}) need {robot.na} values, not {len(args.q)}")
+            raise InputError(f"--q: one value for each actuated joint ({named}), not {len(args.q)}")
         q = (
             np.array([args.q])
             if args.poses is None

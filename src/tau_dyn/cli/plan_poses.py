@@ -114,7 +114,6 @@ def positive_whole(text: str) -> int:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Plan, or go on with a plan."""
-    _check_files(args)
     if args.resume is not None and args.resume.exists():
         return _going_on(args)
     with progress(args.quiet) as step:
@@ -155,7 +154,7 @@ def _going_on(args: argparse.Namespace) -> Outcome:
     from tau_dyn.calibrate.poses.path_check import PathCheck
     from tau_dyn.calibrate.poses.progress_file import read_progress
     from tau_dyn.calibrate.poses.rapid import rapid_module, tour_csv
-    from tau_dyn.kinematics.workspace.machine import machine_of
+    from tau_dyn.kinematics.workspace.machines import machine_of
 
     robot = load_robot_from(args)
     now = read_progress(args.resume, robot.actuated)
@@ -177,21 +176,6 @@ def _going_on(args: argparse.Namespace) -> Outcome:
         ),
         files=files if left else {},
     )
-
-
-def _check_files(args: argparse.Namespace) -> None:
-    """Refuse destinations that cannot be written or are the same."""
-    from tau_dyn.exceptions import InputError
-
-    named = [p for p in (args.out, args.rapid, args.resume, args.json, args.report) if p is not None]
-    for path in named:
-        if not path.resolve().parent.is_dir():
-            raise InputError(f"{path}: the folder {path.parent} does not exist")
-        if path.is_dir():
-            raise InputError(f"{path} is a folder; name a file")
-    inputs = {p.resolve() for p in (args.camera, args.tracker, args.obstacles) if p is not None}
-    if len({p.resolve() for p in named}) < len(named) or inputs & {p.resolve() for p in named}:
-        raise InputError("two of the files named are one and the same; give each output its own")
 
 
 def _files(args: argparse.Namespace, csv, rapid) -> dict:

@@ -15,7 +15,7 @@ def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the table to read and the one to write."""
     parser.add_argument("--poses", metavar="POSES.csv", type=Path, help=f"a table of {what}, one a row")
     parser.add_argument(
-        "--out", metavar="FILE.csv", type=csv_file, help="write q_<joint>, x_tool .. qw_tool, reason here"
+        "--out", metavar="POSES.csv", type=csv_file, help="write q_<joint>, x_tool .. qw_tool, reason here"
     )
     add_common(parser)
 

@@ -53,7 +53,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Measure poses."""
-    _apart(args)
     with progress(args.quiet) as step:
         step("loading")
         from tau_dyn.vision import parse_pattern, poses_from_images, read_cameras, read_positions
@@ -79,19 +78,6 @@ def run(args: argparse.Namespace) -> Outcome:
         show=lambda console: _show(console, table, args),
         files=files,
     )
-
-
-def _apart(args: argparse.Namespace) -> None:
-    """Refuse outputs that would overwrite inputs or each other."""
-    from tau_dyn.exceptions import InputError
-
-    for path in (p for p in (args.out, args.save_cameras) if p is not None):
-        if path.resolve() in {p.resolve() for p in (args.positions, args.cameras) if p is not None}:
-            raise InputError(f"{path} is an input of this command and would be overwritten; name another file")
-    if args.save_cameras is not None and args.save_cameras.resolve() in {
-        p.resolve() for p in (args.out, args.json) if p is not None
-    }:
-        raise InputError("two outputs are to be written to one file; give each its own")
 
 
 def _show(console, table, args: argparse.Namespace) -> None:

@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import hypot
-from typing import Any
+from typing import Any, NamedTuple
 
 from scipy.stats import norm
 
+from tau_dyn.compare.circumstances import Difference, InputChange, differences, input_changes
 from tau_dyn.compare.read import Quantity, Side
 from tau_dyn.exceptions import InputError
+from tau_dyn.shown import Shown
 
 LEVEL = 0.05
 """Chance that any change is named where nothing changed."""
@@ -69,16 +71,55 @@ class Change:
 
 @dataclass(frozen=True)
 class FindingChange:
-    """A cause's status in both results, None where it was not found."""
+    """A cause's status in both results, None where it was not found.
+
+    Attributes:
+        cause: Its name; of a check of a log, the topic.
+        joints: Joints it acts on.
+        a: Status in the first.
+        b: Status in the second.
+        gain_a: What it is worth on unseen data in the first [%], with its 95 % interval; None where that is not known.
+        gain_b: The same in the second.
+    """
 
     cause: str
     joints: tuple[str, ...]
     a: str | None
     b: str | None
+    gain_a: tuple[float, float, float] | None = None
+    gain_b: tuple[float, float, float] | None = None
+
+    @property
+    def what(self) -> str:
+        """`appeared`, `vanished`, `changed` or `same`."""
+        if self.a == self.b:
+            return "same"
+        return "appeared" if self.a is None else "vanished" if self.b is None else "changed"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        row = {"cause": self.cause, "joints": list(self.joints), "a": self.a, "b": self.b, "what": self.what}
+        return {**row, "gain_a": _gain(self.gain_a), "gain_b": _gain(self.gain_b)}
+
+
+class ErrorChange(NamedTuple):
+    """An error in both results, with its 95 % interval where the result has one."""
+
+    name: str
+    unit: str
+    a: float
+    b: float
+    ci95_a: tuple[float, float] | None = None
+    ci95_b: tuple[float, float] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON form."""
+        intervals = {"ci95_a": _list(self.ci95_a), "ci95_b": _list(self.ci95_b)}
+        return {"name": self.name, "unit": self.unit, "a": self.a, "b": self.b, **intervals}
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Shown):
     """Two results beside each other.
 
     Attributes:
@@ -87,9 +128,13 @@ class Comparison:
         changes: Quantities that both have, in the first's order.
         only_a: Names that only the first has.
         only_b: Names that only the second has.
-        errors: Name, unit, and the error in each.
+        errors: Errors that both have.
         findings: Causes found in either.
         warnings: Sentences about what the comparison cannot say.
+        inputs: Files that went in, same or not.
+        configuration: Options that differ; of run folders only.
+        versions: Versions that differ; of run folders only.
+        numbers: Plain numbers that differ, without uncertainty.
     """
 
     a: Side
@@ -97,9 +142,13 @@ class Comparison:
     changes: tuple[Change, ...]
     only_a: tuple[str, ...]
     only_b: tuple[str, ...]
-    errors: tuple[tuple[str, str, float, float], ...]
+    errors: tuple[ErrorChange, ...]
     findings: tuple[FindingChange, ...]
     warnings: tuple[str, ...]
+    inputs: tuple[InputChange, ...] = ()
+    configuration: tuple[Difference, ...] = ()
+    versions: tuple[Difference, ...] = ()
+    numbers: tuple[Difference, ...] = ()
 
     @property
     def changed(self) -> tuple[Change, ...]:
@@ -114,22 +163,27 @@ class Comparison:
             "changes": [c.to_dict() for c in self.changes],
             "only_a": list(self.only_a),
             "only_b": list(self.only_b),
-            "errors": [{"name": n, "unit": u, "a": x, "b": y} for n, u, x, y in self.errors],
-            "findings": [{"cause": f.cause, "joints": list(f.joints), "a": f.a, "b": f.b} for f in self.findings],
+            "errors": [e.to_dict() for e in self.errors],
+            "findings": [f.to_dict() for f in self.findings],
+            "input_changes": [i.to_dict() for i in self.inputs],
+            "configuration_changes": [d.to_dict() for d in self.configuration],
+            "version_changes": [d.to_dict() for d in self.versions],
+            "number_changes": [d.to_dict() for d in self.numbers],
             "warnings": list(self.warnings),
         }
 
 
 def compare(a: Side, b: Side) -> Comparison:
-    """Compare two models or results.
+    """Compare two models, results or run folders.
 
     Raises:
-        InputError: They have nothing in common.
+        InputError: They have nothing in common; two run folders always have their circumstances.
     """
     other = _matched(a.quantities, b.quantities)
     shared = [n for n in a.quantities if n in other]
     causes = dict.fromkeys([*a.findings, *b.findings])
-    if not shared and not causes and not set(a.errors) & set(b.errors):
+    runs = a.run is not None and b.run is not None
+    if not shared and not causes and not set(a.errors) & set(b.errors) and not runs:
         raise InputError(f"{a.path} ({a.kind}) and {b.path} ({b.kind}) have no quantity, error or finding in common")
     return Comparison(
         a=a,
@@ -137,10 +191,28 @@ def compare(a: Side, b: Side) -> Comparison:
         changes=tuple(_holm([_change(n, a.quantities[n], other[n]) for n in shared])),
         only_a=tuple(n for n in a.quantities if n not in other),
         only_b=tuple(n for n in other if n not in a.quantities),
-        errors=tuple((n, unit, x, b.errors[n][0]) for n, (x, unit) in a.errors.items() if n in b.errors),
-        findings=tuple(FindingChange(c, j, a.findings.get((c, j)), b.findings.get((c, j))) for c, j in causes),
+        errors=tuple(_error(n, a, b) for n in a.errors if n in b.errors),
+        findings=tuple(
+            FindingChange(*key, a.findings.get(key), b.findings.get(key), a.gains.get(key), b.gains.get(key))
+            for key in causes
+        ),
         warnings=tuple(_doubts(a, b)),
+        inputs=input_changes(a.inputs, b.inputs),
+        numbers=tuple(d for d in differences(a.numbers, b.numbers) if d.a is not None and d.b is not None),
+        **_of_runs(a, b),
     )
+
+
+def _of_runs(a: Side, b: Side) -> dict[str, tuple[Difference, ...]]:
+    if a.run is None or b.run is None:
+        return {}
+    versions = differences(a.run.versions, b.run.versions)
+    return {"configuration": differences(a.run.configuration, b.run.configuration), "versions": versions}
+
+
+def _error(name: str, a: Side, b: Side) -> ErrorChange:
+    (x, unit), (y, _) = a.errors[name], b.errors[name]
+    return ErrorChange(name, unit, x, y, a.intervals.get(name), b.intervals.get(name))
 
 
 def _change(name: str, a: Quantity, b: Quantity) -> Change:
@@ -188,9 +260,22 @@ def _frequencies(quantities: Mapping[str, Quantity]) -> dict[int, float]:
 
 
 def _doubts(a: Side, b: Side) -> Iterable[str]:
-    if a.sha256 == b.sha256:
-        yield f"{a.path} and {b.path} are the same file"
+    for side in (a, b):
+        if side.missing:
+            yield f"{side.place}: its data could not answer ({side.missing})"
+    if a.path.resolve() == b.path.resolve():
+        yield f"{a.place} and {b.place} are the same"
+    elif a.sha256 == b.sha256:
+        yield f"{a.path} and {b.path} hold the same bytes"
     elif a.logs & b.logs:
         yield "both rest on the same recordings; the intervals take them as independent and are too wide"
     if a.kind != b.kind:
         yield f"{a.path} comes from {a.kind}, {b.path} from {b.kind}"
+
+
+def _gain(gain: tuple[float, float, float] | None) -> dict[str, Any] | None:
+    return None if gain is None else {"reduction_percent": gain[0], "ci95": [gain[1], gain[2]]}
+
+
+def _list(interval: tuple[float, float] | None) -> list[float] | None:
+    return None if interval is None else list(interval)

@@ -1,7 +1,7 @@
-"""A model file (YAML) or a command's result (JSON) as quantities with standard errors, errors, and findings.
+"""A model file (YAML), a command's result (JSON) or a run folder as quantities with standard errors, errors, and findings.
 
-Results are read by what they hold, not by which command wrote them: `parameters` of identify, `findings` of diagnose, `modes`
-of modes, `models` of calibrate. Values that no data determined have no standard error.
+Results are read by what they hold, not by which command wrote them: `parameters` of identify, `findings` of diagnose and check,
+`modes` of modes, `models` of calibrate, plain numbers of all. Values that no data determined have no standard error.
 """
 
 from __future__ import annotations
@@ -9,15 +9,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tau_dyn.compare.run import RESULT, RUN, Run, is_run, read_run
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 
 _DATA = (".csv", ".parquet", ".mcap")
+_PARTS = ("train", "holdout", "baseline", "extended", "noise_floor")
+_RMS = "unseen position error, rms"
+_NO_ANSWER = ("seed", "search_s", "evaluations")  # what a run was asked, and how long it took
 _MOST = 64 * 2**20  # [bytes] a result is a few hundred kB
 
 
@@ -41,6 +45,12 @@ class Side:
         errors: Relative errors or fits in percent, or distances, by what they are called, with their unit.
         findings: Status by cause and joints.
         logs: Hashes of the data behind it.
+        inputs: Hash of each file that went in, by its path.
+        intervals: 95 % intervals of errors, by what they are called.
+        gains: What a finding is worth on unseen data [%] and its 95 % interval, by cause and joints.
+        numbers: Plain numbers of the result, by name.
+        run: The run, where a run folder was read.
+        missing: What the data lacked, where they could not answer.
     """
 
     path: Path
@@ -50,15 +60,34 @@ class Side:
     errors: Mapping[str, tuple[float, str]]
     findings: Mapping[tuple[str, tuple[str, ...]], str]
     logs: frozenset[str]
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gains: Mapping[tuple[str, tuple[str, ...]], tuple[float, float, float]] = field(default_factory=dict)
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    run: Run | None = None
+    missing: str = ""
+
+    @property
+    def place(self) -> Path:
+        """The run folder, or the file."""
+        return self.path if self.run is None else self.path.parent
 
 
 def read_side(path: str | Path) -> Side:
-    """Read a model file or a result.
+    """Read a model file, a result or a run folder.
 
     Raises:
-        InputError: The file is missing, neither a model nor a result of ours, or holds an entry of the wrong kind.
+        InputError: It is missing, none of these, or holds an entry of the wrong kind.
     """
     path = Path(path)
+    if not path.is_dir():
+        return _of_file(path)
+    if not is_run(path):
+        raise InputError(f"{path}: a folder, but no run folder; it has no {RUN}")
+    return _of_file(path / RESULT, read_run(path))
+
+
+def _of_file(path: Path, run: Run | None = None) -> Side:
     try:
         if path.stat().st_size > _MOST:
             raise InputError(f"{path}: larger than 64 MiB, so no result or model of ours")
@@ -68,7 +97,7 @@ def read_side(path: str | Path) -> Side:
     digest = hashlib.sha256(data).hexdigest()
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_model(path, digest)
-    return _of_result(path, digest, data)
+    return _of_result(path, digest, data, run)
 
 
 def _of_model(path: Path, digest: str) -> Side:
@@ -78,29 +107,88 @@ def _of_model(path: Path, digest: str) -> Side:
     return Side(path, digest, "model", values, {}, {}, logs)
 
 
-def _of_result(path: Path, digest: str, data: bytes) -> Side:
+def _of_result(path: Path, digest: str, data: bytes, run: Run | None) -> Side:
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as fault:
         raise InputError(f"{path}: neither a model file (.yaml) nor a result (.json): {fault}") from fault
     if not isinstance(content, dict) or not isinstance(content.get("command"), str):
         raise InputError(f"{path}: not a result of ours; its 'command' is missing")
-    if content.get("status") == "cannot_answer":
+    refused = content.get("status") == "cannot_answer" and "missing" in content
+    if content.get("status") == "cannot_answer" and run is None:
         raise InputError(f"{path}: this result says that its data cannot answer; there is nothing to compare")
+    read = [x for x in _dicts(content.get("inputs")) if "sha256" in x]
     try:
-        quantities = {**dict(_parameters(content)), **dict(_modes(content)), **dict(_calibrated(content))}
-        findings = {
-            (str(x["cause"]), tuple(map(str, x.get("joints", [])))): str(x["status"])
-            for x in _dicts(content.get("findings"))
-        }
-        errors = dict(_errors(content))
-    except (KeyError, TypeError, ValueError, AttributeError) as fault:
+        return Side(
+            path,
+            digest,
+            content["command"],
+            {**dict(_parameters(content)), **dict(_modes(content)), **dict(_calibrated(content))},
+            dict(_errors(content)),
+            dict(_findings(content)),
+            frozenset(str(x["sha256"]) for x in read if Path(str(x.get("path"))).suffix.lower() in _DATA),
+            inputs={str(x.get("path")): str(x["sha256"]) for x in read},
+            intervals=dict(_intervals(content)),
+            gains=dict(_gains(content)),
+            numbers=dict(_numbers(content)),
+            run=run,
+            missing=str(content["missing"]) if refused else "",
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as fault:
         raise InputError(f"{path}: an entry of this result is missing or of the wrong kind ({fault})") from fault
-    read = [
-        x for x in _dicts(content.get("inputs")) if "sha256" in x and Path(str(x.get("path"))).suffix.lower() in _DATA
-    ]
-    logs = frozenset(str(x["sha256"]) for x in read)
-    return Side(path, digest, content["command"], quantities, errors, findings, logs)
+
+
+def _findings(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, tuple[str, ...]], str]]:
+    """Yield causes with their status; of a check of a log, topics with their severity, the worst last."""
+    for row in _dicts(content.get("findings")):
+        if "cause" in row:
+            yield _key(row), str(row["status"])
+    for severity in ("warning", "fault"):
+        for row in _dicts(content.get("findings")):
+            if row.get("severity") == severity:
+                yield (str(row["topic"]), ()), severity
+
+
+def _gains(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, tuple[str, ...]], tuple[float, float, float]]]:
+    for row in _dicts(content.get("findings")):
+        gain = row.get("gain")
+        if not isinstance(gain, dict) or gain.get("reduction_percent") is None:
+            continue
+        if isinstance(gain.get("ci95"), list) and None not in gain["ci95"]:
+            yield _key(row), (float(gain["reduction_percent"]), *_pair(gain["ci95"]))
+
+
+def _key(row: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    return str(row["cause"]), tuple(map(str, row.get("joints", [])))
+
+
+def _intervals(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield the intervals of errors, under the names of `_errors`."""
+    for part in _PARTS:
+        entry = content.get(part)
+        if isinstance(entry, dict) and isinstance(entry.get("relative_ci95"), list):
+            if None not in entry["relative_ci95"]:
+                yield f"{part} error", _pair(entry["relative_ci95"])
+    for rung in _dicts(content.get("waterfall")):
+        if "models" in content and rung.get("step") == content.get("chosen"):
+            yield _RMS, _pair(rung["ci95"])
+
+
+def _pair(ends: Any) -> tuple[float, float]:
+    low, high = ends
+    return float(low), float(high)
+
+
+def _numbers(content: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """Yield plain numbers at the top of a result, a workspace's size, an accuracy study's largest errors."""
+    for name, value in content.items():
+        if isinstance(value, int | float) and not isinstance(value, bool) and name not in _NO_ANSWER:
+            yield name, value
+    if isinstance(size := content.get("size"), dict):
+        yield f"{size['name']} [{size['unit']}]", float(size["value"])
+    for method, entry in (content.get("methods") or {}).items() if isinstance(content.get("methods"), dict) else ():
+        if isinstance(entry, dict) and entry.get("max") is not None:
+            yield f"largest error, {method} [m]", float(entry["max"])
 
 
 def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
@@ -125,7 +213,7 @@ def _calibrated(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
 
 
 def _errors(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, str]]]:
-    for part in ("train", "holdout", "baseline", "extended", "noise_floor"):
+    for part in _PARTS:
         entry = content.get(part)
         if isinstance(entry, dict) and entry.get("relative_error_percent") is not None:
             yield f"{part} error", (float(entry["relative_error_percent"]), "%")
@@ -137,6 +225,9 @@ def _errors(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, str]
         held = model.get("holdout") if model["name"] == content.get("chosen") else None
         if isinstance(held, dict):
             yield "held-out position error, mean", (float(held["position"]["mean"]), "m")
+    for rung in _dicts(content.get("waterfall")):
+        if "models" in content and rung.get("step") == content.get("chosen"):
+            yield _RMS, (float(rung["rms"]), "m")
 
 
 def _quantity(value: Any, stderr: Any, unit: Any) -> Quantity:

@@ -77,7 +77,7 @@ def _guideways(found: AccuracyResult) -> tuple[np.ndarray, tuple[str, ...]]:
         k = robot.model.getJointId(joint)
         if kind != "prismatic" or robot.model.parents[k] != 0:
             continue
-        line = data.J[:3, robot.model.joints[k].idx_v]
+        line = np.reshape(data.J, (6, -1))[:3, robot.model.joints[k].idx_v]  # of one joint Pinocchio gives a vector
         along = line[grid.section.axis]
         if abs(along) > 0.3:
             at = data.oMi[k].translation

@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
-from tau_dyn.compare import Change, Comparison
+from tau_dyn.compare import Change, Comparison, Difference, ErrorChange, FindingChange, InputChange
 from tau_dyn.report.shell import Opening, render
 from tau_dyn.report.terminal import bare_table, plain, put, say
 from tau_dyn.report.words import count, listed, number, pretty_unit, with_uncertainty
@@ -17,6 +17,9 @@ _MOST = 40
 def comparison_headline(found: Comparison) -> str:
     """Return the one sentence."""
     tested = sum(c.changed is not None for c in found.changes)
+    if not found.changes and found.findings:
+        moved = [f for f in found.findings if f.what != "same"]
+        return f"Of {count(len(found.findings), 'finding')} {len(moved) or 'none'} changed."
     if not tested:
         return "Nothing here has a standard error in both, so no change can be judged."
     if not found.changed:
@@ -27,22 +30,25 @@ def comparison_headline(found: Comparison) -> str:
 
 def print_comparison(console: Console, found: Comparison) -> None:
     """Print a comparison for a person: what changed first, then the rest."""
-    say(console, f"{found.a.path} · {found.b.path}", "dim")
+    say(console, f"{found.a.place} · {found.b.place}", "dim")
     say(console, comparison_headline(found), "bold")
-    rows = _in_order(found)
+    for title, lines in circumstances(found):
+        say(console, f"{title}: {'; '.join(lines)}.")
+    rows = in_order(found)
     if rows:
         table = bare_table()
         for title in ("", "first", "second", "difference", "unit"):
             table.add_column(title, justify="left" if title in ("", "unit") else "right")
         for change in rows[:_MOST]:
             style = "bold" if change.changed else "dim" if change.changed is None else ""
-            table.add_row(*(plain(text, style) for text in _cells(change)))
+            table.add_row(*(plain(text, style) for text in cells(change)))
         put(console, table)
     if len(rows) > _MOST:
         say(console, f"and {len(rows) - _MOST} more, all in --json and --report.", "dim")
-    for name, unit, a, b in found.errors:
-        say(console, f"{name}: {number(a)} → {number(b)} {unit}")
-    for line in _finding_lines(found):
+    for error in found.errors:
+        first, second = _error_cells(error)
+        say(console, f"{error.name}: {first} → {second} {error.unit}")
+    for line in finding_lines(found):
         say(console, line)
     for names, where in ((found.only_a, "first"), (found.only_b, "second")):
         if names:
@@ -58,7 +64,7 @@ def comparison_page(found: Comparison, *, command_line: str = "") -> str:
         level,
         "Changed" if found.changed else "Same" if tested else "Cannot be judged",
         "Named are differences beyond the uncertainty of both, at 5 % for all quantities together (Holm).",
-        f"{found.a.path} ({found.a.kind}) beside {found.b.path} ({found.b.kind}).",
+        f"{found.a.place} ({found.a.kind}) beside {found.b.place} ({found.b.kind}).",
     )
     return render(
         "comparison.html.j2",
@@ -67,9 +73,10 @@ def comparison_page(found: Comparison, *, command_line: str = "") -> str:
         [],
         command_line=command_line,
         logs=[("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)],
-        rows=[_page_row(change) for change in _in_order(found)],
-        errors=[(name, number(a), number(b), unit) for name, unit, a, b in found.errors],
-        findings=_finding_lines(found),
+        rows=[_page_row(change) for change in in_order(found)],
+        circumstances=circumstances(found),
+        errors=[(error.name, *_error_cells(error), error.unit) for error in found.errors],
+        findings=finding_lines(found),
         only=[
             (where, listed(names, 40)) for names, where in ((found.only_a, "first"), (found.only_b, "second")) if names
         ],
@@ -77,31 +84,76 @@ def comparison_page(found: Comparison, *, command_line: str = "") -> str:
     )
 
 
-def _in_order(found: Comparison) -> list[Change]:
+def in_order(found: Comparison) -> list[Change]:
     """Return what changed, clearest first, then what did not, then what cannot be judged."""
     changed = list(found.changed)
     same = [c for c in found.changes if c.changed is False]
     return [*changed, *same, *(c for c in found.changes if c.changed is None)]
 
 
-def _cells(change: Change) -> tuple[str, str, str, str, str]:
+def cells(change: Change) -> tuple[str, str, str, str, str]:
+    """Return name, both values, their difference with its standard error, and the unit."""
     difference = with_uncertainty(change.difference, change.stderr) if change.stderr else number(change.difference)
     return change.name, number(change.a), number(change.b), difference, pretty_unit(change.unit)
 
 
 def _page_row(change: Change) -> dict[str, Any]:
-    name, a, b, difference, unit = _cells(change)
+    name, a, b, difference, unit = cells(change)
     z = abs(change.difference) / change.stderr if change.stderr else None
     state = "changed" if change.changed else "same" if change.changed is False else "no uncertainty"
     return {"name": name, "a": a, "b": b, "difference": difference, "unit": unit, "state": state,
             "z": "" if z is None else number(z, 2), "width": 0 if z is None else min(100.0, 10 * z)}  # fmt: skip
 
 
-def _finding_lines(found: Comparison) -> list[str]:
-    lines = []
-    for f in found.findings:
-        if f.a != f.b:
-            lines.append(
-                f"{f.cause} {listed(f.joints)}: {f.a or 'not found'} → {f.b or 'not found'}".replace("  ", " ")
-            )
-    return lines
+def circumstances(found: Comparison) -> list[tuple[str, list[str]]]:
+    """Return what was different besides the answer, by heading: inputs, options, versions, plain numbers."""
+    inputs = [_input_line(i) for i in found.inputs if i.state != "same"]
+    if found.inputs and not inputs:
+        inputs = [f"the same {count(len(found.inputs), 'file')}"]
+    groups = [
+        ("Inputs", inputs),
+        ("Options", _difference_lines(found.configuration)),
+        ("Versions", _difference_lines(found.versions)),
+        ("Also", _difference_lines(found.numbers)),
+    ]
+    return [(title, lines) for title, lines in groups if lines]
+
+
+def _input_line(i: InputChange) -> str:
+    if i.a is None or i.b is None or i.a == i.b:
+        return f"{i.a or i.b} is {i.state}"
+    return f"{i.a} → {i.b}, {'the same' if i.same else 'other'} content"
+
+
+def _difference_lines(rows: tuple[Difference, ...]) -> list[str]:
+    return [f"{row.name} {_value(row.a)} → {_value(row.b)}" for row in rows]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, list):
+        return listed(map(_value, value)) or "none"
+    return "none" if value is None or value == "" else str(value)
+
+
+def _error_cells(error: ErrorChange) -> tuple[str, str]:
+    """Return both values, each with its interval where it has one."""
+    pairs = ((error.a, error.ci95_a), (error.b, error.ci95_b))
+    first, second = (number(x) + (f" ({number(ci[0], 3)} … {number(ci[1], 3)})" if ci else "") for x, ci in pairs)
+    return first, second
+
+
+def finding_lines(found: Comparison) -> list[str]:
+    """Return findings that appeared, vanished or changed, then what those that stayed are worth."""
+    ordered = sorted(found.findings, key=lambda f: f.what == "same")
+    return [line for line in map(_finding_line, ordered) if line]
+
+
+def _finding_line(f: FindingChange) -> str:
+    name = f"{f.cause} {listed(f.joints)}".strip()
+    gains = [g and f"{number(g[0], 3)} % ({number(g[1], 3)} … {number(g[2], 3)})" for g in (f.gain_a, f.gain_b)]
+    if f.what == "same":
+        return f"{name}: {f.a} in both, worth {gains[0]} → {gains[1]}" if all(gains) and f.gain_a != f.gain_b else ""
+    worth = next((f", worth {g}" for g in gains if g), "")
+    return f"{name} {f.what}: {f.a or 'not found'} → {f.b or 'not found'}{worth}"

@@ -1,0 +1,222 @@
+"""`--out FOLDER/`: everything that a run needs to be understood, repeated and compared, in a folder of its own.
+
+It holds `run.json` (`compare/run.py` says what), `result.json`, `report.html` and the command's own file under its usual name,
+such as `model.yaml`. What ends in `/`, has no suffix, or exists as a folder is a run folder; anything else is a file.
+
+A new folder appears whole or not at all. An existing one is written to where it is empty, or where it holds a run of the same
+command with the same options, of which nobody changed a file: then it is brought up to date. Nothing else is ever overwritten;
+only the demo, which has always put its files into the folder it was given, does so beside other files. `run.json` leaves a
+folder first and enters it last, so that a folder that holds one is complete.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import owner, refusal, sweep
+from tau_dyn.version import __version__
+
+_LIBRARIES = ("pin", "numpy", "scipy", "cvxpy", "clarabel", "pandas", "pyarrow", "xacro")
+_FILE_KIND = Callable[[str], Path]
+
+
+@dataclass
+class RunFolder:
+    """Where a run goes.
+
+    Attributes:
+        path: The folder.
+        beside: Whether the files may go beside others.
+        started: Seconds since the epoch at which the run began.
+    """
+
+    path: Path
+    beside: bool = False
+    started: float = field(default_factory=time.time)
+
+    def check(self, command: str, configuration: dict[str, Any], inputs: set[Path]) -> None:
+        """Refuse a folder that is not free for this run, before any work is done.
+
+        Args:
+            command: Of the run.
+            configuration: Its options.
+            inputs: Files that it reads, resolved.
+
+        Raises:
+            InputError: It cannot be written, or it holds something that would be lost.
+        """
+        near = next(p for p in (self.path.resolve(), *self.path.resolve().parents) if p.exists())
+        if not near.is_dir():
+            raise InputError(f"--out {self.path}: {near} is a file; name a folder")
+        if not os.access(near, os.W_OK):
+            raise InputError(f"--out {self.path}: {near} is write-protected; name another folder")
+        if self.beside or not self._holds():
+            return
+        held = next((path for path in inputs if path.is_relative_to(self.path.resolve())), None)
+        if held is not None:
+            raise InputError(f"{held} is an input of this command and lies in {self.path}; name another folder")
+        if reason := self._kept_for(command, configuration):
+            raise InputError(f"{self.path} {reason}; name another folder")
+
+    def _holds(self) -> set[str]:
+        return {p.name for p in self.path.iterdir()} if self.path.is_dir() else set()
+
+    def _kept_for(self, command: str, configuration: dict[str, Any]) -> str:
+        """Return why what the folder holds must stay; empty where it is an earlier run of the same."""
+        from tau_dyn.compare.run import RUN, is_run, read_run
+
+        names = self._holds()
+        if not is_run(self.path):
+            return f"holds {_few(names)} and is no run folder"
+        run = read_run(self.path)
+        if run.command != command:
+            return f"holds a run of tau-dyn {run.command}"
+        ours = json.loads(json.dumps(configuration))
+        other = [k for k in {**ours, **run.configuration} if ours.get(k) != run.configuration.get(k)]
+        if other:
+            return f"holds a run with other options ({_few(other)})"
+        if foreign := names - {*run.files, RUN}:
+            return f"holds {_few(foreign)}, which its run did not write"
+        changed = [n for n in names & {*run.files} if _sha256(self.path / n) != run.files[n]]
+        return f"holds {_few(changed)}, which was changed since its run" if changed else ""
+
+    def files(self) -> tuple[Path, Path, Path]:
+        """Return run.json, the result and the page."""
+        from tau_dyn.compare.run import REPORT, RESULT, RUN
+
+        return self.path / RUN, self.path / RESULT, self.path / REPORT
+
+    def holds(self, path: Path) -> bool:
+        """Tell whether a file lies in this folder."""
+        return path.resolve().parent == self.path.resolve()
+
+    @contextmanager
+    def writing(self) -> Iterator[Path]:
+        """Give an empty folder to write to; its files take their place when the block ends well.
+
+        Raises:
+            InputError: The folder cannot be written.
+        """
+        there = self.path.is_dir()
+        home = self.path.resolve() if there else self.path.resolve().parent
+        start = f".{self.path.resolve().name[:120]}."
+        staged = home / f"{start}{owner()}.run.part"
+        try:
+            home.mkdir(parents=True, exist_ok=True)
+            sweep(home, start)
+            staged.mkdir()
+            try:
+                yield staged
+                for path in staged.iterdir():
+                    _settle(path)
+                _moved_in(staged, self.path) if there else staged.rename(self.path.resolve())
+            finally:
+                shutil.rmtree(staged, ignore_errors=True)
+        except OSError as fault:
+            raise refusal(self.path, fault) from fault
+
+    def record(self, staged: Path, command: str, *, command_line: str, configuration: dict[str, Any], inputs: dict[str, str],
+               seed: int, exit_status: int) -> dict[str, Any]:  # fmt: skip
+        """Return what run.json says of a run whose other files are staged."""
+        from tau_dyn.compare.run import Run
+
+        return Run(
+            command=command,
+            command_line=command_line,
+            configuration=configuration,
+            inputs=inputs,
+            versions=versions(),
+            seed=seed,
+            started=datetime.fromtimestamp(self.started).astimezone().isoformat(timespec="seconds"),
+            duration_s=round(time.time() - self.started, 3),
+            exit_status=exit_status,
+            files={p.name: _sha256(p) for p in sorted(staged.iterdir())},
+        ).to_dict()
+
+
+def _moved_in(staged: Path, folder: Path) -> None:
+    """Move files into an existing folder: what an earlier run left goes first, run.json comes last."""
+    from tau_dyn.compare.run import RUN, is_run, read_run
+
+    new = sorted((p.name for p in staged.iterdir()), key=lambda n: n == RUN)
+    if is_run(folder):
+        before = read_run(folder).files
+        (folder / RUN).unlink()
+        for name in {*before} - {*new}:
+            if Path(name).name == name:  # a name, no path that leads elsewhere
+                (folder / name).unlink(missing_ok=True)
+    for name in new:
+        os.replace(staged / name, folder / name)
+
+
+def _settle(path: Path) -> None:
+    """Put a file on the disk, so that after a power cut no run is complete by its names and empty."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def out_argument(file_kind: _FILE_KIND, metavar: str) -> Callable[[str], Path | RunFolder]:
+    """Return how `--out` is read: a run folder, or what the command takes for a file of its own.
+
+    Args:
+        file_kind: Reads the name of the command's own file.
+        metavar: `DIR` of a command that fills a folder, `FOLDER/` of one that has no file of its own, else that file's.
+    """
+
+    def read(text: str) -> Path | RunFolder:
+        path = Path(text)
+        slash = text.endswith(("/", os.sep))
+        if metavar == "FOLDER/" and path.suffix and not (slash or path.is_dir()):
+            raise argparse.ArgumentTypeError(f"'{text}' names a file; a folder is written here, such as {path.stem}/")
+        if metavar in ("DIR", "FOLDER/") or slash or path.is_dir() or not (path.suffix or path.exists()):
+            return RunFolder(path, beside=metavar == "DIR")
+        return file_kind(text)
+
+    read.__name__ = getattr(file_kind, "__name__", "file")
+    return read
+
+
+def configuration_of(args: Any) -> dict[str, Any]:
+    """Return every option of a call with its value, defaults included; what only says where results go is left out."""
+    aside = ("command", "out", "json", "report", "quiet", "own_file")
+    return {name: _plain(value) for name, value in sorted(vars(args).items()) if name not in aside}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of everything that computes, and the platform."""
+    found = {"tau_dyn": __version__, "python": platform.python_version()}
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found | {"platform": f"{platform.system()} {platform.machine()}"}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def _few(names: set[str] | list[str]) -> str:
+    several = sorted(names)
+    return ", ".join(several[:3]) + (f" and {len(several) - 3} more" if len(several) > 3 else "")

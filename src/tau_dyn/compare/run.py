@@ -1,0 +1,109 @@
+"""A run folder: what a command was asked, what went in, with which versions, and what it left.
+
+`run.json` stands beside `result.json`, `report.html` and the command's own file; a folder is a run once it holds it. The
+command line writes it (`cli/run_folder.py`), `compare` reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tau_dyn.exceptions import InputError
+
+RUN, RESULT, REPORT = "run.json", "result.json", "report.html"
+FORMAT = 1
+_MOST = 2**20  # [bytes] a run.json is a few kB
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run of a command.
+
+    Attributes:
+        command: `identify`, `diagnose`, ...
+        command_line: How it was called.
+        configuration: Every option by name, defaults included; outputs left out.
+        inputs: SHA-256 of each file that went in, by its path.
+        versions: Of tau_dyn, Python and the libraries, and the platform.
+        seed: Of everything random.
+        started: Date and time, ISO 8601 with the zone.
+        duration_s: Wall-clock time [s].
+        exit_status: 0, or 3 where the data could not answer.
+        files: SHA-256 of each file that the run left, by its name in the folder.
+    """
+
+    command: str
+    command_line: str
+    configuration: Mapping[str, Any]
+    inputs: Mapping[str, str]
+    versions: Mapping[str, str]
+    seed: int
+    started: str
+    duration_s: float
+    exit_status: int
+    files: Mapping[str, str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what run.json holds."""
+        return {
+            "run_format": FORMAT,
+            "command": self.command,
+            "command_line": self.command_line,
+            "configuration": dict(self.configuration),
+            "inputs": [{"path": path, "sha256": sha256} for path, sha256 in self.inputs.items()],
+            "versions": dict(self.versions),
+            "seed": self.seed,
+            "started": self.started,
+            "duration_s": self.duration_s,
+            "exit_status": self.exit_status,
+            "files": dict(self.files),
+        }
+
+
+def is_run(folder: Path) -> bool:
+    """Tell whether a folder is a run folder."""
+    return (folder / RUN).is_file()
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run folder's run.json.
+
+    Raises:
+        InputError: There is none, or it is not one of ours.
+    """
+    path = folder / RUN
+    try:
+        if path.stat().st_size > _MOST:
+            raise InputError(f"{path}: larger than 1 MiB, so no run of ours")
+        held = json.loads(path.read_bytes())
+    except OSError as fault:
+        raise InputError(f"{folder}: no run folder; it has no {RUN}") from fault
+    except (ValueError, RecursionError) as fault:
+        raise InputError(f"{path}: not valid JSON ({fault})") from fault
+    if not isinstance(held, dict) or held.get("run_format") != FORMAT:
+        raise InputError(f"{path}: not a run of ours; its run_format is not {FORMAT}")
+    try:
+        return Run(
+            command=_text(held["command"]),
+            command_line=_text(held["command_line"]),
+            configuration={_text(k): v for k, v in held["configuration"].items()},
+            inputs={_text(x["path"]): _text(x["sha256"]) for x in held["inputs"]},
+            versions={_text(k): _text(v) for k, v in held["versions"].items()},
+            seed=int(held["seed"]),
+            started=_text(held["started"]),
+            duration_s=float(held["duration_s"]),
+            exit_status=int(held["exit_status"]),
+            files={_text(k): _text(v) for k, v in held["files"].items()},
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as fault:
+        raise InputError(f"{path}: an entry is missing or of the wrong kind ({fault})") from fault
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is not text")
+    return value

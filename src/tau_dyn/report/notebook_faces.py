@@ -1,0 +1,265 @@
+"""The face of each result: what a colleague would look at first, in the words of its page."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from tau_dyn.calibrate.result import Calibration
+from tau_dyn.compare import Comparison
+from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.identify import Identification
+from tau_dyn.kinematics.accuracy import AccuracyResult
+from tau_dyn.kinematics.pose_table import PoseTable
+from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.log import Log, LogCheck
+from tau_dyn.model import Model
+from tau_dyn.modes.result import Modes
+from tau_dyn.parameters import Parameters
+from tau_dyn.report import (
+    accuracy_words,
+    calibration_words,
+    comparison,
+    diagnosis_words,
+    figures,
+    modes_words,
+    words,
+    workspace_words,
+)
+from tau_dyn.report.accuracy_charts import error_map
+from tau_dyn.report.calibration_charts import error_chart
+from tau_dyn.report.modes_charts import bode_chart, pairs
+from tau_dyn.report.notebook_face import Face, Row
+from tau_dyn.report.notebook_tables import table_of
+from tau_dyn.report.quantities import estimate, interval
+from tau_dyn.report.robot_picture import robot_picture
+from tau_dyn.report.rows import parameter_rows
+from tau_dyn.report.series import thin
+from tau_dyn.report.signature import signature_charts
+from tau_dyn.report.svg import Chart, padded, tag
+from tau_dyn.report.waterfall import ladder
+from tau_dyn.report.words import count, listed, number, percent, pretty_unit
+from tau_dyn.report.workspace_charts import section_chart
+from tau_dyn.robot import Robot
+
+_PICTURES = 4
+
+
+@singledispatch
+def face_of(found: Any) -> Face:
+    """Return how a result looks in a notebook."""
+    raise TypeError(f"{type(found).__name__} has no face")
+
+
+@face_of.register
+def _log(found: Log) -> Face:
+    about = (
+        f"{found.name}, {number(found.duration)} s at {number(found.rate_hz)} Hz, {count(found.n_samples, 'sample')}"
+    )
+    rows = [Row([name, *_span(x)]) for name, x in found.channels.items()]
+    first = [n for n in found.channels if n.startswith(("q_", "tau_"))] or list(found.channels)
+    pictures = [_trace(found, name) for name in first[:_PICTURES]]
+    return Face("Log", about, columns=("channel", "least", "mean", "most", "missing"), rows=rows, pictures=pictures,
+                notes=found.warnings)  # fmt: skip
+
+
+def _span(x: np.ndarray) -> list[str]:
+    there = x[np.isfinite(x)]
+    missing = str(x.size - there.size) if there.size < x.size else ""
+    if not there.size:
+        return ["", "", "", missing]
+    return [*(number(float(v)) for v in (there.min(), there.mean(), there.max())), missing]
+
+
+def _trace(log: Log, name: str) -> Markup:
+    t, columns = thin(log.t, log.channels[name][:, None], 400)
+    y = columns[:, 0]
+    chart = Chart(*figures.SMALL, (float(t[0]), float(t[-1])), padded(y), name, "t [s]", "")
+    return chart.render(chart.line(t, y, "predicted"))
+
+
+@face_of.register
+def _parameters(found: Parameters) -> Face:
+    rows = [Row([p.name, estimate(p), interval(p), p.origin], "" if p.free else "care") for p in found]
+    about = f"{len(found)}, {sum(p.free for p in found)} of them free"
+    return Face("Parameters", about, columns=("parameter", "value", "95 % interval", "from"), rows=rows)
+
+
+@face_of.register
+def _robot(found: Robot) -> Face:
+    loops = f", {count(len(found.loops), 'closed loop')}" if found.loops else ""
+    columns = ("actuated joint", "", "travel", "speed", "force")
+    rows = [Row([r.joint, r.kind, f"{_limit(r.lower)} … {_limit(r.upper)} {r.position_unit}",
+                 _up_to(r.velocity_limit, f"{r.position_unit}/s"), _up_to(r.effort_limit, r.force_unit)])
+            for r in table_of(found).itertuples()]  # fmt: skip
+    about = f"{found.name}, {count(found.na, 'actuated joint')}{loops}"
+    return Face("Robot", about, columns=columns, rows=rows, pictures=[robot_picture(found)], notes=found.warnings)
+
+
+def _limit(x: float) -> str:
+    return number(x, 3) if np.isfinite(x) else "no limit"
+
+
+def _up_to(x: float, unit: str) -> str:
+    return f"up to {number(x, 3)} {unit}" if np.isfinite(x) else ""
+
+
+@face_of.register
+def _model(found: Model) -> Face:
+    equations = dict.fromkeys(f"{e.name}: {e.equation}" for e in found.effects)
+    inner = _parameters(found.parameters)
+    return Face(
+        "Model", f"{found.robot.name}, {inner.about}", columns=inner.columns, rows=inner.rows, notes=[*equations]
+    )
+
+
+@face_of.register
+def _identification(found: Identification) -> Face:
+    judged, rows = words.verdict(found), parameter_rows(found)
+    cells = [Row([r.name, r.estimate, r.unit, r.interval, r.nominal, figures.row_bar(r), r.note],
+                 "" if r.state == "known" else "care") for r in rows]  # fmt: skip
+    curves = figures.friction_curves(found)
+    return Face(
+        "Identification",
+        found.model.robot.name,
+        words.headline(found),
+        judged.level,
+        {"good": "Ready to use", "care": "Use with care", "poor": "Not fit for use"}[judged.level],
+        ("parameter", "estimate", "unit", "95 % interval", "nominal", "", ""),
+        cells,
+        [figures.friction_chart(curve) for curve in curves[:_PICTURES]],
+        [judged.sentence, *found.warnings],
+    )
+
+
+@face_of.register
+def _diagnosis(found: Diagnosis) -> Face:
+    level, badge = diagnosis_words.badge(found)
+    steps = ladder(found)
+    rows = [
+        Row([r.label, _meter(steps.at(r.left)), percent(r.left) if np.isfinite(r.left) else "", listed(r.joints)])
+        for r in steps.rungs
+    ]
+    shown = [f.signature for f in found.findings if f.signature is not None]
+    notes = [f"{diagnosis_words.title(f)} ({f.status}): {f.sentence}" for f in found.findings]
+    return Face(
+        "Diagnosis",
+        f"{found.model.robot.name}, {listed(found.outputs)}",
+        found.sentence,
+        level,
+        badge,
+        ("of what was measured is missed", "", "", ""),
+        rows,
+        [chart for signature in shown[:2] for chart in signature_charts(signature)],
+        [*notes, *found.warnings],
+    )
+
+
+def _meter(share: float) -> Markup:
+    return tag("div", tag("i", style=f"width:{min(max(share, 0.0), 100.0):.1f}%"), class_="meter")
+
+
+@face_of.register
+def _modes(found: Modes) -> Face:
+    judged = modes_words.verdict(found)
+    rows = [
+        Row([
+            modes_words.frequency(m), modes_words.interval(m.frequency_hz, m.frequency_stderr), modes_words.damping(m),
+            modes_words.interval(100 * m.damping_ratio, 100 * m.damping_stderr),
+        ])
+        for m in found.modes
+    ]  # fmt: skip
+    charts = [bode_chart(found, i, j) for i, j in pairs(found)[:_PICTURES]]
+    return Face(
+        "Modes", f"order {found.order}, {found.method}", modes_words.headline(found), judged.level, modes_words.badge(found),
+        ("frequency [Hz]", "95 % interval", "damping [%]", "95 % interval"), rows, charts, [judged.sentence], ("modes",),
+    )  # fmt: skip
+
+
+@face_of.register
+def _calibration(found: Calibration) -> Face:
+    judged = calibration_words.verdict(found)
+    rows = [_dimension(row) for row in found.parameter_rows()]
+    return Face(
+        "Calibration", f"{found.robot.name}, model {found.chosen.name}", calibration_words.headline(found), judged.level,
+        calibration_words.badge(judged.level), ("dimension", "value", "unit", "95 % interval", "nominal"), rows,
+        [error_chart(found)], [judged.sentence, *found.warnings], ("calibration",),
+    )  # fmt: skip
+
+
+def _dimension(row: dict[str, Any]) -> Row:
+    stderr, ends = row["stderr"], row["ci95"]
+    between = f"{words.rounded(ends[0], stderr)} … {words.rounded(ends[1], stderr)}" if stderr and ends else ""
+    nominal = "" if row["nominal"] is None else number(row["nominal"], 6)
+    value = words.with_uncertainty(row["value"], stderr)
+    return Row([row["name"], value, pretty_unit(row["unit"]), between, nominal], "" if row["determined"] else "care")
+
+
+@face_of.register
+def _check(found: LogCheck) -> Face:
+    level = {"fault": "poor", "warning": "care", "ok": ""}
+    order = sorted(found.findings, key=lambda f: ("fault", "warning", "ok").index(f.severity))
+    rows = [
+        Row([f.topic, f.severity, f.sentence.removeprefix(f"{found.name}: "), f.remedy], level[f.severity])
+        for f in order
+    ]
+    said = "good" if found.fit_for_use and not found.warnings else "care" if found.fit_for_use else "poor"
+    return Face("Check", found.name, words.check_headline(found), said, columns=("topic", "", "", "remedy"), rows=rows)
+
+
+@face_of.register
+def _workspace(found: Study) -> Face:
+    judged, total = workspace_words.verdict(found), found.workspace.code.size
+    rows = [
+        Row([r["reason"], percent(100 * r["points"] / total), listed(r["culprits"], 4)])
+        for r in found.workspace.counts()
+    ]
+    return Face(
+        "Workspace", found.workspace.machine.robot.name, workspace_words.headline(found), judged.level,
+        workspace_words.badge(judged.level), ("not in it because of", "share of the box looked at", ""), rows,
+        [section_chart(found, s) for s in found.sections[:_PICTURES]], [judged.sentence, *found.warnings], ("workspace",),
+    )  # fmt: skip
+
+
+@face_of.register
+def _accuracy(found: AccuracyResult) -> Face:
+    judged, badge = accuracy_words.verdict(found)
+    rows, pictures = [], []
+    if found.accuracy is not None:
+        for method in found.accuracy.largest:
+            s = found.summary(method)
+            rows.append(Row([method, *(accuracy_words.size(x) for x in (s.least, s.median, s.most))]))
+        if found.grid is not None:
+            pictures = [error_map(found, found.accuracy.best_method)]
+    return Face(
+        "Accuracy", found.robot.name, accuracy_words.headline(found), judged.level, badge,
+        ("largest error by", "least", "median", "most"), rows, pictures, [judged.sentence, *found.measured.sentences],
+        ("accuracy",),
+    )  # fmt: skip
+
+
+@face_of.register
+def _poses(found: PoseTable) -> Face:
+    frame = table_of(found)
+    rows = [Row([_cell(x) for x in row], "" if row[-1] == "" else "poor") for row in frame.itertuples(index=False)]
+    about = f"{found.robot.name}, {int(found.ok.sum())} of {count(len(rows), 'row')} with an answer"
+    return Face("Poses", about, columns=list(frame.columns), rows=rows, notes=found.warnings)
+
+
+def _cell(x: Any) -> str:
+    return x if isinstance(x, str) else number(float(x), 6) if np.isfinite(x) else ""
+
+
+@face_of.register
+def _comparison(found: Comparison) -> Face:
+    rows = [Row(list(comparison.cells(c)), "poor" if c.changed else "" if c.changed is False else "care")
+            for c in comparison.in_order(found)]  # fmt: skip
+    notes = [f"{title}: {'; '.join(lines)}." for title, lines in comparison.circumstances(found)]
+    return Face(
+        "Comparison", f"{found.a.place} beside {found.b.place}", comparison.comparison_headline(found),
+        columns=("", "first", "second", "difference", "unit"), rows=rows,
+        notes=[*notes, *comparison.finding_lines(found), *found.warnings],
+    )  # fmt: skip
