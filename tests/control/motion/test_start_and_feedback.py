@@ -34,9 +34,8 @@ def test_encoder_noise_becomes_the_force_noise_that_a_cascade_makes(with_inertia
     model, sigma, dt = l1(), 5e-6, 1e-3
     law = CascadeLaw.for_model(model) if with_inertia else CascadeLaw.of(50.0, 1e4, na=3)
     q = model.robot.home
-    still = Trajectory(
-        model.robot.actuated, np.arange(4000) * dt, *(np.tile(x, (4000, 1)) for x in (q, 0 * q, 0 * q)), "rest"
-    )
+    rest = np.zeros((4000, 3))
+    still = Trajectory(model.robot.actuated, np.arange(4000) * dt, rest + q, rest, rest, "rest")
     controller, rng, zero = CascadeController(law), np.random.default_rng(5), np.zeros(3)
     controller.reset(still)
     tau = [controller.force(k, k * dt, q, zero, zero, q + sigma * rng.standard_normal(3)) for k in range(4000)]
