@@ -92,7 +92,7 @@ def test_serial_arm_errs_by_its_lever(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "say what is wrong"),
+        ([], "no error is given"),
         (["--actuator-error", "cart1=-5e-6"], "zero or a positive number"),
         (["--actuator-error", "nan"], "zero or a positive number"),
         (["--actuator-error", "cart7=1e-6"], "no actuated joint named 'cart7'"),

@@ -51,7 +51,7 @@ def test_all_configurations(tmp_path, capsys):
         (["ik", "gantry_tau", "--position", "1", "nan", "0"], "not a finite number"),
         (["ik", "gantry_tau"], "give --position X Y Z or --poses"),
         (["ik", "gantry_tau", "--position", "1.7", "-0.6", "0.7", "--quaternion", "0", "0", "0", "0"], "zero"),
-        (["fk", "gantry_tau", "--q", "0", "0"], "need 3 values, not 2"),
+        (["fk", "gantry_tau", "--q", "0", "0"], "one value for each actuated joint"),
         (["fk", "gantry_tau", "--q", "-5", "5", "0"], "no pose at cart1 = -5 m"),
         (["fk", "gantry_tau", "--poses", "missing.csv"], "missing.csv"),
     ],

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs"))
-from pages import ROOT
-from replay import replay
+from page_blocks import ROOT
+from page_replay import replay
 
 if not (ROOT / "docs" / "index.md").is_file():
     pytest.skip("the documentation is not here", allow_module_level=True)

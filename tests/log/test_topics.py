@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 import struct
 import sys
@@ -334,3 +335,10 @@ def test_damage_anywhere_is_a_sentence(tmp_path, rng, kind):
             assert read_log(target).n_samples >= 10
         except InputError as fault:
             assert "\n" not in str(fault).strip()
+
+
+def test_a_silent_pipe_is_refused_at_once(tmp_path):
+    """A recording is sought through; a pipe that nobody writes to would be waited for without end."""
+    os.mkfifo(tmp_path / "log.mcap")
+    with pytest.raises(InputError, match="pipe"):
+        read_log(tmp_path / "log.mcap")

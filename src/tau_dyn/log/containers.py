@@ -49,6 +49,8 @@ def read_any(path: str | Path, wanted: Mapping[str, str] | None = None) -> Table
 def _check_there(path: Path) -> None:
     if path.is_dir():
         return
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path.name} is a pipe or a device; a recording is read from a file.")
     try:
         with path.open("rb") as file:
             if not file.read(1):
