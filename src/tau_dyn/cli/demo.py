@@ -17,6 +17,8 @@ HELP = "the main job on made data with hidden effects: simulate, identify, diagn
 # Dressler 2012, Table 6.1: coulomb_neg, coulomb_pos [N], viscous_neg, viscous_pos [N/(m/s)] of each actuator
 TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00), (177.22, 239.06, 197.52, 185.94))
 _QUANTITIES = ("coulomb_neg", "coulomb_pos", "viscous_neg", "viscous_pos")
+RATE_HZ = 500.0
+"""Of control and log."""
 TOOTH = 0.0209
 """Distance after which cart 2's pinion repeats [m]."""
 RIPPLE = 2.0
@@ -43,15 +45,16 @@ def run(args: argparse.Namespace) -> Outcome:
 
         robot = load_robot("gantry_tau", prototype="l1")
         truth = hidden_model(true_model(robot, args.seed))
-        sensors = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=500.0)
+        sensors = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=RATE_HZ)
         logs = []
-        for k, (name, motion, duration) in enumerate((("monday", "fourier", 60.0), ("tuesday", "fourier", 40.0))):
+        for k, (name, motion, duration) in enumerate((("monday", "fourier", 48.0), ("tuesday", "fourier", 32.0))):
             path = named_motion(motion, truth, duration, args.seed + k)
             logs.append(
                 simulate(
                     truth,
                     path,
                     sensors=sensors,
+                    rate_hz=RATE_HZ,
                     seed=args.seed + k,
                     name=f"{name}.csv",
                     progress=lambda share, day=name: step(f"simulating {day}: {100 * share:.0f} %"),
