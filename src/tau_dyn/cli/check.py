@@ -20,7 +20,7 @@ HELP = "is a log fit for use, and what to mend"
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("log", metavar="LOG", help="CSV or Parquet")
+    parser.add_argument("log", metavar="LOG", help="CSV, Parquet, MCAP, a ROS bag or .mat")
     parser.add_argument("robot", metavar="ROBOT", nargs="?", help="the robot it is of; tells units and limits")
     add_robot_options(parser)
     parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")

@@ -18,7 +18,7 @@ def add_fitting(parser: argparse.ArgumentParser, *, model: str, holdout: str, ou
         "logs",
         metavar="LOG",
         nargs="+",
-        help="CSV or Parquet with t, q_JOINT, tau_JOINT, or a folder of Parquet files of one recording; never joined",
+        help="CSV, Parquet, MCAP, a ROS bag or .mat with t, q_JOINT, tau_JOINT; or a folder of Parquet files; never joined",
     )
     parser.add_argument("--holdout", metavar="LOG", nargs="+", action="extend", default=[], help=holdout)
     parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")

@@ -20,7 +20,9 @@ HELP = "resonances and black-box models from vibration logs"
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("logs", metavar="LOG", nargs="+", help="CSV or Parquet with t and any columns; never joined")
+    parser.add_argument(
+        "logs", metavar="LOG", nargs="+", help="CSV, Parquet, MCAP or .mat with t and any columns; never joined"
+    )
     names = parser.add_argument_group("columns, by name")
     names.add_argument("--inputs", metavar="COLUMN", nargs="+", action="extend", default=[], help="what excites")
     names.add_argument(
