@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 from numpy.testing import assert_allclose
 
 from tau_dyn.diagnose import diagnose
+from tau_dyn.diagnose.encoders import noise_only
 from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.effects import friction_model
+from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Sensors, named_motion, simulate
@@ -40,6 +45,26 @@ def test_a_controller_that_sees_the_truth_has_no_taps():
     q, noise = moved(rng)
     assert len(feedback_taps(q + noise, 0.5 * rng.standard_normal(q.shape), 20.0, RATE_HZ)) == 0
     assert len(feedback_taps(q + noise, answered(PD, noise), 200.0, RATE_HZ)) == 0  # nothing is left above the band
+
+
+def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
+    """Taps fitted to the made log are those of the loop, sign and all."""
+    axis = load_robot("linear_axis")
+    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units))
+    rng = np.random.default_rng(3)
+    t = np.arange(15_000) / RATE_HZ
+    w = 2 * np.pi * 0.7
+    q, v, a = (x[:, None] for x in (0.3 * np.sin(w * t), 0.3 * w * np.cos(w * t), -0.3 * w**2 * np.sin(w * t)))
+    noise, loop = 5e-6 * rng.standard_normal(q.shape), np.array([[[-8e4]], [[6e4]]])
+    tau = model.torque(q, v, a) + answered(loop, noise) + 0.2 * rng.standard_normal(q.shape)
+    log = Log(t, {"q_axis": (q + noise)[:, 0], "tau_axis": tau[:, 0]}, "loop.csv")
+    motion = model.motion(q, v, a, np.sign(v), t=t)
+    piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
+    channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
+    (made,) = noise_only(cast(Any, channel), model, [20.0], rng)
+    force = model.columns(motion) @ model.parameters.values
+    taps = feedback_taps(made.joint("q", axis.actuated), made.joint("tau", axis.actuated) - force, 20.0, RATE_HZ)
+    assert_allclose(taps, loop, rtol=0.05)
 
 
 def test_no_cause_is_found_in_a_loop_closed_through_the_encoder():
