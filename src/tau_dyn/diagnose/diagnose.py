@@ -119,7 +119,7 @@ def diagnose(
             found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
         if has_links(train):
             found.append(diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress))
-        return merged(found)
+        return _forces_missed(merged(found), prepared.robot, train)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
@@ -136,6 +136,15 @@ def in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
 def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:
     """Tell whether all logs have the force of every actuated joint."""
     return all(log.has("tau", robot.actuated) for log in logs)
+
+
+def _forces_missed(found: Diagnosis, robot: Robot, logs: Sequence[Log]) -> Diagnosis:
+    """Say so where forces were not looked at, since some are not there."""
+    if has_forces(robot, logs):
+        return found
+    missing = [f"tau_{j}" for j in robot.actuated if not all(log.has("tau", [j]) for log in logs)]
+    sentence = f"forces were not looked at, only positions: the logs have no {', '.join(missing)}"
+    return replace(found, warnings=(sentence, *found.warnings))
 
 
 def has_tool(robot: Robot, logs: Sequence[Log]) -> bool:
@@ -177,12 +186,13 @@ class _Case:
     smooth_hz: tuple[float, ...]
     clear_hz: float
     held: tuple[bool, ...]
+    pieces: tuple[Log, ...]
     how: str
 
     def noise_only(self, rng: np.random.Generator) -> Channel:
         """Return the channel of logs that hold nothing but the baseline and encoder noise."""
         assert isinstance(self.channel, ForceChannel)
-        logs = noise_only(self.channel, self.model, self.smooth_hz, rng)
+        logs = noise_only(self.channel, self.model, self.pieces, self.smooth_hz, rng)
         prepared = prepared_pieces(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = force_regression(self.nominal, prepared, self.preparation)
         return replace(
@@ -204,9 +214,10 @@ def _gather(
     warnings += [*model.robot.warnings, *log_warnings(model.robot, [*train, *held])]
     preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
     progress("columns")
-    pieces = [thinned_log(piece, preparation.position_cutoff_hz) for piece in (*train, *held)]
+    pieces = (*train, *held)
     smooth_hz, clear_hz = smooth_cutoffs(model.robot, train, held), clear_cutoff(model.robot, train)
-    prepared = prepared_pieces(model, pieces, preparation, smooth_hz)
+    thinned = [thinned_log(piece, preparation.position_cutoff_hz) for piece in pieces]
+    prepared = prepared_pieces(model, thinned, preparation, smooth_hz)
     regression = force_regression(model, prepared, preparation)
     physics = physics_of(model)
     progress("baseline")
@@ -217,7 +228,7 @@ def _gather(
     channel = force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
     how = (HELD_OUT if held else SHARED).format(what="logs")
     channel = replace(channel, parameters=model.parameters)
-    return _Case(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, how)
+    return _Case(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces, how)
 
 
 def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -> Diagnosis:

@@ -16,8 +16,8 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.feedback import answered, feedback_taps
-from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.feedback import answered, feedback_taps, left_in_loop
+from tau_dyn.diagnose.force import ForceChannel, thinned_log
 from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
 from tau_dyn.diagnose.parts import TRAIN
 from tau_dyn.diagnose.trials import Candidate, Library, one_sided
@@ -30,25 +30,47 @@ Remake = Callable[[Sequence[Log]], Channel]
 """Builds the channel of other logs as the first one was built: same filters, same parts, same baseline."""
 
 
-def noise_only(channel: ForceChannel, model: Model, smooth_hz: Sequence[float], rng: np.random.Generator) -> list[Log]:
-    """Return logs as the fitted baseline would have made them: fresh encoder noise, and in the forces only the answer to it."""
-    found = []
-    joints = channel.outputs
-    for piece, smooth in zip(channel.prepared, smooth_hz, strict=True):
-        m, log = piece.motion, piece.log
+def noise_only(
+    channel: ForceChannel, model: Model, logs: Sequence[Log], smooth_hz: Sequence[float], rng: np.random.Generator
+) -> list[Log]:
+    """Return logs as the fitted baseline would have made them: fresh encoder noise, and in the forces only the answer to it.
+
+    Args:
+        channel: The measured channel.
+        model: The fitted baseline.
+        logs: Its pieces as they were logged, before they were thinned.
+        smooth_hz: Low-pass of each piece's positions [Hz].
+        rng: Where the noise comes from.
+    """
+    found, joints = [], channel.outputs
+    for piece, log, smooth in zip(channel.prepared, logs, smooth_hz, strict=True):
+        m, cutoff = piece.motion, piece.preparation.position_cutoff_hz
         force = model.columns(model.motion(m.q, m.v, m.a, m.sign, t=m.t, signals=m.signals)) @ model.parameters.values
-        read = log.joint("q", joints)
-        smooth_q = m.q if smooth < piece.preparation.position_cutoff_hz else lowpass(read, smooth, log.rate_hz)
-        taps = feedback_taps(read, log.joint("tau", joints) - force, smooth, log.rate_hz)
-        q = smooth_q + encoder_noise(read) * rng.standard_normal(smooth_q.shape)
-        step = quantisation_step(read)
-        q = np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
-        force = force + answered(taps, q - smooth_q)
-        channels = dict(log.channels)
+        seen = thinned_log(
+            _noise(log, joints, m.signals["inertia"].mean(axis=0), min(smooth, cutoff), smooth, rng), cutoff
+        )
+        smooth_q = m.q if smooth < cutoff else lowpass(piece.log.joint("q", joints), smooth, piece.log.rate_hz)
+        q, force = smooth_q + seen.joint("q", joints), force + seen.joint("tau", joints)
+        channels = dict(piece.log.channels)
         for k, joint in enumerate(joints):
             channels |= {f"q_{joint}": q[:, k], f"tau_{joint}": force[:, k]}
-        found.append(replace(log, channels=channels))
+        found.append(replace(piece.log, channels=channels))
     return found
+
+
+def _noise(
+    log: Log, joints: Sequence[str], inertia: np.ndarray, smooth_hz: float, signal_hz: float, rng: np.random.Generator
+) -> Log:
+    """Return a log of nothing but fresh encoder noise, rounded as positions are, and what forces answer to it."""
+    read = log.joint("q", joints)
+    smooth = lowpass(read, smooth_hz, log.rate_hz)
+    q = smooth + encoder_noise(read) * rng.standard_normal(read.shape)
+    step = quantisation_step(read)
+    noise = np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q) - smooth
+    taps = feedback_taps(log, joints, signal_hz)
+    left = left_in_loop(taps, noise, inertia, log.rate_hz)
+    signals = {"q": left, "tau": answered(taps, left)}
+    return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
 
 
 def chance_with_encoders(

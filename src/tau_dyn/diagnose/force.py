@@ -38,9 +38,9 @@ BAND_FACTOR = 20.0
 SLOW_SHARE = 0.01
 SURE = 5.0
 """Speeds whose direction is sure, in the velocity's noise."""
-NEAR = 0.5
-"""Time gated out beside a reversal, in periods of the position filter: forces do not pass that filter here, as they do in
-identification, so only the direction's own uncertainty counts."""
+NEAR = 1.0
+"""Time gated out beside a reversal, in periods of the position filter: a joint may rest for half a period unseen, its friction
+anywhere between both directions, and the filter spreads the start over as much again. Rests passed for hysteresis and delays."""
 OVERSAMPLING = 5.0
 """Rate of a log that is worth keeping, in cutoffs of the position filter."""
 SMOOTH_FACTOR = 2.0
