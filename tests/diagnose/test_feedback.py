@@ -13,18 +13,16 @@ from scipy.signal import csd, welch
 
 from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.encoders import noise_only
-from tau_dyn.diagnose.feedback import answered, feedback_taps, left_in_loop
+from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.force import thinned_log
 from tau_dyn.effects import friction_model
-from tau_dyn.log import Log, lowpass
+from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Sensors, named_motion, simulate
 
 RATE_HZ = 500.0
 JOINTS = ("one", "two")
-HELD_FAST = 1e9
-"""An inertia [kg] that no answer moves: what is read of the noise is all of it."""
 PD = np.array([np.zeros((2, 2)), [[-7e4, 1e4], [0.0, -5e4]], [[6e4, 0.0], [0.0, 4e4]]])
 """Taps of two joints at lags -1, 0, 1 [N/m]; the second answers the first's noise as well."""
 
@@ -73,7 +71,7 @@ def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
     noise, loop = 5e-6 * rng.standard_normal(q.shape), np.array([[[0.0]], [[-8e4]], [[6e4]]])
     tau = model.torque(q, v, a) + answered(loop, noise) + 0.2 * rng.standard_normal(q.shape)
     log = logged(q + noise, tau, axis.actuated)
-    motion = model.motion(q, v, a, np.sign(v), t=t, signals={"inertia": np.full((len(t), 1, 1), HELD_FAST)})
+    motion = model.motion(q, v, a, np.sign(v), t=t)
     piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
     (made,) = noise_only(cast(Any, channel), model, [log], [20.0], rng)
@@ -91,7 +89,7 @@ def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
     answer = -gains[0] * noise - gains[1] * rate * np.diff(noise, axis=0, prepend=0.0)
     log = logged(noise, answer + 0.2 * rng.standard_normal(noise.shape), axis.actuated, rate)
     thin, zero = thinned_log(log, 50.0), np.zeros((len(t) // 8, 1))
-    motion = model.motion(zero, zero, zero, zero, t=thin.t, signals={"inertia": np.full((len(zero), 1, 1), HELD_FAST)})
+    motion = model.motion(zero, zero, zero, zero, t=thin.t)
     piece = SimpleNamespace(motion=motion, log=thin, preparation=SimpleNamespace(position_cutoff_hz=50.0))
     channel = SimpleNamespace(outputs=axis.actuated, prepared=[piece])
     (made,) = noise_only(cast(Any, channel), model, [log], [30.0], rng)
@@ -102,26 +100,6 @@ def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
         true = -gains[0] - gains[1] * rate * (1 - np.exp(-2j * np.pi * f[hz] / rate))
         assert abs(crossed[hz] / power[hz] / true) == pytest.approx(1.0, abs=0.1)
         assert np.angle(crossed[hz] / true) == pytest.approx(0.0, abs=0.1)
-
-
-def test_a_loop_follows_slow_noise_and_so_hides_it():
-    """A mass of 50 kg under a PD law, step by step, reads of its encoder's noise what `S n` says.
-
-    Up to 10 Hz it differs by less than 5 %, up to 100 Hz by 10 %: forces are held for a sample.
-    """
-    rng, dt, mass, kp, kv = np.random.default_rng(5), 1e-3, 50.0, 4e5, 1e4
-    noise = 1e-5 * rng.standard_normal((40_000, 1))
-    read, q, v = np.zeros(len(noise)), 0.0, 0.0
-    for k, n in enumerate(noise[:, 0]):
-        read[k] = q + n
-        force = -kp * read[k] - kv * (read[k] - read[k - 1]) / dt if k else 0.0
-        q, v = q + v * dt + 0.5 * force / mass * dt**2, v + force / mass * dt
-    taps = np.array([0.0, -kp - kv / dt, kv / dt])[:, None, None]
-    said = left_in_loop(taps, noise, np.array([[mass]]), 1 / dt)[:, 0]
-    for hz, off, seen in ((10.0, 0.05, 0.2), (100.0, 0.1, 1.0)):
-        a, b, n = (lowpass(x, hz, 1 / dt)[2000:-2000] for x in (read, said, noise[:, 0]))
-        assert np.std(a - b) < off * np.std(a)
-        assert np.std(a) < seen * np.std(n)
 
 
 def test_no_cause_is_found_in_a_loop_closed_through_the_encoder():

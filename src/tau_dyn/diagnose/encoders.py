@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.feedback import answered, feedback_taps, left_in_loop
+from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.force import ForceChannel, thinned_log
 from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
 from tau_dyn.diagnose.parts import TRAIN
@@ -46,9 +46,7 @@ def noise_only(
     for piece, log, smooth in zip(channel.prepared, logs, smooth_hz, strict=True):
         m, cutoff = piece.motion, piece.preparation.position_cutoff_hz
         force = model.columns(model.motion(m.q, m.v, m.a, m.sign, t=m.t, signals=m.signals)) @ model.parameters.values
-        seen = thinned_log(
-            _noise(log, joints, m.signals["inertia"].mean(axis=0), min(smooth, cutoff), smooth, rng), cutoff
-        )
+        seen = thinned_log(_noise(log, joints, min(smooth, cutoff), smooth, rng), cutoff)
         smooth_q = m.q if smooth < cutoff else lowpass(piece.log.joint("q", joints), smooth, piece.log.rate_hz)
         q, force = smooth_q + seen.joint("q", joints), force + seen.joint("tau", joints)
         channels = dict(piece.log.channels)
@@ -58,18 +56,14 @@ def noise_only(
     return found
 
 
-def _noise(
-    log: Log, joints: Sequence[str], inertia: np.ndarray, smooth_hz: float, signal_hz: float, rng: np.random.Generator
-) -> Log:
+def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, rng: np.random.Generator) -> Log:
     """Return a log of nothing but fresh encoder noise, rounded as positions are, and what forces answer to it."""
     read = log.joint("q", joints)
     smooth = lowpass(read, smooth_hz, log.rate_hz)
     q = smooth + encoder_noise(read) * rng.standard_normal(read.shape)
     step = quantisation_step(read)
     noise = np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q) - smooth
-    taps = feedback_taps(log, joints, signal_hz)
-    left = left_in_loop(taps, noise, inertia, log.rate_hz)
-    signals = {"q": left, "tau": answered(taps, left)}
+    signals = {"q": noise, "tau": answered(feedback_taps(log, joints, signal_hz), noise)}
     return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
 
 

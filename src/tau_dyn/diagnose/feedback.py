@@ -7,9 +7,8 @@ least squares on high-passed signals; how many lags there are, or none, is chose
 has them, are the same below that band, at the log's own rate: thinned, the same cascade has an answer of many taps, of which
 the low frequencies, where motion is, show nothing.
 
-The forces move the robot, and the encoder reads that, too: of the noise `n` the loop leaves `y = S n` in what is read, with
-`S = (I + M^-1 H / w^2)^-1` and M the inertia; it follows slow noise and repeats little of it. References: Ljung 1999, 13.4
-(identification in closed loop); Skogestad & Postlethwaite 2005, 2.2 (sensitivity).
+The forces move the robot, too: a loop follows slow noise, so that less of it is read. This is not counted on. A log may hold
+every fourth of the samples that the drive saw; what it read in between is aliased into the log, and nothing follows that.
 """
 
 from __future__ import annotations
@@ -57,22 +56,6 @@ def answered(taps: np.ndarray, noise: np.ndarray) -> np.ndarray:
     if not len(taps):
         return np.zeros_like(noise)
     return sum((x @ H for x, H in zip(_lagged(noise, len(taps) // 2), taps, strict=True)), np.zeros_like(noise))
-
-
-def left_in_loop(taps: np.ndarray, noise: np.ndarray, inertia: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Return what is read of encoder noise (N, na) while the forces of these taps act on an inertia (na, na) [kg or kg m^2]."""
-    if not len(taps):
-        return noise
-    omega = 2 * np.pi * np.fft.rfftfreq(len(noise), 1 / rate_hz)
-    lags = np.arange(len(taps)) - len(taps) // 2
-    H = np.tensordot(
-        np.exp(-1j * omega[:, None] * lags / rate_hz), taps.transpose(0, 2, 1), 1
-    )  # forces are rows times H
-    loop = inertia * omega[:, None, None] ** 2 + H
-    pushed = np.fft.rfft(noise, axis=0) @ inertia.T * omega[:, None] ** 2
-    left = np.zeros_like(pushed)  # a constant offset is followed
-    left[1:] = np.linalg.solve(loop[1:], pushed[1:, :, None])[..., 0]
-    return np.fft.irfft(left, len(noise), axis=0)
 
 
 def _lagged(noise: np.ndarray, reach: int) -> list[np.ndarray]:
