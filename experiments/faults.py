@@ -63,6 +63,7 @@ class Bench:
         if whole.status:
             raise SystemExit(f"the undisturbed run failed: {whole.err}")
         self.new, self.spent = contents(folder, OUTPUTS), whole.spent
+        self.largest = max((folder / name).stat().st_size for name in OUTPUTS)
 
     def disturbed(self, **how) -> tuple[Ended, str, list[str]]:
         """Run the command over old outputs; return how it ended, what is wrong, and what it left beside them."""
@@ -123,12 +124,11 @@ def interrupted(bench: Bench, runs: int, rng: np.random.Generator) -> Counter[st
 def disk(bench: Bench, runs: int, rng: np.random.Generator) -> Counter[str]:
     """A limit of a file's size, which a write meets as a full disk does."""
     outcomes: Counter[str] = Counter()
-    largest = max(len(text or "") for text in bench.new.values())
-    for most in np.geomspace(1, 2 * largest, runs).astype(int):
+    for most in np.geomspace(1, 2 * bench.largest, runs).astype(int):
         limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (int(most), int(most)))
         ended, wrong, left = bench.disturbed(prepare=limit)
         lines = [line for line in ended.err.splitlines() if not line.startswith("warning: ")]
-        good = ended.status == 2 and len(lines) == 1 or ended.status == 0 and most >= largest
+        good = ended.status == 2 and len(lines) == 1 or ended.status == 0 and most >= bench.largest
         said = f"status {ended.status}" if good else f"WRONG: status {ended.status}, {' / '.join(lines)[-150:]}"
         outcomes[
             f"WRONG: {wrong or left}" if wrong or left else f"{said}, outputs old or whole, nothing beside them"

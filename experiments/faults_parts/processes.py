@@ -38,8 +38,14 @@ def run(
     limit_s: float = 600.0,
 ) -> Ended:
     """Run words in a folder, and send a signal once the process has spent so much processor time [s]."""
+
+    def begin() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell lets what it starts in the background ignore Ctrl-C
+        if prepare is not None:
+            prepare()
+
     with subprocess.Popen(
-        words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=prepare
+        words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=begin
     ) as process:
         begun, used = time.monotonic(), 0.0
         while process.poll() is None and time.monotonic() - begun < limit_s:

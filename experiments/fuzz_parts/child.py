@@ -11,6 +11,7 @@ import select
 import signal
 from collections.abc import Callable, Iterator
 from importlib import import_module
+from importlib.util import find_spec
 from types import TracebackType
 from typing import Any
 
@@ -21,9 +22,17 @@ _MODULES = (
     "calibrate.compensation_file",
     "calibrate.poses.device_file",
     "calibrate.poses.progress_file",
+    "calibrate.saved",
     "cli",
+    "cli.run_folder",
     "compare",
+    "control",
     "dynamics",
+    "log.matlab_log",
+    "log.mcap_log",
+    "log.rosbag_log",
+    "report.comparison",
+    "scale.journal",
     "kinematics.accuracy.errors",
     "modes.model_file",
     "modes.record",
@@ -37,6 +46,9 @@ def load() -> None:
     """Import what readers need; nothing is run, so that no thread is there to be forked."""
     for name in _MODULES:
         import_module(f"tau_dyn.{name}")
+    for name in ("mcap.writer", "mcap_ros2.decoder", "rosbags.highlevel", "scipy.io"):
+        if find_spec(name.partition(".")[0]):
+            import_module(name)
 
 
 class Child:

@@ -94,8 +94,13 @@ def _scalar(rng: Random) -> Any:
         return text
 
 
+_DEEPEST = 500
+
+
 def yaml_tree(data: bytes, rng: Random) -> bytes:
     """Change nodes of a YAML file."""
+    if max(data.count(mark) for mark in (b"[", b"{", b"- -", b"? ?")) > _DEEPEST:
+        return data  # PyYAML's parser in C goes down a call a level, and the process with it
     try:
         tree = yaml.load(data, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         return yaml.safe_dump(change(tree, rng), sort_keys=False, allow_unicode=True).encode("utf-8", "replace")
@@ -192,3 +197,11 @@ def json_tricks(data: bytes, rng: Random) -> bytes:
 
 
 JSON = (json_tree, json_tree, json_tree, json_tricks)
+
+
+def json_lines(data: bytes, rng: Random) -> bytes:
+    """Change one line of a file of JSON lines."""
+    rows = data.split(b"\n")
+    k = rng.randrange(len(rows))
+    rows[k] = rng.choice(JSON)(rows[k], rng)
+    return b"\n".join(rows)

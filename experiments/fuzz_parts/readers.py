@@ -9,7 +9,8 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
-from fuzz_parts import mutate_bytes, mutate_tables, mutate_trees, mutate_xml, seeds
+import yaml
+from fuzz_parts import mutate_bytes, mutate_records, mutate_tables, mutate_trees, mutate_xml, recordings, seeds
 
 Mutation = Callable[[bytes, Random], bytes]
 
@@ -25,6 +26,7 @@ class Reader:
         mutations: What is done to them.
         read: Reads a file and uses what it read, as the commands do.
         weight: Share of the campaign's time, in parts.
+        needs: Libraries of extras without which it only says which to install.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Reader:
     mutations: Sequence[Mutation]
     read: Callable[[Path], object]
     weight: float = 1.0
+    needs: tuple[str, ...] = ()
 
     def mutated(self, bases: Sequence[bytes], rng: Random) -> bytes:
         """Return a case: a file after one to four mutations."""
@@ -40,8 +43,11 @@ class Reader:
         for _ in range(rng.choice((1, 1, 1, 2, 2, 4))):
             if rng.random() < 0.05:
                 data = mutate_bytes.splice(data, rng.choice(bases), rng)
-            else:
+                continue
+            try:
                 data = rng.choice(self.mutations)(data, rng)
+            except Exception:  # noqa: S112  a file so broken that the mutation's own library fails on it stays as it is
+                continue
         return data[: mutate_bytes.LARGEST * 4]
 
 
@@ -149,10 +155,13 @@ def _read_motion(path: Path) -> None:
 
 
 def _read_pose_table(path: Path) -> None:
+    """Read what `fk` asks for, then what `ik` does."""
     from tau_dyn.cli.pose_tables import read_columns
-    from tau_dyn.kinematics.pose_table import read_positions
+    from tau_dyn.kinematics.pose_table import read_poses, read_positions
 
-    read_positions(read_columns(path), _pendulum(), str(path))
+    table = read_columns(path)
+    read_positions(table, _pendulum(), str(path))
+    read_poses(table, _pendulum(), str(path))
 
 
 def _read_side(path: Path) -> None:
@@ -181,8 +190,83 @@ def _read_calibrated(path: Path) -> None:
     load_compensation(path)
 
 
+def _read_recording(path: Path) -> None:
+    """Read as it stands, else through a map that takes columns from two topics; one answer is enough."""
+    from tau_dyn.exceptions import TauDynError
+    from tau_dyn.log import ColumnMap, read_log
+
+    try:
+        _read_log(path)
+    except TauDynError:
+        if path.suffix == ".mat":
+            raise
+        read_log(path, ColumnMap.from_dict(yaml.safe_load(recordings.MAP)))
+
+
+def _read_bag_metadata(path: Path) -> None:
+    from tau_dyn.log import read_log
+
+    folder = path.parent / "bag_of_ours"
+    folder.mkdir(exist_ok=True)
+    if not (folder / "run.db3").exists():
+        (folder / "run.db3").write_bytes(recordings.bags(2)[0])
+    (folder / "metadata.yaml").write_bytes(path.read_bytes())
+    read_log(folder)
+
+
+def _read_run(path: Path) -> None:
+    """Compare a run folder with itself, make the page, and ask whether a run may be written to it."""
+    from tau_dyn.cli.run_folder import RunFolder
+    from tau_dyn.compare import compare, read_side
+    from tau_dyn.exceptions import InputError
+    from tau_dyn.report.comparison import comparison_page
+
+    folder = path.parent / "run_of_ours"
+    folder.mkdir(exist_ok=True)
+    (folder / "result.json").write_bytes(seeds.as_json(seeds.IDENTIFY)[0])
+    (folder / "run.json").write_bytes(path.read_bytes())
+    side = read_side(folder)
+    comparison_page(compare(side, side), command_line="tau-dyn compare a b")
+    try:
+        RunFolder(folder).check("identify", {"robot": "r.urdf"}, set())
+    except InputError as fault:
+        if len(str(fault)) > 1000:
+            raise
+
+
+def _read_calibration(path: Path) -> None:
+    from tau_dyn.calibrate.saved import load_calibration
+
+    robot = load_calibration(path)
+    seen = robot.seen(np.array([[0.1], [0.2]]))
+    if not np.isfinite(seen.position).all() and np.abs(robot.theta).max(initial=0) < 1e9:
+        raise AssertionError("a calibrated robot whose poses are not finite")
+
+
+def _read_journal(path: Path) -> None:
+    from tau_dyn.scale.journal import run_journaled
+
+    list(run_journaled(float, range(6), path))
+
+
+def _read_correction(path: Path) -> None:
+    from tau_dyn.control import read_correction
+
+    read_correction(path, ("axis",), period=0.01)
+
+
+def _read_reference(path: Path) -> None:
+    from tau_dyn.control.interface.reference import digest, read_reference
+
+    digest(read_reference(path, ("axis",), period=0.01))
+
+
 _T, _B, _X, _J, _Y = mutate_tables.CSV, mutate_bytes.TEXT, mutate_xml.XML, mutate_trees.JSON, mutate_trees.YAML
+_JOURNAL = (mutate_trees.json_lines,) * 6 + _B
 _TABLE, _YAML, _JSON, _XML = _T * 2 + _B, _Y * 3 + _B, _J * 3 + _B, _X * 3 + _B + mutate_xml.RARE
+
+
+_BINARY = mutate_bytes.ANY
 
 
 def _of(*files: bytes) -> Callable[[Path], list[bytes]]:
@@ -276,7 +360,62 @@ READERS = {
         ),
         Reader("progress", ".json", lambda f: seeds.as_json(seeds.PROGRESS), _JSON, _read_progress),
         Reader(
-            "image", ".png", lambda f: seeds.images(), mutate_bytes.ANY, _by_name("tau_dyn.vision.images", "read_image")
+            "image",
+            ".png",
+            lambda f: seeds.images(),
+            (*mutate_bytes.ANY, mutate_records.integers),
+            _by_name("tau_dyn.vision.images", "read_image"),
+            needs=("cv2",),
+        ),
+        Reader(
+            "mcap",
+            ".mcap",
+            lambda f: recordings.mcaps(),
+            mutate_records.MCAP * 3 + _BINARY,
+            _read_recording,
+            3,
+            needs=("mcap_ros2",),
+        ),
+        Reader(
+            "bag1",
+            ".bag",
+            lambda f: recordings.bags(1),
+            mutate_records.BAG * 3 + _BINARY,
+            _read_recording,
+            2,
+            needs=("rosbags",),
+        ),
+        Reader(
+            "bag2",
+            ".db3",
+            lambda f: recordings.bags(2)[:1],
+            mutate_records.DATABASE * 3 + _BINARY,
+            _read_recording,
+            2,
+            needs=("rosbags",),
+        ),
+        Reader(
+            "bag2_metadata", ".yaml", lambda f: recordings.bags(2)[1:], _YAML, _read_bag_metadata, needs=("rosbags",)
+        ),
+        Reader("matlab", ".mat", lambda f: recordings.mats(), mutate_records.MAT * 3 + _BINARY, _read_recording, 2),
+        Reader("run", ".json", lambda f: seeds.as_json(seeds.RUN), _JSON, _read_run),
+        Reader("calibrated_robot", ".yaml", lambda f: [seeds.calibrated(f)], _YAML, _read_calibration, 2),
+        Reader("journal", ".jsonl", lambda f: [seeds.journal(f)], _JOURNAL, _read_journal),
+        Reader("correction", ".csv", lambda f: [seeds.correction()], _TABLE, _read_correction),
+        Reader("reference", ".csv", lambda f: [seeds.csv_of(seeds.reference())], _TABLE, _read_reference),
+        Reader(
+            "measured_points",
+            ".csv",
+            lambda f: [seeds.csv_of(seeds.poses())],
+            _TABLE,
+            _by_name("tau_dyn.log.measured", "read_measured", ("axis",)),
+        ),
+        Reader(
+            "image_positions",
+            ".csv",
+            lambda f: [seeds.positions()],
+            _TABLE,
+            _by_name("tau_dyn.vision.pose_table", "read_positions"),
         ),
     )
 }

@@ -214,6 +214,20 @@ PROGRESS = {
     ],
 }
 
+RUN = {
+    "run_format": 1,
+    "command": "identify",
+    "command_line": "tau-dyn identify r.urdf a.csv --out run/",
+    "configuration": {"robot": "r.urdf", "logs": ["a.csv"], "seed": 0, "physical": True, "lowpass": None},
+    "inputs": [{"path": "a.csv", "sha256": "00"}],
+    "versions": {"tau_dyn": "0.1.0", "python": "3.11.2"},
+    "seed": 0,
+    "started": "2026-01-01T10:00:00+01:00",
+    "duration_s": 3.5,
+    "exit_status": 0,
+    "files": {"result.json": "00", "model.yaml": "11"},
+}
+
 
 def as_json(*results: dict) -> list[bytes]:
     """Return results as JSON files."""
@@ -254,3 +268,44 @@ def images() -> list[bytes]:
 
     picture = (np.indices((48, 64)).sum(axis=0) // 8 % 2 * 255).astype(np.uint8)
     return [bytes(cv2.imencode(suffix, picture)[1]) for suffix in (".png", ".jpg", ".bmp", ".tiff", ".pgm")]
+
+
+@cache
+def calibrated(folder: Path) -> bytes:
+    """Return a calibrated pendulum."""
+    from tau_dyn.calibrate import calibrate
+    from tau_dyn.calibrate.pose_set import read_poses
+    from tau_dyn.calibrate.saved import save_calibration
+    from tau_dyn.robot import robot_from_urdf
+
+    (folder / "seed_poses.csv").write_bytes(csv_of(poses()))
+    found = calibrate(robot_from_urdf(PENDULUM, "pendulum.urdf"), read_poses(folder / "seed_poses.csv", ("axis",)))
+    save_calibration(folder / "seed_calibrated.yaml", found)
+    return (folder / "seed_calibrated.yaml").read_bytes()
+
+
+@cache
+def journal(folder: Path) -> bytes:
+    """Return the journal of a run that was killed after three of six items."""
+    from tau_dyn.scale.journal import run_journaled
+
+    list(run_journaled(float, range(3), folder / "seed.jsonl"))
+    return (folder / "seed.jsonl").read_bytes()
+
+
+def reference() -> dict[str, np.ndarray]:
+    """Return the columns of a reference file, a row every 10 ms."""
+    t = np.arange(30) * 0.01
+    return {"t": t, "q_ref_axis": 0.1 * np.sin(t), "v_ref_axis": 0.1 * np.cos(t), "a_ref_axis": -0.1 * np.sin(t)}
+
+
+def correction() -> bytes:
+    """Return a correction file of the pendulum."""
+    from tau_dyn.control.interface.correction import Correction, correction_text
+
+    return correction_text(Correction(("axis",), 0.01, np.zeros((30, 1)) + 1e-4, "0123456789abcdef")).encode()
+
+
+def positions() -> bytes:
+    """Return robot positions, each with the image taken there."""
+    return b"image,q_axis\n" + b"".join(b"img_%03d.png,%.3f\n" % (k, 0.1 * k) for k in range(12))

@@ -15,7 +15,7 @@ import pytest
 from tau_dyn.cli import build_parser, main
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_whole, writing_whole
-from tau_dyn.log import Log, open_log, stream
+from tau_dyn.log import Log, copies, open_log, stream
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full and fork")
 
@@ -129,7 +129,7 @@ def test_no_room_for_a_copy_of_a_large_log(log, tmp_path, monkeypatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(stream.pq.ParquetWriter, "write_table", full)
+    monkeypatch.setattr(copies.pq.ParquetWriter, "write_table", full)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with pytest.raises(
         InputError, match=r"its copy in .* failed \(No space left on device\); free some space there.*TMPDIR"

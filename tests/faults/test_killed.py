@@ -118,7 +118,7 @@ def test_only_the_dead_are_tidied_up(tmp_path) -> None:
 
 def test_a_killed_copy_of_a_large_log_goes(tmp_path, monkeypatch, child) -> None:
     """The temporary folder of a run that was killed, which may hold gigabytes, is removed by the next one."""
-    from tau_dyn.log.stream import TemporaryFolder
+    from tau_dyn.log.copies import TemporaryFolder
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -35,6 +37,9 @@ NOT_UTF8 = parquet(q_axis=[0.0] * 20).replace(b"q_axis", b"q_\xe0xis")
 DEEP_CHAIN = seeds.PENDULUM.replace(
     "</robot>", "".join(f'<link name="k{k}_link"/>' for k in range(3000)) + "</robot>"
 ).encode()
+with TemporaryDirectory() as made:
+    COMPENSATION = seeds.compensation_file(Path(made))
+    CALIBRATED = seeds.calibrated(Path(made))
 FOUND = {
     "a header cell beyond the csv module's 128 KiB": ("csv", csv("t,q_axis," + "x" * 140_000)),
     "a quoted cell beyond 128 KiB": ("csv", csv(LOG, '"' + "x" * 140_000 + '"')),
@@ -61,6 +66,17 @@ FOUND = {
     "joints that are no names": ("progress", json.dumps({**seeds.PROGRESS, "actuated": [True]}).encode()),
     "a motion of thousands of years": ("motion", b"t,q_ref_axis\n" + b"".join(b"%d,0.1\n" % (k * 10**10) for k in range(20))),
     "a robot of 3000 links": ("urdf", DEEP_CHAIN),
+    "a compensation of a list of kinds": ("compensation", COMPENSATION.replace(b"kind: tree", b"kind: [tree]")),
+    "a calibrated robot whose orientation is a number": (
+        "calibrated_robot", re.sub(rb"quaternion:\n( +- .*\n){4}", b"quaternion: 1.0\n", CALIBRATED, count=1)),
+    "a clock with a key that is a number": ("column_map", b"t: {rate_hz: 100, 1.5: 2}\nq_axis: position\n"),
+    "couplings of a key that is a number": ("column_map", seeds.COLUMN_MAP.replace(b"q_offset: [0.0]", b"1.5: [0.0]")),
+    "a journal whose item is a tree": ("journal", b'{"about": {}}\n{"item": {"a": 1}, "result": 1}\n'),
+    "a journal a thousand levels deep": ("journal", b"[" * 100_000 + b"\n"),
+    "a calibrated robot whose backlash is none": (
+        "calibrated_robot", CALIBRATED.replace(b"backlash:\n- 0.0", b"backlash:\n- .nan")),
+    "a calibrated robot whose device is nowhere": ("calibrated_robot", CALIBRATED.replace(
+        b"frames:\n  device:\n  - translation:\n    - ", b"frames:\n  device:\n  - translation:\n    - .nan\n    - ")),
     "elements 20000 deep": ("xacro", seeds.XACRO.replace("</robot>", "<a>" * 20_000 + "</a>" * 20_000 + "</robot>").encode()),
 }  # fmt: skip
 
@@ -73,6 +89,14 @@ def test_what_was_found_is_refused_in_a_sentence(case: str, tmp_path: Path) -> N
     path.write_bytes(data)
     verdict = judge(READERS[name].read, path, 5.0)
     assert verdict.kind == "refused", verdict
+
+
+def test_uneven_steps_and_numbers_near_the_largest_are_read(tmp_path: Path) -> None:
+    """The spline of a foreign column had slopes beyond a float; found in a MATLAB file."""
+    t = [k * 0.01 + 0.003 * (k % 2) for k in range(40)]
+    rows = "".join(f"{x},{x},{x},{1e308 * (-1) ** k}\n" for k, x in enumerate(t))
+    (tmp_path / "log.csv").write_text("t,q_axis,tau_axis,other\n" + rows)
+    assert judge(READERS["csv"].read, tmp_path / "log.csv", 5.0).kind == "answer"
 
 
 def test_poses_of_as_many_campaigns_as_poses_are_read_in_linear_time(tmp_path: Path) -> None:

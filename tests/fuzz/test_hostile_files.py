@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import gzip
+import hashlib
+import json
 import os
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from tau_dyn import files
-from tau_dyn.cli import COMMANDS, build_parser
+from tau_dyn.cli import COMMANDS, build_parser, main
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes, read_yaml
 from tau_dyn.log import ColumnMap, read_log
+from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 
 XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}<link name="base_link"/></robot>'
@@ -225,3 +231,92 @@ def test_sizes_without_end_are_refused_before_they_are_read(tmp_path: Path) -> N
         read_yaml(path)
     with pytest.raises(InputError, match="bytes; such a file has"):
         load_robot(path.rename(tmp_path / "huge.urdf"))
+
+
+def _readers() -> dict[str, Callable[[Path], object]]:
+    """Return the readers that once opened whatever stood at a path."""
+    from tau_dyn.calibrate.poses.progress_file import read_progress
+    from tau_dyn.cli.pose_tables import read_columns
+    from tau_dyn.compare import read_side
+    from tau_dyn.view.results import read_cloud, read_result
+    from tau_dyn.vision.images import read_image
+
+    return {
+        "compare": read_side,
+        "view": lambda path: read_result(path, load_robot("linear_axis")),
+        "cloud": read_cloud,
+        "progress": lambda path: read_progress(path, ("axis",)),
+        "poses": read_columns,
+        "image": read_image,
+    }
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes by name there")
+@pytest.mark.parametrize("name", ["compare", "view", "cloud", "progress", "poses", "image"])
+def test_no_reader_waits_at_a_pipe_or_reads_a_device_without_end(tmp_path: Path, monkeypatch, name: str) -> None:
+    """Results, clouds, poses and images, too: `cat result.json > pipe` that never comes, `/dev/zero`."""
+    pytest.importorskip("cv2" if name == "image" else "numpy")
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr(files, "_PATIENCE", 0.1)
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(InputError, match="nobody writes|a device"):
+            _readers()[name](path)
+
+
+def test_a_packed_cloud_is_not_inflated(tmp_path: Path) -> None:
+    """By its name `.gz`, pandas opened it, and 0.5 MB became 300; clouds are read as they stand."""
+    (tmp_path / "c.csv.gz").write_bytes(gzip.compress(b"x,y,z\n" + b"0,0,0\n" * 1000))
+    with pytest.raises(InputError, match="cannot be read as CSV"):
+        _readers()["cloud"](tmp_path / "c.csv.gz")
+
+
+def test_a_picture_of_gigapixels_is_refused(tmp_path: Path, monkeypatch) -> None:
+    """A PNG of 2 MB declares a billion grey values of 16 bits, which became eight gigabytes of floats."""
+    cv2 = pytest.importorskip("cv2")
+    monkeypatch.setattr("tau_dyn.vision.images._MOST_PIXELS", 10_000)
+    (tmp_path / "x.png").write_bytes(bytes(cv2.imencode(".png", np.zeros((101, 100), np.uint16))[1]))
+    with pytest.raises(InputError, match="100x101 pixels"):
+        _readers()["image"](tmp_path / "x.png")
+
+
+def _run(folder: Path) -> None:
+    assert main(["fk", "linear_axis", "--q", "0.1", "--quiet", "--out", f"{folder}/"]) == 0
+
+
+def test_a_run_folder_with_links_leads_to_nothing_outside(tmp_path: Path) -> None:
+    """Files of an earlier run that are links to other places: the rerun replaces the links, what they led to stays."""
+    folder, outside = tmp_path / "run", tmp_path / "outside"
+    _run(folder)
+    outside.mkdir()
+    for path in list(folder.iterdir()):
+        if path.name != "run.json":
+            path.rename(outside / path.name)
+            path.symlink_to(outside / path.name)
+    before = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in outside.iterdir()}
+    _run(folder)
+    assert {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in outside.iterdir()} == before
+    assert not any(path.is_symlink() for path in folder.iterdir())
+
+
+def test_a_run_folder_whose_list_names_files_elsewhere_removes_none(tmp_path: Path) -> None:
+    """`run.json` says what a rerun may replace: paths that lead out are no names of its files."""
+    folder = tmp_path / "run"
+    _run(folder)
+    (tmp_path / "mine.csv").write_text("mine")
+    held = json.loads((folder / "run.json").read_text())
+    digest = hashlib.sha256(b"mine").hexdigest()
+    held["files"] |= {"../mine.csv": digest, str(tmp_path / "mine.csv"): digest, "..": "", "": "", ".": ""}
+    (folder / "run.json").write_text(json.dumps(held))
+    _run(folder)
+    assert (tmp_path / "mine.csv").read_text() == "mine" and (folder / "run.json").is_file()
+
+
+def test_a_model_that_names_a_file_as_its_robot_never_opens_it(tmp_path: Path, monkeypatch) -> None:
+    """What a model says of where its robot came from is a word for people; the robot is inside."""
+    Model.of(load_robot("linear_axis")).save(tmp_path / "m.yaml")
+    content = yaml.safe_load((tmp_path / "m.yaml").read_text())
+    content["robot"]["source"] = "/dev/zero"
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(content))
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", "m.yaml", "m.yaml", "--quiet", "--json", "c.json"]) == 0
+    assert main(["export", "m.yaml", "--to", "urdf", "--quiet", "--out", "m.urdf"]) == 0

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import json
+import shutil
 import sys
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -33,6 +36,7 @@ COMMANDS = {
     "calibrate": ["calibrate", "r.urdf", "poses.csv"],
 }  # fmt: skip
 LONG = {
+    "plan-motion": ["plan-motion", "r.urdf", "--from-joints=-0.1", "--to-joints", "0.1", "--out", "motion.csv"],
     "modes": ["modes", FILE, "--inputs", f"tau_{EVIL}", "--outputs", f"q_{EVIL}", "--method", "arx", "--order", "2"],
     "accuracy": ["accuracy", "r.urdf", "--actuator-error", "0.0001"],
     "excite": ["excite", "r.urdf", "--duration", "4", "--out", "exc.csv"],
@@ -102,6 +106,31 @@ def test_no_hostile_name_gets_out_of_its_place_on_a_page(folder: Path, name: str
         assert main([*COMMANDS["identify"], "--quiet"]) == 0
         capsys.readouterr()
     check_page(folder, name, COMMANDS[name], monkeypatch, capsys)
+
+
+def test_run_folders_of_hostile_words_are_compared_as_text(folder: Path, monkeypatch, capsys) -> None:
+    """Somebody else's run.json and result.json: every word in them is a script, and none of them runs."""
+    monkeypatch.chdir(folder)
+    assert main([*COMMANDS["fk"], "--quiet", "--out", "run/"]) == 0
+    for name, more in (("one", ""), ("two", "2")):
+        shutil.copytree("run", name)
+        for file in ("run.json", "result.json"):
+            held = json.loads((folder / name / file).read_text())
+            kept = {"run_format": held.get("run_format"), "command": f"{EVIL}", "status": "ok"}
+            (folder / name / file).write_text(json.dumps(_evil(held, more) | {k: v for k, v in kept.items() if v}))
+    capsys.readouterr()
+    check_page(folder, "compare-runs", ["compare", "one", "two"], monkeypatch, capsys)
+
+
+def _evil(held: object, more: str) -> Any:
+    """Return the same tree with every text, and every name in it that is free, a script."""
+    if isinstance(held, dict):
+        free = {"configuration", "versions", "files"}
+        inside = {k: {f"{EVIL}{n}": x for n, x in v.items()} if k in free and v else v for k, v in held.items()}
+        return {k: _evil(v, more) for k, v in inside.items()}
+    if isinstance(held, list):
+        return [_evil(x, more) for x in held]
+    return f"{EVIL}{held}{more}" if isinstance(held, str) else held
 
 
 @pytest.mark.slow

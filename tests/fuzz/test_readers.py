@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from fuzz_parts.judge import judge
-from fuzz_parts.readers import READERS
+from fuzz_parts.readers import READERS, Reader
 
 QUICK = settings(
     derandomize=True, database=None, deadline=None, max_examples=15, suppress_health_check=list(HealthCheck)
@@ -34,10 +34,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("cases")
 
 
+def _installed(name: str) -> Reader:
+    for library in READERS[name].needs:
+        pytest.importorskip(library)
+    return READERS[name]
+
+
 @pytest.mark.parametrize("name", READERS)
 def test_mutated_files_are_answered_or_refused(name: str, folder: Path) -> None:
     """Valid files after some mutations: no traceback, no silence, no hang."""
-    reader = READERS[name]
+    reader = _installed(name)
     bases, path = list(reader.valid(folder)), folder / f"{name}{reader.suffix}"
 
     @QUICK
@@ -53,7 +59,7 @@ def test_mutated_files_are_answered_or_refused(name: str, folder: Path) -> None:
 @pytest.mark.parametrize("name", READERS)
 def test_valid_files_are_answered(name: str, folder: Path) -> None:
     """What is mutated is read in the first place; a reader that refuses everything would pass the other tests."""
-    reader = READERS[name]
+    reader = _installed(name)
     for k, data in enumerate(reader.valid(folder)):
         path = folder / f"valid_{name}_{k}{reader.suffix}"
         path.write_bytes(data)
@@ -63,7 +69,7 @@ def test_valid_files_are_answered(name: str, folder: Path) -> None:
 @pytest.mark.parametrize("name", YAML_READERS)
 def test_any_yaml_under_any_key_is_answered_or_refused(name: str, folder: Path) -> None:
     """A valid file in which one entry holds any tree at all."""
-    reader, path = READERS[name], folder / f"tree_{name}.yaml"
+    reader, path = _installed(name), folder / f"tree_{name}.yaml"
     valid = yaml.safe_load(reader.valid(folder)[0])
 
     @QUICK

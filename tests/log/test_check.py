@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.log import Log, check_log, unit_warnings
+from tau_dyn.log import Log, check_log, differentiate, lowpass, unit_warnings
+from tau_dyn.log.check_motion import motion_cutoff
 
 
 def topics(check, severity: str | None = None) -> set[str]:
@@ -139,9 +140,9 @@ def test_a_robots_missing_columns_are_named(axis_log):
 @pytest.mark.parametrize(
     ("factor", "kind", "limit", "words"),
     [
-        (1000, "prismatic", 1.0, "it reads like mm: give scale 0.001"),
+        (1000, "prismatic", 1.0, "it reads like mm: write `q_axis: {column: q_axis, scale: 0.001}`"),
         (1000, "prismatic", np.inf, "it reads like mm"),
-        (180 / np.pi, "revolute", 2.0, "it reads like degrees: give scale 0.0174532925"),
+        (180 / np.pi, "revolute", 2.0, "it reads like degrees: write `q_axis: {column: q_axis, scale: 0.0174532925}`"),
         (1e5, "revolute", 2.0, "is it this joint, at its own side of the gear, in rad?"),
     ],
 )
@@ -172,3 +173,13 @@ def test_a_log_of_ten_samples_is_judged_without_a_crash(rng):
     """Too little to filter is still told so."""
     log = Log(np.arange(10) / 100, {"q_axis": rng.standard_normal(10), "tau_axis": rng.standard_normal(10)})
     assert "sampling" in topics(check_log(log))
+
+
+def test_the_noise_of_a_differentiated_encoder_is_what_is_left_of_it(axis_log, motion):
+    """Twice filtered and differentiated, the encoder's 5 um of noise alone make what the check calls acceleration noise."""
+    noise = axis_log.channels["q_axis"] - motion(axis_log.t)
+    left = lowpass(noise, motion_cutoff(axis_log), axis_log.rate_hz)
+    for name in ("velocity_noise", "acceleration_noise"):
+        left = differentiate(left, axis_log.dt)
+        told = check_log(axis_log).numbers["joints"]["axis"][name]
+        assert told == pytest.approx(float(left[500:-500].std()), rel=0.15)

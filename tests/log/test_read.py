@@ -83,7 +83,7 @@ def test_a_missing_file_a_folder_and_a_foreign_format_are_named(tmp_path, csv_fi
         (b"", "is empty"),
         (b"# only a comment\n\n", "has no header"),
         (b"t,q_axis\n", "ends after its header in line 1"),
-        (b"t,q_axis\n0,1\n0.1,2\n", "has 2 sample(s)"),
+        (b"t,q_axis\n0,1\n0.1,2\n", "has 2 samples"),
         (b"\xff\xfet\x00,\x00", "UTF-16"),
         (b"0.0,1.0,2.0\n0.1,1.0,2.0\n", "the header is missing"),
         (b"t,q_axis,\n0,1,2\n", "column 3 has no name"),
@@ -218,3 +218,10 @@ def test_quoted_cells_may_hold_separators(csv_file, good_lines):
     lines[5] = good_lines[5] + ',"open'
     lines[6] = good_lines[6] + ',close"'
     assert refusal(csv_file(lines))
+
+
+def test_of_several_rows_of_another_length_the_first_is_named(csv_file, good_lines):
+    """Lines 5 and 9 have a cell more: whoever mends the file begins at the top."""
+    good_lines[4] += ",7"
+    good_lines[8] += ",7"
+    assert "line 5 has 4 cells" in refusal(csv_file(good_lines))

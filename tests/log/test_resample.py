@@ -53,13 +53,13 @@ def test_single_lost_samples_are_interpolated_and_counted(even, lossy):
     filled = ensure_even(log)
     assert_allclose(filled.t, even.t, atol=1e-9)
     assert_allclose(filled.channels["q_axis"], even.channels["q_axis"], atol=2e-5)
-    assert "3 sample(s) are missing" in filled.warnings[0]
+    assert "3 samples are missing" in filled.warnings[0]
 
 
 def test_a_gap_is_never_bridged(even, lossy):
     """Twenty lost samples: no interpolation, and two segments that lose nothing else and say why."""
     log = lossy(np.arange(700, 720))
-    with pytest.raises(InputError, match=r"tuesday\.csv has 1 gap\(s\) in time: 0.084 s after t = 2.796 s"):
+    with pytest.raises(InputError, match=r"tuesday\.csv has 1 gap in time: 0.084 s after t = 2.796 s"):
         ensure_even(log)
     parts = segments(log)
     assert [part.n_samples for part in parts] == [700, 1280]
@@ -98,3 +98,9 @@ def test_rounded_stamps_with_a_lost_sample_are_not_taken_for_even(motion):
     log = Log(np.round(true, 4), {"q_axis": motion(true)})
     assert examine_clock(log).n_missing == 1
     assert_allclose(ensure_even(log).channels["q_axis"], motion(np.arange(3000) / 300), atol=3e-4)
+
+
+def test_jitter_that_was_rounded_is_jitter(motion, rng):
+    """Stamps in whole milliseconds that stray by up to 3 ms from an even 100 Hz are no rounding of it."""
+    t = np.round(np.arange(1000) / 100 + 3e-3 * rng.uniform(-1, 1, 1000), 3)
+    assert not examine_clock(Log(t, {"q_axis": motion(t)})).rounded

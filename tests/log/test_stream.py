@@ -89,6 +89,14 @@ def test_windows_on_an_even_clock_equal_the_whole_log(tmp_path, kind: str) -> No
     agree(path, recording)
 
 
+def test_steps_of_two_lengths_by_turns_leave_none_usual(tmp_path) -> None:
+    """Where every step is half as long again or half as long as their mean, the mean is the even clock's, as in memory."""
+    t = 2.0**-10 * np.arange(N + 1)
+    t[1::2] -= 2.0**-11
+    path = stored(tmp_path, table(t))
+    agree(path, open_log(path))
+
+
 def test_a_folder_is_one_recording(tmp_path) -> None:
     """Files that follow each other in time are joined in the order of their names, however they are cut."""
     frame = table()
@@ -117,6 +125,23 @@ def test_a_large_text_file_is_the_same_recording(tmp_path) -> None:
         assert np.array_equal(log.channels[name], frame[name])
 
 
+def test_foreign_columns_of_large_text_are_those_of_the_whole_log(tmp_path) -> None:
+    """A flag to leave samples out by is kept, holes and all; what is text anywhere is left out, as in a log read at once."""
+    flag = (np.arange(N) % 100 == 7).astype(float)
+    flag[12_345] = np.nan
+    frame = table().assign(flag=flag, mode="auto", state=[*[1] * (N - 1), "stop"])
+    frame = frame.rename(columns={"q_axis": "pos"}).assign(temp_axis=30.0)
+    path = tmp_path / "log.csv"
+    frame.to_csv(path, index=False)
+    map_ = ColumnMap.from_dict({"q_axis": {"column": "pos", "scale": 2.0}})
+    whole, recording = read_log(path, map_), open_log(path, map_)
+    assert isinstance(recording, Recording)
+    log = recording.whole()
+    assert set(log.channels) == set(whole.channels) == {"q_axis", "tau_axis", "temp_axis", "flag"}
+    for name, values in whole.channels.items():
+        assert np.array_equal(log.channels[name], values, equal_nan=True)
+
+
 def test_huge_row_groups_are_cut(tmp_path, monkeypatch) -> None:
     """A file written as one row group does not have to fit in memory."""
     monkeypatch.setattr(stream, "GROUP_ROWS", 5000)
@@ -140,6 +165,67 @@ def test_foreign_columns_are_converted_window_by_window(tmp_path) -> None:
     assert_allclose(part.t, whole.t[5000:9000], rtol=0, atol=1e-12)
     for name in NAMES:
         assert np.array_equal(part.channels[name], whole.channels[name][5000:9000])
+
+
+def test_every_coupled_signal_is_mixed_as_in_the_whole_log(tmp_path) -> None:
+    """Shared reducers couple references and load-side positions too, whose names hold an underscore."""
+    frame = pd.DataFrame(
+        {"t": 1e-3 * np.arange(N), **{c: np.sin(3e-3 * k * np.arange(N)) for k, c in enumerate("abcd", 1)}}
+    )
+    map_ = ColumnMap.from_dict(
+        {
+            "t": "t",
+            "q_one": "a",
+            "q_two": "b",
+            "q_ref_one": "c",
+            "q_ref_two": "d",
+            "couplings": {"q": [[1, 0], [1, 1]], "q_ref": [[1, 0], [0.5, 2]]},
+        }
+    )
+    path = stored(tmp_path, frame)
+    whole, recording = read_log(path, map_), open_log(path, map_)
+    part = recording.window(0, N, ("q_two", "q_ref_two"))
+    for name in ("q_two", "q_ref_two"):
+        assert_allclose(part.channels[name], whole.channels[name], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("column", ["tau_axis", "temp_axis"])
+def test_a_hole_in_what_a_map_takes_is_a_fault(tmp_path, column: str) -> None:
+    """Whatever a foreign column is called, every cell that becomes ours has to be a number: no window hides one."""
+    frame = table().rename(columns={"q_axis": "pos", "tau_axis": "cur"})
+    frame.loc[12_345, "cur"] = np.nan
+    map_, path = ColumnMap.from_dict({"t": "t", "q_axis": "pos", column: "cur"}), stored(tmp_path, frame)
+    with pytest.raises(InputError, match="row 12346, column cur"):
+        read_log(path, map_)
+    with pytest.raises(InputError, match="row 12346, column cur"):
+        open_log(path, map_).window(0, N, ("q_axis", column))
+
+
+def test_a_hole_in_a_temperature_is_a_fault(tmp_path) -> None:
+    """Columns that count only beside a `q_` of their joint are checked there, as in a log read at once."""
+    frame = table().assign(temp_axis=30.0)
+    frame.loc[12_345, "temp_axis"] = np.nan
+    path = stored(tmp_path, frame)
+    for read in (read_log, lambda path: open_log(path).window(0, N, ("temp_axis",))):
+        with pytest.raises(InputError, match="row 12346, column temp_axis"):
+            read(path)
+
+
+def test_a_column_that_a_map_took_is_not_there_under_its_own_name(tmp_path) -> None:
+    """A foreign `temp_axis` that the map calls a force is no temperature any more."""
+    frame = table().rename(columns={"tau_axis": "temp_axis"})
+    map_, path = ColumnMap.from_dict({"t": "t", "q_axis": "q_axis", "tau_axis": "temp_axis"}), stored(tmp_path, frame)
+    whole, recording = read_log(path, map_), open_log(path, map_)
+    assert set(recording.whole().channels) == set(whole.channels)
+    assert not recording.has("temp_axis") and recording.has("tau_axis")
+
+
+def test_a_clock_since_1970_has_the_rate_of_the_whole_log(tmp_path) -> None:
+    """There a double counts in steps of 2.4e-7 s, which moves the median step, and not the mean, by 1e-4 of 1 ms."""
+    path = stored(tmp_path, table().assign(t=1.7e9 + 1e-3 * np.arange(N)))
+    (piece,) = stretches(open_log(path))
+    assert_allclose(piece.rate_hz, read_log(path).rate_hz, rtol=1e-9)
+    assert_allclose(piece.rate_hz, 1000.0, rtol=1e-6)
 
 
 def broken(folder, kind: str):

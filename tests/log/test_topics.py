@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import runpy
 import struct
@@ -91,6 +92,8 @@ def test_the_large_reader_and_the_commands_take_them_too(tmp_path, capsys):
     assert isinstance(opened, Log) and opened.n_samples == N
     for path in (folder, file):
         assert main(["check", str(path), "--json", str(tmp_path / "c.json")]) in (0, 3)
+        read = json.loads((tmp_path / "c.json").read_text())["inputs"]
+        assert [row["path"] for row in read] == [str(path)] and len(read[0]["sha256"]) == 64
     assert "Traceback" not in capsys.readouterr().err
 
 

@@ -9,8 +9,9 @@ from tau_dyn.log.log import Log
 from tau_dyn.log.motions import split_by_motion
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
 from tau_dyn.log.read import read_log
+from tau_dyn.log.recording import Recording
 from tau_dyn.log.resample import ensure_even, examine_clock, segments
-from tau_dyn.log.stream import Recording, open_log
+from tau_dyn.log.stream import open_log
 from tau_dyn.log.stretch import Stretch, stretches
 from tau_dyn.log.table import Table, read_table
 from tau_dyn.log.units import unit_warnings
@@ -40,8 +41,8 @@ __all__ = [
     "read_table",
     "reversals",
     "segments",
-    "stretches",
     "split_by_motion",
+    "stretches",
     "unit_warnings",
     "velocity_noise",
 ]

@@ -10,7 +10,7 @@ from typing import Any
 from tau_dyn.log.check_clock import check_clock
 from tau_dyn.log.check_motion import check_motion, moving_mask
 from tau_dyn.log.check_signals import check_signals
-from tau_dyn.log.findings import Finding, LogCheck
+from tau_dyn.log.findings import Finding, LogCheck, Severity
 from tau_dyn.log.log import Log
 from tau_dyn.log.names import listed
 from tau_dyn.log.resample import ensure_even, segments
@@ -36,10 +36,9 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     if not parts:
         lost = f"{log.name}: no stretch of it is without a gap."
         return LogCheck(log.name, (*findings, Finding("fault", "gaps", lost, "Record it again.")), numbers)
-    part = ensure_even(max(parts, key=lambda p: p.n_samples))
-    joints = log.joints("q")
     raw = max(parts, key=lambda p: p.n_samples)
-    moving = {joint: moving_mask(part, joint) for joint in joints} if part.n_samples == raw.n_samples else {}
+    part = ensure_even(raw)
+    moving = {joint: moving_mask(part, joint) for joint in log.joints("q")} if part.n_samples == raw.n_samples else {}
     for more, figures in (check_signals(raw, moving), check_motion(part)):
         findings += more
         numbers.update(figures)
@@ -60,21 +59,23 @@ def _columns(log: Log, robot: JointLimits | None) -> list[Finding]:
             )
         ]
     findings = []
-    for signal, severity, why in (("q", "fault", "position"), ("tau", "warning", "force, and identification needs it")):
+    wanted: tuple[tuple[str, Severity, str], ...] = (
+        ("q", "fault", "position"),
+        ("tau", "warning", "force, and identification needs it"),
+    )
+    for signal, severity, why in wanted:
         missing = [f"{signal}_{joint}" for joint in joints if not log.has(signal, [joint])]
         if missing:
-            sentence = f"{log.name} has no {listed(missing)}: the joint's {why}."
-            findings.append(
-                Finding(
-                    "fault" if severity == "fault" else "warning", "columns", sentence, "Log it, or name it in a map."
-                )
-            )
+            others = [joint for joint in log.joints(signal) if joint not in joints]
+            instead = f" It has those of {listed(others)}: another robot's log?" if others else ""
+            sentence = f"{log.name} has no {listed(missing)}: the joint's {why}.{instead}"
+            findings.append(Finding(severity, "columns", sentence, "Log it, or name it in a map (--columns MAP.yaml)."))
     return findings or [Finding("ok", "columns", f"{log.name} has positions and forces of {listed(joints)}.")]
 
 
 def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
     doubts = [
-        Finding("warning" if robot is None else "fault", "units", sentence, "Scale it in a column map.")
+        Finding("warning" if robot is None else "fault", "units", sentence, "Give the map with --columns MAP.yaml.")
         for sentence in unit_warnings(log, robot)
     ]
     return doubts or [Finding("ok", "units", f"{log.name}: positions look like m and rad.")]

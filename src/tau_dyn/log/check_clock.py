@@ -7,10 +7,14 @@ from typing import Any
 
 from tau_dyn.log.findings import Finding
 from tau_dyn.log.log import Log
+from tau_dyn.log.names import count
 from tau_dyn.log.resample import JITTER_LIMIT, Clock, examine_clock, gap_sentence
 
 SLOWEST_RATE = 50.0
 """Below this rate [Hz] accelerations of a machine can hardly be had from positions."""
+
+_UNITS = ((2e5, "nanoseconds", "1e-9"), (200.0, "microseconds", "1e-6"), (0.5, "milliseconds", "0.001"))
+"""Steps from which a clock reads like another unit, as machines log at 5 Hz to 2 kHz, and its scale to seconds."""
 
 SHORTEST = 5.0
 """Shorter logs [s] rarely hold enough independent motion."""
@@ -20,8 +24,8 @@ def check_clock(log: Log) -> tuple[list[Finding], dict[str, Any]]:
     """Judge the clock of a log.
 
     Returns:
-        Findings, and the numbers `n_samples`, `duration` [s], `rate_hz`, `jitter` (share of a step), `n_missing` and
-        `gaps` [s].
+        Findings, and the numbers `n_samples`, `duration` [s], `rate_hz`, `jitter` (share of a step), `n_missing`,
+        `gaps` (from, to) [s] and `times_rounded`.
     """
     clock = examine_clock(log)
     numbers = {
@@ -40,9 +44,9 @@ def _rate(log: Log, clock: Clock) -> Finding:
     rate = 1.0 / clock.dt
     what = f"{log.name} has {log.n_samples} samples at {rate:.6g} Hz, {log.duration:.4g} s."
     if clock.dt >= 0.5:
-        return Finding(
-            "fault", "sampling", f"{what} Such a step reads like milliseconds.", "Give t in s (scale 0.001 in a map)."
-        )
+        unit, scale = next((name, scale) for least, name, scale in _UNITS if clock.dt >= least)
+        remedy = f"Give t in s: `t: {{column: t, scale: {scale}}}` in a column map (--columns)."
+        return Finding("fault", "sampling", f"{what} Such a step reads like {unit}.", remedy)
     if rate < SLOWEST_RATE:
         return Finding("warning", "sampling", f"{what} That is slow for accelerations.", "Log at 250 Hz or more.")
     if log.duration < SHORTEST:
@@ -71,6 +75,7 @@ def _gaps(log: Log, clock: Clock) -> list[Finding]:
             )
         ]
     if clock.n_missing:
-        sentence = f"{log.name}: {clock.n_missing} sample(s) are missing, never three in a row."
+        lost = f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'}"
+        sentence = f"{log.name}: {lost} missing, never three in a row."
         return [Finding("warning", "gaps", sentence, "Give the logger more priority; they will be interpolated.")]
     return [Finding("ok", "gaps", f"{log.name}: no sample is missing.")]

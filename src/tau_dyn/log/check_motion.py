@@ -12,10 +12,14 @@ from scipy.signal import correlate
 from tau_dyn.log.filtering import differentiate, edge_samples, lowpass, reversals
 from tau_dyn.log.findings import Finding
 from tau_dyn.log.log import Log
+from tau_dyn.log.names import count
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step
 
 CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""
+
+_CROSSED = 0.1
+"""Share of a joint's distance from its own reference that tells it follows another one's."""
 
 MIN_REVERSALS = 4
 """Fewer changes of direction hardly separate friction from inertia."""
@@ -54,10 +58,12 @@ def check_motion(log: Log) -> tuple[list[Finding], dict[str, Any]]:
     """
     findings: list[Finding] = []
     numbers: dict[str, dict[str, Any]] = {}
+    crossed = _crossed(log)
     for joint in log.joints("q"):
         figures = _figures(log, joint)
         numbers[joint] = figures
-        findings += [_encoder(log, joint, figures), _excitation(log, joint, figures), _lag(log, joint, figures)]
+        follows = crossed[joint] if joint in crossed else _lag(log, joint, figures)
+        findings += [_encoder(log, joint, figures), _excitation(log, joint, figures), follows]
     if numbers and not any(figures["moves"] for figures in numbers.values()):
         findings.append(
             Finding(
@@ -142,18 +148,38 @@ def _excitation(log: Log, joint: str, f: dict[str, Any]) -> Finding:
         )
     share, ratio = f["forward_share"], f["acceleration_rms"] / max(f["acceleration_noise"], 1e-300)
     low, high = f["range"]
-    moved = f"{what} covers {low:.4g} to {high:.4g} at up to {f['speed'][1]:.3g} a second, {f['n_reversals']} reversals"
+    moved = f"{what} covers {low:.4g} to {high:.4g} at up to {f['speed'][1]:.3g} a second, {count(f['n_reversals'], 'reversal')}"
     if not 0.02 < share < 0.98:
         way = "forwards" if share > 0.5 else "backwards"
         return Finding(
             "warning", "excitation", f"{moved}, but only {way}.", "Move both ways, else friction is a torque offset."
         )
     if f["n_reversals"] < MIN_REVERSALS:
-        return Finding("warning", "excitation", f"{moved}, which is few.", "Reverse more often, at several speeds.")
+        return Finding(
+            "warning",
+            "excitation",
+            f"{moved}, which {'is' if f['n_reversals'] == 1 else 'are'} few.",
+            "Reverse more often, at several speeds.",
+        )
     if ratio < 3.0:
         sentence = f"{moved}, but its acceleration is only {ratio:.2g} times its noise."
         return Finding("warning", "excitation", sentence, "Accelerate harder, else masses stay uncertain.")
     return Finding("ok", "excitation", f"{moved}, acceleration {ratio:.3g} times its noise.")
+
+
+def _crossed(log: Log) -> dict[str, Finding]:
+    """Return a fault for each joint that moves as another one's reference says and not as its own."""
+    joints = [joint for joint in log.joints("q") if log.has("q_ref", [joint])]
+    wanted = {joint: velocities(log, "q_ref", joint) for joint in joints}
+    found = {}
+    for joint in joints:
+        v = velocities(log, "q", joint)
+        miss = {other: float(np.sqrt(np.mean((v - r) ** 2))) for other, r in wanted.items()}
+        nearest = min(miss, key=miss.__getitem__)
+        if miss[nearest] < _CROSSED * miss[joint]:
+            sentence = f"{log.name}: q_{joint} follows the reference of {nearest}, not its own."
+            found[joint] = Finding("fault", "columns", sentence, "Exchange the columns, or the joints' names.")
+    return found
 
 
 def _lag(log: Log, joint: str, f: dict[str, Any]) -> Finding:

@@ -24,6 +24,10 @@ from tau_dyn.log.names import SIGNALS, is_contract_name, listed, map_joints
 
 SOURCE_KEYS = ("column", "scale", "offset", "file")
 
+_IN_SI = "; units are a scale to SI ones, as scale: 0.001 of mm"
+_HINTS: Mapping[Any, str] = {int: "; numbers have a decimal point, as 0.001", "unit": _IN_SI, "units": _IN_SI}
+"""What helps who writes another key, by the key or its type."""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -86,7 +90,7 @@ class ColumnMap:
         files = _files(name, entries.pop("files", {}))
         couplings = entries.pop("couplings", {})
         rate_hz = _rate(name, entries)
-        sources = {_our_name(name, key): _source(name, key, value, files) for key, value in entries.items()}
+        sources = {_our_name(name, key, value): _source(name, key, value, files) for key, value in entries.items()}
         if not sources:
             raise InputError(f"{name} maps no column; give at least one line such as 'q_axis: position'.")
         unused = set(files) - {source.file for source in sources.values()}
@@ -126,12 +130,19 @@ def _load_yaml(path: Path) -> dict[Any, Any]:
             f"{path.name}{line}: this is not YAML as a map needs it ({problem or 'unreadable'})."
         ) from None
     if not isinstance(entries, dict):
-        raise InputError(f"{path.name} has to hold one 'our_column: their_column' a line, not {_kind(entries)}.")
+        example = "such as 'q_axis: position'"
+        raise InputError(
+            f"{path.name} has to hold one 'our_column: their_column' a line, {example}, not {_kind(entries)}."
+        )
     return entries
 
 
-def _our_name(name: str, key: Any) -> str:
+def _our_name(name: str, key: Any, value: Any = None) -> str:
     if not isinstance(key, str) or not is_contract_name(key):
+        if isinstance(value, str) and is_contract_name(value):
+            raise InputError(
+                f"{name}: '{key}: {value}' is the wrong way round; write '{value}: {key}', our name first."
+            )
         known = "t, files, couplings, temp_room, x_tool.. and " + ", ".join(f"{signal}_JOINT" for signal in SIGNALS)
         raise InputError(f"{name}: key {key} is none of our column names, which are {known}.")
     return key
@@ -146,7 +157,8 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
         )
     unknown = [k for k in value if k not in SOURCE_KEYS]
     if unknown:
-        raise InputError(f"{name}: {key} has a key {unknown[0]}; it may have {listed(SOURCE_KEYS)}.")
+        hint = _HINTS.get(type(unknown[0]), _HINTS.get(unknown[0], ""))
+        raise InputError(f"{name}: {key} has a key {unknown[0]}; it may have {listed(SOURCE_KEYS)}{hint}.")
     if not isinstance(value.get("column"), str):
         raise InputError(f"{name}: {key} needs a 'column', the foreign column's name as text (in quotes if need be).")
     file = value.get("file")

@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.log.complaints import other_file
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
@@ -25,6 +26,7 @@ class _Layout(NamedTuple):
     name: str
     separator: str
     header: list[str]
+    header_line: int  # where it stands
     lines: list[str]  # the rows
     numbers: list[int]  # the line each row stands on
     ends_with_newline: bool
@@ -57,6 +59,8 @@ def parse_delimited(name: str, data: bytes) -> tuple[dict[str, NDArray[Any]], ND
 
 def _decode(name: str, data: bytes) -> str:
     """Return the text with Unix line ends and without a byte order mark."""
+    if words := other_file(data):
+        raise InputError(f"{name} is {words}.")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(f"{name}, line 1: the file is UTF-16; save it as UTF-8.")
     try:
@@ -81,7 +85,9 @@ def _lay_out(name: str, text: str) -> _Layout:
     if not kept:
         raise InputError(f"{name} ends after its header in line {at + 1}; a log needs one line a sample below it.")
     rows = [lines[i] for i in kept]
-    return _Layout(name, separator, header, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip())
+    return _Layout(
+        name, separator, header, at + 1, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip()
+    )
 
 
 def _cells_of(name: str, line: int, text: str, separator: str) -> list[str]:
@@ -123,13 +129,15 @@ def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
     first = int(wrong[0])
     if first == len(counts) - 1 and counts[first] < wanted and first > 0:
         return _without_last(layout), (_dropped(layout),)
-    if wanted == 1:
+    where, has = f"{layout.name}, line {layout.numbers[first]}", f"{counts[first]} cells"
+    if first == 0 and len(counts) > 1 and (counts[1:] == counts[0]).all() or wanted == 1:
+        taken = layout.separator.join(layout.header)
         raise InputError(
-            f"{layout.name}: the header names one column, line {layout.numbers[first]} has {counts[first]} cells; "
-            "separate both with commas."
+            f"{where} has {has}, and line {layout.header_line}, '{taken[:60]}', is taken for the header; the first line has to "
+            "name the columns, and lines above it have to begin with #."
         )
     raise InputError(
-        f"{layout.name}, line {layout.numbers[first]} has {counts[first]} cells, the header names {wanted} columns; "
+        f"{where} has {has}, the header names {wanted} columns; "
         f"every line needs {wanted}, separated by {SEPARATORS[layout.separator]}."
     )
 

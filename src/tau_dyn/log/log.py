@@ -19,8 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import writing_whole
-from tau_dyn.log.names import listed, map_joints
+from tau_dyn.log.complaints import no_column
+from tau_dyn.log.names import ROOM_TEMPERATURE, count, map_joints
 from tau_dyn.shown import Shown
+
+_NAME_IT = "; log it, or let a column map say which column it is"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ class Log(Shown):
         t = _frozen(self.t)
         channels = {key: _frozen(value) for key, value in self.channels.items()}
         if t.ndim != 1 or t.size < 2:
-            raise InputError(f"{self.name} has {t.size} sample(s); a log needs at least two.")
+            raise InputError(f"{self.name} has {count(t.size, 'sample')}; a log needs at least two.")
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0.0):
             raise InputError(f"{self.name}: t must be finite and increase from sample to sample.")
         for key, value in channels.items():
@@ -77,7 +80,7 @@ class Log(Shown):
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate [Hz], the inverse of the median step."""
+        """Sampling rate [Hz], the inverse of `dt`."""
         return 1.0 / self.dt
 
     @property
@@ -97,7 +100,7 @@ class Log(Shown):
         """Return one signal of several joints.
 
         Args:
-            signal: `q`, `v`, `a`, `tau`, `q_ref` or `temp`.
+            signal: One of `names.SIGNALS`, such as `q`, `tau` or `q_ref`.
             names: Joints, in the order wanted for the columns.
 
         Returns:
@@ -109,8 +112,16 @@ class Log(Shown):
         columns = [f"{signal}_{name}" for name in names]
         for column in columns:
             if column not in self.channels:
-                raise InputError(f"{self.name} has no column {column}; it has {listed(('t', *self.channels))}.")
+                raise InputError(no_column(self.name, column, ("t", *self.channels), more=_NAME_IT))
         return np.column_stack([self.channels[c] for c in columns]) if columns else np.empty((self.n_samples, 0))
+
+    def temperatures(self, names: Iterable[str]) -> NDArray[np.float64] | None:
+        """Return the temperature at each of several joints (N, n) [degC]: their own, else the room's; None without either."""
+        names = tuple(names)
+        if self.has("temp", names):
+            return self.joint("temp", names)
+        room = self.channels.get(ROOM_TEMPERATURE)
+        return None if room is None else np.repeat(room[:, None], len(names), axis=1)
 
     def split(self, fraction: float) -> tuple["Log", "Log"]:
         """Cut the log in two in time: the first `fraction` of its samples, and the rest.

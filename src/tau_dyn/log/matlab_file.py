@@ -21,6 +21,9 @@ from tau_dyn.exceptions import InputError
 LARGEST = 2**29
 """Bytes that a file may hold when it is inflated."""
 
+MOST_ELEMENTS = 2 * 10**6
+"""Parts of a file, each of which costs time and memory however small it is; an array has four."""
+
 
 class Opaque:
     """An object that only MATLAB can open."""
@@ -48,9 +51,10 @@ def read_variables(path: Path) -> dict[str, Any]:
     """
     data, order = _bytes(path)
     found: dict[str, Any] = {}
+    left = iter(range(MOST_ELEMENTS))
     try:
         for inside in _variables(path, data, order):
-            name, value = _matrix(inside, order, 0)
+            name, value = _matrix(inside, order, 0, left)
             found[name] = value
     except (struct.error, ValueError, zlib.error) as fault:
         if isinstance(fault, InputError):
@@ -74,9 +78,9 @@ def _bytes(path: Path) -> tuple[bytes, str]:
         return head + file.read(), "<" if head[126:128] == b"IM" else ">"
 
 
-def _variables(path: Path, data: bytes, order: str) -> Iterator[bytes]:
-    """Yield what is inside each variable, inflated."""
-    at, left = _HEADER, LARGEST
+def _variables(path: Path, whole_file: bytes, order: str) -> Iterator[memoryview]:
+    """Yield what is inside each variable, inflated; as views, since cells inside cells would copy it at every level."""
+    at, left, data = _HEADER, LARGEST, memoryview(whole_file)
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, at)
         if size > len(data) - at - 8:
@@ -85,7 +89,7 @@ def _variables(path: Path, data: bytes, order: str) -> Iterator[bytes]:
         at += 8 + size
         if kind == _COMPRESSED:
             inflate = zlib.decompressobj()
-            whole = inflate.decompress(inside, left + 1)
+            whole = memoryview(inflate.decompress(inside, left + 1))
             left -= len(whole)
             if left < 0:
                 raise _too_large(path)
@@ -96,11 +100,11 @@ def _variables(path: Path, data: bytes, order: str) -> Iterator[bytes]:
             yield inside
 
 
-def _matrix(data: bytes, order: str, depth: int) -> tuple[str, Any]:
+def _matrix(data: memoryview, order: str, depth: int, left: Iterator[int]) -> tuple[str, Any]:
     """Return an array's name and value."""
     if not data:
         return "", None  # an empty field
-    elements = _elements(data, order)
+    elements = _elements(data, order, left)
     flags = struct.unpack_from(f"{order}I", _next(elements)[1])[0]
     kind = flags & 0xFF
     if kind == _OPAQUE:
@@ -120,20 +124,22 @@ def _matrix(data: bytes, order: str, depth: int) -> tuple[str, Any]:
     if kind == _OBJECT:
         return name, Opaque
     if kind == _STRUCT:
-        return name, _structs(elements, order, count, depth)
+        return name, _structs(elements, order, count, depth, left)
     if kind == _CELL:
-        return name, [_matrix(inside, order, depth + 1)[1] for code, inside in elements if code == _MATRIX]
+        return name, [_matrix(inside, order, depth + 1, left)[1] for code, inside in elements if code == _MATRIX]
     return name, None
 
 
-def _structs(elements: Iterator[tuple[int, bytes]], order: str, count: int, depth: int) -> Any:
+def _structs(
+    elements: Iterator[tuple[int, memoryview]], order: str, count: int, depth: int, left: Iterator[int]
+) -> Any:
     """Return a struct as a mapping, or several as a list of them."""
     width = struct.unpack_from(f"{order}i", _next(elements)[1])[0]
     names = _next(elements)[1]
     if width <= 0:
         raise ValueError("a struct's names have no length")
     fields = [_text(names[k : k + width]) for k in range(0, len(names), width)]
-    values = [_matrix(inside, order, depth + 1)[1] for code, inside in elements if code == _MATRIX]
+    values = [_matrix(inside, order, depth + 1, left)[1] for code, inside in elements if code == _MATRIX]
     if len(values) != count * len(fields):
         raise ValueError(f"a struct has {len(values)} values where {count * len(fields)} are announced")
     rows = [
@@ -142,10 +148,12 @@ def _structs(elements: Iterator[tuple[int, bytes]], order: str, count: int, dept
     return rows[0] if len(rows) == 1 else rows
 
 
-def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+def _elements(data: memoryview, order: str, left: Iterator[int]) -> Iterator[tuple[int, memoryview]]:
     """Yield the kind and bytes of each element in an array."""
     at = 0
     while at + 8 <= len(data):
+        if next(left, None) is None:
+            raise ValueError(f"it has more than {MOST_ELEMENTS} parts")
         first, size = struct.unpack_from(f"{order}II", data, at)
         if first >> 16:  # up to four bytes within the tag
             yield first & 0xFFFF, data[at + 4 : at + 4 + min(first >> 16, 4)]
@@ -157,15 +165,15 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         at += 8 + size + (-size) % 8
 
 
-def _next(elements: Iterator[tuple[int, bytes]]) -> tuple[int, bytes]:
+def _next(elements: Iterator[tuple[int, memoryview]]) -> tuple[int, memoryview]:
     """Return the next element."""
     for element in elements:
         return element
     raise ValueError("an array breaks off")
 
 
-def _text(data: bytes) -> str:
-    return data.partition(b"\0")[0].decode("latin-1")
+def _text(data: memoryview) -> str:
+    return bytes(data).partition(b"\0")[0].decode("latin-1")
 
 
 def _too_large(path: Path) -> InputError:

@@ -9,17 +9,22 @@ from __future__ import annotations
 
 import json
 import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.messages import Recorded, table_of_messages
+from tau_dyn.log.inflated import Inflated
+from tau_dyn.log.messages import Recorded, in_words, table_of_messages
 from tau_dyn.log.table import Table
 
 LARGEST_CHUNK = 2**28
 """A chunk larger than this [bytes] is not opened; recorders write chunks of a few MB."""
+
+LONGEST_DEFINITION = 2**20
+"""A message definition longer than this [bytes] is not parsed."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
@@ -71,7 +76,8 @@ def _messages(path: Path, warnings: list[str]) -> Iterator[Recorded]:
             channel = channels[record.channel_id]
             schema = schemas.get(channel.schema_id)
             decode = decoders.of(channel, schema, record.data)
-            yield Recorded(channel.topic, schema.name if schema else "", min(record.log_time, 2**63 - 1), decode)
+            kind, log = schema.name if schema else "", min(record.log_time, 2**63 - 1)
+            yield Recorded(channel.topic, kind, log, len(record.data), decode)
 
 
 def _records(path: Path, warnings: list[str]) -> Iterator[tuple[int, Any]]:
@@ -84,7 +90,9 @@ def _records(path: Path, warnings: list[str]) -> Iterator[tuple[int, Any]]:
     except InputError:
         raise
     except (McapError, ValueError, struct.error, EOFError, MemoryError, OverflowError) as fault:
-        raise InputError(f"{path.name} is damaged: {_words(fault)}; 'mcap recover' may save the rest of it.") from None
+        raise InputError(
+            f"{path.name} is damaged: {in_words(fault)}; 'mcap recover' may save the rest of it."
+        ) from None
 
 
 def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[int, Any]]:
@@ -93,7 +101,7 @@ def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[i
         raise InputError(
             f"{path.name} is not an MCAP file (it does not begin as one); give CSV another suffix than .mcap."
         )
-    opcode = 0
+    opcode, inflated = 0, Inflated(path)
     while opcode != _DATA_END:
         frame = file.read(_FRAME.size)
         opcode, length = _FRAME.unpack(frame) if len(frame) == _FRAME.size else (0, 1)
@@ -101,8 +109,7 @@ def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[i
             warnings.append(f"{path.name} breaks off before its end; it is read to there, and what came after is lost.")
             return
         if opcode == _CHUNK:
-            for record in _opened(path.name, file.read(length), length):
-                yield from _told(record)
+            yield from _inside(_opened(path.name, file.read(length), inflated))
         elif opcode in (_SCHEMA, _CHANNEL, _MESSAGE):
             yield opcode, _read(opcode, file.read(length))
         else:
@@ -119,21 +126,23 @@ def _read(opcode: int, data: bytes) -> Any:
     return Schema.read(stream) if opcode == _SCHEMA else Channel.read(stream)
 
 
-def _told(record: Any) -> Iterator[tuple[int, Any]]:
-    from mcap.records import Channel, Message, Schema
+def _inside(plain: bytes) -> Iterator[tuple[int, Any]]:
+    """Yield a chunk's schemas, channels and messages one by one; as a list they take many times their bytes."""
+    at = 0
+    while at < len(plain):
+        opcode, length = _FRAME.unpack_from(plain, at)
+        at += _FRAME.size
+        if length > len(plain) - at:
+            raise ValueError("a record is longer than its chunk")
+        if opcode in (_SCHEMA, _CHANNEL, _MESSAGE):
+            yield opcode, _read(opcode, plain[at : at + length])
+        at += length
 
-    for kind, opcode in ((Message, _MESSAGE), (Channel, _CHANNEL), (Schema, _SCHEMA)):
-        if isinstance(record, kind):
-            yield opcode, record
 
-
-def _opened(name: str, data: bytes, length: int) -> list[Any]:
-    """Return a chunk's records; it is decompressed no further than the size it declares."""
-    from dataclasses import replace
-
+def _opened(name: str, data: bytes, inflated: Inflated) -> bytes:
+    """Return what is in a chunk; it is decompressed no further than the size it declares."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk
-    from mcap.stream_reader import breakup_chunk
 
     chunk = Chunk.read(ReadDataStream(BytesIO(data)))
     if chunk.uncompressed_size > LARGEST_CHUNK:
@@ -141,10 +150,13 @@ def _opened(name: str, data: bytes, length: int) -> list[Any]:
             f"{name} has a chunk of {chunk.uncompressed_size / 2**20:.0f} MB; chunks up to {LARGEST_CHUNK / 2**20:.0f} MB are "
             "opened; write it again with 'mcap filter'."
         )
+    inflated.take(chunk.uncompressed_size)
     plain = _decompressed(name, chunk.compression, chunk.data, chunk.uncompressed_size)
     if len(plain) != chunk.uncompressed_size:
         raise ValueError(f"a chunk does not have the {chunk.uncompressed_size} bytes that it declares")
-    return breakup_chunk(replace(chunk, compression="", data=plain), validate_crc=True)
+    if chunk.uncompressed_crc not in (0, zlib.crc32(plain)):
+        raise ValueError("the checksum of a chunk is wrong")
+    return plain
 
 
 def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
@@ -161,10 +173,20 @@ def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
 
             return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
     except Exception as fault:  # the file's fault, whatever its bytes break; ZstdError has no base of its own
-        raise ValueError(f"a chunk cannot be decompressed ({_words(fault)})") from None
+        raise ValueError(f"a chunk cannot be decompressed ({in_words(fault)})") from None
     raise InputError(
         f"{name} has chunks compressed by '{kind[:20]}', which is not read; write it again with zstd or lz4."
     )
+
+
+class _Whole(bytes):
+    """A message that refuses to be read beyond its end: of lists of bytes, the decoder would take what is not there."""
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a byte, or bytes that are all there."""
+        if isinstance(key, slice) and (key.stop or 0) > len(self):
+            raise ValueError("it is shorter than its definition")
+        return super().__getitem__(key)
 
 
 class _Decoders:
@@ -184,20 +206,17 @@ class _Decoders:
         try:
             if encoding == "json":
                 return json.loads(data)
+            if schema is not None and len(schema.data) > LONGEST_DEFINITION:
+                raise ValueError(f"its definition has {len(schema.data)} bytes")
             decoder = self._ros2.decoder_for(encoding, schema)
             if decoder is not None:
-                return decoder(data)
+                return decoder(_Whole(data))
         except Exception as fault:  # definitions and messages come from the file: whatever they break is its fault
             raise InputError(
-                f"{self.name}: a message of {channel.topic} cannot be decoded ({_words(fault)})."
+                f"{self.name}: a message of {channel.topic} cannot be decoded ({in_words(fault)})."
             ) from None
         definition = f" with a definition in {schema.encoding}" if schema is not None and schema.encoding else ""
         raise InputError(
             f"{self.name}: messages of {channel.topic} are encoded as '{encoding[:20]}'{definition}; json, and cdr with a "
             "definition in ros2msg, are read."
         )
-
-
-def _words(fault: BaseException) -> str:
-    text = " ".join(str(fault).split()).rstrip(".")
-    return text[:120] or type(fault).__name__

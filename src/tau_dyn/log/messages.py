@@ -6,7 +6,6 @@ decoded. A file that breaks off, as a recording does whose computer lost power, 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,18 +14,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import sha256_of, sha256_together
 from tau_dyn.log.names import listed
 from tau_dyn.log.table import Table
 from tau_dyn.log.topic_columns import Budget, Topic, TopicRecorder
 from tau_dyn.log.topics import table_of
 
+LARGEST_MESSAGE = 2**22
+"""A message larger than this [bytes] is a picture or a cloud, and is passed over."""
+
 
 class Recorded(NamedTuple):
-    """One message: its topic, when it was recorded [ns], and what decodes it."""
+    """One message: its topic, when it was recorded [ns], its size [bytes], and what decodes it."""
 
     topic: str
     kind: str
     log: int
+    size: int
     decode: Callable[[], Any]
 
 
@@ -53,7 +57,7 @@ def table_of_messages(
     need = _needed(kinds, wanted)
     others: set[str] = set()
     for message in messages:
-        if not need(message.topic, message.kind):
+        if message.size > LARGEST_MESSAGE or not need(message.topic, message.kind):
             others.add(message.topic.lstrip("/"))
             continue
         if message.topic not in recorders:
@@ -65,7 +69,8 @@ def table_of_messages(
         raise InputError(
             f"{path.name} has no joint states, and no topic that a map names: {about}; name one in a column map."
         )
-    return table_of(path, sha256_of(files), _in_order(topics), wanted, warnings)
+    digest = sha256_together(map(sha256_of, files))
+    return table_of(path, digest, _in_order(topics), wanted, warnings)
 
 
 def _needed(kinds: Mapping[str, str], wanted: Mapping[str, str] | None) -> Callable[[str, str], bool]:
@@ -98,10 +103,7 @@ def _in_order(topics: Sequence[Topic]) -> list[Topic]:
     return out
 
 
-def sha256_of(files: Sequence[Path]) -> str:
-    """Return the hash of a file's bytes; of several, the hash of their hashes."""
-    digests = []
-    for path in files:
-        with path.open("rb") as file:
-            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-    return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+def in_words(fault: BaseException) -> str:
+    """Return what a library says of a fault, in a line that fits into ours."""
+    text = " ".join(str(fault).split()).rstrip(".")
+    return text[:120] or type(fault).__name__

@@ -39,7 +39,7 @@ def is_contract_name(column: str) -> bool:
 def used_columns(columns: Iterable[str]) -> tuple[str, ...]:
     """Return the columns that the library uses, and whose every cell therefore has to be a number.
 
-    `v_`, `a_` and `temp_` count only beside a `q_` column of the same joint: a foreign log's `a_comment` is nobody's
+    `v_`, `a_`, `q_link_` and `temp_` count only beside a `q_` column of the same joint: a foreign log's `a_comment` is nobody's
     acceleration.
     """
     columns = tuple(columns)
@@ -55,8 +55,13 @@ def map_joints(columns: Iterable[str]) -> tuple[tuple[str, str], ...]:
 def listed(names: Iterable[str], limit: int = 12) -> str:
     """Return names as one comma-separated phrase, cut after `limit` of them, for a message."""
     names = list(names)
-    phrase = ", ".join(names[:limit]) or "nothing"
+    phrase = ", ".join(map(str, names[:limit])) or "nothing"
     return phrase if len(names) <= limit else f"{phrase} and {len(names) - limit} more"
+
+
+def count(n: int, noun: str) -> str:
+    """Return `1 gap`, `3 gaps`."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def _is_used(column: str, joints: set[str]) -> bool:

@@ -5,7 +5,6 @@ does not mention keep their names. Every cell that the library will use is check
 file, line and column.
 """
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import sha256_together
 from tau_dyn.log.column_map import ColumnMap
+from tau_dyn.log.complaints import no_clock, no_column
 from tau_dyn.log.containers import has_topics, read_any
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import listed, used_columns
+from tau_dyn.log.names import count, listed, used_columns
 from tau_dyn.log.table import Table
 
 MIN_SAMPLES = 10
@@ -42,6 +43,14 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
         return _build({None: table}, table, _own_columns(table, tuple(table.cells)), warnings=table.warnings)
     map_ = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
     return _read_foreign(Path(path), map_)
+
+
+def refuse_few(name: str, n_samples: int) -> None:
+    """Refuse a log with fewer samples than any answer needs."""
+    if n_samples < MIN_SAMPLES:
+        raise InputError(
+            f"{name} has {count(n_samples, 'sample')}; a log needs at least {MIN_SAMPLES} to say anything."
+        )
 
 
 def _read_foreign(path: Path, map_: ColumnMap) -> Log:
@@ -109,10 +118,9 @@ def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str) -> N
     table = tables[source.file]
     if source.column not in table.cells:
         raise InputError(
-            f"{table.name} has no column {source.column}, which {map_.name} takes for {ours}; "
-            f"it has {listed(table.cells)}."
+            no_column(table.name, source.column, tuple(table.cells), f", which {map_.name} takes for {ours}")
         )
-    return table.numbers(source.column)
+    return table.numbers(source.column, source.scale)
 
 
 def _own_columns(
@@ -130,19 +138,12 @@ def _build(
     tables: Mapping[str | None, Table], main: Table, channels: dict[str, NDArray[np.float64]], warnings: tuple[str, ...]
 ) -> Log:
     """Check the clock and the length, and freeze everything into a log."""
-    if main.n_rows < MIN_SAMPLES:
-        raise InputError(
-            f"{main.name} has {main.n_rows} sample(s); a log needs at least {MIN_SAMPLES} to say anything."
-        )
+    refuse_few(main.name, main.n_rows)
     if "t" not in channels:
-        raise InputError(
-            f"{main.name} has no column t; it has {listed(main.cells)}; name the clock t [s], or give a column map "
-            "(with t: {rate_hz: F} if there is no clock)."
-        )
+        raise InputError(no_clock(main.name, tuple(main.cells)))
     t = channels.pop("t")
     _check_clock(main, t)
-    digests = [table.sha256 for table in tables.values()]
-    digest = digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+    digest = sha256_together(table.sha256 for table in tables.values())
     return Log(t, channels, name=main.name, sha256=digest, warnings=tuple(dict.fromkeys(warnings)))
 
 

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.log import Log
+from tau_dyn.log.names import count
 
 JITTER_LIMIT = 0.01
 """Steps may differ by this share of their mean before a clock counts as uneven."""
@@ -103,11 +104,15 @@ def gap_sentence(log: Log, clock: Clock) -> str:
     """Return a sentence naming a log's gaps."""
     places = [f"{log.t[i + 1] - log.t[i]:.3g} s after t = {log.t[i]:.6g} s" for i in clock.gaps[:3]]
     more = f" and {len(clock.gaps) - 3} more" if len(clock.gaps) > 3 else ""
-    return f"{log.name} has {len(clock.gaps)} gap(s) in time: {', '.join(places)}{more}; it is cut there, not bridged."
+    return f"{log.name} has {count(len(clock.gaps), 'gap')} in time: {', '.join(places)}{more}; it is cut there, not bridged."
 
 
 def _uneven_sentence(log: Log, clock: Clock) -> str:
-    lost = f" and {clock.n_missing} sample(s) are missing" if clock.n_missing else ""
+    lost = (
+        f" and {count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'} missing"
+        if clock.n_missing
+        else ""
+    )
     return (
         f"{log.name}: its steps vary by up to {100 * clock.jitter:.2g} % of {clock.dt:.4g} s{lost}; "
         "all channels were interpolated onto an even clock."
@@ -117,7 +122,11 @@ def _uneven_sentence(log: Log, clock: Clock) -> str:
 def interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a channel on another clock; one with holes keeps them."""
     if np.all(np.isfinite(values)) and len(t) >= 4:
-        return CubicSpline(t, values)(grid)
+        try:
+            with np.errstate(all="ignore"):
+                return CubicSpline(t, values)(grid)
+        except ValueError:  # slopes beyond a float, of numbers near 1e308 or of steps near nothing
+            pass
     return np.interp(grid, t, values)  # a foreign channel with holes keeps them
 
 

@@ -6,7 +6,6 @@ A `.bag` file is ROS 1; a folder with `metadata.yaml`, or one `.db3` file, is RO
 
 from __future__ import annotations
 
-import bz2
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,12 +13,12 @@ from typing import Any
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml
-from tau_dyn.log.messages import Recorded, table_of_messages
+from tau_dyn.log.bag_checks import bounded, check_database, check_definitions, check_profiles
+from tau_dyn.log.inflated import Inflated
+from tau_dyn.log.messages import Recorded, in_words, table_of_messages
 from tau_dyn.log.table import Table
 
 METADATA = "metadata.yaml"
-LARGEST_CHUNK = 2**28
-"""A chunk of a ROS 1 bag larger than this [bytes] is not opened."""
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -37,8 +36,8 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
     Raises:
         InputError: The extra is missing, the bag is damaged, or it is not clear what in it is the log.
     """
-    files = _files(path)
-    if files and all(file.suffix == ".mcap" for file in files):
+    files, in_mcap = _files(path)
+    if in_mcap:
         from tau_dyn.log.mcap_log import read_mcap
 
         return read_mcap(path, wanted, files)
@@ -49,19 +48,23 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         raise InputError("reading ROS bags needs an extra: pip install 'tau_dyn[rosbag]'.") from None
     with ExitStack() as stack:
         try:
+            for file in files:
+                if path.is_dir() or file.suffix != ".bag":
+                    check_database(file)
             types = get_typestore(Stores.LATEST)
             reader = stack.enter_context(AnyReader([path], default_typestore=types))
-            _bound(reader)
-            kinds = {c.topic: c.msgtype for c in reader.connections}
+            check_definitions(reader.typestore.fielddefs)
+            _bound(path, reader)
+            kinds = _kinds(reader)
         except Exception as fault:  # a bag that is damaged breaks its reader in many ways
             raise _damaged(path, fault) from None
-        return table_of_messages(path, files or (path,), _messages(path, reader), kinds, wanted, [])
+        return table_of_messages(path, files, _messages(path, reader), kinds, wanted, [])
 
 
-def _files(path: Path) -> tuple[Path, ...]:
-    """Return the files of a bag's folder, as its metadata lists them; a file alone is its own."""
+def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
+    """Return the files of a bag's folder, as its metadata lists them, and whether they are MCAP; a file alone is its own."""
     if not path.is_dir():
-        return (path,)
+        return (path,), False
     content = read_yaml(path / METADATA)
     found = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     about = found if isinstance(found, dict) else {}
@@ -76,7 +79,26 @@ def _files(path: Path) -> tuple[Path, ...]:
     missing = next((f for f in files if not f.is_file()), None)
     if missing is not None:
         raise InputError(f"{path.name} lacks {missing.name}, which its {METADATA} lists; give the whole folder.")
-    return files
+    _check_topics(path, about)
+    return files, about.get("storage_identifier") == "mcap" or all(f.suffix.lower() == ".mcap" for f in files)
+
+
+def _check_topics(path: Path, about: Mapping[str, Any]) -> None:
+    rows = about.get("topics_with_message_count")
+    for row in rows if isinstance(rows, list) else ():
+        topic = row.get("topic_metadata") if isinstance(row, dict) else None
+        try:
+            check_profiles(topic.get("offered_qos_profiles") if isinstance(topic, dict) else None)
+        except ValueError as fault:
+            raise _damaged(path, fault) from None
+
+
+def _kinds(reader: Any) -> dict[str, str]:
+    """Return the type of each topic."""
+    kinds = {c.topic: c.msgtype for c in reader.connections}
+    if not all(isinstance(word, str) for pair in kinds.items() for word in pair):
+        raise ValueError("a topic's name or type is no text")
+    return kinds
 
 
 def _messages(path: Path, reader: Any) -> Iterator[Recorded]:
@@ -84,11 +106,15 @@ def _messages(path: Path, reader: Any) -> Iterator[Recorded]:
     while True:
         try:
             connection, log, data = next(stream)
+            if not isinstance(log, int) or not 0 <= log < 2**63 or not isinstance(data, bytes):
+                raise ValueError("a message has no time, or is no bytes")
         except StopIteration:
             return
+        except InputError:
+            raise
         except Exception as fault:
             raise _damaged(path, fault) from None
-        yield Recorded(connection.topic, connection.msgtype, log, _decoder(path, reader, connection, data))
+        yield Recorded(connection.topic, connection.msgtype, log, len(data), _decoder(path, reader, connection, data))
 
 
 def _decoder(path: Path, reader: Any, connection: Any, data: bytes) -> Callable[[], Any]:
@@ -97,42 +123,21 @@ def _decoder(path: Path, reader: Any, connection: Any, data: bytes) -> Callable[
             return reader.deserialize(data, connection.msgtype)
         except Exception as fault:  # definitions and messages come from the file
             raise InputError(
-                f"{path.name}: a message of {connection.topic} cannot be decoded ({_words(fault)})."
+                f"{path.name}: a message of {connection.topic} cannot be decoded ({in_words(fault)})."
             ) from None
 
     return decode
 
 
-def _bound(reader: Any) -> None:
-    """Let no chunk of a ROS 1 bag grow beyond bounds when it is decompressed."""
+def _bound(path: Path, reader: Any) -> None:
+    """Let the chunks of a ROS 1 bag not grow beyond bounds when they are decompressed."""
+    inflated = Inflated(path)
     for one in reader.readers:
         chunks = getattr(one, "chunks", {})
         for key, chunk in chunks.items():
-            chunks[key] = chunk._replace(decompressor=_bounded(chunk.decompressor))
-
-
-def _bounded(decompress: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-    def bounded(data: bytes) -> bytes:
-        if data[:3] == b"BZh":
-            plain = bz2.BZ2Decompressor().decompress(data, LARGEST_CHUNK + 1)
-        elif data[:4] == b"\x04\x22\x4d\x18":
-            import lz4.frame
-
-            plain = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=LARGEST_CHUNK + 1)
-        else:
-            plain = decompress(data) if len(data) <= LARGEST_CHUNK else b"\0" * (LARGEST_CHUNK + 1)
-        if len(plain) > LARGEST_CHUNK:
-            raise ValueError(f"a chunk is larger than {LARGEST_CHUNK / 2**20:.0f} MB")
-        return plain
-
-    return bounded
+            chunks[key] = chunk._replace(decompressor=bounded(chunk.decompressor, inflated))
 
 
 def _damaged(path: Path, fault: Exception) -> InputError:
     remedy = "'ros2 bag reindex' or 'rosbag reindex' may mend it"
-    return InputError(f"{path.name} cannot be read as a ROS bag ({_words(fault)}); {remedy}.")
-
-
-def _words(fault: BaseException) -> str:
-    text = " ".join(str(fault).split()).rstrip(".")
-    return text[:120] or type(fault).__name__
+    return InputError(f"{path.name} cannot be read as a ROS bag ({in_words(fault)}); {remedy}.")

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.log.log import Log
+from tau_dyn.log.names import count
+from tau_dyn.log.recording import Recording
 from tau_dyn.log.resample import GAP_STEPS, JITTER_LIMIT, MIN_SEGMENT, interpolate, is_rounded
-from tau_dyn.log.stream import Recording
 
 _STEPS = 2**20  # steps from which the usual one is taken, spread evenly
 _INDEX = 4096  # every so manieth sample's time is kept
@@ -129,23 +130,26 @@ def stretches(recording: Recording) -> list[Stretch]:
         return [Stretch(recording, 0, n, n, scan.t0, scan.span / (n - 1), "rounded", np.zeros(0), (said,))]
     gaps = odd > GAP_STEPS * dt
     ends = [0, *(int(i) for i in odd_at[gaps]), recording.n_samples]
-    said = _gap_sentence(recording, odd_at[gaps], odd[gaps], scan) if gaps.any() else ()
+    said = _gap_sentence(recording, odd_at[gaps], odd[gaps]) if gaps.any() else ()
     found = []
     for start, stop in zip(ends[:-1], ends[1:], strict=True):
         if stop - start >= MIN_SEGMENT:
             inside = (odd_at > start) & (odd_at < stop)
-            found.append(_stretch(recording, scan, start, stop, dt, odd[inside], said))
+            found.append(_stretch(recording, scan, start, stop, odd[inside], said))
     return found
 
 
 def _stretch(
-    recording: Recording, scan: _Scan, start: int, stop: int, dt: float, odd: np.ndarray, said: tuple[str, ...]
+    recording: Recording, scan: _Scan, start: int, stop: int, odd: np.ndarray, said: tuple[str, ...]
 ) -> Stretch:
     t0, t1 = (float(recording.window(k, k + 2, ()).t[i]) for k, i in ((start, 0), (stop - 2, 1)))
-    step = scan.median(start, stop, dt)
+    n_usual = stop - start - 1 - odd.size
+    step = (
+        (t1 - t0 - odd.sum()) / n_usual if n_usual else (t1 - t0) / odd.size
+    )  # the mean of the usual ones, as `Log.dt`
     if not odd.size and scan.jitter(start, stop) <= JITTER_LIMIT:
         return Stretch(recording, start, stop - start, stop - start, t0, step, "even", np.zeros(0), said)
-    n = round((t1 - t0) / ((t1 - t0 - odd.sum()) / (stop - start - 1 - odd.size)))
+    n = round((t1 - t0) / step)
     index = np.array([recording.window(k, k + 2, ()).t[0] for k in range(start, stop - 1, _INDEX)])
     uneven = (
         f"{recording.name}: its steps vary or samples are missing; all channels were interpolated onto an even clock."
@@ -159,7 +163,6 @@ class _Scan:
     def __init__(self, n: int) -> None:
         self.stride = max(1, n // _STEPS)
         self.steps: list[np.ndarray] = []
-        self.at: list[np.ndarray] = []
         self.odd_at: list[np.ndarray] = [np.zeros(0, int)]
         self.odd: list[np.ndarray] = [np.zeros(0)]
         self.rounded = True
@@ -182,8 +185,8 @@ class _Scan:
         self.odd.append(steps[odd])
         kept = (rows % self.stride == 0) & np.isfinite(steps)
         self.steps.append(steps[kept])
-        self.at.append(rows[kept])
-        self._index.append(np.column_stack([rows, t])[:: max(1, len(t) // 64)])
+        few = slice(None, None, max(1, len(t) // 64))
+        self._index.append(np.column_stack([rows[few], t[few]]))  # a slice of all would keep all
         self.rounded = self.rounded and len(t) > 2 and is_rounded(t)
         self._last, self._n = float(t[-1]), self._n + len(t)
         self.span = self._last - self.t0
@@ -197,14 +200,9 @@ class _Scan:
         """Return how far usual steps stray, as a share, in the parts that a stretch touches."""
         return max(x for a, b, x in self._jitter if a < stop and b > start)
 
-    def median(self, start: int, stop: int, otherwise: float) -> float:
-        """Return the usual step of a stretch [s]."""
-        steps, at = np.concatenate(self.steps), np.concatenate(self.at)
-        mine = steps[(at > start) & (at < stop)]
-        return float(np.median(mine)) if mine.size > 2 else otherwise
 
-
-def _gap_sentence(recording: Recording, at: np.ndarray, steps: np.ndarray, scan: _Scan) -> tuple[str, ...]:
+def _gap_sentence(recording: Recording, at: np.ndarray, steps: np.ndarray) -> tuple[str, ...]:
     places = [f"{step:.3g} s before sample {row + 1}" for row, step in zip(at[:3], steps[:3], strict=True)]
     more = f" and {len(at) - 3} more" if len(at) > 3 else ""
-    return (f"{recording.name} has {len(at)} gap(s) in time: {', '.join(places)}{more}; it is cut there, not bridged.",)
+    gaps = count(len(at), "gap")
+    return (f"{recording.name} has {gaps} in time: {', '.join(places)}{more}; it is cut there, not bridged.",)

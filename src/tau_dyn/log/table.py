@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
+from tau_dyn.log.complaints import complaint, looks_like_units, no_column
 from tau_dyn.log.delimited import MOST_COLUMNS, parse_delimited
-from tau_dyn.log.names import listed
+from tau_dyn.log.inflated import FREE, MOST_INFLATED
 
 LARGEST = 1e15
 """No quantity of a robot in SI units is larger; what is comes from a broken logger."""
@@ -61,19 +62,25 @@ class Table:
         """Return the file and the line of a row, to open a message."""
         return f"{self.name}, {self.place} {self.places[row]}"
 
-    def numbers(self, column: str) -> NDArray[np.float64]:
+    def numbers(self, column: str, scale: float = 1.0) -> NDArray[np.float64]:
         """Return a column (N,) in which every cell has to be a finite number.
+
+        Args:
+            column: Its name.
+            scale: What brings it to SI units, where its size is judged; the column itself is not scaled.
 
         Raises:
             InputError: The column does not exist, or a cell is empty, text, NaN or infinite.
         """
         if column not in self.cells:
-            raise InputError(f"{self.name} has no column {column}; it has {listed(self.cells)}.")
+            raise InputError(no_column(self.name, column, tuple(self.cells)))
         values = _to_float(self.cells[column])
-        wrong = np.flatnonzero(~(np.abs(values) < LARGEST))
+        wrong = np.flatnonzero(~(np.abs(values) * abs(scale) < LARGEST))
         if wrong.size:
-            row = int(wrong[0])
-            raise InputError(f"{self.where(row)}, column {column}: {_complaint(self.cells[column][row])}.")
+            row, cells = int(wrong[0]), self.cells[column]
+            if row == 0 and len(cells) > 1 and looks_like_units(cells[0], cells[1]):
+                raise InputError(f"{self.where(0)} holds units ({column}: {cells[0]}), not a sample; delete that line.")
+            raise InputError(f"{self.where(row)}, column {column}: {complaint(cells[row], LARGEST)}.")
         return values
 
     def numbers_or_none(self, column: str) -> NDArray[np.float64] | None:
@@ -134,8 +141,16 @@ def _read_bytes(path: Path) -> bytes:
 def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
     """Return the columns of a Parquet file; no Python object is ever restored from it."""
     try:
+        about = pq.read_metadata(pa.BufferReader(data))
+        if 8 * about.num_rows * about.num_columns > FREE + MOST_INFLATED * len(data):
+            raise InputError(
+                f"{name} says in {len(data)} bytes that it holds {about.num_rows} rows of {about.num_columns} columns, which no "
+                "recording does; write it again."
+            )
         table = pq.read_table(pa.BufferReader(data))
         names = Counter(table.column_names)
+    except InputError:
+        raise
     except (pa.ArrowException, OSError, ValueError):  # ValueError: a name that is no UTF-8
         raise InputError(f"{name} is not a Parquet file; give CSV another suffix than .parquet.") from None
     twice = [column for column, times in names.items() if times > 1]
@@ -177,15 +192,3 @@ def _to_float(cells: NDArray[Any]) -> NDArray[np.float64]:
 
 def _is_blank(cell: object) -> bool:
     return cell is None or str(cell).strip().lower() in ("", "nan", "na", "null", "<na>", "none")
-
-
-def _complaint(cell: object) -> str:
-    """Say in half a sentence why a cell is not a usable number, and what would be right."""
-    text = "" if cell is None else str(cell).strip()
-    if not text:
-        return "the cell is empty; every sample needs a number here"
-    if text.lower().lstrip("+-") in ("nan", "inf", "infinity", "na", "null", "<na>"):
-        return f"{text} is not a finite number; every sample needs one here"
-    if text.count(",") == 1 and text.replace(",", "").lstrip("+-").isdigit():
-        return f"{text!r} has a decimal comma; write numbers with a decimal point"
-    return f"{text[:40]!r} is not a number; write it as 0.125 or 1.25e-1"

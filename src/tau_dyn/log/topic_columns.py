@@ -11,6 +11,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
+from itertools import islice
 from numbers import Real
 from typing import Any
 
@@ -117,20 +118,26 @@ class _Joints:
         self.values = {field: array("d") for field in OURS}
 
     def add(self, log: int, stamp: int, names: tuple[str, ...], message: Any, where: str) -> int:
-        if len(set(names)) < len(names):
+        place = {n: k for k, n in enumerate(names)}
+        if len(place) < len(names):
             raise InputError(f"{where} names a joint twice; every joint of a joint state needs a name of its own.")
-        order = None if names == self.names else [names.index(n) for n in self.names]
+        if len(names) > MOST_COLUMNS:
+            raise InputError(f"{where} has {len(names)} joints; a robot has {MOST_COLUMNS} at most.")
+        order = None if names == self.names else [place[n] for n in self.names]
         taken = 0
         for field, values in self.values.items():
             given = _item(message, field)
-            numbers = [] if given is None else list(given)
+            try:
+                numbers = [] if given is None else list(given)
+            except TypeError:
+                raise InputError(f"{where}: {field} is no list of numbers.") from None
             if len(numbers) not in (0, len(names)):
                 raise InputError(
                     f"{where} has {len(names)} names and {len(numbers)} in {field}; each joint needs one, or none of them."
                 )
             try:
                 values.extend(map(float, numbers if order is None or not numbers else [numbers[k] for k in order]))
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise InputError(f"{where}: {field} holds something else than numbers.") from None
             taken += len(numbers)
         self.log.append(log)
@@ -157,7 +164,7 @@ class _Plain:
     """Messages of any other shape; the first one tells which numbers there are."""
 
     def __init__(self, message: Any) -> None:
-        found = list(_numbers(message, (), 0))[:MOST_COLUMNS]
+        found = list(islice(_numbers(message, (), 0), MOST_COLUMNS))
         self.paths = [path for path, _ in found]
         self.truths = frozenset(_label(path) for path, value in found if isinstance(value, bool | np.bool_))
         self.log, self.stamp, self.values = array("q"), array("q"), array("d")

@@ -73,7 +73,8 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     where = f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, far outside {lower:.4g} to {upper:.4g} {unit}"
     slack = 0.1 * margin
     if low * scale >= lower - slack and high * scale <= upper + slack:
-        return f"{where}; it reads like {foreign}: give scale {scale:.9g} in a column map."
+        line = f"q_{joint}: {{column: q_{joint}, scale: {scale:.9g}}}"
+        return f"{where}; it reads like {foreign}: write `{line}` into a column map."
     return f"{where}; is it this joint, at its own side of the gear, in {unit}?"
 
 

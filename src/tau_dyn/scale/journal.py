@@ -115,9 +115,9 @@ def _done(file: BinaryIO, path: Path, head: dict[str, Any]) -> dict[str, Any]:
 def _row(path: Path, number: int, line: bytes) -> dict[str, Any]:
     try:
         row = json.loads(line)
-        if isinstance(row, dict) and (number == 1 or {"item", "result"} <= set(row)):
+        if isinstance(row, dict) and (number == 1 or ("result" in row and isinstance(row.get("item"), str))):
             return row
-    except ValueError:
+    except (ValueError, RecursionError):
         pass
     raise InputError(f"{path}, line {number} is no line of a journal; remove the file to begin anew")
 
