@@ -1,11 +1,13 @@
-"""One mutant in a copy of the project: its own tests first, then its room's."""
+"""One mutant in a copy of the project: its own tests first, then its room's, quick ones first."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -27,26 +29,40 @@ def judged(item: dict[str, Any]) -> dict[str, Any]:
     file = root / "src" / "tau_dyn" / item["module"]
     operator = cosmic_ray.plugins.get_operator(item["operator"])()
     with use_mutation(file, operator, item["occurrence"]) as (before, after):
-        if after is None:
+        if after is None or not _compiles(after):
             return {"outcome": "none", "was": "", "became": ""}
         was, became = _changed(before, after)
-        for tests in _orders(root, item["module"], item["tests"]):
-            outcome = tested(root, tests, item["limit"])
-            if outcome != "survived":
-                break
+        outcome = tested(root, _ordered(item["module"], item["tests"]), item["limit"])
     return {"outcome": outcome, "was": was, "became": became}
 
 
 def tested(root: Path, tests: list[str], limit: float) -> str:
     """Run tests in a copy until one fails; `killed`, `survived` or `timeout`."""
-    env = {**os.environ, "PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
-    env |= {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    command = [sys.executable, "-m", "pytest", *_PYTEST, *tests]
     try:
-        done = subprocess.run(command, cwd=root, env=env, timeout=limit, capture_output=True)
+        done = _pytest(root, tests, limit)
     except subprocess.TimeoutExpired:
         return "timeout"
     return "survived" if done.returncode in (0, 5) else "killed"
+
+
+def quick_first(root: Path, tests: list[str]) -> list[str]:
+    """Run tests once, unbroken, and return their files, those that take least time first; none where a test fails."""
+    done = _pytest(root, ["--durations=0", "-vv", *tests])
+    if done.returncode:
+        return []
+    paths = [root / test for test in tests]
+    files = [f for path in paths for f in ([path] if path.suffix else sorted(path.rglob("test_*.py")))]
+    took = dict.fromkeys((str(f.relative_to(root)) for f in files), 0.0)
+    for seconds, file in re.findall(r"^([\d.]+)s (?:setup|call|teardown) +([^:]+)::", done.stdout, re.MULTILINE):
+        took[file] += float(seconds)
+    return sorted(took, key=lambda file: took[file])
+
+
+def _pytest(root: Path, arguments: list[str], limit: float | None = None) -> subprocess.CompletedProcess[str]:
+    env = {**os.environ, "PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    env |= {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    command = [sys.executable, "-m", "pytest", *_PYTEST, *arguments]
+    return subprocess.run(command, cwd=root, env=env, timeout=limit, capture_output=True, text=True)
 
 
 def _copy(folder: Path) -> Path:
@@ -59,11 +75,21 @@ def _copy(folder: Path) -> Path:
     return root
 
 
-def _orders(root: Path, module: str, tests: list[str]) -> list[list[str]]:
-    """Return the test files named after a module, then all of its room's."""
-    stem = Path(module).stem
-    own = [str(f.relative_to(root)) for t in tests for f in sorted((root / t).rglob(f"test_{stem}*.py"))]
-    return [own, tests] if own else [tests]
+def _ordered(module: str, files: list[str]) -> list[str]:
+    """Return test files with those named after a module in front."""
+    own = f"test_{Path(module).stem}"
+    return sorted(files, key=lambda file: not Path(file).name.startswith(own))
+
+
+def _compiles(text: str) -> bool:
+    """Return whether Python takes this text; what it refuses is no mutant, since any test notices."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)
+            compile(text, "mutant", "exec", dont_inherit=True)
+    except SyntaxError:
+        return False
+    return True
 
 
 def _changed(before: str, after: str) -> tuple[str, str]:

@@ -47,6 +47,13 @@ def test_stepping_is_simulating(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(np.array([stepper.step(x) for x in u]), sampled.simulate(u), atol=1e-13)
 
 
+@pytest.mark.parametrize("n", [3, 5, 8])
+def test_a_delay_longer_than_the_inputs_leaves_the_system_at_rest(n: int) -> None:
+    """What has not arrived yet moves nothing, whether the delay is a little or much longer than what is simulated."""
+    sampled = oscillator(0.08).sampled(0.01)
+    np.testing.assert_array_equal(sampled.simulate(np.ones((n, 1))), np.zeros((n, 1)))
+
+
 def test_what_cannot_be_sampled_is_refused() -> None:
     with pytest.raises(InputError, match="whole number of steps"):
         oscillator(0.005).sampled(0.004)

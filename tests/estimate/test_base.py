@@ -90,3 +90,16 @@ def test_a_rounding_of_the_robot_file_is_not_a_parameter(rng):
     W = rng.normal(size=(50, 3)) * [1.0, 1e-6, 1e-8]
     base = find_base(W, ("a.mx", "b.mx", "c.viscous"), units=("kg m", "kg m", "N s"))
     assert [base.names[k] for k in base.kept] == ["a.mx", "c.viscous"]
+
+
+def test_noise_on_the_left_does_not_take_the_place_of_what_stands_on_the_right():
+    """Eight columns that are one but for noise as large as the tolerance, and one of its own: that one is always kept."""
+    names = (*(f"a{k}" for k in range(8)), "b")
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        a, b = rng.normal(size=(2, 200))
+        W = np.column_stack([*(a + 1e-6 * rng.normal(size=200) for _ in range(8)), b])
+        base, theta = find_base(W, names), rng.normal(size=9)
+        assert base.kept[0] == 0 and base.kept[-1] == 8
+        assert_allclose(W[:, base.kept] @ base.combine(theta), W @ theta, atol=1e-3)
+        assert base.alone[8]

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.estimate import Body, Physics, find_base, pseudo_inertia, solve_consistent
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import INERTIAL
 
@@ -48,6 +48,20 @@ def test_an_impossible_estimate_becomes_possible_and_is_named(seen):
     assert np.linalg.eigvalsh(J)[0] < 1e-4
     assert set(found.moved) == {"arm_link inertia"}
     assert found.moved["arm_link inertia"] < 0
+
+
+def test_what_the_data_know_well_is_not_moved_for_what_they_hardly_know(seen):
+    """Only the moment about x may give way: it stops where `(S_xx - mx^2/m) (S_zz - mz^2/m) = (mx mz / m)^2`.
+
+    With `S_xx = (iyy + izz - ixx) / 2` and the like, m = 2, mx = 0.1, mz = 0.2: `(1 - x - 0.01) (x - 0.04) = 4e-4`.
+    """
+    beta = PHYSICAL.copy()
+    beta[4] = 1.5
+    found = solve_consistent(link_parameters(PHYSICAL), seen, beta, np.diag([1e3] * 4 + [1.0] + [1e3] * 5), PHYSICS)
+    edge = np.roots([-1.0, 1.03, -0.0396 - 4e-4]).max()
+    assert_allclose(found.parameters.values[4], edge, atol=2e-3)
+    assert_allclose(np.delete(found.parameters.values - PHYSICAL, 4), 0, atol=1e-3)
+    assert set(found.moved) == {"arm_link inertia"}
 
 
 def test_it_is_the_nearest_in_the_metric_of_the_data():
@@ -106,3 +120,16 @@ def test_contradictory_bounds_are_the_users_fault():
     base, beta = find_base(np.eye(len(free)), free), np.array([p.value for p in rows if p.free])
     with pytest.raises(InputError, match="arm_link"):
         solve_consistent(Parameters(rows), base, beta, np.eye(len(free)), PHYSICS)
+
+
+def test_bounds_alone_are_never_the_contradiction(monkeypatch):
+    """Bounds leave room for some answer; a solver that finds none has been given data that tell too little."""
+    import cvxpy
+
+    def gives_up(problem, **_):
+        raise cvxpy.SolverError
+
+    monkeypatch.setattr(cvxpy.Problem, "solve", gives_up)
+    seen = find_base(np.eye(2), ("m0", "m1"))
+    with pytest.raises(CannotAnswer, match="too many for so short or dull a log"):
+        solve_consistent(masses(1.0, 1.0), seen, np.array([1.0, -1.0]), np.eye(2), None)

@@ -45,6 +45,18 @@ def test_without_noise_the_truth_comes_back(rng):
     assert np.all(np.isfinite(e.stderr))
 
 
+def test_the_condition_number_is_that_of_unit_columns(rng):
+    """Two columns with a cosine of 0.8 between them, at sizes a thousand apart: `sqrt((1 + 0.8) / (1 - 0.8)) = 3`."""
+    a, b = np.linalg.qr(rng.normal(size=(400, 2)))[0].T
+    W = np.stack([a, 1e3 * (0.8 * a + 0.6 * b)], axis=1)[:, None]
+    y = W @ [1.0, 1e-3] + 1e-3 * rng.normal(size=(400, 1))
+    run = Run("made", np.arange(400) / 50, W, y, np.ones((400, 1), bool), W, y)
+    e = solve_least_squares(Regression(Parameters(Parameter(x, 1.0, "1") for x in "ab"), ("j0",), ("N",), (run,)))
+    assert_allclose(e.cond, 3.0, rtol=1e-9)
+    assert_allclose(e.residuals()[0][:, 0], y[:, 0] - W[:, 0] @ e.theta, rtol=1e-9)
+    assert_allclose(e.correlation, [[1, -0.8], [-0.8, 1]], atol=0.05)  # white noise, but for what its model makes of it
+
+
 def test_a_fixed_parameter_is_subtracted_and_leaves_the_solver(rng):
     """Fixed at its true value it changes nothing but certainty; fixed at a wrong one it stays and the residual grows."""
     regression = make(rng)

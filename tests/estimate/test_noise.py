@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import linalg
 from scipy.signal import lfilter
 
 from tau_dyn.estimate import Autoregression, Regression, Run, fit_autoregression, solve_least_squares
@@ -60,6 +61,25 @@ def test_an_explosive_fit_is_pulled_back(rng):
     model = fit_autoregression([np.exp(0.01 * np.arange(600)) * (1 + 0.01 * rng.normal(size=600))])
     assert np.all(np.isfinite(model.autocovariance(600)))
     assert np.max(np.abs(np.roots([1.0, *-model.phi]))) < 0.9991
+
+
+def test_one_pole_outside_the_circle_is_pulled_back():
+    """`1.01^k` is an autoregression of order one with its pole at 1.01; none is believed beyond 0.999."""
+    assert fit_autoregression([1.01 ** np.arange(600)], max_order=1).phi == pytest.approx([0.999])
+
+
+@pytest.mark.parametrize("phi", [(), (0.97,), (1.2, -0.6)], ids=["white", "ar1", "ar2"])
+def test_the_covariance_is_the_dense_one_of_its_noise_model(rng, phi):
+    """`(W'W)^-1 W' C W (W'W)^-1` with the Toeplitz matrix of the model found, to the run's last sample and across a gap."""
+    n, columns = 300, slow_columns(rng, 300, 1)
+    usable = np.ones((n, 1), bool)
+    usable[100:130] = False
+    e = solve_least_squares(problem(rng, coloured(rng, n, phi), usable, columns))
+    Z = np.where(usable, columns[:, 0] / e.sigma, 0.0)
+    C = linalg.toeplitz(e.noise[0].autocovariance(n))
+    inverse = np.linalg.inv(Z.T @ Z)
+    free = usable.sum() / (usable.sum() - 2)
+    assert_allclose(e.cov, free * inverse @ Z.T @ C @ Z @ inverse, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

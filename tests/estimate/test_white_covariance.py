@@ -33,3 +33,13 @@ def test_memory_is_seen_by_both():
     for k in (0, 1):
         said = np.mean([np.diag(x[k]) for x in found], axis=0)
         assert np.all(np.abs(np.log(said / true)) < np.log(1.8))
+
+
+def test_blocks_are_a_tenth_of_a_second_and_two_seconds_long():
+    """A residual of one throughout: every block's score is its number of samples, B blocks scatter by `B n^2 B / (B - 1)`."""
+    t, one = DT * np.arange(N), np.ones((N, 1))
+    coloured, scattered = score_middles([t], [one[:, :, None]], [one], [np.ones((N, 1), bool)])
+    for found, seconds, free in ((coloured, 0.1, 1 - 1 / N), (scattered, 2.0, 1.0)):
+        size = seconds / DT
+        blocks = N / size
+        assert np.allclose(found * free, blocks * size**2 * blocks / (blocks - 1), rtol=1e-9)

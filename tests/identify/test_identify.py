@@ -263,7 +263,7 @@ def test_a_gap_cuts_the_log_and_is_said(l1, truth, monday):
     broken = Log(monday.t[keep], {k: x[keep] for k, x in monday.channels.items()}, "broken.csv")
     found = identify(l1, broken)
     assert len(found.estimate.regression.runs) == 2
-    assert any("broken.csv has 1 gap(s) in time" in text for text in found.warnings)
+    assert any("broken.csv has 1 gap in time" in text for text in found.warnings)
     off = [(p.value - truth.parameters[p.name].value) / p.stderr for p in found.parameters if p.stderr]
     assert np.max(np.abs(off)) < 4.5
 
@@ -292,7 +292,7 @@ def test_uneven_sampling_is_put_right_and_said(l1, truth, monday):
 def test_millimetres_are_noticed(axis, axis_log, l1, monday, make):
     """Positions that read like millimetres: a warning where an answer is still possible, part of the refusal where not."""
     found = identify(axis, make.changed(axis_log, q_axis=1e3 * axis_log.channels["q_axis"]))
-    assert any("it reads like mm: give scale 0.001" in text for text in found.warnings)
+    assert any("it reads like mm: write `q_axis: {column: q_axis, scale: 0.001}`" in text for text in found.warnings)
     scaled = {f"q_{j}": 1e3 * monday.channels[f"q_{j}"] for j in l1.actuated}
     with pytest.raises(InputError, match="do they stand in mm"):
         identify(l1, make.changed(monday, **scaled))

@@ -41,6 +41,21 @@ def test_force_is_regressor_times_parameters(model, rng) -> None:
     assert np.abs(tau - apart).max() > 0.1
 
 
+def test_a_gain_feels_the_force_of_what_yields(two_link) -> None:
+    """A drive's gain scales all forces, also those of an effect that needs friction's growth with speed to be known."""
+    on, units, t = two_link.actuated, two_link.force_units, 1e-3 * np.arange(400)
+    q, v, a = (x[:, None] * [1.0, 0.5] for x in (np.sin(9 * t), 9 * np.cos(9 * t), -81 * np.sin(9 * t)))
+    yielding = EFFECTS["transmission_error"](on, units, period=0.7)
+    friction = friction_model("symmetric", on, units)
+    plain = Model.of(two_link, [*friction, yielding])
+    plain = plain.with_values({name: 0.01 * (1 + k) for k, name in enumerate(plain.effect_parameters.names)})
+    scaled = Model.of(two_link, [*friction, yielding, EFFECTS["drive_gain"](on, units)])
+    scaled = scaled.with_values(
+        {p.name: p.value for p in plain.effect_parameters} | {f"{j}.gain_error": 0.1 for j in on}
+    )
+    assert_allclose(scaled.torque(q, v, a, t=t), 1.1 * plain.torque(q, v, a, t=t), rtol=1e-12)
+
+
 def test_values_are_replaced_by_name(model) -> None:
     """A new value reaches the force; an unknown name lists those that exist."""
     q, v, a = np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 2))
@@ -105,6 +120,18 @@ CHANGES = [
     ("parameters", []), ("urdf", 3), ("urdf", ""), ("urdf", "<robot/>"), ("urdf", "{broken"), ("provenance", 3),
     ("urdf", '<!DOCTYPE r [<!ENTITY a "b">]><robot name="r"><link name="&a;"/></robot>'),
 ]  # fmt: skip
+
+
+@pytest.mark.parametrize("value", ["9" * 350, "-0x" + "f" * 300, "1.0e+999", ".nan"])
+def test_a_value_beyond_all_floats_is_refused(saved, value: str) -> None:
+    """However it is written, a value that no calculation can hold is said, with its parameter."""
+    content = yaml.safe_load(saved.read_text())
+    content["parameters"][0]["value"] = "HERE"
+    saved.write_text(yaml.safe_dump(content).replace("value: HERE", f"value: {value}"))
+    with pytest.raises(
+        InputError, match=f"{content['parameters'][0]['name']} must be a finite number, not -?(inf|nan)"
+    ):
+        Model.load(saved)
 
 
 @pytest.mark.parametrize(("key", "value"), CHANGES)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import load_robot, robot_from_urdf
 
 
@@ -137,3 +140,49 @@ def test_gravity_mass_is_felt_by_gravity_only(rng) -> None:
     assert_allclose(ratio, 22.38 / (9.13 + 2.4), rtol=1e-12)
     v = rng.standard_normal(3)
     assert_allclose(heavy.mass_and_bias(q[0], v)[0], light.mass_and_bias(q[0], v)[0], atol=1e-12)
+
+
+def test_reading_a_robot_leaves_standard_error_where_it_was(write) -> None:
+    """What Pinocchio's parser says is collected; afterwards a program's own words go where they went before."""
+    before = os.fstat(2)
+    opened = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
+    for urdf in (write.pendulum(), "<robot/>"):
+        try:
+            robot_from_urdf(urdf, "some")
+        except InputError:
+            continue
+    after = os.fstat(2)
+    assert (after.st_dev, after.st_ino) == (before.st_dev, before.st_ino)
+    assert not opened or len(os.listdir("/proc/self/fd")) == opened
+
+
+def test_a_link_with_its_mass_alone_is_a_line_of_ten_numbers(write) -> None:
+    """A uniform rod of m: `pi = m (1, l/2, 0, 0, ...)`, so the map from its mass is that line, and untied numbers leave it."""
+    text = write.text(
+        "rod", write.rod("rod_link", 3.0, 0.4), write.joint("j", "revolute", "base_link", "rod_link"), write.drive("j"),
+        '<tau_dyn:link name="rod_link" parameters="mass"/>',
+    )  # fmt: skip
+    (link,) = robot_from_urdf(text, "rod").links
+    across = 0.4**2 / 3
+    assert_allclose(link.map, np.array([[1, 0.2, 0, 0, 1e-4 / 3, 0, across, 0, 0, across]]).T, rtol=1e-12)
+    (untied,) = robot_from_urdf(text, "rod").untied(["rod_link.mx"]).links
+    assert_allclose(untied.map[:, 0], [1, 0, 0, 0, 1e-4 / 3, 0, across, 0, 0, across], rtol=1e-12)
+    assert_allclose(untied.map[:, 1], np.eye(10)[1])
+
+
+def test_parameters_have_units_and_bounds(two_link) -> None:
+    """Masses in kg and moments about an axis are not negative; first moments in kg m and products in kg m^2 may be."""
+    for p in two_link.parameters:
+        quantity = p.name.rsplit(".", 1)[-1]
+        unit = "kg" if quantity == "mass" else "kg m" if quantity in ("mx", "my", "mz") else "kg m^2"
+        lower = 0.0 if quantity in ("mass", "ixx", "iyy", "izz", "armature") else -np.inf
+        assert (p.unit, p.lower, p.upper) == (unit, lower, np.inf)
+    with pytest.raises(UnknownName, match=r"no parameter named 'elbow_link.mx'.*; there are .*upper_link.mass"):
+        two_link.untied(["elbow_link.mx"])
+
+
+def test_the_arguments_of_a_file_are_kept(pendulum) -> None:
+    """As text, and none where none were given."""
+    assert dict(load_robot("gantry_tau", prototype="l2").arguments) == {"prototype": "l2"}
+    assert dict(load_robot("gantry_tau").arguments) == dict(pendulum.arguments) == {}
+    assert load_robot("gantry_tau").tool_frame is not None and pendulum.tool_frame is None

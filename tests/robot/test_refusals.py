@@ -44,7 +44,9 @@ def test_an_unknown_value_says_which_there_are() -> None:
 
 def test_an_unknown_short_name_lists_the_known_ones() -> None:
     """A bare word is a short name."""
-    with pytest.raises(UnknownName, match="no robot named 'gantry_two'; there are .*gantry_tau.*linear_axis"):
+    with pytest.raises(
+        UnknownName, match="no robot named 'gantry_two'.*gantry_tau.*; there are .*gantry_tau.*linear_axis"
+    ):
         load_robot("gantry_two")
 
 
@@ -112,7 +114,7 @@ def test_loops_without_transmissions_ask_for_actuated_joints(write) -> None:
 
 def test_unknown_actuated_joints_are_named(write) -> None:
     """So are fixed joints, which do not move."""
-    with pytest.raises(UnknownName, match="no movable joint named 'crnk'; there are crank, coupler, rocker"):
+    with pytest.raises(UnknownName, match="no movable joint named 'crnk'.*crank.*; there are crank, coupler, rocker"):
         robot_from_urdf(write.four_bar(), "bars", actuated=["crnk"])
 
 
@@ -163,10 +165,11 @@ def test_an_incomplete_inertia_is_refused_not_dropped(write, element: str, sente
         robot_from_urdf(urdf, "pendulum")
 
 
-def test_a_negative_mass_is_refused(write) -> None:
-    """A mass is not negative."""
-    with pytest.raises(InputError, match="link 'rod_link': its mass is -2.0 kg"):
-        robot_from_urdf(write.pendulum(-2.0), "pendulum")
+@pytest.mark.parametrize("mass", [-2.0, -0.01])
+def test_a_negative_mass_is_refused(write, mass: float) -> None:
+    """A mass is not negative, not even by grams."""
+    with pytest.raises(InputError, match=f"link 'rod_link': its mass is {mass} kg"):
+        robot_from_urdf(write.pendulum(mass), "pendulum")
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,14 @@ def test_a_spring_is_read_and_locked(write: SimpleNamespace) -> None:
     assert TreeMechanism(robot).inertia(np.zeros((1, 1)))[0, 0, 0] == pytest.approx(straight)
 
 
+def test_a_spring_can_be_left_free(write: SimpleNamespace) -> None:
+    """Asked for as it is, the arm with a spring keeps both joints; one without springs has nothing to lock."""
+    sprung = on_the_elbow(write, '<tau_dyn:spring joint="elbow" stiffness="50"/>')
+    free = robot_from_urdf(sprung, "arm", actuated=["shoulder", "elbow"], lock_springs=False)
+    assert free.actuated == ("shoulder", "elbow") and free.model.nv == 2
+    assert robot_from_urdf(write.two_link(), "arm").model.nv == 2
+
+
 @pytest.mark.parametrize(
     ("note", "complaint"),
     [
