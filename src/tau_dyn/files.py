@@ -1,17 +1,20 @@
-"""Files read within bounds, files that appear whole or not at all, and YAML read safely; every fault becomes a sentence."""
+"""Files read within bounds, files that appear whole or not at all, YAML read safely, hashes; every fault becomes a sentence."""
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import platform
 import select
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count
+from math import inf
 from pathlib import Path
+from sys import float_info
 from typing import Any
 
 import yaml
@@ -87,6 +90,18 @@ def _from_pipe(handle: int, path: str | Path, most: int | None) -> bytes:
     return b"".join(pieces)
 
 
+def sha256_of(path: str | Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hex."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sha256_together(digests: Iterable[str]) -> str:
+    """Return one hash for all of them: that of a single file, or the hash of the hashes."""
+    digests = list(digests)
+    return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
 class PlainLoader(yaml.SafeLoader):
     """YAML as plain data: no code, no aliases that grow without end, nobody else's tags.
 
@@ -102,10 +117,16 @@ class PlainLoader(yaml.SafeLoader):
         super().fetch_flow_collection_start(TokenClass)
 
     def number(self, node: Any) -> int | float:
-        """Read a number; one of thousands of digits takes long to read and cannot be printed."""
+        """Read a number; one of thousands of digits takes long to read and cannot be printed.
+
+        A whole number beyond all floats is infinite, as one written with an exponent is: nobody has to expect one that is not.
+        """
         if len(text := str(self.construct_scalar(node))) > _LONGEST_NUMBER:
             raise yaml.YAMLError(f"a number of {len(text)} characters")
-        return self.construct_yaml_int(node) if node.tag.endswith(":int") else self.construct_yaml_float(node)
+        if node.tag.endswith(":float"):
+            return self.construct_yaml_float(node)
+        whole = int(self.construct_yaml_int(node))
+        return whole if abs(whole) <= float_info.max else (inf if whole > 0 else -inf)
 
     def get_single_node(self) -> Any:
         """Compose the document; refuse aliases that hold themselves or grow beyond bounds."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import yaml
 
 from tau_dyn.dynamics import Mechanism, build_mechanism
 from tau_dyn.effects import Effect, Motion
+from tau_dyn.effects.effect import naming
 from tau_dyn.effects.read import read_effects
 from tau_dyn.effects.state import beyond_a_state
 from tau_dyn.exceptions import InputError, UnknownName
@@ -40,6 +41,7 @@ BY_STATE = frozenset({*COMPUTED, "force", "damping"})
 """Signals that a single state determines."""
 
 _SMALL = 1e-6
+"""Step of a speed over which friction's growth is taken, as a share of one and the speed [m/s or rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +161,11 @@ class Model(Shown):
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return all columns (N, na, p) along a motion that has the signals its effects need."""
-        rigid = self.mechanism.regressor(motion.q, motion.v, motion.a)
-        return np.concatenate([rigid, *(_asked(effect, effect.columns, motion) for effect in self.effects)], axis=2)
+        parts = [self.mechanism.regressor(motion.q, motion.v, motion.a)]
+        for effect in self.effects:
+            with naming(effect):
+                parts.append(effect.columns(motion))
+        return np.concatenate(parts, axis=2)
 
     def motion(
         self,
@@ -190,13 +195,13 @@ class Model(Shown):
         for name in sorted(wanted - set(found)):
             if name in COMPUTED:
                 found[name] = COMPUTED[name](self.mechanism, q, v, a)
-        if wanted & {"force"} and "force" not in found:
+        if "damping" in wanted and "damping" not in found:  # before the force, of which what yields makes a part by it
+            found["damping"] = self.damping(Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found))
+        if "force" in wanted and "force" not in found:
             plain = self.only(e for e in self.effects if "force" not in e.needs)
             found["force"] = plain.mechanism.inverse_dynamics(q, v, a) + plain.effect_force(
                 Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
             )
-        if "damping" in wanted and "damping" not in found:
-            found["damping"] = self.damping(Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found))
         return Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
 
     def damping(self, motion: Motion) -> np.ndarray:
@@ -210,7 +215,8 @@ class Model(Shown):
         """Return the effects' share of the force (N, na) [N or N m]."""
         force = np.zeros(motion.v.shape)
         for effect in self.effects:
-            force += _asked(effect, partial(effect.force, parameters=self.effect_parameters), motion)
+            with naming(effect):
+                force += effect.force(motion, self.effect_parameters)
         return force
 
     def _refuse_states(self, t: np.ndarray | None) -> None:
@@ -248,7 +254,10 @@ class Model(Shown):
         """
         content = read_yaml(path)
         if not isinstance(content, dict) or content.get("tau_dyn_model") != _FORMAT:
-            raise InputError(f"{path}: not a tau_dyn model file (its first key is 'tau_dyn_model: {_FORMAT}')")
+            raise InputError(
+                f"{path}: not a tau_dyn model file (its first key is 'tau_dyn_model: {_FORMAT}'), as identify --out and "
+                "diagnose --out write it"
+            )
         for key, kind in (("robot", dict), ("effects", list), ("parameters", list), ("urdf", str)):
             _expect(content, key, kind, str(path))
         for key, kind in (("untied", list), ("provenance", dict)):
@@ -269,14 +278,6 @@ class Model(Shown):
             odd = min(set(saved.names) ^ set(model.parameters.names))
             raise InputError(f"{path}: parameter '{odd}' does not belong to this robot and these effects")
         return model.with_parameters(saved.select(model.parameters.names))
-
-
-def _asked(effect: Effect, ask: Callable[[Motion], np.ndarray], motion: Motion) -> np.ndarray:
-    """Return what an effect answers, and name it where the motion lacks what it feels."""
-    try:
-        return ask(motion)
-    except InputError as fault:
-        raise InputError(str(fault).replace("this effect", f"effect {effect.name}", 1)) from fault
 
 
 def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> None:

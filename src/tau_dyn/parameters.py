@@ -169,5 +169,8 @@ class Parameters(Shown):
             ]
             if odd:
                 raise InputError(f"{where}: entry {k + 1}: {odd[0]} must not be {row[odd[0]]!r}")
-            items.append(Parameter(**{**row, **{key: float(v) for key, v in numbers.items()}}))
-        return cls(items)
+            items.append({**row, **{key: float(v) for key, v in numbers.items()}})
+        try:
+            return cls(Parameter(**item) for item in items)
+        except InputError as fault:
+            raise InputError(f"{where}: {fault}") from fault

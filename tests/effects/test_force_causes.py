@@ -185,3 +185,8 @@ def test_a_shared_motor_has_units_of_its_joints() -> None:
     assert [p.unit for p in coupling(["a", "b"], ["N m", "N m"]).parameters][0] == "N m s^2/rad"
     mixed = replace(scene(joints=("a", "b", "c")), units=("N", "N m", "N m"))
     assert coupling.groups(mixed) == [("b", "c")]
+
+
+def test_a_joint_that_stands_still_offers_no_speeds_to_try():
+    """Its slowest sure speed is zero, and from zero there is no ladder of speeds a factor apart."""
+    assert EFFECTS["stribeck"].grid(scene(slow=0.0), ("x",)) == [] != EFFECTS["stribeck"].grid(scene(slow=0.01), ("x",))

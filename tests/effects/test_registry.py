@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tau_dyn.effects import EFFECTS, QuadraticDrag, Stribeck, register
-from tau_dyn.effects.effect import Effect, JointwiseEffect
+from tau_dyn.effects import EFFECTS, Effect, JointwiseEffect, QuadraticDrag, Stribeck, register
 from tau_dyn.exceptions import InputError
 
 

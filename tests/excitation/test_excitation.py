@@ -133,7 +133,7 @@ def test_more_noise_is_more_error(axis, design) -> None:
     """Ten times the force noise, ten times the error; encoder noise counts as well."""
     plain = predict(axis, design.motion, Noise.given(axis.robot, [5.0], [0.0]))
     loud = predict(axis, design.motion, Noise.given(axis.robot, [50.0], [0.0]))
-    assert_allclose(np.exp(np.mean(np.log(loud.stderr / plain.stderr))), 10.0, rtol=0.1)  # its colour is fitted anew
+    assert_allclose(np.exp(np.mean(np.log(loud.stderr / plain.stderr))), 10.0, rtol=0.2)  # its colour is fitted anew
     rough = predict(axis, design.motion, Noise.given(axis.robot, [5.0], [2e-4]))
     assert np.median(rough.stderr / plain.stderr) > 1.2
 

@@ -53,6 +53,8 @@ def test_parameters_alone_are_a_rigid_robot(read):
         ("effects: [{effect: torque_offset, parameters: {offset: yes}}]", "must be a finite number in N, not True"),
         ("effects: [{effect: symmetric_friction, parameters: {coulomb: -3}}]", "is not between 0 and inf"),
         ("effects: [{effect: symmetric_friction, parameters: {coulomb: .nan}}]", "must be a finite number"),
+        (f"effects: [{{effect: stribeck, settings: {{speed: {'9' * 350}}}}}]", "must be a finite number, not inf"),
+        (f"parameters: {{plate_link.mass: {'9' * 350}}}", "must be a finite number in kg, not inf"),
         ("parameters: {plate_link.weight: 1}", "no parameter named 'plate_link.weight'"),
         ("effects: [", "not valid YAML"),
     ],

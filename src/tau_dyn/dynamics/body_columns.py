@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.kinematics.tree_arrays import Vector, cross, plus
+from tau_dyn.robot.robot import inertia_matrix
 
 
 class BodyMotion(NamedTuple):
@@ -68,7 +69,7 @@ def body_wrench(body: BodyMotion, pi: np.ndarray) -> tuple[Vector, Vector]:
     if S is None:
         return force, moment
     force = plus(force, np.stack([row[0] * pi[1] + row[1] * pi[2] + row[2] * pi[3] for row in S]))
-    inertia = matrix(pi)
+    inertia = inertia_matrix(pi)
     w, dw = body.turning, body.spinning_up
     spin = None if dw is None else inertia @ dw
     return force, plus(moment, plus(spin, None if w is None else cross(w, inertia @ w)))
@@ -79,18 +80,12 @@ def momentum(linear: np.ndarray, angular: Vector, pi: np.ndarray) -> tuple[np.nd
     if angular is None:
         return pi[0] * linear, None
     h = np.broadcast_to(pi[1:4, None], linear.shape)
-    return pi[0] * linear + cross(angular, h), cross(h, linear) + matrix(pi) @ angular  # type: ignore[operator]
+    return pi[0] * linear + cross(angular, h), cross(h, linear) + inertia_matrix(pi) @ angular  # type: ignore[operator]
 
 
 def _product(column: list[np.ndarray], partial: np.ndarray) -> np.ndarray:
     """Return the scalar products (n, N) of a vector's rows and partial velocities (3, n, N)."""
     return column[0] * partial[0] + column[1] * partial[1] + column[2] * partial[2]
-
-
-def matrix(pi: np.ndarray) -> np.ndarray:
-    """Return the inertia matrix (3, 3) of ten inertial numbers in Pinocchio's order."""
-    xx, xy, yy, xz, yz, zz = pi[4:]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _spin_matrix(body: BodyMotion) -> list[list[np.ndarray]] | None:

@@ -23,6 +23,7 @@ from tau_dyn.dynamics.gantry_arrays import BLOCK, Pose, carts, dot, intersect, p
 from tau_dyn.dynamics.mechanism import Mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.robot import Robot
+from tau_dyn.robot.robot import inertia_matrix
 
 _FEW = 4  # samples up to which floats one by one are faster than arrays
 
@@ -137,8 +138,7 @@ class GantryTauMechanism(Mechanism):
     def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's velocity per cart velocity (N, 3, 3); see `Mechanism.tool_jacobian`."""
         (q,) = self._checked(q)
-        D = self._rods(q, self._trilaterate(q))
-        return np.linalg.inv(D) * np.einsum("nij,ij->ni", D, self.direction)[:, None, :]
+        return self._jacobian(self._rods(q, self._trilaterate(q)))
 
     def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's displacement per cart's displacement (N, 3, 3, 3): `d_i . (dT - dA_i) = 0` for every rod."""
@@ -177,12 +177,15 @@ class GantryTauMechanism(Mechanism):
         """
         (q,) = self._checked(q)
         D = self._rods(q, self._trilaterate(q))
-        J = np.linalg.inv(D) * np.einsum("nij,ij->ni", D, self.direction)[:, None, :]
-        relative = J[:, None] - np.eye(3)[:, None, :] * self.direction[:, :, None]  # (N, rod, 3, cart)
+        relative = self._jacobian(D)[:, None] - np.eye(3)[:, None, :] * self.direction[:, :, None]  # (N, rod, 3, cart)
         d, ahead, behind = D[:, :, :, None], [1, 2, 0], [2, 0, 1]
         turning = d[:, :, ahead] * relative[:, :, behind] - d[:, :, behind] * relative[:, :, ahead]  # d x relative
         turning /= (self.length**2)[:, None, None]
         return tuple(arm.rod_link.removesuffix("_link") for arm in self.robot.arms), turning
+
+    def _jacobian(self, D: np.ndarray) -> np.ndarray:
+        """Return the tool's velocity per cart velocity (N, 3, 3) with rods (N, 3, 3)."""
+        return np.linalg.inv(D) * np.einsum("nij,ij->ni", D, self.direction)[:, None, :]
 
     def _rods(self, q: np.ndarray, tool: np.ndarray) -> np.ndarray:
         return tool[:, None, :] - (self.origin + q[:, :, None] * self.direction)
@@ -247,8 +250,7 @@ class GantryTauMechanism(Mechanism):
         """Return alpha, beta, gamma and the centre's share of the length, from a rod's ten inertial numbers."""
         mass = pi[0] if pi[0] > 0 else 1.0
         c = float(np.linalg.norm(pi[1:4])) / (mass * length)
-        about = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
-        gamma = float(np.linalg.eigvalsh(about)[-1]) / (mass * length**2)  # across the rod: int s^2 dm
+        gamma = float(np.linalg.eigvalsh(inertia_matrix(pi))[-1]) / (mass * length**2)  # across the rod: int s^2 dm
         return 1 - 2 * c + gamma, c - gamma, gamma, c
 
     def _armature(self) -> np.ndarray:

@@ -121,7 +121,7 @@ class SampledModel:
             raise InputError(f"expected inputs of shape (N, {len(self.inputs)}), not {u.shape}")
         late = np.zeros_like(u)
         for k, steps in enumerate(self.delay):
-            late[steps:, k] = u[: len(u) - steps, k]
+            late[steps:, k] = u[: max(0, len(u) - steps), k]
         x = np.zeros((len(u), len(self.A)))
         driven = late @ self.B.T
         for k in range(len(u) - 1):

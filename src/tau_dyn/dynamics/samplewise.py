@@ -30,6 +30,8 @@ class SamplewiseTree(Mechanism):
         self.solver = LoopSolver(robot, self.model)
         self.data = self.solver.data
         self._map = self._parameter_map()
+        centres = np.array([inertia.lever for inertia in self.model.inertias])
+        self._unplaced = not np.isfinite(centres).all()  # a first moment without mass, which Pinocchio cannot hold
         self._upper = np.triu(np.ones((self.model.nv, self.model.nv))) - 0.5 * np.eye(self.model.nv)  # crba's half
         self._constraints = Constraints(self.model, self.data, robot.loops)
         self._pairs = passive_pairs(robot, self.model)
@@ -44,7 +46,6 @@ class SamplewiseTree(Mechanism):
         names = self.robot.parameters.names
         Y = np.zeros((len(q), self.robot.na, len(names)))
         n_inertial = self._map.shape[1]
-        first_armature = n_inertial
         for k in range(len(q)):
             state = self.solver.state(q[k], v[k], a[k])
             tree = pin.computeJointTorqueRegressor(self.model, self.data, state.q, state.v, state.a)
@@ -53,14 +54,14 @@ class SamplewiseTree(Mechanism):
             for name in self._gravity_only:
                 Y[k, :, names.index(name)] = state.G.T @ self._weight(state.q, name.rsplit(".", 1)[0])
         joints = range(self.robot.na)
-        Y[:, joints, [first_armature + j for j in joints]] = a
+        Y[:, joints, [n_inertial + j for j in joints]] = a
         return Y
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return actuated forces (N, na); see `Mechanism.inverse_dynamics`."""
         q, v, a = self._checked(q, v, a)
-        if any(inertia.mass == 0 and np.any(inertia.inertia) for inertia in self.model.inertias):
-            return super().inverse_dynamics(q, v, a)  # Pinocchio divides a first moment by the mass
+        if self._unplaced:
+            return super().inverse_dynamics(q, v, a)
         tau = np.empty_like(q)
         for k in range(len(q)):
             state = self.solver.state(q[k], v[k], a[k])
@@ -69,6 +70,9 @@ class SamplewiseTree(Mechanism):
 
     def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `M` and `h` of one sample; see `Mechanism.mass_and_bias`."""
+        if self._unplaced:
+            rest = np.zeros((1, self.robot.na))
+            return self.inertia(rest + q)[0], self.inverse_dynamics(rest + q, rest + v, rest)[0]
         state = self.solver.state(q, v, np.zeros(self.robot.na))
         upper = self._upper * pin.crba(self.model, self.data, state.q).reshape(self.model.nv, -1)
         half = state.G.T @ upper @ state.G
@@ -133,10 +137,10 @@ class SamplewiseTree(Mechanism):
         """Return what each joint's guide carries (N, na); see `Mechanism.guide_load`."""
         q, v, a = self._checked(q, v, a)
         load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
-        turning = [k for k in range(self.robot.na) if k not in self._sliding]
-        if turning:
+        hinges = [k for k in range(self.robot.na) if k not in self._sliding]
+        if hinges:
             drive = np.array([self.robot.parameters[f"{joint}.armature"].value for joint in self.robot.actuated])
-            load[:, turning] = np.abs(self.inverse_dynamics(q, v, a) - drive * a)[:, turning]
+            load[:, hinges] = np.abs(self.inverse_dynamics(q, v, a) - drive * a)[:, hinges]
         return load
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 from tau_dyn.dynamics.batched import BatchedTree, blocks
 from tau_dyn.dynamics.guide_arrays import guide_force, passive_rates
 from tau_dyn.dynamics.samplewise import SamplewiseTree
-from tau_dyn.kinematics.loop_arrays import lengths_of
+from tau_dyn.kinematics.pseudo_inverse import lengths_of
 from tau_dyn.robot import Robot
 
 _FEW = 12

@@ -11,19 +11,22 @@ from tau_dyn.effects.cyclic_ripple import CyclicRipple
 from tau_dyn.effects.delay import Delay
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.effects.drive_gain import DriveGain
-from tau_dyn.effects.effect import Effect, JointMotion, JointwiseEffect, Motion, Scene
+from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.friction import AsymmetricFriction, SymmetricFriction, TorqueOffset
 from tau_dyn.effects.friction_change import FrictionChange
 from tau_dyn.effects.guideway_compliance import GuidewayCompliance
 from tau_dyn.effects.hysteresis import Hysteresis
 from tau_dyn.effects.joint_compliance import JointCompliance
+from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.load_friction import LoadFriction
+from tau_dyn.effects.motion import JointMotion, Motion
 from tau_dyn.effects.passive_joint_friction import PassiveJointFriction
 from tau_dyn.effects.pinion_scale import PinionScale
 from tau_dyn.effects.position_friction import PositionFriction
 from tau_dyn.effects.quadratic_drag import QuadraticDrag
 from tau_dyn.effects.reducer_coupling import ReducerCoupling
 from tau_dyn.effects.registry import EFFECTS, register
+from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.stribeck import Stribeck
 from tau_dyn.effects.structural_compliance import StructuralCompliance
 from tau_dyn.effects.thermal_drift import ThermalDrift

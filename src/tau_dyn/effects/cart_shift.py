@@ -13,7 +13,8 @@ from abc import abstractmethod
 import numpy as np
 
 from tau_dyn.effects.displacement import DisplacementEffect
-from tau_dyn.effects.effect import Motion, Scene
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.scene import Scene
 
 SENSITIVITY = "cart_sensitivity"
 """Signal (N, 3, na, 3): the tool's displacement per displacement of each cart, in base axes."""

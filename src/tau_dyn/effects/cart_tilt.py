@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.effects.cart_shift import CartShift
-from tau_dyn.effects.effect import Motion, Scene
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import quantity
 from tau_dyn.parameters import Parameter, Parameters
 

@@ -12,8 +12,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.effect import JointMotion, JointwiseEffect
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.words import one_sided
 from tau_dyn.parameters import Parameter
 
 
@@ -36,7 +37,4 @@ class CoulombAsymmetry(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return how much more Coulomb friction one direction has."""
-        p = values["coulomb_asymmetry"]
-        way = "forward" if p.value >= 0 else "backward"
-        more = quantity(2 * abs(p.value), p.unit, None if p.stderr is None else 2 * p.stderr)
-        return f"Coulomb friction {more} higher when moving {way} than the other way"
+        return one_sided("Coulomb friction", values["coulomb_asymmetry"])

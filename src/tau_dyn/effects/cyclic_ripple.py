@@ -11,13 +11,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.effect import JointMotion, JointwiseEffect, Motion, Scene
-from tau_dyn.effects.periodic import amplitude, periods, wave_terms, waves
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.periodic import PeriodicEffect, periods
+from tau_dyn.effects.scene import Scene
 from tau_dyn.parameters import Parameter
 
 
-class CyclicRipple(JointwiseEffect):
+class CyclicRipple(PeriodicEffect):
     """A periodic force of the position."""
 
     name = "cyclic_ripple"
@@ -27,23 +27,7 @@ class CyclicRipple(JointwiseEffect):
     reveals = "slow strokes at several constant speeds over many periods"
     mistaken_for = ("transmission_error", "resolver_error", "position_friction")
     plausible = "up to a few per cent of the drive's largest force; at least 4 periods in the range travelled"
-    quantities = ()
-    defaults = {"period": 0.02, "harmonics": 1}
-    setting_units = {"period": "Q"}
-    positive = ("period",)
-    whole = ("harmonics",)
-    refined = ("period",)
-    grows = "harmonics"
-    dense = True
-
-    @property
-    def terms(self) -> tuple[tuple[str, str], ...]:
-        """Sine and cosine amplitude of each harmonic."""
-        return wave_terms("ripple", "F", int(self.settings["harmonics"]))
-
-    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return sine and cosine of each harmonic."""
-        return waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
+    wave = ("ripple", "F")
 
     def local_frequency(self, motion: Motion) -> np.ndarray:
         """Return at which frequency each sample feels the first harmonic (N, na) [Hz]."""
@@ -51,10 +35,8 @@ class CyclicRipple(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return amplitude and period, and the harmonics' amplitudes after them."""
-        p = list(values.values())
-        sizes = [amount(amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
-        more = f", with harmonics of {', '.join(sizes[1:])}" if len(sizes) > 1 else ""
-        return f"a force of {sizes[0]} that repeats every {self.setting('period', joint)}{more}"
+        size, more = self.sizes(values)
+        return f"a force of {size} that repeats every {self.setting('period', joint)}{more}"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

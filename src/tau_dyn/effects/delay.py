@@ -15,7 +15,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect, Motion, Scene
+from tau_dyn.effects.effect import Effect
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters

@@ -16,7 +16,8 @@ from abc import abstractmethod
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect, Motion
+from tau_dyn.effects.effect import Effect
+from tau_dyn.effects.motion import Motion
 from tau_dyn.log import differentiate
 
 _FEWEST = 5  # samples that a derivative of fourth order takes

@@ -11,103 +11,18 @@ Diagnosis tries effects that name a `cause` of the contract: on which joints (`g
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from itertools import combinations
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from math import isfinite
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from tau_dyn.effects.words import amount, quantity
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.words import amount
 from tau_dyn.exceptions import InputError
-from tau_dyn.parameters import Parameter, Parameters
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Actuated motion as effects see it.
-
-    Attributes:
-        joints: Names of the actuated joints, in order.
-        q: Positions (N, na) [m or rad].
-        v: Velocities (N, na).
-        a: Accelerations (N, na).
-        sign: Direction of motion (N, na), in [-1, 1]; `sign(v)` unless the caller says otherwise.
-        t: Time (N,) [s] of samples in order, evenly spaced; None for samples in no order, as in a single simulator step.
-        signals: What else some effects feel, by name: `load` (N, na) [N, N m] across each joint's axis, `passive`
-            (N, n, 3, na) angular velocity of each passive joint per actuated speed, `inertia` (N, na, na) mass matrix,
-            `damping` (N, na) growth of friction with speed, `weight_gradient` (N, na, na) change of the weights with the
-            positions, `rigid_force` (N, na) force of the rigid bodies, `force` (N, na) force of the model without the effect,
-            `temperature` (N, na) [degC], `reversal` (N, na) distance since each joint's last reversal [m or rad], `campaign`
-            (N,) number of the log.
-    """
-
-    joints: tuple[str, ...]
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    sign: np.ndarray
-    t: np.ndarray | None = None
-    signals: Mapping[str, np.ndarray] = field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls,
-        joints: tuple[str, ...],
-        q: np.ndarray,
-        v: np.ndarray,
-        a: np.ndarray,
-        sign: np.ndarray | None = None,
-        *,
-        t: np.ndarray | None = None,
-        signals: Mapping[str, np.ndarray] | None = None,
-    ) -> Motion:
-        """Build a motion; the sign defaults to that of the velocity."""
-        return cls(joints, q, v, a, np.sign(v) if sign is None else sign, t, dict(signals or {}))
-
-    def signal(self, name: str) -> np.ndarray:
-        """Return a signal, or say that it is missing."""
-        if name not in self.signals:
-            raise InputError(f"this effect feels {name}, which the motion does not give")
-        return self.signals[name]
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """What a motion offers, for choosing which settings of an effect are worth trying.
-
-    Attributes:
-        joints: Actuated joints.
-        units: Their force units, 'N' or 'N m'.
-        low: Smallest position (na,) [m or rad].
-        high: Largest position (na,).
-        slow: Slowest speed with a sure sign (na,) [m/s or rad/s].
-        fast: A speed that the joint exceeds in 2 % of the samples (na,).
-        cutoff_hz: Frequency above which nothing is seen [Hz].
-        duration: Length of all runs together [s].
-        signals: Signals that the motions give.
-        campaigns: Number of logs, which `campaign` counts from zero.
-        resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
-        structure: Whether these modes are the structure's as a whole, and no single joint's.
-    """
-
-    joints: tuple[str, ...]
-    units: tuple[str, ...]
-    low: np.ndarray
-    high: np.ndarray
-    slow: np.ndarray
-    fast: np.ndarray
-    cutoff_hz: float
-    duration: float
-    signals: frozenset[str] = frozenset()
-    campaigns: int = 1
-    resonances: tuple[tuple[float, float], ...] = ()
-    structure: bool = False
-
-    def index(self, joint: str) -> int:
-        """Return a joint's place."""
-        return self.joints.index(joint)
+from tau_dyn.parameters import Parameters
 
 
 class Effect(ABC):
@@ -239,100 +154,10 @@ class Effect(ABC):
         return [motion.joints.index(j) for j in self.joints]
 
 
-class JointwiseEffect(Effect):
-    """An effect that acts on each of its joints by that joint's own motion.
-
-    A subclass says its quantities and their force per unit parameter; this class lays the columns out joint by joint.
-    """
-
-    # (name, unit with F for the force unit, V for the speed unit and Q for the position's)
-    quantities: ClassVar[tuple[tuple[str, str], ...]]
-
-    @property
-    def terms(self) -> tuple[tuple[str, str], ...]:
-        """Its quantities and their units; a subclass whose settings say how many there are answers for itself."""
-        return self.quantities
-
-    @property
-    def parameters(self) -> Parameters:
-        """Its parameters, joint by joint, at zero."""
-        rows = []
-        for joint in self.joints:
-            for term, unit in self.terms:
-                text = spelled(unit, self.units[joint])
-                name = f"{joint}.{term}{self.label}"
-                rows.append(Parameter(name, 0.0, text, self.lower(term), origin=self.name))
-        return Parameters(rows)
-
-    def lower(self, quantity: str) -> float:
-        """Return the smallest admissible value; zero where only amplitudes from zero up make sense."""
-        return 0.0 if self.nonnegative else -np.inf
-
-    @abstractmethod
-    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the force per unit of each quantity (N,), for one joint's motion."""
-
-    def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p)."""
-        n = len(self.terms)
-        out = np.zeros_like(motion.v, shape=(*motion.v.shape, n * len(self.joints)))
-        for k, index in enumerate(self._indices(motion)):
-            for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
-                out[:, index, n * k + m] = column
-        return out
-
-    def describe(self, parameters: Parameters) -> str:
-        """Return the effect at these values in words, joint by joint where there are several."""
-        said = []
-        for joint in self.joints:
-            values = {name: parameters[f"{joint}.{name}{self.label}"] for name, _ in self.terms}
-            said.append(self.words(joint, values) + (f" at {joint}" if len(self.joints) > 1 else ""))
-        return "; ".join(said)
-
-    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return what `describe` says of one joint, whose parameters are given by quantity."""
-        return " and ".join(f"{name.replace('_', ' ')} of {amount(p)}" for name, p in values.items())
-
-    def setting(self, key: str, joint: str) -> str:
-        """Return a setting in words, such as `20.9 mm`."""
-        return quantity(self.settings[key], spelled(self.setting_units.get(key, ""), self.units[joint]))
-
-
-@dataclass(frozen=True, eq=False)
-class JointMotion:
-    """One joint's part of a motion, each (N,)."""
-
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    sign: np.ndarray
-    t: np.ndarray | None = None
-    signals: Mapping[str, np.ndarray] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, motion: Motion, index: int) -> JointMotion:
-        """Look at the joint of this index; signals (N,) that belong to no joint stay as they are."""
-        signals = {key: x[:, index] if x.ndim == 2 else x for key, x in motion.signals.items() if x.ndim < 3}
-        q, v, a, sign = (x[:, index] for x in (motion.q, motion.v, motion.a, motion.sign))
-        return cls(q, v, a, sign, motion.t, signals)
-
-    def signal(self, name: str) -> np.ndarray:
-        """Return a signal, or say that it is missing."""
-        if name not in self.signals:
-            raise InputError(f"this effect feels {name}, which the motion does not give")
-        return self.signals[name]
-
-
-def spelled(unit: str, force: str) -> str:
-    """Return a unit with its letters F, V and Q written out for a joint whose force unit is given."""
-    position = "m" if force == "N" else "rad"
-    if " " in force:
-        unit = unit.replace("/F", "/(F)")
-    letters = {"F": force, "V": f"{position}/s", "Q": position}
-    return "".join(letters.get(c, c) for c in unit)
-
-
-def pairs(scene: Scene) -> list[tuple[str, ...]]:
-    """Return every pair of joints with the same force unit."""
-    same = {joint: unit for joint, unit in zip(scene.joints, scene.units, strict=True)}
-    return [(i, j) for i, j in combinations(scene.joints, 2) if same[i] == same[j]]
+@contextmanager
+def naming(effect: Effect) -> Iterator[None]:
+    """Name an effect in what is said while it is asked; a motion that lacks a signal does not know who wants it."""
+    try:
+        yield
+    except InputError as fault:
+        raise InputError(str(fault).replace("this effect", f"effect {effect.name}", 1)) from fault

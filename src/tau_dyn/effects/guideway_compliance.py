@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
-from tau_dyn.effects.effect import Motion
+from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter, Parameters
 

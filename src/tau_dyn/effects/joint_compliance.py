@@ -14,9 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.effects.effect import JointMotion, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.effects.words import amount, quantity
+from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.words import amount, quantity, spelled
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
@@ -56,7 +57,7 @@ class JointCompliance(JointwiseDisplacement):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return compliance and stiffness."""
-        p, unit = values["compliance"], "N/m" if self.units[joint] == "N" else "N m/rad"
+        p, unit = values["compliance"], spelled("F/Q", self.units[joint])
         stiff = ""
         if p.value > 0:
             stiff = (

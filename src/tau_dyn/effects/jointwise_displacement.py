@@ -11,7 +11,9 @@ from typing import ClassVar
 import numpy as np
 
 from tau_dyn.effects.displacement import DisplacementEffect
-from tau_dyn.effects.effect import JointwiseEffect, Motion, Scene
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.scene import Scene
 
 SEEN_DIRECTLY = frozenset({"tool", "load_side"})
 """Signals that show where the load is: a measured tool, an encoder behind the drive."""

@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect, Motion, Scene
+from tau_dyn.effects.effect import Effect
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter, Parameters
 

@@ -6,9 +6,15 @@ brings it below the cutoff: `v / period < cutoff`. A scan in steps of a quarter 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 
-from tau_dyn.effects.effect import Scene
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
 
 FEWEST_PERIODS = 4.0
@@ -17,16 +23,45 @@ MOST_PERIODS = 500.0
 _STEPS = 4.0
 
 
+class PeriodicEffect(JointwiseEffect):
+    """A sum of sines and cosines of the position, `harmonics` of them.
+
+    Attributes:
+        wave: What its amplitudes are called and the letter of their unit.
+    """
+
+    wave: ClassVar[tuple[str, str]]
+    quantities = ()
+    defaults = {"period": 0.02, "harmonics": 1}
+    setting_units = {"period": "Q"}
+    positive = ("period",)
+    whole = ("harmonics",)
+    refined = ("period",)
+    grows = "harmonics"
+    dense = True
+
+    @property
+    def terms(self) -> tuple[tuple[str, str], ...]:
+        """Sine and cosine amplitude of each harmonic: `name_sin`, `name_cos`, then `name_sin_2`, ..."""
+        name, unit = self.wave
+        ends = ["" if k == 1 else f"_{k}" for k in range(1, int(self.settings["harmonics"]) + 1)]
+        return tuple((f"{name}_{wave}{end}", unit) for end in ends for wave in ("sin", "cos"))
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return sine and cosine of each harmonic."""
+        return waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
+
+    def sizes(self, values: Mapping[str, Parameter]) -> tuple[str, str]:
+        """Return the first harmonic's amplitude, and what is to be said of the others' after it."""
+        p = list(values.values())
+        sizes = [amount(amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
+        return sizes[0], f", with harmonics of {', '.join(sizes[1:])}" if len(sizes) > 1 else ""
+
+
 def waves(q: np.ndarray, period: float, harmonics: int) -> list[np.ndarray]:
     """Return sine and cosine of `2 pi k q / period` for k = 1 .. harmonics, in pairs, each in the shape of `q`."""
     phase = 2 * np.pi * q / period
     return [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.sin, np.cos)]
-
-
-def wave_terms(name: str, unit: str, harmonics: int) -> tuple[tuple[str, str], ...]:
-    """Return the quantities that go with `waves`: `name_sin`, `name_cos`, then `name_sin_2`, ..."""
-    ends = ["" if k == 1 else f"_{k}" for k in range(1, harmonics + 1)]
-    return tuple((f"{name}_{wave}{end}", unit) for end in ends for wave in ("sin", "cos"))
 
 
 def periods(scene: Scene, joint: str, fewest: float = FEWEST_PERIODS) -> list[dict[str, float]]:

@@ -14,8 +14,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.polynomial import legendre
 
-from tau_dyn.effects.effect import Effect, JointMotion, JointwiseEffect, Scene
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.effect import Effect
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.words import quantity, spelled
 from tau_dyn.parameters import Parameter
 
 _DEGREES = (2, 5, 8, 12)
@@ -53,7 +56,7 @@ class PositionFriction(JointwiseEffect):
         """Return where friction is lowest and highest, relative to its mean over the range."""
         q = self.settings["middle"] + self.settings["half"] * np.linspace(-1, 1, 201)
         friction = self._polynomials(q) @ np.array([p.value for p in values.values()])
-        force, place = next(iter(values.values())).unit, "m" if self.units[joint] == "N" else "rad"
+        force, place = self.units[joint], spelled("Q", self.units[joint])
         low, high = int(np.argmin(friction)), int(np.argmax(friction))
         return (
             f"friction {quantity(float(friction[high] - friction[low]), force)} higher at "

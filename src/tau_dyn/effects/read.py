@@ -35,5 +35,8 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
             raise InputError(f"{where}: 'settings' of effect {row['effect']} must be a mapping from names to numbers")
         label = str(row.get("label") or "")
         settings = {str(key): value for key, value in settings.items()}
-        found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints], label=label, **settings))
+        try:
+            found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints], label=label, **settings))
+        except InputError as fault:
+            raise InputError(f"{where}: {fault}") from fault
     return tuple(found)

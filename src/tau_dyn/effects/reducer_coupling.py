@@ -12,8 +12,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tau_dyn.effects.effect import Effect, Motion, Scene, pairs, spelled
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.effect import Effect
+from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.scene import Scene, pairs
+from tau_dyn.effects.words import amount, spelled
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 

@@ -12,8 +12,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.effect import JointMotion, JointwiseEffect, Scene
-from tau_dyn.effects.words import amount, quantity
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.words import amount, quantity, spelled
 from tau_dyn.parameters import Parameter
 
 _POWERS = {1.0: 1.0, 2.0: 3**0.5}
@@ -43,9 +45,7 @@ class Stribeck(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the peak and where 5 % of it are left."""
-        gone = quantity(
-            3 ** (1 / self.settings["power"]) * self.settings["speed"], "m/s" if self.units[joint] == "N" else "rad/s"
-        )
+        gone = quantity(3 ** (1 / self.settings["power"]) * self.settings["speed"], spelled("V", self.units[joint]))
         return f"friction {amount(values['stribeck'])} higher at standstill than in motion, gone above {gone}"
 
     @classmethod
@@ -56,7 +56,7 @@ class Stribeck(JointwiseEffect):
         """
         k = scene.index(joints[0])
         low, high = 0.5 * scene.slow[k], scene.fast[k] / 3
-        if not low < high:
+        if not 0 < low < high:  # zero: a joint that stands still
             return []
         count = 1 + int(np.ceil(np.log(high / low) / np.log(1.6)))
         speeds = np.geomspace(low, high, count)

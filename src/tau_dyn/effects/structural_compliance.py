@@ -21,13 +21,16 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from tau_dyn.effects.effect import JointMotion, Motion, Scene, spelled
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.motion import JointMotion, Motion
+from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.words import amount, spelled
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
-MOST_MODES = 3
+_ENDS = ("", "_2", "_3")
+"""What the names of each mode's settings and parameters end in."""
+MOST_MODES = len(_ENDS)
 _SLOWEST_HZ = 3.0
 _REACH = 2.5
 """Frequency of the stiffest spring tried, in those that can be seen: above it, it cannot be told from one without a mode."""
@@ -56,8 +59,8 @@ class StructuralCompliance(JointwiseDisplacement):
         "frequency": 10.0, "damping": 0.03, "modes": 1, "frequency_2": 20.0, "damping_2": 0.03, "frequency_3": 40.0,
         "damping_3": 0.03, "coupled": 0, "reciprocal": 1, "rest": 0,
     }  # fmt: skip
-    setting_units = {f"frequency{end}": "Hz" for end in ("", "_2", "_3")}
-    positive = tuple(f"{key}{end}" for end in ("", "_2", "_3") for key in ("frequency", "damping"))
+    setting_units = {f"frequency{end}": "Hz" for end in _ENDS}
+    positive = tuple(f"{key}{end}" for end in _ENDS for key in ("frequency", "damping"))
     whole = ("modes",)
     refined = ("frequency", "damping")
 
@@ -76,8 +79,8 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @property
     def _ends(self) -> tuple[str, ...]:
-        """What the names of each mode's settings and parameters end in."""
-        return ("", "_2", "_3")[: int(self.settings["modes"])]
+        """The ends of the modes that count."""
+        return _ENDS[: int(self.settings["modes"])]
 
     @property
     def _coupled(self) -> bool:
@@ -110,8 +113,7 @@ class StructuralCompliance(JointwiseDisplacement):
         """Return an entry: the load of joint i that yields to the force of joint j; a matrix is bounded as a whole, or not."""
         one, other = self.joints[i], self.joints[j]
         owner = one if i == j else f"{one}+{other}"
-        place = "m" if self.units[one] == "N" else "rad"
-        unit = spelled(f"{place}/F", self.units[other])
+        unit = spelled(f"{spelled('Q', self.units[one])}/F", self.units[other])
         return Parameter(f"{owner}.structural_compliance{end}{self.label}", 0.0, unit, origin=self.name)
 
     def columns(self, motion: Motion) -> np.ndarray:
@@ -241,7 +243,7 @@ def _around(modes: Sequence[tuple[float, float]], more: Mapping[str, float]) -> 
     found = []
     for share in _NEAR:
         row: dict[str, float] = {"modes": len(modes), **more}
-        for end, (f, z) in zip(("", "_2", "_3"), modes, strict=False):
+        for end, (f, z) in zip(_ENDS, modes, strict=False):
             row |= {f"frequency{end}": share * f, f"damping{end}": z}
         found.append(row)
     return found

@@ -14,17 +14,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from tau_dyn.effects.displacement import of_load
-from tau_dyn.effects.effect import JointMotion, Motion, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.effects.periodic import amplitude, periods, wave_terms, waves
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.motion import JointMotion, Motion
+from tau_dyn.effects.periodic import PeriodicEffect, periods
+from tau_dyn.effects.scene import Scene
 from tau_dyn.parameters import Parameter
 
 _FEWEST = 1.5
 """Periods in the range: a force that goes with the speed squared and the acceleration is like no other, however long its wave."""
 
 
-class TransmissionError(JointwiseDisplacement):
+class TransmissionError(PeriodicEffect, JointwiseDisplacement):
     """A periodic difference between encoder and load."""
 
     name = "transmission_error"
@@ -35,23 +35,7 @@ class TransmissionError(JointwiseDisplacement):
     mistaken_for = ("resolver_error", "cyclic_ripple")
     equivalent = ("resolver_error",)
     plausible = "up to 50 um or 1 mrad; at least one and a half periods in the range travelled"
-    quantities = ()
-    defaults = {"period": 0.02, "harmonics": 1}
-    setting_units = {"period": "Q"}
-    positive = ("period",)
-    whole = ("harmonics",)
-    refined = ("period",)
-    grows = "harmonics"
-    dense = True
-
-    @property
-    def terms(self) -> tuple[tuple[str, str], ...]:
-        """Sine and cosine amplitude of each harmonic."""
-        return wave_terms("error", "Q", int(self.settings["harmonics"]))
-
-    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return sine and cosine of each harmonic."""
-        return waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
+    wave = ("error", "Q")
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p), differentiated on paper: short periods outrun a sampled derivative."""
@@ -77,12 +61,8 @@ class TransmissionError(JointwiseDisplacement):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return amplitude and period, and the harmonics' amplitudes after them."""
-        p = list(values.values())
-        sizes = [amount(amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
-        more = f", with harmonics of {', '.join(sizes[1:])}" if len(sizes) > 1 else ""
-        return (
-            f"an error of {sizes[0]} between encoder and load that repeats every {self.setting('period', joint)}{more}"
-        )
+        size, more = self.sizes(values)
+        return f"an error of {size} between encoder and load that repeats every {self.setting('period', joint)}{more}"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

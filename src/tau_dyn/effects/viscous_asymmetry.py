@@ -11,8 +11,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.effect import JointMotion, JointwiseEffect
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.words import one_sided
 from tau_dyn.parameters import Parameter
 
 
@@ -34,7 +35,4 @@ class ViscousAsymmetry(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return how much more viscous friction one direction has."""
-        p = values["viscous_asymmetry"]
-        way = "forward" if p.value >= 0 else "backward"
-        more = quantity(2 * abs(p.value), p.unit, None if p.stderr is None else 2 * p.stderr)
-        return f"viscous friction {more} higher when moving {way} than the other way"
+        return one_sided("viscous friction", values["viscous_asymmetry"])

@@ -1,4 +1,4 @@
-"""Amounts as people say them: `1.80 ± 0.20 N`, `20.9 mm`, `0.52 ms`.
+"""Amounts as people say them: `1.80 ± 0.20 N`, `20.9 mm`, `0.52 ms`, and units spelled out for a joint.
 
 `±` is the standard error. Lengths, times, angles and stiffnesses take the prefix that leaves a number of handy size.
 """
@@ -45,6 +45,22 @@ def quantity(value: float, unit: str, stderr: float | None = None) -> str:
 def percent(parameter: Parameter) -> str:
     """Return a parameter that is a share, with its standard error, in per cent."""
     return quantity(100 * parameter.value, "%", None if parameter.stderr is None else 100 * parameter.stderr)
+
+
+def spelled(unit: str, force: str) -> str:
+    """Return a unit with its letters F, V and Q written out for a joint whose force unit is given."""
+    position = "m" if force == "N" else "rad"
+    if " " in force:
+        unit = unit.replace("/F", "/(F)")
+    letters = {"F": force, "V": f"{position}/s", "Q": position}
+    return "".join(letters.get(c, c) for c in unit)
+
+
+def one_sided(friction: str, half: Parameter) -> str:
+    """Return by how much a friction of one direction exceeds the other's, of which the parameter is half the difference."""
+    way = "forward" if half.value >= 0 else "backward"
+    more = quantity(2 * abs(half.value), half.unit, None if half.stderr is None else 2 * half.stderr)
+    return f"{friction} {more} higher when moving {way} than the other way"
 
 
 def _prefixed(size: float, unit: str) -> tuple[float, str]:

@@ -54,6 +54,11 @@ class BaseParameters:
         mask[self.kept] = ~np.any(self.K != 0, axis=1)
         return mask
 
+    def by_name(self, values: np.ndarray) -> dict[str, float]:
+        """Return those of the base parameters' values (r,) whose parameter is one by itself, by its name."""
+        alone = self.alone[self.kept]
+        return {self.names[c]: float(x) for c, x, a in zip(self.kept, values, alone, strict=True) if a}
+
     def combine(self, theta: np.ndarray) -> np.ndarray:
         """Return the base parameters (r,) of a full vector (p,)."""
         return theta[self.kept] + self.K @ theta[self.dropped]

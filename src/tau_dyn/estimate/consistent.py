@@ -18,7 +18,7 @@ import numpy as np
 
 from tau_dyn.estimate.base import BaseParameters
 from tau_dyn.estimate.physics import PSEUDO_INERTIA_BASIS, Body, Physics, pseudo_inertia
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameters
 
 _EPS = (1e-4, 1e-2)
@@ -88,9 +88,15 @@ def _within_bounds(parameters: Parameters) -> bool:
     return all(p.lower <= p.value <= p.upper for p in parameters if p.free)
 
 
-def _is_physical(body: Body, parameters: Parameters) -> bool:
+def _smallest(body: Body, parameters: Parameters) -> tuple[float, float]:
+    """Return the smallest eigenvalue of a body's pseudo-inertia, and its trace."""
     J = pseudo_inertia(body.map @ parameters.select(body.parameters).values)
-    return bool(np.linalg.eigvalsh(J)[0] >= -1e-12 * abs(np.trace(J)))  # a point mass is physical
+    return float(np.linalg.eigvalsh(J)[0]), float(np.trace(J))
+
+
+def _is_physical(body: Body, parameters: Parameters) -> bool:
+    least, trace = _smallest(body, parameters)
+    return least >= -1e-12 * abs(trace)  # a point mass is physical
 
 
 def _program(
@@ -108,19 +114,30 @@ def _program(
     combine[:, base.dropped] = base.K
     misfit = (R @ combine * scale) @ x - R @ beta
     lower, upper = np.array([p.lower for p in free]), np.array([p.upper for p in free])
-    low, high = np.isfinite(lower), np.isfinite(upper)
-    constraints = []
-    if low.any():
-        constraints.append(x[low] >= lower[low] / scale[low])
-    if high.any():
-        constraints.append(x[high] <= upper[high] / scale[high])
+    constraints = _within(x, lower / scale, upper / scale)
     position = {name: k for k, name in enumerate(base.names)}
     for body in bodies:
         constraints.append(_pseudo_inertia_of(body, parameters, position, theta) >> 0)
     # what the data do not see keeps its value; what they see is pulled by far less than its own uncertainty
-    pull = cp.sum_squares(x - nominal / scale)
+    _minimise(cp.sum_squares(misfit), cp.sum_squares(x - nominal / scale), constraints, bodies, x)
+    solution = np.clip(scale * x.value, lower, upper)
+    for edge in (lower, upper):  # an interior-point solver stops just short of an edge
+        solution = np.where(np.abs(solution - edge) < _EDGE * scale, edge, solution)
+    return solution
+
+
+def _within(x: Any, lower: np.ndarray, upper: np.ndarray) -> list[Any]:
+    """Return the constraints that finite bounds make."""
+    low, high = np.isfinite(lower), np.isfinite(upper)
+    return [*([x[low] >= lower[low]] if low.any() else []), *([x[high] <= upper[high]] if high.any() else [])]
+
+
+def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[Body], x: Any) -> None:
+    """Solve the program with the smallest pull that leaves it solvable; `x` has the answer then."""
+    import cvxpy as cp
+
     for eps in _EPS:
-        problem = cp.Problem(cp.Minimize(cp.sum_squares(misfit) + eps * pull), constraints)
+        problem = cp.Problem(cp.Minimize(misfit + eps * pull), constraints)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # an inaccurate solution shows in the status
             try:
@@ -129,16 +146,17 @@ def _program(
                 continue
         if problem.status == cp.OPTIMAL:
             break
+    if x.value is None and not bodies:  # bounds alone always leave room
+        raise CannotAnswer(
+            f"{x.size} parameters are too many for so short or dull a log",
+            "record 10 s or more of varied motion of all joints",
+        )
     if x.value is None:
         listed = ", ".join(body.name for body in bodies) or "the bounds"
         raise InputError(
             f"no admissible parameters exist ({problem.status}): what is fixed or bounded contradicts itself or the physics of "
             f"{listed}"
         )
-    solution = np.clip(scale * x.value, lower, upper)
-    for edge in (lower, upper):  # an interior-point solver stops just short of an edge
-        solution = np.where(np.abs(solution - edge) < _EDGE * scale, edge, solution)
-    return solution
 
 
 def _pseudo_inertia_of(body: Body, parameters: Parameters, position: dict[str, int], theta: Any) -> Any:
@@ -171,9 +189,7 @@ def _made_physical(solved: Parameters, plain: Parameters, bodies: list[Body]) ->
     """Return the bodies on the edge of the physical that were beyond it, with their plain smallest eigenvalue."""
     moved = {}
     for body in bodies:
-        J = pseudo_inertia(body.map @ solved.select(body.parameters).values)
-        if np.linalg.eigvalsh(J)[0] < 1e-6 * max(np.trace(J), 1e-12) and not _is_physical(body, plain):
-            moved[f"{body.name} inertia"] = float(
-                np.linalg.eigvalsh(pseudo_inertia(body.map @ plain.select(body.parameters).values))[0]
-            )
+        least, trace = _smallest(body, solved)
+        if least < 1e-6 * max(trace, 1e-12) and not _is_physical(body, plain):
+            moved[f"{body.name} inertia"] = _smallest(body, plain)[0]
     return moved

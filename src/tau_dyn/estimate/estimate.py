@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tau_dyn.estimate.autoregression import Autoregression
 from tau_dyn.estimate.base import BaseParameters
-from tau_dyn.estimate.noise import Autoregression
+from tau_dyn.estimate.noise import larger_errors
 from tau_dyn.estimate.regression import Regression
 from tau_dyn.parameters import Parameters
 
@@ -56,7 +57,7 @@ class Estimate:
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors of the base parameters (r,)."""
-        return np.sqrt(np.maximum(np.diag(self.cov), np.diag(self.scatter)))
+        return larger_errors(self.cov, self.scatter)
 
     def stderr_of(self, weights: np.ndarray) -> float:
         """Return the standard error of `weights @ beta_plain`, weights (r,)."""

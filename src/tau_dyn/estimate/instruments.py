@@ -18,15 +18,18 @@ import numpy as np
 
 from tau_dyn.estimate.consistent import solve_consistent
 from tau_dyn.estimate.estimate import Estimate
+from tau_dyn.estimate.noise import larger_errors
 from tau_dyn.estimate.physics import Physics
+from tau_dyn.estimate.prior import prior_rows
 from tau_dyn.estimate.white_covariance import score_middles
 from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.parameters import Parameters
 
 WEAKEST = 1e-8
 """Reciprocal condition of `J` at unit scale below which instruments tell the parameters apart no more."""
 
-
 _ROWS = 400
+"""Equations multiplied at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +77,7 @@ def solve_rows(first: Estimate, rows: Sequence[WhiteRows]) -> Solution:
     moment = known.T @ prior + sum(_product(x.Z, x.y[:, :, None])[:, 0] for x in rows)
     scale = np.sqrt(np.abs(np.diag(J)))
     if not np.all(scale > 0) or 1 / np.linalg.cond(J / np.outer(scale, scale)) < WEAKEST:
-        raise CannotAnswer(
-            "the instruments do not tell the parameters apart",
-            "use --estimator wls, or log the references (q_ref_J) that the controller really got",
-        )
+        raise _blind()
     beta = np.linalg.solve(J / np.outer(scale, scale), moment / scale) / scale
     return Solution(beta, J, tuple(x.y - x.W @ beta for x in rows))
 
@@ -100,12 +100,17 @@ def estimate_of(
         physics: Bodies to keep physical.
         gains: Relative standard deviation of an output's scale, by output.
         factor: By which errors are larger than fixed weights make them.
+
+    Raises:
+        CannotAnswer: The instruments have next to nothing in common with the columns.
     """
     coloured, scattered = covariance(first, rows, solution, gains or {}, factor)
-    information = 0.5 * (solution.J + solution.J.T)
-    R = np.linalg.cholesky(information).T
+    try:
+        R = np.linalg.cholesky(0.5 * (solution.J + solution.J.T)).T
+    except np.linalg.LinAlgError:  # columns and instruments of different motions
+        raise _blind() from None
     held = solve_consistent(first.regression.parameters, first.base, solution.beta, R, physics)
-    stderr = np.sqrt(np.maximum(np.diag(coloured), np.diag(scattered)))
+    stderr = larger_errors(coloured, scattered)
     return replace(
         first,
         parameters=_with_stderr(first, held.parameters.values, stderr),
@@ -134,6 +139,13 @@ def covariance(
     return coloured, scattered
 
 
+def _blind() -> CannotAnswer:
+    return CannotAnswer(
+        "the instruments do not tell the parameters apart",
+        "use --estimator wls, or log the references (q_ref_J) that the controller really got",
+    )
+
+
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the sum over all equations of outer products: (n, m, r), (n, m, k) -> (r, k)."""
     total = np.zeros((a.shape[2], b.shape[2]))
@@ -145,19 +157,13 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _known(first: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Return what was measured beforehand as rows of unit noise: base columns (k, r) and values (k,)."""
-    base, parameters = first.base, first.regression.parameters
-    given = [(k, p) for k, p in enumerate(parameters.select(base.names)) if p.prior_stderr]
-    rows = np.zeros((len(given), len(base.names)))
-    for row, (column, p) in zip(rows, given, strict=True):
-        row[column] = 1 / float(p.prior_stderr or 1.0)
-    return rows[:, base.kept], np.array([p.value / float(p.prior_stderr or 1.0) for _, p in given])
+    rows, values = prior_rows(first.regression.parameters.select(first.base.names))
+    return rows[:, first.base.kept], values
 
 
-def _with_stderr(first: Estimate, values: np.ndarray, stderr: np.ndarray):
+def _with_stderr(first: Estimate, values: np.ndarray, stderr: np.ndarray) -> Parameters:
     """Return the first estimate's parameters with other values and standard errors."""
-    base = first.base
-    alone = base.alone[base.kept]
-    known = {base.names[c]: float(s) for c, s, a in zip(base.kept, stderr, alone, strict=True) if a}
+    known = first.base.by_name(stderr)
     changes = {
         p.name: {"value": float(x), "stderr": known.get(p.name)}
         for p, x in zip(first.parameters, values, strict=True)

@@ -19,8 +19,9 @@ import numpy as np
 from tau_dyn.estimate.base import BaseParameters, find_base
 from tau_dyn.estimate.consistent import solve_consistent
 from tau_dyn.estimate.estimate import Estimate
-from tau_dyn.estimate.noise import Scores, covariance
+from tau_dyn.estimate.noise import Scores, covariance, larger_errors
 from tau_dyn.estimate.physics import Physics
+from tau_dyn.estimate.prior import prior_rows
 from tau_dyn.estimate.regression import Regression, Rows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
@@ -61,7 +62,7 @@ def solve_least_squares(
     scores = _scores(regression, rows, base, _full(regression.parameters, rows, base, beta), sigma)
     certainty = covariance(scores, regression.n_samples, R, known)
     constrained = solve_consistent(regression.parameters, base, beta, R, physics)
-    stderr = np.sqrt(np.maximum(np.diag(certainty.coloured), np.diag(certainty.scattered)))
+    stderr = larger_errors(certainty.coloured, certainty.scattered)
     return Estimate(
         regression=regression,
         parameters=_with_stderr(constrained.parameters, base, stderr),
@@ -78,7 +79,7 @@ def solve_least_squares(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Rows:
     """Rows of the free columns, fixed ones subtracted, and prior knowledge as rows of unit noise.
 
@@ -113,12 +114,7 @@ def _rows(regression: Regression) -> _Rows:
     stacked, index = totals.R.reshape(-1, len(free) + 1), np.repeat(np.arange(len(totals.R)), len(free) + 1)
     fixed = np.concatenate([np.where(free, 0.0, -parameters.values), [1.0]])
     W, y, mean = stacked[:, :-1], stacked @ fixed, totals.sums @ fixed / np.maximum(totals.count, 1)
-    known = [(k, p) for k, p in enumerate(parameters.select(names)) if p.prior_stderr]
-    prior_W = np.zeros((len(known), len(names)))
-    for row, (column, p) in zip(prior_W, known, strict=True):
-        row[column] = 1 / float(p.prior_stderr or 1.0)
-    prior_y = np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
-    return _Rows(names, free, W[:, free], y, index, totals.count, mean, prior_W, prior_y)
+    return _Rows(names, free, W[:, free], y, index, totals.count, mean, *prior_rows(parameters.select(names)))
 
 
 def _scores(regression: Regression, rows: _Rows, base: BaseParameters, theta: np.ndarray, sigma: np.ndarray) -> Scores:
@@ -180,8 +176,7 @@ def _gain_rows(
 
 def _with_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:
     """Attach standard errors to the parameters that are base parameters by themselves, and say where each value came from."""
-    alone = base.alone[base.kept]
-    known = {base.names[c]: float(s) for c, s, a in zip(base.kept, stderr, alone, strict=True) if a}
+    known = base.by_name(stderr)
     shared = {name for k, name in enumerate(base.names) if name not in known and base.depends_on(k)}
     origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one choice of many that fit")
     return parameters.update(

@@ -12,37 +12,21 @@ frequency (on EMPS it moves the viscous coefficient by 4 %). Reference: White 19
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, signal
 
-from tau_dyn.estimate.regression import Regression, Rows
+from tau_dyn.estimate.autoregression import Autoregression, Lags
+from tau_dyn.estimate.regression import Rows
 
 BLOCK_S = 2.0
 ROUNDING = 1e-6  # of a block: a clock's last digit must not move a sample from one to the next
-MAX_ORDER = 12
 
 
-@dataclass(frozen=True, eq=False)
-class Autoregression:
-    """`e_t = sum_k phi_k e_{t-k} + u_t`; `phi` (order,), `variance` that of the process itself."""
-
-    phi: np.ndarray
-    variance: float
-
-    def autocovariance(self, n: int) -> np.ndarray:
-        """Return the autocovariance at lags 0 .. n - 1 (n,)."""
-        p = len(self.phi)
-        if p == 0:
-            return np.concatenate([[self.variance], np.zeros(n - 1)])
-        # impulse response of the process, long enough for its slowest pole (roots lie within 0.999)
-        impulse = np.zeros(max(n, 4096))
-        impulse[0] = 1.0
-        h = np.asarray(signal.lfilter([1.0], np.concatenate([[1.0], -self.phi]), impulse))
-        covariance = signal.fftconvolve(h, h[::-1])[len(h) - 1 :][:n]
-        return covariance * (self.variance / covariance[0])
+def block_numbers(since: np.ndarray, seconds: float = BLOCK_S) -> np.ndarray:
+    """Return the number of the block that each sample (n,) falls in, from times since the first block's start [s]."""
+    return (since / seconds + ROUNDING).astype(int)
 
 
 class Covariance(NamedTuple):
@@ -57,117 +41,23 @@ class Covariance(NamedTuple):
     models: tuple[Autoregression, ...]
 
 
+def larger_errors(coloured: np.ndarray, scattered: np.ndarray) -> np.ndarray:
+    """Return the larger of the standard errors (r,) that two covariances (r, r) give."""
+    return np.sqrt(np.maximum(np.diag(coloured), np.diag(scattered)))
+
+
 Scores = Callable[[], Iterator[Iterator[Rows]]]
 """Yields every run anew: its weighted base columns and residuals, in order, piece by piece."""
 
 
-def fit_autoregression(stretches: list[np.ndarray], max_order: int = MAX_ORDER) -> Autoregression:
-    """Fit an autoregressive model to unbroken stretches (n_i,) of a residual by least squares, its order by AIC."""
-    lags = Lags(max_order)
-    for stretch in stretches:
-        lags.begin()
-        lags.add(stretch)
-    return lags.model()
-
-
-class Lags:
-    """The past of a residual beside its present, summed up for every order, while stretches come in pieces."""
-
-    def __init__(self, max_order: int = MAX_ORDER) -> None:
-        """Start with no samples."""
-        self.max_order = max_order
-        self._whole = _Triangle(max_order + 1)  # samples with all of their past
-        self._early = [_Triangle(k + 1) for k in range(max_order)]  # the k-th sample of a stretch
-        self._squares, self._count = 0.0, 0
-        self._before = np.zeros(0)
-
-    @property
-    def seen(self) -> bool:
-        """Whether there were any samples."""
-        return self._count > 0
-
-    def begin(self) -> None:
-        """Say that what comes next does not follow what came before."""
-        self._before = np.zeros(0)
-
-    def add(self, piece: np.ndarray) -> None:
-        """Take in the next samples (n,) of the stretch."""
-        self._squares += float(np.sum(piece**2))
-        self._count += len(piece)
-        x, width = np.concatenate([self._before, piece]), self.max_order + 1
-        for k in range(len(self._before), min(self.max_order, len(x))):
-            self._early[k].add(x[k::-1][None] if k else x[:1][None])
-        if len(x) >= width:
-            first = max(0, len(self._before) - self.max_order)
-            self._whole.add(np.lib.stride_tricks.sliding_window_view(x, width)[first:, ::-1])
-        self._before = x[-self.max_order :]
-
-    def model(self) -> Autoregression:
-        """Return the model of everything taken in."""
-        variance = self._squares / self._count
-        best, best_aic = np.zeros(0), self._count * np.log(max(variance, 1e-300))
-        for order in range(1, self.max_order + 1):
-            parts = [self._whole, *self._early[order:]]
-            n = sum(part.count for part in parts)
-            if n < 10 * self.max_order:
-                break
-            rows = np.concatenate([part.R[:, : order + 1] for part in parts])
-            phi = np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
-            innovation = float(np.sum((rows[:, 0] - rows[:, 1:] @ phi) ** 2)) / n
-            aic = self._count * np.log(max(innovation, 1e-300)) + 2 * order
-            if aic < best_aic:
-                best, best_aic = phi, aic
-        return Autoregression(_stable(best), variance)
-
-
-class _Triangle:
-    """Rows of k numbers, kept as their triangular factor once there are many."""
-
-    def __init__(self, k: int) -> None:
-        self.count, self._size, self._rows = 0, 0, [np.zeros((0, k))]
-
-    def add(self, rows: np.ndarray) -> None:
-        """Take in rows (n, k)."""
-        self.count += len(rows)
-        self._size += len(rows)
-        self._rows.append(rows)
-        if self._size > 8192:
-            self._rows, self._size = [self.R], 0
-
-    @property
-    def R(self) -> np.ndarray:
-        """The rows' triangular factor."""
-        return np.asarray(np.linalg.qr(np.concatenate(self._rows), mode="r"))
-
-
-def robust_covariance(
-    regression: Regression, W: list[np.ndarray], residuals: list[np.ndarray], R: np.ndarray, known: np.ndarray
-) -> Covariance:
-    """Return how certain a weighted least-squares estimate is, from a regression in memory.
-
-    Args:
-        regression: Gives runs, masks and clocks.
-        W: Weighted base columns of each run (n, m, r).
-        residuals: Weighted residuals of each run (n, m).
-        R: Triangular factor (r, r) of all weighted rows, prior rows included.
-        known: Rows (k, r) whose outer products add to `W' Omega W`: prior rows, and what is uncertain beside the noise.
-    """
-
-    def scores() -> Iterator[Iterator[Rows]]:
-        for run, rows, e in zip(regression.runs, W, residuals, strict=True):
-            yield iter([Rows(run.t, rows, e, run.usable)])
-
-    return covariance(scores, regression.n_samples, R, known)
-
-
 def covariance(scores: Scores, n_samples: int, R: np.ndarray, known: np.ndarray) -> Covariance:
-    """Return how certain a weighted least-squares estimate is; see `robust_covariance`.
+    """Return how certain a weighted least-squares estimate is.
 
     Args:
         scores: Yields every run's weighted base columns (n, m, r) as `W` and weighted residuals (n, m) as `y`; called twice.
         n_samples: Number of usable measurements.
         R: Triangular factor (r, r) of all weighted rows, prior rows included.
-        known: Rows (k, r) whose outer products add to `W' Omega W`.
+        known: Rows (k, r) whose outer products add to `W' Omega W`: prior rows, and what is uncertain beside the noise.
     """
     scale = np.linalg.norm(R, axis=0)
     inverse = linalg.solve_triangular(R / scale, np.eye(len(R))) / scale[:, None]
@@ -194,7 +84,7 @@ def _first_pass(scores: Scores, inverse: np.ndarray) -> tuple[list[Autoregressio
             for k, lag in enumerate(lags):
                 open_[k] = _add_stretches(lag, rows.y[:, k], rows.usable[:, k], bool(open_[k]))
             score = np.einsum("nmr,nm->nr", rows.W, np.where(rows.usable, rows.y, 0.0)) @ inverse
-            blocks.add(((rows.t - start) / BLOCK_S + ROUNDING).astype(int), score, np.any(rows.usable, axis=1))
+            blocks.add(block_numbers(rows.t - start), score, np.any(rows.usable, axis=1))
         blocks.close()
     models = [lag.model() if lag.seen else Autoregression(np.zeros(0), 0.0) for lag in lags]
     return models, blocks.total, blocks.count
@@ -241,7 +131,7 @@ def _coloured(scores: Scores, inverse: np.ndarray, models: list[Autoregression])
     `C = s^2 H' H` with `H` the model's response, so the rows run through `1 / (1 - sum phi_k z^-k)` and their squares are summed.
     """
     total = np.zeros((len(inverse), len(inverse)))
-    power = [_response_power(model) for model in models]
+    power = [model.response_power() for model in models]
     for run in scores():
         states: list[np.ndarray] = []
         for rows in run:
@@ -249,7 +139,7 @@ def _coloured(scores: Scores, inverse: np.ndarray, models: list[Autoregression])
             for k, model in enumerate(models):
                 Z = np.where(rows.usable[:, k, None], rows.W[:, k], 0.0) @ inverse
                 if len(model.phi):
-                    Z, states[k] = signal.lfilter([1.0], np.concatenate([[1.0], -model.phi]), Z, axis=0, zi=states[k])
+                    Z, states[k] = signal.lfilter([1.0], model.denominator, Z, axis=0, zi=states[k])
                 total += model.variance / power[k] * (Z.T @ Z)
         for k, state in enumerate(states):
             total += models[k].variance / power[k] * _fading(models[k], state)
@@ -262,31 +152,9 @@ def _fading(model: Autoregression, state: np.ndarray) -> np.ndarray:
     if not len(model.phi):
         return total
     for _ in range(16):  # 65 536 samples: the slowest pole, 0.999, has faded to 1e-28
-        Z, state = signal.lfilter(
-            [1.0], np.concatenate([[1.0], -model.phi]), np.zeros((4096, state.shape[1])), axis=0, zi=state
-        )
+        Z, state = signal.lfilter([1.0], model.denominator, np.zeros((4096, state.shape[1])), axis=0, zi=state)
         grown = total + Z.T @ Z
         if np.array_equal(grown, total):
             break
         total = grown
     return total
-
-
-def _response_power(model: Autoregression) -> float:
-    """Return the sum of squares of the model's impulse response."""
-    if not len(model.phi):
-        return 1.0
-    impulse = np.zeros(65536)
-    impulse[0] = 1.0
-    return float(np.sum(np.asarray(signal.lfilter([1.0], np.concatenate([[1.0], -model.phi]), impulse)) ** 2))
-
-
-def _stable(phi: np.ndarray) -> np.ndarray:
-    """Pull poles outside 0.999 back onto that circle."""
-    if phi.size == 0:
-        return phi
-    poles = np.roots(np.concatenate([[1.0], -phi]))
-    size = np.abs(poles)
-    if np.all(size < 0.999):
-        return phi
-    return -np.real(np.poly(np.where(size < 0.999, poles, poles / np.maximum(size, 1e-12) * 0.999)))[1:]

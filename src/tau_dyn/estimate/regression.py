@@ -46,12 +46,6 @@ class Run:
         W, y, usable, W_all, y_all = (x[part] for x in (self.W, self.y, self.usable, self.W_all, self.y_all))
         return Run(self.name, self.t[part], W, y, usable, W_all, y_all, signals)
 
-    def segments(self, output: int) -> Iterator[slice]:
-        """Yield the unbroken stretches of usable samples of one output."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.usable[:, output].astype(int), [0]])))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            yield slice(int(start), int(stop))
-
 
 class Rows(NamedTuple):
     """A stretch of a run's rows: time (n,) [s], columns (n, m, p), outputs (n, m), and which a fit may use (n, m)."""

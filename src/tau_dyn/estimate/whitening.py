@@ -18,7 +18,8 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_toeplitz
 
-from tau_dyn.estimate.noise import BLOCK_S, ROUNDING, Autoregression
+from tau_dyn.estimate.autoregression import Autoregression
+from tau_dyn.estimate.noise import block_numbers
 from tau_dyn.estimate.regression import Run
 
 
@@ -46,7 +47,7 @@ class Whitener:
         predictors = [_predictors(model) for model in noise]
         rows, index, block, t, first = [], [], [], [], 0
         for run, mask in zip(runs, masks, strict=True):
-            number = first + ((run.t - run.t[0]) / BLOCK_S + ROUNDING).astype(int)
+            number = first + block_numbers(run.t - run.t[0])
             first = int(number[-1]) + 1
             for k, predictor in enumerate(predictors):
                 used = np.flatnonzero(mask[:, k])

@@ -16,8 +16,9 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError, UnknownName
 from tau_dyn.excitation.bounds import Bounds
-from tau_dyn.excitation.criteria import CRITERIA
+from tau_dyn.excitation.criteria import CRITERIA, Criterion
 from tau_dyn.excitation.information import Information, gram
+from tau_dyn.excitation.layout import Layout, lay_out, whole
 from tau_dyn.excitation.noise import Noise
 from tau_dyn.excitation.predict import Prediction, predict
 from tau_dyn.excitation.search import Search, Stopped
@@ -25,15 +26,10 @@ from tau_dyn.excitation.series import Series
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory
 from tau_dyn.simulate.fourier import RATE_HZ, reach, top_speed
-from tau_dyn.simulate.limits import broken_limit
-from tau_dyn.simulate.motions import ACCELERATION, stroke_motion
+from tau_dyn.simulate.motions import ACCELERATION
 from tau_dyn.simulate.profiles import Path
 
-PERIOD_S = 10.0
-"""Length of a period, about [s]."""
 SHORTEST_S, LONGEST_S = 4.0, 3600.0
-_STROKES_S = 6.0
-_FEWEST_HARMONICS = 3
 _BAND = 8.0  # the low-pass of forces is this many times the highest harmonic, about
 _GRID, _FEWEST_SAMPLES = 10, 200
 
@@ -107,49 +103,22 @@ def design_motion(
         CannotAnswer: No free parameter shows.
     """
     begun = time.monotonic()
-    if criterion not in CRITERIA:
-        raise UnknownName("criterion", criterion, CRITERIA)
-    if trials < 1:
-        raise InputError(f"a search needs at least one random motion to start from, not {trials}")
-    if not SHORTEST_S <= duration <= LONGEST_S:
-        raise InputError(f"an optimal motion takes between {SHORTEST_S:g} s and an hour, not {duration:g} s")
+    _refuse(criterion, trials, duration)
     model, rng = model.steady(), np.random.default_rng(seed)
-    fastest = _per_joint(model, "speed", speed, top_speed(model))
-    quickest = _per_joint(model, "acceleration", acceleration, ACCELERATION * top_speed(model))
-    bounds = Bounds.of(
-        model, reach(model), fastest, quickest, None if box is None else np.reshape(box, (2, 3)), condition
-    )
-    after, series = _layout(model, duration, fast_hz, strokes, bounds)
-    samples = max(_FEWEST_SAMPLES, _GRID * series.harmonics)
-    waves = series.waves(series.period * np.arange(samples) / samples)
-    first = _generic(model, series, waves, rng)
-    noise = noise or Noise.typical(model, model.torque(*first), rate_hz)
-    information = _information(model, noise, fast_hz, first)
-    added = information.prior + (0.0 if after is None else _of_strokes(information, after, noise.rate_hz))
-    search = Search(
-        series, information, bounds, CRITERIA[criterion], added, noise.rate_hz, samples, begun + seconds, progress
-    )
-    finished = True
+    bounds = _bounds(model, speed, acceleration, box, condition)
+    ask = _Request(model, bounds, CRITERIA[criterion], noise, rate_hz, fast_hz, begun + seconds, progress)
+    layout = lay_out(bounds, duration, fast_hz, strokes)
+    search, noise = _search(ask, layout, rng)
     progress(f"{trials} random motions")
-    try:
-        search.start(rng, trials)
-    except KeyboardInterrupt:
-        finished = False
-    start, value = search.best, search.value
-    try:
-        if finished and start is not None:
-            search.improve(start)
-    except (Stopped, KeyboardInterrupt):
-        finished = False
+    start, value, finished = _searched(search, rng, trials)
     if search.best is None or start is None:
         raise InputError(f"{model.robot.source}: no motion around home was found within the limits in {seconds:g} s")
     progress("predicting")
-    chosen, random = (_whole(model, series, x, after) for x in (search.best, start))
+    chosen, random = (whole(model, layout, x) for x in (search.best, start))
     taken = time.monotonic() - begun
     told, before = _errors(model, (chosen, random), noise, seed)
-    notes = _notes(search, criterion, value, finished, taken)
     return Design(
-        replace(chosen, notes=notes),
+        replace(chosen, notes=_notes(search, criterion, value, finished, taken)),
         told,
         before,
         criterion,
@@ -161,46 +130,98 @@ def design_motion(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """What was asked, checked.
+
+    Attributes:
+        model: The model without effects that a single state does not determine.
+        bounds: What the motion may not do.
+        criterion: What is made small.
+        noise: Of forces and encoders, where it was given.
+        rate_hz: Rate of the log to come, where no noise was given [Hz].
+        fast_hz: Nothing in the periodic part is faster [Hz].
+        deadline: When the search stops, on the monotonic clock [s].
+        progress: Called with a sentence now and then.
+    """
+
+    model: Model
+    bounds: Bounds
+    criterion: Criterion
+    noise: Noise | None
+    rate_hz: float
+    fast_hz: float
+    deadline: float
+    progress: Callable[[str], None]
+
+
+def _refuse(criterion: str, trials: int, duration: float) -> None:
+    if criterion not in CRITERIA:
+        raise UnknownName("criterion", criterion, CRITERIA)
+    if trials < 1:
+        raise InputError(f"a search needs at least one random motion to start from, not {trials}")
+    if not SHORTEST_S <= duration <= LONGEST_S:
+        raise InputError(f"an optimal motion takes between {SHORTEST_S:g} s and an hour, not {duration:g} s")
+
+
+def _bounds(
+    model: Model,
+    speed: Sequence[float] | None,
+    acceleration: Sequence[float] | None,
+    box: Sequence[float] | None,
+    condition: float | None,
+) -> Bounds:
+    fastest = _per_joint(model, "speed", speed, top_speed(model))
+    quickest = _per_joint(model, "acceleration", acceleration, ACCELERATION * top_speed(model))
+    corners = None if box is None else np.reshape(box, (2, 3))
+    return Bounds.of(model, reach(model), fastest, quickest, corners, condition)
+
+
+def _search(ask: _Request, layout: Layout, rng: np.random.Generator) -> tuple[Search, Noise]:
+    """Return the search, ready to start, and the noise that it assumes."""
+    model, series = ask.model, layout.series
+    samples = max(_FEWEST_SAMPLES, _GRID * series.harmonics)
+    waves = series.waves(series.period * np.arange(samples) / samples)
+    first = _generic(model, series, waves, rng)
+    noise = ask.noise or Noise.typical(model, model.torque(*first), ask.rate_hz)
+    information = _information(model, noise, ask.fast_hz, first)
+    strokes = 0.0 if layout.after is None else _of_strokes(information, layout.after, noise.rate_hz)
+    added = information.prior + strokes
+    search = Search(
+        series, information, ask.bounds, ask.criterion, added, noise.rate_hz, samples, ask.deadline, ask.progress
+    )
+    return search, noise
+
+
+def _searched(search: Search, rng: np.random.Generator, trials: int) -> tuple[np.ndarray | None, float, bool]:
+    """Search until it settles, time is up or the user had enough.
+
+    Returns:
+        Coefficients and criterion of the random motion that it started from, and whether it settled.
+    """
+    finished = True
+    try:
+        search.start(rng, trials)
+    except KeyboardInterrupt:
+        finished = False
+    start, value = search.best, search.value
+    try:
+        if finished and start is not None:
+            search.improve(start)
+    except (Stopped, KeyboardInterrupt):
+        finished = False
+    return start, value, finished
+
+
 def _errors(
     model: Model, motions: tuple[Trajectory, Trajectory], noise: Noise, seed: int
 ) -> tuple[Prediction, Prediction]:
     """Return what both motions will tell, driven in simulation; without it where the user will not wait."""
+    one, other = motions
     try:
-        return predict(model, motions[0], noise, seed, driven=True), predict(
-            model, motions[1], noise, seed, driven=True
-        )
+        return predict(model, one, noise, seed, driven=True), predict(model, other, noise, seed, driven=True)
     except KeyboardInterrupt:
-        return predict(model, motions[0], noise, seed), predict(model, motions[1], noise, seed)
-
-
-def _layout(
-    model: Model, duration: float, fast_hz: float, share: float, bounds: Bounds
-) -> tuple[Trajectory | None, Series]:
-    """Return the strokes, if there is time for them, and the series that fills the rest."""
-    if not 0 <= share < 1:
-        raise InputError(f"strokes take a share of the duration from 0 to below 1, not {share:g}")
-    after = None
-    if share * duration >= _STROKES_S - 1e-9:
-        after = stroke_motion(model, round(share * duration, 3), 0)
-        if _outside(bounds, after):
-            after = None
-    left = duration - (0.0 if after is None else after.duration)
-    periods = max(1, round(left / PERIOD_S))
-    harmonics = int(np.floor(fast_hz * left / periods + 1e-9))
-    if harmonics < _FEWEST_HARMONICS:
-        raise InputError(
-            f"{fast_hz:g} Hz leaves {harmonics} harmonics in a period of {left / periods:.3g} s; a design needs at least "
-            f"{_FEWEST_HARMONICS}: take a longer motion or a higher --fastest"
-        )
-    return after, Series(model.robot.home, reach(model), left / periods, harmonics, periods)
-
-
-def _outside(bounds: Bounds, motion: Trajectory) -> bool:
-    """Return whether strokes break a bound that they do not know of: the tool's box, accelerations, passive joints."""
-    few = motion.every(max(1, motion.n_samples // 600))
-    path = Path(few.q, few.v, few.a)
-    found = [*bounds.of_states(path, np.zeros_like(few.q), []), *bounds.of_places(few.q, slopes=False)]
-    return any(e.values.max() > 1e-9 for e in found)
+        return predict(model, one, noise, seed), predict(model, other, noise, seed)
 
 
 def _generic(model: Model, series: Series, waves: Path, rng: np.random.Generator) -> Path:
@@ -230,20 +251,6 @@ def _of_strokes(information: Information, motion: Trajectory, rate_hz: float) ->
     step = max(1, motion.n_samples // 2000)
     few = motion.every(step)
     return gram(information.rows(Path(few.q, few.v, few.a))) * rate_hz * step / RATE_HZ
-
-
-def _whole(model: Model, series: Series, x: np.ndarray, after: Trajectory | None) -> Trajectory:
-    """Return all periods and the strokes as one motion at 1 kHz."""
-    t = np.arange(round(series.duration * RATE_HZ) + 1) / RATE_HZ
-    path = series.path(series.waves(t), x)
-    if after is not None:
-        path = Path(*(np.concatenate([a[:-1], b]) for a, b in zip(path, (after.q, after.v, after.a), strict=True)))
-    clock = np.arange(len(path.q)) / RATE_HZ
-    motion = Trajectory(model.robot.actuated, clock, *path, "optimal")
-    broken = broken_limit(model, motion, condition=np.inf)
-    if broken:
-        raise InputError(f"{model.robot.source}: the designed motion breaks a limit: {broken}")
-    return motion
 
 
 def _per_joint(model: Model, name: str, given: Sequence[float] | None, default: np.ndarray) -> np.ndarray:

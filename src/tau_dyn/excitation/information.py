@@ -46,7 +46,7 @@ class Information:
 
     Attributes:
         model: Without effects that a single state does not determine.
-        base: Of the free parameters, over random states within the limits.
+        base: Of the free parameters, over the states of a random path.
         sigma: Force noise of each joint that weighs all there is (na,).
         window_s: Time around a reversal that identification leaves out, to each side [s].
         slow: Slowest speed with a sure sign (na,).

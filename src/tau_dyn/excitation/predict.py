@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.estimate import solve_least_squares
+from tau_dyn.estimate import DETERMINED, solve_least_squares
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.excitation.information import scales
 from tau_dyn.excitation.noise import Noise
@@ -22,9 +22,6 @@ from tau_dyn.identify import build_regression
 from tau_dyn.log import Log, encoder_noise
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, Trajectory, simulate
-
-DETERMINED = 0.30
-"""Relative standard error below which a parameter counts as determined, as in identification."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,10 +47,13 @@ class Search:
         bounds: What a motion may not do.
         criterion: What is made small.
         added: Information of motion that is driven besides, per run (r, r).
+        rate_hz: Rate of the log to come [Hz].
         samples: Grid of one period.
         deadline: When to stop, on the monotonic clock [s].
         progress: Called with a sentence now and then.
         evaluations: How often the model was evaluated.
+        best: Coefficients (na, k) of the best motion that keeps all bounds; None before there is one.
+        value: Its criterion.
     """
 
     series: Series

@@ -9,8 +9,8 @@ from tau_dyn.identify.result import Identification
 from tau_dyn.identify.streaming import Engine
 
 __all__ = [
-    "Engine",
     "Choices",
+    "Engine",
     "ForceErrors",
     "Identification",
     "Preparation",

@@ -45,6 +45,10 @@ def unlike_the_file(estimate: Estimate, nominal: Parameters) -> list[str]:
     ]
 
 
+_RESISTS = ("coulomb", "viscous", "coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg")
+"""Friction parameters, which oppose motion."""
+
+
 def equivalences(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]:
     """Return the descriptions that fit exactly as well as the one reported."""
     found = []
@@ -68,6 +72,7 @@ def equivalences(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]
 def _moved(estimate: Estimate) -> list[str]:
     bodies = [name.removesuffix(" inertia") for name in estimate.moved if name.endswith(" inertia")]
     found = [_held_by_physics(estimate, bodies)] if bodies else []
+    found += turned_signs(estimate)
     for name, plain in estimate.moved.items():
         if name.endswith(" inertia"):
             continue
@@ -77,6 +82,23 @@ def _moved(estimate: Estimate) -> list[str]:
             f"the nearest admissible estimate has {p.value:.4g} {p.unit} and moves others along "
             "(some force is not in the model, or the motion is dull)"
         )
+    return found
+
+
+def turned_signs(estimate: Estimate) -> list[str]:
+    """Return a sentence for each joint whose friction comes out as if it pushed.
+
+    So it does where a force or a position has its sign turned, or is another joint's.
+    """
+    found = []
+    for joint in estimate.regression.outputs:
+        friction = [n for n in estimate.base.names if n.rsplit(".", 1)[0] == joint and n.rsplit(".", 1)[1] in _RESISTS]
+        pushing = [n for n in friction if estimate.moved.get(n, 0.0) < 0]
+        if len(pushing) >= max(2, len(friction) / 2):
+            found.append(
+                f"{joint}: friction comes out negative, as if it pushed; check the sign of tau_{joint} (what the actuator "
+                f"applies along q_{joint}) and that q_{joint} and tau_{joint} are this joint's columns"
+            )
     return found
 
 

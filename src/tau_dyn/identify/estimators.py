@@ -105,7 +105,7 @@ class Estimator:
     def _fault(self, kind: str) -> str:
         """Return why an estimator cannot take this model and these logs; empty where it can."""
         joints = self.model.robot.actuated
-        odd = [e.name for e in self.model.effects if e.measured or {"force", "campaign", *FELT} & set(e.needs)]
+        odd = [e.name for e in self.model.effects if e.measured or {"campaign", *FELT} & set(e.needs)]
         if odd:
             return f"effect {odd[0]} feels more than a motion at full rate gives; use wls"
         if not all(isinstance(log, Log) for log in self.pieces):

@@ -1,7 +1,7 @@
 """Memory that blocks of a long recording have used goes back to the system.
 
-The C library keeps what was freed for the next request. Where blocks of many sizes come and go on several threads, it is kept in ever
-more pieces that fit nothing: 12 bytes a sample, 1.9 GiB at 10^8 samples. glibc hands them back when it is told to.
+The C library keeps what was freed for the next request. Where blocks of many sizes come and go on several threads, it is kept
+in ever more pieces that fit nothing: 12 bytes a sample, 1.9 GiB at 10^8 samples. glibc hands them back when it is told to.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from tau_dyn.estimate.position_noise import REACH, accelerations
+from tau_dyn.identify.gate import excluded
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import excluded
 from tau_dyn.identify.signals import measured_signals
 from tau_dyn.log import Log, differentiate, edge_samples, lowpass
 from tau_dyn.model import Model

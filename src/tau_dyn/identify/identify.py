@@ -8,9 +8,10 @@ descriptions the data cannot tell apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from tau_dyn.estimate import DETERMINED, BaseParameters, Estimate, Regression, s
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices
 from tau_dyn.identify.data import Data
-from tau_dyn.identify.doubts import doubts, equivalences, unlike_the_file
+from tau_dyn.identify.doubts import doubts, equivalences, turned_signs, unlike_the_file
 from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.estimators import Estimator
 from tau_dyn.identify.logs import each_once, listed, without_trained
@@ -67,91 +68,104 @@ def identify(
         InputError: A log, the model or a choice is at fault.
         CannotAnswer: The logs determine nothing.
     """
+    ask = _Request(
+        robot=robot,
+        train=listed(logs),
+        holdout=listed(holdout),
+        model=model,
+        choices=choices or Choices(),
+        preparation=preparation,
+        exclude=exclude,
+        estimator=estimator,
+        seed=seed,
+        engine=engine or Engine(cores()),
+        progress=progress,
+    )
     warnings: list[str] = []
     try:
-        return _identify(
-            robot,
-            listed(logs),
-            listed(holdout),
-            model,
-            choices or Choices(),
-            preparation,
-            exclude,
-            estimator,
-            seed,
-            engine or Engine(cores()),
-            progress,
-            warnings,
-        )
+        return _identify(ask, warnings)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise
 
 
-def _identify(
-    robot: Robot,
-    train_logs: list[Log | Recording],
-    asked_logs: list[Log | Recording],
-    model: str | Path | Model,
-    choices: Choices,
-    preparation: Preparation | None,
-    exclude: tuple[str, ...],
-    estimator: str,
-    seed: int,
-    engine: Engine,
-    progress: Callable[[str], None],
-    warnings: list[str],
-) -> Identification:
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """What `identify` was asked; see there."""
+
+    robot: Robot
+    train: list[Log | Recording]
+    holdout: list[Log | Recording]
+    model: str | Path | Model
+    choices: Choices
+    preparation: Preparation | None
+    exclude: tuple[str, ...]
+    estimator: str
+    seed: int
+    engine: Engine
+    progress: Callable[[str], None]
+
+
+class _Held(NamedTuple):
+    """Data that the fit never saw: their regression, where its rows are there to look at, the errors on them, and how."""
+
+    regression: Regression | None
+    errors: ForceErrors | None
+    how: str
+
+
+def _identify(ask: _Request, warnings: list[str]) -> Identification:
     """Do what `identify` says, leaving in `warnings` what was doubtful even if no answer comes."""
-    prepared = choices.apply(build_model(robot, model))
-    robot = prepared.robot
-    if not prepared.parameters.free.any():
+    model = ask.choices.apply(build_model(ask.robot, ask.model))
+    if not model.parameters.free.any():
         raise InputError("every parameter is fixed; nothing is left to estimate")
-    doubled: list[str] = []
-    train_logs = each_once(train_logs, doubled)
-    held_logs = each_once(without_trained(train_logs, asked_logs, doubled), doubled)
-    gains = choices.gains(robot.actuated)
-    factors = {joint: factor for joint, (factor, _) in gains.items()}
-    data = Data(prepared, train_logs, preparation, exclude, factors, engine=engine, progress=progress)
-    held_out = Data(prepared, held_logs, factors=factors, campaigns=tuple(log.name for log in train_logs), engine=engine,
-                    progress=progress)  # fmt: skip
-    refuse_in_blocks(estimator, data.streams)
-    warnings += [*robot.warnings, *data.warnings(), *held_out.warnings(), *doubled]
-    progress("columns")
-    training = data.regression(prepared)
-    _refuse_constant_forces(train_logs, training)
-    warnings += _singularities(prepared, training)
-    progress("structure")
-    structural = structural_base(prepared, seed)
-    better = Estimator(estimator, prepared, data.pieces, gains, warnings)
-    solve = _Solver(prepared, structural, {j: sigma for j, (_, sigma) in gains.items()}, better)
-    progress("estimate")
-    training, estimate = settled(prepared, training, solve, data.regression, warnings)
-    progress("held-out errors")
-    if held_logs:
-        held_out.preparation = training.settings["preparation"]
-        held = held_out.regression(prepared.with_parameters(estimate.parameters))
-        judged = force_errors(held, estimate.theta)
-        how = "held-out logs: " + ", ".join(log.name for log in held_logs)
+    gains = ask.choices.gains(model.robot.actuated)
+    data, held_out = _data(ask, model, {joint: factor for joint, (factor, _) in gains.items()}, warnings)
+    ask.progress("columns")
+    training = data.regression(model)
+    _refuse_constant_forces(data.logs, training)
+    warnings += _singularities(model, training)
+    ask.progress("structure")
+    better = Estimator(ask.estimator, model, data.pieces, gains, warnings)
+    sigmas = {joint: sigma for joint, (_, sigma) in gains.items()}
+    solve = _Solver(model, structural_base(model, ask.seed), sigmas, better)
+    ask.progress("estimate")
+    training, estimate = settled(model, training, solve, data.regression, warnings)
+    ask.progress("held-out errors")
+    if held_out.logs:
+        held = _judge_held_out(held_out, training, model, estimate)
     else:
-        held, judged, how = _judge_last_part(data, training, solve, bool(asked_logs), warnings)
+        held = _judge_last_part(data, training, solve, bool(ask.holdout), warnings)
     _refuse_if_nothing_determined(estimate)
     return Identification(
         model=replace(
-            prepared.with_parameters(estimate.parameters), provenance=_provenance(train_logs, held_logs, seed)
+            model.with_parameters(estimate.parameters), provenance=_provenance(data.logs, held_out.logs, ask.seed)
         ),
         estimate=estimate,
         train=force_errors(training, estimate.theta),
-        holdout=judged,
-        holdout_how=how,
-        held=held,
-        nominal=prepared.parameters,
-        friction=str(model) if isinstance(model, str) and model in FRICTION_MODELS else "",
-        warnings=tuple(dict.fromkeys([*warnings, *doubts(estimate), *unlike_the_file(estimate, prepared.parameters)])),
-        equivalent=equivalences(estimate, robot.actuated),
-        seed=seed,
-        logs=tuple(train_logs),
+        holdout=held.errors,
+        holdout_how=held.how,
+        held=held.regression,
+        nominal=model.parameters,
+        friction=ask.model if isinstance(ask.model, str) and ask.model in FRICTION_MODELS else "",
+        warnings=tuple(dict.fromkeys([*warnings, *doubts(estimate), *unlike_the_file(estimate, model.parameters)])),
+        equivalent=equivalences(estimate, model.robot.actuated),
+        seed=ask.seed,
+        logs=tuple(data.logs),
     )
+
+
+def _data(ask: _Request, model: Model, factors: dict[str, float], warnings: list[str]) -> tuple[Data, Data]:
+    """Return what is fitted and what is held out, each log once, and say what is doubtful about them."""
+    doubled: list[str] = []
+    train = each_once(ask.train, doubled)
+    held = each_once(without_trained(train, ask.holdout, doubled), doubled)
+    names = tuple(log.name for log in train)
+    data = Data(model, train, ask.preparation, ask.exclude, factors, engine=ask.engine, progress=ask.progress)
+    held_out = Data(model, held, factors=factors, campaigns=names, engine=ask.engine, progress=ask.progress)
+    refuse_in_blocks(ask.estimator, data.streams)
+    warnings += [*model.robot.warnings, *data.warnings(), *held_out.warnings(), *doubled]
+    return data, held_out
 
 
 def refuse_in_blocks(estimator: str, streams: bool) -> None:
@@ -180,7 +194,7 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
     return model.on(robot)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Solver:
     """The estimation of one model, whatever the data."""
 
@@ -206,11 +220,18 @@ def _singularities(model: Model, regression: Regression) -> list[str]:
     return found
 
 
-def _judge_last_part(
-    data: Data, training: Regression, solve: _Solver, asked: bool, warnings: list[str]
-) -> tuple[Regression | None, ForceErrors | None, str]:
+def _judge_held_out(held_out: Data, training: Regression, model: Model, estimate: Estimate) -> _Held:
+    """Return the errors on logs of their own, prepared as those that were fitted."""
+    held_out.preparation = training.settings["preparation"]
+    regression = held_out.regression(model.with_parameters(estimate.parameters))
+    how = "held-out logs: " + ", ".join(log.name for log in held_out.logs)
+    return _Held(regression, force_errors(regression, estimate.theta), how)
+
+
+def _judge_last_part(data: Data, training: Regression, solve: _Solver, asked: bool, warnings: list[str]) -> _Held:
+    """Return the errors on the last part of each log, by a fit of its first part; none where other logs were asked for."""
     if asked:
-        return None, None, "no held-out log was left"
+        return _Held(None, None, "no held-out log was left")
     first, last, there = data.parts(training)
     try:
         estimate = solve(first)
@@ -218,26 +239,24 @@ def _judge_last_part(
         warnings.append(
             "the first 70 % of the logs alone determine nothing, so there are no held-out errors; give --holdout"
         )
-        return None, None, "the logs are too short to hold a part out"
-    return (
-        last if there else None,
-        force_errors(last, estimate.theta),
-        "last 30 % of each log, predicted by a fit of its first 70 %",
-    )
+        return _Held(None, None, "the logs are too short to hold a part out")
+    how = "last 30 % of each log, predicted by a fit of its first 70 %"
+    return _Held(last if there else None, force_errors(last, estimate.theta), how)
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
     """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing."""
     if np.any(estimate.stderr < DETERMINED * np.abs(estimate.beta)):
         return
+    suspected = "".join(f" ({text})" for text in turned_signs(estimate)[:1])
     raise CannotAnswer(
-        "this motion determines no parameter, alone or in combination, to within 30 %",
+        f"this motion determines no parameter, alone or in combination, to within 30 %{suspected}",
         f"move {', '.join(estimate.regression.outputs)} in both directions over several speeds, accelerate more than the "
         "noise shows, and let the model have friction (--model asymmetric)",
     )
 
 
-def _refuse_constant_forces(logs: list[Log | Recording], regression: Regression) -> None:
+def _refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regression) -> None:
     """Refuse a force that is the same to the last bit while its joint moves: it was not measured."""
     here = [log for log in logs if isinstance(log, Log)]
     moving = [j for k, j in enumerate(regression.outputs) if any(run.usable[:, k].any() for run in regression.runs)]
@@ -253,10 +272,10 @@ def _flat(log: Log, signal: str, joint: str) -> bool:
     return np.ptp(log.joint(signal, [joint])) == 0
 
 
-def _provenance(train: list[Log | Recording], held: list[Log | Recording], seed: int) -> dict:
+def _provenance(train: Sequence[Log | Recording], held: Sequence[Log | Recording], seed: int) -> dict:
     from tau_dyn.version import __version__
 
-    def rows(logs: list[Log | Recording]) -> list[dict[str, str]]:
+    def rows(logs: Sequence[Log | Recording]) -> list[dict[str, str]]:
         return [{"path": log.name, "sha256": log.sha256} for log in logs]
 
     return {"tool_version": __version__, "trained_on": rows(train), "held_out": rows(held), "seed": seed}

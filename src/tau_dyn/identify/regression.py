@@ -7,27 +7,26 @@ speeds within the noise) or that the user excludes, *before* the low-pass `F` th
     y = F(g tau) / F(g),   W = F(g Y) / F(g)
 
 so that `y = W theta` stays exact and nothing leaks out of a reversal into its neighbourhood (normalised convolution,
-Knutsson & Westin 1993). The gate's edges are ramps, two periods of the position filter's cutoff long: a sharp edge would fold
-the acceleration's noise, large above the band of `F`, into it. Samples where less than half of the filter's weight is left
-are masked; the rest are decimated.
+Knutsson & Westin 1993). Samples where less than half of the filter's weight is left are masked; the rest are decimated. The gate
+itself stands in `gate.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import convolve1d
 
-from tau_dyn.effects import Effect, Motion
-from tau_dyn.effects.effect import JointMotion, JointwiseEffect
+from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion
+from tau_dyn.effects.effect import naming
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.preparation import ROUNDING, Preparation, choose_preparation
+from tau_dyn.identify.gate import excluded, gate_of
+from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.signals import measured_signals, refuse_missing_campaign, refuse_missing_temperature
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, segments
-from tau_dyn.model import COMPUTED, Model
+from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
 """Share of the filter's weight that must lie on usable samples."""
@@ -156,10 +155,8 @@ def columns_of(model: Model, motion: Motion) -> np.ndarray:
     out[:, :first] = rigid.transpose(1, 2, 0)
     for effect in model.effects:
         last = first + len(effect.parameters)
-        try:
+        with naming(effect):
             _fill(out[:, first:last], effect, motion)
-        except InputError as fault:
-            raise InputError(str(fault).replace("this effect", f"effect {effect.name}", 1)) from fault
         first = last
     return out.transpose(2, 0, 1)
 
@@ -208,7 +205,7 @@ def prepare(
     a = differentiate(v, dt, accuracy=4)
     measured = {**measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
     refuse_missing_temperature(model, log, measured)
-    gate = _gate(log, Motion.of(joints, q, v, a), model, preparation, rate)
+    gate = gate_of(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
     sign = np.sign(v)
     if smooth_hz is not None and smooth_hz < preparation.position_cutoff_hz:
         q = lowpass(log.joint("q", joints), smooth_hz, rate)
@@ -224,48 +221,6 @@ def prepare(
     edge = int(np.ceil(edge / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
     return Prepared(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0), rate)
-
-
-def _gate(log: Log, motion: Motion, model: Model, preparation: Preparation, rate: float) -> np.ndarray:
-    """Return 1 where each joint's sample may be used and 0 where not (N, na), at the log's own rate."""
-    threshold = preparation.speed_threshold
-    shut = np.column_stack([_unsure(motion.v[:, k], threshold[k]) for k in range(len(threshold))])
-    for effect in model.effects:
-        if type(effect).other_speeds is Effect.other_speeds:
-            continue
-        felt = {name: COMPUTED[name](model.mechanism, motion.q, motion.v, motion.a) for name in effect.needs}
-        for speed, indices in effect.other_speeds(replace(motion, signals=felt)):
-            shut[:, indices] |= _unsure(speed, float(np.hypot.reduce(threshold[indices])))[:, None]
-    shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
-    half = int(np.ceil(preparation.window_s * rate - ROUNDING))
-    gate = 1.0 - _widened(shut, half)
-    ramp = np.hanning(2 * int(np.ceil(rate / preparation.position_cutoff_hz - ROUNDING)) + 3)
-    return convolve1d(gate, ramp / ramp.sum(), axis=0, mode="nearest")
-
-
-def _widened(shut: np.ndarray, half: int) -> np.ndarray:
-    """Return where a sample (N, na) or one at most `half` away is shut."""
-    n = len(shut)
-    count = np.concatenate([np.zeros((1, shut.shape[1]), int), np.cumsum(shut, axis=0)])
-    i = np.arange(n)
-    return count[np.minimum(i + half + 1, n)] > count[np.maximum(i - half, 0)]
-
-
-def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:
-    """Return where a speed (N,) has no sure sign: too slow, or just reversed."""
-    unsure = np.abs(speed) <= threshold  # a joint at rest has no sign, even without noise
-    unsure[1:] |= np.sign(speed[1:]) != np.sign(speed[:-1])
-    return unsure
-
-
-def excluded(log: Log, joints: tuple[str, ...], effort_limit: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
-    """Return saturated samples and those a column flags with anything but zero (N, na)."""
-    bad = np.abs(log.joint("tau", joints)) >= 0.999 * effort_limit
-    for column in columns:
-        if column not in log.channels:
-            raise InputError(f"{log.name} has no column {column} to exclude samples by")
-        bad |= (log.channels[column] != 0)[:, None]
-    return bad
 
 
 def _nothing_left(model: Model, logs: list[Log], preparation: Preparation) -> CannotAnswer:

@@ -17,22 +17,25 @@ def measured_signals(
 ) -> dict[str, np.ndarray]:
     """Return what a log says beyond positions and forces: temperatures, and travel since each joint's last reversal."""
     found = {"reversal": np.column_stack([travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
-    if log.has("temp", joints):
-        found["temperature"] = log.joint("temp", joints)
-    elif ROOM_TEMPERATURE in log.channels:
-        found["temperature"] = np.repeat(log.channels[ROOM_TEMPERATURE][:, None], len(joints), axis=1)
-    return found
+    warmth = log.temperatures(joints)
+    return found if warmth is None else {**found, "temperature": warmth}
 
 
 def travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
-    """Return the distance (N,) since a joint last reversed, from the turning point of each stretch of one direction."""
+    """Return the distance (N,) since a joint last reversed, from the turning point of each stretch of one direction.
+
+    Stretches are told apart where the speed is sure, above the threshold; where they turned lies a little before. The first one
+    counts from there too, or from the first sample.
+    """
+    sure = np.flatnonzero(np.abs(v) > threshold)
     starts = np.concatenate([[0], reversals(v, threshold), [len(q)]])
-    out = np.zeros(len(q))
+    out, before = np.zeros(len(q)), 0
     for start, stop in zip(starts[:-1], starts[1:], strict=True):
-        heading = np.sign(v[start]) or 1.0
-        back = max(0, start - 50)  # the turning point lies a little before the speed is sure
-        turn = np.min(heading * q[back : start + 1]) if start else heading * q[0]
+        at = start if start or not sure.size else sure[0]
+        heading = np.sign(v[at]) or 1.0
+        turn = np.min(heading * q[before : at + 1])
         out[start:stop] = np.maximum(0.0, heading * q[start:stop] - turn)
+        before = start
     return out
 
 

@@ -21,6 +21,7 @@ from tau_dyn.estimate import Everything, Regression, Run, Totals
 from tau_dyn.estimate.stored_rows import StoredRows
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.blocks import Block, Computed, Work, channels, cut, refuse_memory
+from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.regression import even_pieces
 from tau_dyn.log import Log, Recording
@@ -33,6 +34,9 @@ SURVEYED = 2**20
 
 SHOWN = 12
 """Blocks of all recordings together that are kept for a page to draw."""
+
+_TIDIED = 16
+"""Blocks after which freed memory is handed back."""
 
 Progress = Callable[[str], None]
 
@@ -143,6 +147,8 @@ def _summed(
         whole[block.section] += done.whole
         if done.run is not None:
             shown.append(_named(done.run, len(blocks)))
+        if number % _TIDIED == 0:
+            give_back()
         left = (time.monotonic() - began) * (len(blocks) / number - 1)
         progress(f"columns: block {number} of {len(blocks)}, {left:.0f} s left")
 
@@ -174,13 +180,9 @@ def _pieces(log: Log | Recording) -> Sequence[Stretch | InMemory]:
     return even_stretches(log) if isinstance(log, Recording) else [InMemory(piece) for piece in even_pieces(log)]
 
 
+@lru_cache(maxsize=8)
 def even_stretches(recording: Recording) -> list[Stretch]:
     """Return a recording's even stretches; its clock is read once."""
-    return _even_stretches(recording)
-
-
-@lru_cache(maxsize=8)
-def _even_stretches(recording: Recording) -> list[Stretch]:
     return stretches(recording)
 
 

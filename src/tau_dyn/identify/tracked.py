@@ -4,7 +4,7 @@ A controller lets the robot deviate from its reference by what forces and the re
 
     q - q_ref = sum_k h_k(t) * s_k(t),   s = forces, speeds and accelerations along the reference,
 
-with impulse responses `h` of half a second. They are piecewise linear over lags that double, and are fitted to the log by
+with impulse responses `h` of half a second. They are piecewise linear over lags that grow by half, and are fitted to the log by
 least squares: some hundred numbers from as many equations as there are samples, so that next to no encoder noise passes. No
 controller has to be known. Where it is known, simulating the closed loop does the same (Janot, Vandanjon & Gautier
 2014, A generic instrumental variable approach for industrial robot identification); this only approximates it, which costs
@@ -51,7 +51,7 @@ def _sources(model: Model, log: Log, preparation: Preparation, reference: np.nda
     q = lowpass(reference, preparation.position_cutoff_hz, log.rate_hz)
     v = differentiate(q, log.dt, accuracy=4)
     a = differentiate(v, log.dt, accuracy=4)
-    force = model.steady().torque(q, v, a, np.where(np.abs(v) > 0, np.sign(v), 0.0))
+    force = model.steady().torque(q, v, a)
     return np.column_stack([force, v, a])
 
 

@@ -14,7 +14,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.numbers import check_numbers, check_tree
+from tau_dyn.robot.numbers import check_numbers, check_tree, numbers_in
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"
@@ -152,10 +152,7 @@ class _Reader:
 
     def _numbers(self, element: Element, attribute: str, count: int) -> tuple[float, ...]:
         text = element.get(attribute, "")
-        try:
-            values = tuple(float(word) for word in text.split())
-        except ValueError:
-            values = ()
+        values = numbers_in(text)
         if len(values) != count or not all(abs(v) < 1e12 for v in values):
             tag = element.tag.split("}")[-1]
             raise InputError(f"{self.where}: <{tag} {attribute}='{text}'> must hold {count} finite number(s)")

@@ -8,7 +8,6 @@ neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
 import stat
@@ -31,6 +30,11 @@ from tau_dyn.robot.expressions import checked_expressions
 from tau_dyn.robot.numbers import check_depth
 
 _LOCK = threading.Lock()  # xacro keeps its state in module globals
+
+_LOG = "; this reads like a log: are robot and log in each other's place?"
+_MODEL = "; is it a model file? Then give the robot's file first"
+_SWAPPED = {".csv": _LOG, ".parquet": _LOG, ".mcap": _LOG, ".bag": _LOG, ".mat": _LOG, ".yaml": _MODEL, ".yml": _MODEL}
+"""What may have happened where a file of another kind stands for a robot."""
 
 LARGEST_ROBOT = 32 * 2**20
 """[bytes] Of a robot file; real ones, without their meshes, have less than one MiB."""
@@ -61,10 +65,14 @@ def find_robot(robot: str | Path) -> Path:
         raise InputError(f"{path}: no such robot file ({fault.strerror})") from fault
     if there:
         if not path.name.endswith((".urdf", ".urdf.xacro", ".xacro", ".xml")):
-            raise InputError(f"{path}: a robot file ends in .urdf or .urdf.xacro")
+            raise InputError(
+                f"{path}: a robot file ends in .urdf or .urdf.xacro{_SWAPPED.get(path.suffix.lower(), '')}"
+            )
         return path
     if path.suffix or len(path.parts) > 1:
-        raise InputError(f"{path}: no such robot file")
+        raise InputError(
+            f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau"
+        )
     known = short_names()
     if str(robot) not in known:
         raise UnknownName("robot", str(robot), known)
@@ -104,6 +112,7 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluat
             raise InputError(f"{path}: expands without end") from fault
         except Exception as fault:  # whatever an expression in the file raised: its fault, named below
             reason = " ".join(str(fault).split()) or type(fault).__name__
+            reason = reason.partition(" when evaluating expression 'xacro.fatal(")[0]
             raise InputError(f"{path}: xacro cannot expand it: {reason}") from fault
 
 
@@ -111,11 +120,6 @@ def is_xacro(path: Path, document: Document) -> bool:
     """Tell whether a robot file is to be evaluated: by its name, or by xacro's namespace on its root."""
     root: Any = document.documentElement
     return path.name.endswith(".xacro") or root.hasAttribute("xmlns:xacro") or root.tagName.startswith("xacro:")
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hex."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _check_arguments(path: Path, document: Document, given: Mapping[str, str]) -> None:

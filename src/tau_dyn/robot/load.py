@@ -16,9 +16,10 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.files import sha256_of
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotations
-from tau_dyn.robot.expand import expand, find_robot, sha256_of
+from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.robot import LinkInertia, Loop, Robot, inertial_parameters
 
 

@@ -6,6 +6,7 @@ through it into every force.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from math import isfinite
 from typing import Any
 from xml.dom.minidom import Document
@@ -30,12 +31,7 @@ def check_depth(document: Document, where: str) -> None:
     Raises:
         InputError: It names the file.
     """
-    level: list[Any] = [document.documentElement]
-    for _ in range(DEEPEST):
-        level = [child for node in level for child in node.childNodes]
-        if not level:
-            return
-    raise InputError(f"{where}: elements stand more than {DEEPEST} deep inside each other; a robot file has few levels")
+    _refuse_deep(document.documentElement, lambda node: node.childNodes, where)
 
 
 def check_tree(root: Element, where: str) -> None:
@@ -44,18 +40,19 @@ def check_tree(root: Element, where: str) -> None:
     Raises:
         InputError: It names the file.
     """
-    level = [root]
-    for _ in range(DEEPEST):
-        level = [child for node in level for child in node]
-        if not level:
-            break
-    else:
-        raise InputError(
-            f"{where}: elements stand more than {DEEPEST} deep inside each other; a robot file has few levels"
-        )
+    _refuse_deep(root, list, where)
     links = len(root.findall("link"))
     if links > MOST_LINKS:
         raise InputError(f"{where}: {links} links; a robot has {MOST_LINKS} at most")
+
+
+def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str) -> None:
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [child for node in level for child in children(node)]
+        if not level:
+            return
+    raise InputError(f"{where}: elements stand more than {DEEPEST} deep inside each other; a robot file has few levels")
 
 
 def check_numbers(root: Element, where: str) -> None:
@@ -95,8 +92,13 @@ def _check(parent: Element, tag: str, names: tuple[str, ...], count: int, place:
 
 
 def _are_numbers(text: str, count: int) -> bool:
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        return False
+    values = numbers_in(text)
     return len(values) == count and all(map(isfinite, values))
+
+
+def numbers_in(text: str) -> tuple[float, ...]:
+    """Return the numbers that a text lists between blanks; none where one word is no number."""
+    try:
+        return tuple(float(word) for word in text.split())
+    except ValueError:
+        return ()

@@ -189,8 +189,7 @@ class Robot(Shown):
         """Return a Pinocchio model that carries these parameters' masses, inertias and drive inertias."""
         model = self.model.copy()
         for link in self.links:
-            pi = link.map @ parameters.select(link.names).values
-            model.inertias[link.joint_id] = pin.Inertia.FromDynamicParameters(pi)
+            model.inertias[link.joint_id] = _inertia(link.map @ parameters.select(link.names).values)
         armature = np.zeros(model.nv)
         for joint, index in zip(self.actuated, self.active_v, strict=True):
             armature[index] = parameters[f"{joint}.armature"].value
@@ -209,6 +208,19 @@ def inertial_parameters(link: LinkInertia) -> list[Parameter]:
         lower = 0.0 if INERTIAL[k] in ("mass", "ixx", "iyy", "izz") else -np.inf
         rows.append(Parameter(f"{link.link}.{INERTIAL[k]}", float(link.nominal[k]), _UNITS[k], lower))
     return rows
+
+
+def inertia_matrix(pi: np.ndarray) -> np.ndarray:
+    """Return the inertia matrix (3, 3) about the joint frame's origin of ten inertial numbers in Pinocchio's order [kg m^2]."""
+    xx, xy, yy, xz, yz, zz = pi[4:]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _inertia(pi: np.ndarray) -> pin.Inertia:
+    """Return a body of ten inertial numbers; Pinocchio divides by the mass, which an estimate may find to be nothing."""
+    if pi[0] == 0 and not pi[1:4].any():
+        return pin.Inertia(0.0, np.zeros(3), inertia_matrix(pi))
+    return pin.Inertia.FromDynamicParameters(pi)
 
 
 def _finite_or(values: np.ndarray, default: float) -> np.ndarray:

@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from tau_dyn.effects import Effect
+from tau_dyn.effects.read import read_effects
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml
-from tau_dyn.model import Model, read_effects
+from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 

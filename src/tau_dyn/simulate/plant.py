@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import Controller
 from tau_dyn.simulate.forces import SampledForces
@@ -33,7 +33,7 @@ Progress = Callable[[float], None]
 """Called with the share of the work that is done, from 0 to 1, about a hundred times."""
 
 OFTEN_AT_LIMIT = 0.05
-"""Share of the samples at a joint's force limit above which a run warns."""
+"""Share of the samples at a joint's force limit, or at its controller's, above which a run or a replay warns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,10 @@ def run_plant(
     for k in range(reference.n_samples):
         read[k] = plant.q if encoder is None else encoder(k, plant.q)
         tau = controller.force(k, reference.t[k], reference.q[k], reference.v[k], reference.a[k], read[k])
-        record.step(k, plant, tau)
+        try:
+            record.step(k, plant, tau)
+        except LoopClosureError as fault:
+            raise _ran_away(reference, k) if _is_far(plant, reference, k) else fault from None
         if k % max(1, reference.n_samples // 100) == 0:
             _check_finite(plant, reference, k)
             if progress is not None:
@@ -228,7 +231,17 @@ class _Recorder:
 def _check_finite(plant: Plant, reference: Trajectory, k: int) -> None:
     far = 100 * (1 + float(np.max(np.abs(reference.q))))
     if not np.all(np.abs(plant.q) < far):
-        raise InputError(
-            f"{reference.name}: the simulated robot ran away before t = {reference.t[k]:.4g} s; the controller's gains are "
-            "too high for this robot and control rate, or its forces too small"
-        )
+        raise _ran_away(reference, k)
+
+
+def _is_far(plant: Plant, reference: Trajectory, k: int) -> bool:
+    """Tell whether the robot is farther from its reference than the motion is wide, and so no longer follows it."""
+    return bool(np.any(np.abs(plant.q - reference.q[k]) > np.ptp(reference.q, axis=0)))
+
+
+def _ran_away(reference: Trajectory, k: int) -> InputError:
+    return InputError(
+        f"{reference.name}: the simulated robot ran away before t = {reference.t[k]:.4g} s; the controller's gains are "
+        f"too high for this robot and control rate ({(reference.n_samples - 1) / reference.duration:.4g} Hz), or its forces "
+        "too small"
+    )

@@ -26,7 +26,7 @@ from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.forces import SampledForces
 from tau_dyn.simulate.log_effects import EncoderErrors, recorded
 from tau_dyn.simulate.memory import Surroundings
-from tau_dyn.simulate.plant import Plant, PlantRun, Progress
+from tau_dyn.simulate.plant import OFTEN_AT_LIMIT, Plant, PlantRun, Progress
 from tau_dyn.simulate.replay_result import Replay, signals
 from tau_dyn.simulate.trajectory import Trajectory
 
@@ -35,9 +35,6 @@ CONTROL_HZ = 1000.0
 
 START_S = 0.02
 """Stretch at the log's start from which its first position, speed and force are read, by a cubic through it [s]."""
-
-OFTEN_AT_LIMIT = 0.05
-"""Share of the samples at the controller's limit above which a replay warns."""
 
 
 def replay(
@@ -161,11 +158,8 @@ def _drive(model: Model, log: Log, law: CascadeLaw, often: int, substeps: int, p
 
 def _surroundings(log: Log, joints: tuple[str, ...]) -> Surroundings | None:
     """Return the temperatures that the log holds, of its joints or of the room, or None."""
-    if log.has("temp", joints):
-        measured = log.joint("temp", joints)
-    elif ROOM_TEMPERATURE in log.channels:
-        measured = np.repeat(log.channels[ROOM_TEMPERATURE][:, None], len(joints), axis=1)
-    else:
+    measured = log.temperatures(joints)
+    if measured is None:
         return None
     t = log.t - log.t[0]
     return Surroundings(lambda at: np.array([np.interp(at, t, column) for column in measured.T]))

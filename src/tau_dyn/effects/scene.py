@@ -1,0 +1,51 @@
+"""What a motion offers, for choosing which settings of an effect are worth trying, and on which joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A motion, or several together, as diagnosis looks at it.
+
+    Attributes:
+        joints: Actuated joints.
+        units: Their force units, 'N' or 'N m'.
+        low: Smallest position (na,) [m or rad].
+        high: Largest position (na,).
+        slow: Slowest speed with a sure sign (na,) [m/s or rad/s].
+        fast: A speed that the joint exceeds in 2 % of the samples (na,).
+        cutoff_hz: Frequency above which nothing is seen [Hz].
+        duration: Length of all runs together [s].
+        signals: Signals that the motions give.
+        campaigns: Number of logs, which `campaign` counts from zero.
+        resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
+        structure: Whether these modes are the structure's as a whole, and no single joint's.
+    """
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+    slow: np.ndarray
+    fast: np.ndarray
+    cutoff_hz: float
+    duration: float
+    signals: frozenset[str] = frozenset()
+    campaigns: int = 1
+    resonances: tuple[tuple[float, float], ...] = ()
+    structure: bool = False
+
+    def index(self, joint: str) -> int:
+        """Return a joint's place."""
+        return self.joints.index(joint)
+
+
+def pairs(scene: Scene) -> list[tuple[str, ...]]:
+    """Return every pair of joints with the same force unit."""
+    same = {joint: unit for joint, unit in zip(scene.joints, scene.units, strict=True)}
+    return [(i, j) for i, j in combinations(scene.joints, 2) if same[i] == same[j]]

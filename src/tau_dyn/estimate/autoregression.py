@@ -1,0 +1,139 @@
+r"""Coloured noise as an autoregressive process, fitted to a residual that comes in stretches and pieces.
+
+    e_t = sum_k phi_k e_{t-k} + u_t
+
+by least squares on each sample and its own past (of early samples of a stretch, as much of it as there is), the order by Akaike's
+criterion. Rows are kept as triangular factors, so that any number of samples will do. Reference: Ljung 1999, 10.1 and 16.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+MAX_ORDER = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregression:
+    """`e_t = sum_k phi_k e_{t-k} + u_t`; `phi` (order,), `variance` that of the process itself."""
+
+    phi: np.ndarray
+    variance: float
+
+    @property
+    def denominator(self) -> np.ndarray:
+        """Coefficients `1, -phi_1, ..` (order + 1,) of the filter whose reciprocal makes it of white noise."""
+        return np.concatenate([[1.0], -self.phi])
+
+    def response_power(self) -> float:
+        """Return the sum of squares of its impulse response."""
+        if not len(self.phi):
+            return 1.0
+        return float(np.sum(self._impulse_response(65536) ** 2))
+
+    def autocovariance(self, n: int) -> np.ndarray:
+        """Return the autocovariance at lags 0 .. n - 1 (n,)."""
+        p = len(self.phi)
+        if p == 0:
+            return np.concatenate([[self.variance], np.zeros(n - 1)])
+        h = self._impulse_response(max(n, 4096))  # long enough for its slowest pole (roots lie within 0.999)
+        covariance = signal.fftconvolve(h, h[::-1])[len(h) - 1 :][:n]
+        return covariance * (self.variance / covariance[0])
+
+    def _impulse_response(self, n: int) -> np.ndarray:
+        impulse = np.zeros(n)
+        impulse[0] = 1.0
+        return np.asarray(signal.lfilter([1.0], self.denominator, impulse))
+
+
+def fit_autoregression(stretches: list[np.ndarray], max_order: int = MAX_ORDER) -> Autoregression:
+    """Fit an autoregressive model to unbroken stretches (n_i,) of a residual by least squares, its order by AIC."""
+    lags = Lags(max_order)
+    for stretch in stretches:
+        lags.begin()
+        lags.add(stretch)
+    return lags.model()
+
+
+class Lags:
+    """The past of a residual beside its present, summed up for every order, while stretches come in pieces."""
+
+    def __init__(self, max_order: int = MAX_ORDER) -> None:
+        """Start with no samples."""
+        self.max_order = max_order
+        self._whole = _Triangle(max_order + 1)  # samples with all of their past
+        self._early = [_Triangle(k + 1) for k in range(max_order)]  # the k-th sample of a stretch
+        self._squares, self._count = 0.0, 0
+        self._before = np.zeros(0)
+
+    @property
+    def seen(self) -> bool:
+        """Whether there were any samples."""
+        return self._count > 0
+
+    def begin(self) -> None:
+        """Say that what comes next does not follow what came before."""
+        self._before = np.zeros(0)
+
+    def add(self, piece: np.ndarray) -> None:
+        """Take in the next samples (n,) of the stretch."""
+        self._squares += float(np.sum(piece**2))
+        self._count += len(piece)
+        x, width = np.concatenate([self._before, piece]), self.max_order + 1
+        for k in range(len(self._before), min(self.max_order, len(x))):
+            self._early[k].add(x[k::-1][None] if k else x[:1][None])
+        if len(x) >= width:
+            first = max(0, len(self._before) - self.max_order)
+            self._whole.add(np.lib.stride_tricks.sliding_window_view(x, width)[first:, ::-1])
+        self._before = x[-self.max_order :]
+
+    def model(self) -> Autoregression:
+        """Return the model of everything taken in."""
+        variance = self._squares / self._count
+        best, best_aic = np.zeros(0), self._count * np.log(max(variance, 1e-300))
+        for order in range(1, self.max_order + 1):
+            parts = [self._whole, *self._early[order:]]
+            n = sum(part.count for part in parts)
+            if n < 10 * self.max_order:
+                break
+            rows = np.concatenate([part.R[:, : order + 1] for part in parts])
+            phi = np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
+            innovation = float(np.sum((rows[:, 0] - rows[:, 1:] @ phi) ** 2)) / n
+            aic = self._count * np.log(max(innovation, 1e-300)) + 2 * order
+            if aic < best_aic:
+                best, best_aic = phi, aic
+        return Autoregression(_stable(best), variance)
+
+
+class _Triangle:
+    """Rows of k numbers, kept as their triangular factor once there are many."""
+
+    def __init__(self, k: int) -> None:
+        self.count, self._size, self._rows = 0, 0, [np.zeros((0, k))]
+
+    def add(self, rows: np.ndarray) -> None:
+        """Take in rows (n, k)."""
+        self.count += len(rows)
+        self._size += len(rows)
+        self._rows.append(rows)
+        if self._size > 8192:
+            self._rows, self._size = [self.R], 0
+
+    @property
+    def R(self) -> np.ndarray:
+        """The rows' triangular factor."""
+        return np.asarray(np.linalg.qr(np.concatenate(self._rows), mode="r"))
+
+
+def _stable(phi: np.ndarray) -> np.ndarray:
+    """Pull poles outside 0.999 back onto that circle."""
+    if phi.size == 0:
+        return phi
+    poles = np.roots(np.concatenate([[1.0], -phi]))
+    size = np.abs(poles)
+    if np.all(size < 0.999):
+        return phi
+    return -np.real(np.poly(np.where(size < 0.999, poles, poles / np.maximum(size, 1e-12) * 0.999)))[1:]
