@@ -10,16 +10,21 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from calibration_rigs import family_at, measured, rods_of, spoiled
+from calibration_rigs import Spec, family_at, measured, rods_of, spoiled
 
-from tau_dyn.calibrate import calibrate, read_poses
+from tau_dyn.calibrate import calibrate, causes, read_poses
+from tau_dyn.calibrate.candidates import Options, evaluate
+from tau_dyn.calibrate.crossvalidation import LEVER
+from tau_dyn.calibrate.families import family_of
 from tau_dyn.calibrate.frames import Frame, Frames
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.saved import load_calibration, save_calibration
 from tau_dyn.calibrate.sensitivity import sensitivities
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses, to_csv
+from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.forward import forward_kinematics
+from tau_dyn.robot import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +125,28 @@ def test_a_base_that_moved_between_campaigns_is_named():
     found = calibrate(rods.robot, poses)
     assert found.chosen.name == "frames+base_frame"
     assert [f.cause for f in found.findings] == ["base_frame"]
+
+
+def test_models_without_a_cause_keep_what_the_user_fixed(monkeypatch):
+    """A cause's worth is told by a smaller model: a length that the user fixed stays fixed in it."""
+    rods = rods_of()
+    poses, _ = measured(rods, "nonparallel", 40, 5)
+    family, options = family_at(rods), Options(fix=("arm1.length",))
+    chosen = evaluate(family, family.spec("nonparallel"), poses, options)
+    smaller = []
+    monkeypatch.setattr(causes, "cross_validate", lambda fitted, seed: smaller.append(fitted) or chosen.unseen)
+    causes.find_causes(family, chosen, None, options, LEVER)
+    free = [dict(zip(f.unknowns.names, f.unknowns.free.tolist(), strict=True)) for f in smaller]
+    assert any("arm1.length" in row and any(row.values()) for row in free)
+    assert not any(row.get("arm1.length", False) for row in free)
+
+
+def test_backlash_has_the_unit_of_its_joint():
+    """Backlash of a cart is a length, of a turning joint an angle."""
+    for name, unit in (("gantry_tau", "m"), ("delta", "rad")):
+        geometry = family_of(load_robot(name), PoseSet(np.zeros((2, 3)), np.zeros((2, 3)))).build(Spec("complete"))
+        unknowns = collect(geometry, Frames(), device=True, tool=True, turned=False, backlash=True)
+        assert {row.unit for row in unknowns.rows if row.name.endswith(".backlash")} == {unit}
 
 
 def test_sensitivity_is_what_moving_one_parameter_does(worn):

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import family_at, rods_of, spoiled
 
+from tau_dyn.calibrate.loads import RodLoads
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 
 ROBOTS = {
@@ -110,3 +111,12 @@ def test_unreachable_positions_are_told():
     assert found.ok.tolist() == [True, False]
     assert np.isnan(found.poses.position[1]).all()
     assert found.reason[1]
+
+
+def test_half_of_every_rod_hangs_on_the_plate():
+    """A triangle of one link and two balls counts as two rods, which together weigh what the link weighs."""
+    rods = rods_of("gantry_tau_queensland")
+    masses = {link.link: float(link.nominal[0]) for link in rods.robot.links}
+    of_rods = [mass for link, mass in masses.items() if link.startswith(("rod", "triangle"))]
+    assert "triangle3_1" in rods.names and masses["triangle3_link"] > 0
+    assert RodLoads(rods).half.sum() == pytest.approx(0.5 * sum(of_rods))

@@ -288,3 +288,46 @@ def test_an_arm_with_a_straight_wrist_at_home_keeps_the_orientation_asked_for():
     found = inverse_kinematics(robot, asked, start=q + 0.05)
     assert found.ok.all()
     assert found.orientation_error.max() < 1e-9
+
+
+QUARTER = 0.5 * np.pi
+ARM = [("0 0 0.3", "0 0 0"), ("0 0 0.1", f"{QUARTER} 0 0"), ("0.5 0 0", "0 0 0"), ("0.4 0 0", f"0 {QUARTER} 0")]
+WRIST = [("0 0 0.1", f"{QUARTER} 0 0"), ("0 0.08 0", f"{-QUARTER} 0 0")]
+BENT = [0.3, 0.5, 0.8, 0.2, 0.4, 0.6]
+
+
+def arm_of(*places: tuple[str, str]):
+    """Return an arm of hinges about the z axes of frames at these places, a tool at its end, bent at home."""
+    rows = ['<robot name="arm" xmlns:tau_dyn="urn:tau_dyn"><link name="l0_link"/>']
+    for k, (xyz, rpy) in enumerate(places, start=1):
+        ends = f'<parent link="l{k - 1}_link"/><child link="l{k}_link"/><origin xyz="{xyz}" rpy="{rpy}"/>'
+        limit = '<axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="50"/>'
+        rows.append(f'<link name="l{k}_link"/><joint name="j{k}" type="revolute">{ends}{limit}</joint>')
+    ends = f'<parent link="l{len(places)}_link"/><child link="tool_link"/><origin xyz="0 0 0.12"/>'
+    rows.append(f'<link name="tool_link"/><joint name="tool" type="fixed">{ends}</joint>')
+    rows += [f'<tau_dyn:home joint="j{k}" value="{x}"/>' for k, x in enumerate(BENT, start=1)]
+    return robot_from_urdf("".join(rows) + "</robot>", "arm")
+
+
+def test_an_elbow_as_good_as_straight_is_solved_like_any_other(rng):
+    """Near the edge of reach the elbow hardly moves the tool: all poses are found, to rounding, from home and from nearby."""
+    arm = arm_of(*ARM, *WRIST)
+    q = arm.home + 0.3 * rng.uniform(-1, 1, (40, 6))
+    q[:, 2] = rng.choice([-1, 1], 40) * 10.0 ** rng.uniform(-5, -1, 40)
+    asked = forward_kinematics(arm, q).poses
+    for start in (None, q + 1e-3 * rng.standard_normal(q.shape)):
+        found = inverse_kinematics(arm, asked, start=start, limits=False)
+        assert found.ok.all()
+        assert found.orientation_error.max() < 1e-12 and found.position_error.max() < 1e-10
+
+
+def test_an_arm_with_a_joint_to_spare_reaches_what_it_can_reach(rng):
+    """Idling towards a home that is far from all solutions must not keep seven joints from a pose that they can take."""
+    arm = arm_of(*ARM[:3], ("0 0 0", f"{QUARTER} 0 0"), ARM[3], *WRIST)
+    q = arm.home + rng.uniform(-0.8, 0.8, (40, 7))
+    q[:, 2] = 0.05 * rng.uniform(-1, 1, 40)
+    asked = forward_kinematics(arm, q).poses
+    found = inverse_kinematics(arm, asked, limits=False)
+    assert found.ok.all() and found.orientation_error.max() < 1e-9
+    again = forward_kinematics(arm, found.q).poses
+    assert_allclose(again.position, asked.position, atol=1e-9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -36,6 +38,20 @@ def test_velocity_and_acceleration_maps(name, rng):
     rates = [np.einsum("nij,nj->ni", jacobian(robot, q + s * h * v), v) for s in (-1, 1)]
     bias = acceleration_bias(robot, q, v)
     assert_allclose(bias, (rates[1] - rates[0]) / (2 * h), atol=1e-5 * max(size, np.abs(bias).max()))
+
+
+def test_a_sample_without_numbers_leaves_the_acceleration_of_its_neighbours_alone(rng):
+    """Of a tree with loops, not-a-number and positions beyond any robot give nan, and the others what they give alone."""
+    robot = load_robot("h4")
+    q, v = robot.home + 0.01 * rng.standard_normal((4, robot.na)), rng.standard_normal((4, robot.na))
+    alone = acceleration_bias(robot, q[:1], v[:1])
+    q[1, 0], q[2, 1], q[3, 2] = np.nan, 1e300, -1e300
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        together = acceleration_bias(robot, q, v)
+        reason = forward_kinematics(robot, q).reason.tolist()
+    assert_allclose(together[0], alone[0], rtol=1e-12)
+    assert np.isnan(together[1:]).all() and reason == ["", "not a number", "out of reach", "out of reach"]
 
 
 @pytest.mark.parametrize("name", ["gantry_tau", "gantry_tau_f1", "delta", "stewart"])

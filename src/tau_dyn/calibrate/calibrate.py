@@ -10,22 +10,22 @@ import numpy as np
 from tau_dyn.calibrate.candidates import Candidate, Options, Step, check_patterns, evaluate, fit_spec
 from tau_dyn.calibrate.causes import find_causes
 from tau_dyn.calibrate.choose import climb
-from tau_dyn.calibrate.crossvalidation import compare
+from tau_dyn.calibrate.crossvalidation import LEVER, compare
 from tau_dyn.calibrate.families import Family, family_of
 from tau_dyn.calibrate.fit import Fit
-from tau_dyn.calibrate.models import Spec
+from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.outliers import find_outliers, outlier_sentence
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
+from tau_dyn.calibrate.screening import strongest_periods
 from tau_dyn.calibrate.start import check_spread, without_duplicates
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.robot import Robot
 
-LEVER = 0.3
-"""Length [m] at which orientation errors count beside position errors when models are compared."""
-
 _ENOUGH_TO_SPLIT = 40
 _HELD_OUT = 0.25
+_STRANGE = 0.05
+"""What a fit misses, over how far the poses spread, above which the two do not belong together."""
 _LOOKS_FOR_OUTLIERS = 3
 
 
@@ -107,9 +107,6 @@ def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Optio
     joints = spec.additions.get("periodic", ())
     if not joints:
         return {}
-    from tau_dyn.calibrate.models import RodFamily
-    from tau_dyn.calibrate.screening import strongest_periods
-
     assert isinstance(family, RodFamily)
     plain = Spec(spec.structure, {a: j for a, j in spec.additions.items() if a != "periodic"})
     return strongest_periods(fit_spec(family, plain, poses, options), family, joints)
@@ -121,7 +118,7 @@ def _spread(family: Family, poses: PoseSet) -> None:
     low, high = poses.q.min(axis=0), poses.q.max(axis=0)
     middle, width = 0.5 * (low + high), np.maximum(high - low, 0.1)
     q = middle + width * (rng.random((64, poses.na)) - 0.5)
-    check_spread(poses, geometry, geometry.forward(geometry.parameters.values, q))
+    check_spread(poses, geometry.forward(geometry.parameters.values, q))
 
 
 def _without_outliers(
@@ -131,16 +128,13 @@ def _without_outliers(
     fitted = None
     for _ in range(_LOOKS_FOR_OUTLIERS):
         fitted = _robust(family, poses, options, model)
-        if fitted is None:
-            return poses, holdout, tuple(said)
         bad = find_outliers(fitted)
         if not len(bad):
             break
         if len(bad) > 0.2 * poses.n:
             said.append(
                 f"{poses.source}: {len(bad)} of {poses.n} poses are far from what fits the others; nothing was left out, "
-                "for so many "
-                "are no outliers: were frames moved in between, or is the robot another one?"
+                "for so many are no outliers: were frames moved in between, or is the robot another one?"
             )
             break
         said.append(outlier_sentence(poses, fitted, bad))
@@ -161,8 +155,12 @@ def _held_outliers(fitted: Fit, holdout: PoseSet) -> np.ndarray:
     return np.flatnonzero(~(fitted.errors(holdout).distance < 20 * max(usual, 3 * fitted.noise[0])))
 
 
-def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> Fit | None:
-    """Return a robust fit of the largest structure that the poses bear, None where they bear none."""
+def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> Fit:
+    """Return a robust fit of the largest structure that the poses bear.
+
+    Raises:
+        InputError: They bear none; or CannotAnswer, as the smallest one says.
+    """
     robust = replace(options, robust="biweight")
     specs = [family.spec(model)] if model and model != "auto" else []
     specs += [Spec(s) for s in reversed(family.structures) if s != "paths"]
@@ -195,8 +193,7 @@ def _same_campaigns(poses: PoseSet, holdout: PoseSet) -> PoseSet:
         if name not in poses.campaigns:
             raise InputError(
                 f"{holdout.source}: campaign {name} is not among the training poses' campaigns ({', '.join(poses.campaigns)}), "
-                "so its frames "
-                "are unknown"
+                "so its frames are unknown"
             )
     number = np.array([poses.campaigns.index(name) for name in holdout.campaigns])
     return replace(holdout, campaign=number[holdout.campaign], campaigns=poses.campaigns)
@@ -209,4 +206,11 @@ def _doubts(fitted: Fit) -> tuple[str, ...]:
     missed = int((~fitted.state.ok).sum())
     if missed:
         said.append(f"{missed} poses are out of the fitted model's reach and were not used")
+    place = fitted.poses.position
+    off, wide = fitted.noise[0], float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+    if fitted.kind == "forward" and off > _STRANGE * wide:
+        said.append(
+            f"the robot misses its own poses by {off:.2g} m, while they spread over {wide:.2g} m; were two joints' or two axes' "
+            "columns exchanged, or is this another robot's file?"
+        )
     return tuple(said)

@@ -12,6 +12,7 @@ from tau_dyn.calibrate.crossvalidation import Gain, Unseen, cross_validate
 from tau_dyn.calibrate.families import Family
 from tau_dyn.calibrate.fit import Fit, fit
 from tau_dyn.calibrate.frames import AXES
+from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.residuals import State
@@ -85,9 +86,18 @@ def fit_spec(
 ) -> Fit:
     """Fit a model, from where another one's fit stands if one is given."""
     geometry = family.build(spec, periods)
-    name = spec.name_for(family.joints)
+    state = None
+    if start is not None:
+        state = carried_over(start, geometry.parameters.names, geometry.parameters.values, poses)
+    return fit_geometry(geometry, spec, poses, options, state, f"the model {spec.name_for(family.joints)}")
+
+
+def fit_geometry(
+    geometry: Geometry, spec: Spec, poses: PoseSet, options: Options, start: State | None, what: str
+) -> Fit:
+    """Fit a geometry that was built for a model; patterns of `options` that mean nothing in it are passed over."""
     play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
-    known = (*geometry.parameters.names, *_beside(family.joints))
+    known = (*geometry.parameters.names, *_beside(geometry.actuated))
     fix = [p for p in options.fix if _means(p, known)]
     free = [p for p in options.free if _means(p, known)]
     return fit(
@@ -100,10 +110,8 @@ def fit_spec(
         device=options.device,
         tool=options.tool,
         apart=("base_frame" in spec.additions, "tool_frame" in spec.additions),
-        start=None
-        if start is None
-        else carried_over(start, geometry.parameters.names, geometry.parameters.values, poses),
-        what=f"the model {name}",
+        start=start,
+        what=what,
     )
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.calibrate import restrict
-from tau_dyn.calibrate.candidates import Candidate, Options, carried_over
+from tau_dyn.calibrate.candidates import Candidate, Options, carried_over, fit_geometry
 from tau_dyn.calibrate.crossvalidation import Gain, Unseen, compare, cross_validate, of_errors
 from tau_dyn.calibrate.families import Family
-from tau_dyn.calibrate.fit import Fit, fit
+from tau_dyn.calibrate.fit import Fit
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -155,7 +155,6 @@ def _periods(fitted: Fit) -> dict[str, float]:
 
 
 def _fitted(chosen: Candidate, geometry: Geometry, spec: Spec, options: Options) -> Fit:
-    play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
     names, nominal = geometry.parameters.names, geometry.parameters.values
     start = carried_over(chosen.fit, names, nominal, chosen.fit.poses)
     if start is not None:
@@ -167,17 +166,7 @@ def _fitted(chosen: Candidate, geometry: Geometry, spec: Spec, options: Options)
         if "tool_frame" not in spec.additions:
             frames = replace(frames, tool=frames.tool[:1])
         start = start._replace(frames=frames, slack=slack)
-    return fit(
-        geometry,
-        chosen.fit.poses,
-        free=play,
-        residual=options.residual,
-        robust=options.robust,
-        device=options.device,
-        tool=options.tool,
-        apart=("base_frame" in spec.additions, "tool_frame" in spec.additions),
-        start=start,
-    )
+    return fit_geometry(geometry, spec, chosen.fit.poses, options, start, "this model")
 
 
 def _held(fitted: Fit, holdout: PoseSet) -> Unseen:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tau_dyn.calibrate.candidates import Candidate, Options, Step, evaluate
-from tau_dyn.calibrate.crossvalidation import compare
+from tau_dyn.calibrate.crossvalidation import LEVER, compare
 from tau_dyn.calibrate.families import Family
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -18,7 +18,6 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 
 _MOST_ADDITIONS = 12
 _FAILED_IN_A_ROW = 3
-_LEVER = 0.3  # [m] at which an orientation error counts beside a position error when models are compared
 
 
 def climb(
@@ -53,7 +52,7 @@ def _structures(
             warnings.append(str(fault))
             break
         if taken:
-            gain = compare(taken[-1].unseen, candidate.unseen, _LEVER, options.seed)
+            gain = compare(taken[-1].unseen, candidate.unseen, LEVER, options.seed)
             steps.append(Step(candidate.name, taken[-1].name, gain, gain.real))
             if not gain.real:
                 continue
@@ -92,7 +91,7 @@ def _additions(
             except (InputError, CannotAnswer):
                 refused.add((hint.addition, hint.joints))
                 continue
-            gain = compare(now.unseen, candidate.unseen, _LEVER, options.seed)
+            gain = compare(now.unseen, candidate.unseen, LEVER, options.seed)
             steps.append(Step(candidate.name, now.name, gain, gain.real))
             if gain.real:
                 taken.append(candidate)

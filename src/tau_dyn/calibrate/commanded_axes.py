@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tau_dyn.calibrate.frames import AXES
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import Robot
-
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-"""Of a twist: shifts along the world's axes, then turns about them."""
 
 _LENGTH = 0.5  # [m] at which a turn counts as much as a shift
 _INDEPENDENT = 1e-3  # part of a row that the ones before must leave unexplained

@@ -24,11 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.commanded_axes import AXES, checked_axes, independent_axes
-from tau_dyn.calibrate.frames import rotation_between
-from tau_dyn.calibrate.geometry import Geometry, Tied
+from tau_dyn.calibrate.commanded_axes import checked_axes, independent_axes
+from tau_dyn.calibrate.frames import AXES, rotation_between
+from tau_dyn.calibrate.geometry import Geometry, untied
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.robot import Robot
 
 METHODS = ("exact", "linear")
@@ -91,7 +92,7 @@ class Compensation:
             nominal = self._newton(self.nominal, wanted, guess, np.full(wanted.n_samples, "", object))
             target = wanted
         else:
-            q = self._checked(wanted)
+            q = checked_positions(self.robot, wanted)
             found = self.geometry.forward(self.nominal, q)
             nominal, target = Corrected(q, found.ok, found.reason, 0), found.poses
         first = self._linear(nominal, target)
@@ -105,18 +106,12 @@ class Compensation:
 
     def remaining(self, wanted: np.ndarray, corrected: np.ndarray) -> np.ndarray:
         """Return the twist (N, 6) by which the calibrated robot at `corrected` misses the nominal one at `wanted`, all axes."""
-        target = self.geometry.forward(self.nominal, self._checked(wanted)).poses
-        return _missed(target, self.geometry.forward(self.theta, self._checked(corrected)).poses)
+        target = self.geometry.forward(self.nominal, checked_positions(self.robot, wanted)).poses
+        return _missed(target, self.geometry.forward(self.theta, checked_positions(self.robot, corrected)).poses)
 
     def with_method(self, method: str) -> Compensation:
         """Return the same compensation by the other method."""
         return replace(self, method=_known(method))
-
-    def with_tool(self, other: Geometry, robot: Robot) -> Compensation:
-        """Return the compensation of the same calibrated robot with another tool: a geometry of the same parameters."""
-        if other.parameters.names != self.geometry.parameters.names:
-            raise InputError(f"{robot.source}: the other tool's geometry must have the same parameters")
-        return replace(self, geometry=other, robot=robot)
 
     @property
     def rows(self) -> list[int]:
@@ -178,16 +173,6 @@ class Compensation:
         ok = reason == ""
         return Corrected(np.where(ok[:, None], found.q, np.nan), ok, reason, found.steps)
 
-    def _checked(self, q: np.ndarray) -> np.ndarray:
-        q = np.asarray(q, float)
-        q = q[None] if q.ndim == 1 else q
-        if q.ndim != 2 or q.shape[1] != self.robot.na:
-            raise InputError(
-                f"{self.robot.source} has {self.robot.na} actuated joints ({', '.join(self.robot.actuated)}); "
-                f"positions must be (N, {self.robot.na}), not {q.shape}"
-            )
-        return q
-
 
 def build_compensation(
     robot: Robot,
@@ -217,8 +202,7 @@ def build_compensation(
     """
     theta = np.asarray(theta, float)
     nominal = geometry.parameters.values if nominal is None else np.asarray(nominal, float)
-    while isinstance(geometry, Tied):
-        theta, nominal, geometry = geometry.full(theta), geometry.full(nominal), geometry.geometry
+    geometry, (theta, nominal) = untied(geometry, theta, nominal)
     p = len(geometry.parameters)
     if theta.shape != (p,) or nominal.shape != (p,):
         raise InputError(f"{robot.source}: the geometry has {p} parameters, not {theta.shape} and {nominal.shape}")

@@ -89,7 +89,7 @@ def load_compensation(path: str | Path) -> Compensation:
             raise InputError(f"{path}: '{key}' is missing or not a {kind.__name__}")
     robot = _robot(content, path)
     word = content["geometry"].get("kind")
-    if word not in _KINDS:
+    if not isinstance(word, str) or word not in _KINDS:
         raise InputError(f"{path}: no geometry of kind '{word}'; there are {', '.join(_KINDS)}")
     geometry = _KINDS[word](robot, content["geometry"])
     nominal, theta = _values(content["parameters"], geometry, path)
@@ -138,7 +138,7 @@ def _values(rows: list[Any], geometry: Geometry, path: str | Path) -> tuple[np.n
             raise InputError(f"{path}: parameter '{row['name']}' does not belong to this robot")
         for key, target in (("nominal", nominal), ("value", theta)):
             x = row[key]
-            if isinstance(x, bool) or not isinstance(x, int | float) or not np.isfinite(x):
+            if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) < 1e300:
                 raise InputError(f"{path}: {row['name']}.{key} must be a finite number, not {x!r}")
             target[names.index(row["name"])] = float(x)
     return nominal, theta

@@ -54,7 +54,7 @@ def structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, prob
     wide = replace(
         wide, poses=replace(many, position=seen.position, rotation=None if rotation is None else seen.rotation)
     )
-    columns = wide.columns(state)[:, :, unknowns.free] / 1e-5
+    columns = wide.columns(state)[:, :, unknowns.free]
     names = tuple(np.array(unknowns.names)[unknowns.free])
     flat = columns.reshape(-1, columns.shape[2])
     return find_identifiable(flat, names, unknowns.scales[unknowns.free], unknowns.priority[unknowns.free]).rank

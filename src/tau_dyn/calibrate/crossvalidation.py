@@ -14,6 +14,8 @@ from tau_dyn.calibrate.fit import Fit
 from tau_dyn.calibrate.residuals import Problem, State
 
 FOLDS = 5
+LEVER = 0.3
+"""Length [m] at which an orientation error counts beside a position error when models are compared."""
 _DRAWS = 1000
 _SURE = 0.01
 _WORTH = 0.02  # share of the rms error that a larger model must take away

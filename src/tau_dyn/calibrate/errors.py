@@ -44,11 +44,6 @@ class Errors(NamedTuple):
         """Angle of the orientation error (N,) [rad]."""
         return None if self.rotation is None else np.linalg.norm(self.rotation, axis=1)
 
-    @property
-    def unreached(self) -> int:
-        """Number of poses without prediction."""
-        return int(np.isnan(self.distance).sum())
-
     def to_dict(self) -> dict[str, object]:
         """Return the contract's `{position, orientation}`; orientation is None where none was measured."""
         angle = self.angle

@@ -7,6 +7,7 @@ from typing import Protocol
 from tau_dyn.calibrate.geometry import Geometry, tie
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.tree_geometry import tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.rods import NotRods, build_rods
 from tau_dyn.robot import Robot
@@ -45,8 +46,6 @@ class TreeFamily:
 
     def __init__(self, robot: Robot, poses: PoseSet) -> None:
         """Look at the mechanism."""
-        from tau_dyn.calibrate.tree_geometry import tree_geometry
-
         self.robot, self.poses = robot, poses
         self.joints = robot.actuated
         self.geometry: Geometry = tree_geometry(robot)

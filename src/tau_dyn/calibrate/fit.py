@@ -181,7 +181,7 @@ def fit(
 
     Raises:
         InputError: Poses that do not fit the robot, too few of them, or a left-handed device.
-        CannotAnswer: The fit does not come to rest.
+        CannotAnswer: The geometry cannot reach the poses from where the fit stands.
     """
     turned = poses.rotation is not None and geometry.orients
     state = _starting_state(geometry, poses, start, frames, device)

@@ -48,6 +48,11 @@ class Geometry(Protocol):
         ...
 
     @property
+    def position_units(self) -> tuple[str, ...]:
+        """Units of `q`: `m` of a slide, `rad` of a turn."""
+        ...
+
+    @property
     def orients(self) -> bool:
         """Whether the tool's orientation is predicted (False: a plate that only translates)."""
         ...
@@ -108,6 +113,11 @@ class Tied:
     def actuated(self) -> tuple[str, ...]:
         """Actuated joints."""
         return self.geometry.actuated
+
+    @property
+    def position_units(self) -> tuple[str, ...]:
+        """Units of `q`."""
+        return self.geometry.position_units
 
     @property
     def orients(self) -> bool:
@@ -179,3 +189,10 @@ def tie(geometry: Geometry, together: Mapping[str, Sequence[str]], left_out: Seq
     parameters = Parameters(replace(p, value=v) for p, v in zip(rows.values(), means, strict=True))
     priority = np.array([geometry.priority[indices].min() for indices in columns.values()], int)
     return Tied(geometry, parameters, matrix, priority)
+
+
+def untied(geometry: Geometry, *thetas: np.ndarray) -> tuple[Geometry, tuple[np.ndarray, ...]]:
+    """Return the original behind all ties, and vectors of parameters (each (r,)) as the original's (p,)."""
+    while isinstance(geometry, Tied):
+        thetas, geometry = tuple(geometry.full(theta) for theta in thetas), geometry.geometry
+    return geometry, thetas

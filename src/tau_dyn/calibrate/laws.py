@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from tau_dyn.kinematics.chains import path
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -249,8 +250,6 @@ class SoftDrive:
 
 def carried_by(rods: Rods, actuator: int) -> tuple[int, ...]:
     """Return the rods that hang on a joint, directly or through others."""
-    from tau_dyn.kinematics.chains import path
-
     joints, carrier = rods.numbers.joints, rods.numbers.carried.carrier
     return tuple(k for k, c in enumerate(carrier) if any(joints[j].actuator == actuator for j in path(joints, c)))
 

@@ -7,6 +7,8 @@ Thesis, end of 5.3: gravity-induced axial forces.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from tau_dyn.kinematics.forward import forward_kinematics
@@ -24,7 +26,7 @@ class RodLoads:
         plate = masses.get(rods.plate, np.zeros(10))
         self.plate_mass = float(plate[0])
         self.centre = plate[1:4] / plate[0] if plate[0] > 0 else np.zeros(3)
-        self.half = np.array([0.5 * float(masses.get(f"{n}_link", np.zeros(1))[0]) for n in rods.names])
+        self.half = np.array([0.5 * _mass(n, rods.names, masses) for n in rods.names])
         self.gravity = rods.robot.model.gravity.linear
         self._remembered: tuple[bytes, np.ndarray] | None = None
 
@@ -60,3 +62,12 @@ class RodLoads:
         rows = 3 if self.rods.translates else 6
         j = np.swapaxes(by_pose[:, :, :rows], 1, 2)  # a rod's pull at the plate is f u = -f d gap / d X
         return np.einsum("nij,nj->ni", np.linalg.pinv(j), wrench[:, :rows])
+
+
+def _mass(rod: str, rods: Sequence[str], masses: Mapping[str, np.ndarray]) -> float:
+    """Return a rod's mass [kg]; a link with several balls is several numbered rods, which share its mass alike."""
+    link, number = f"{rod}_link", 1
+    stem, _, index = rod.rpartition("_")
+    if link not in masses and index.isdigit():
+        link, number = f"{stem}_link", sum(other.rpartition("_")[0] == stem for other in rods)
+    return float(masses[link][0]) / number if link in masses else 0.0

@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.tree_shape import Anchor, Knob, TreeNumbers, TreeShape
+from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape
 from tau_dyn.kinematics.tree_arrays import Frames, cross, point
 
 
-class Rates(NamedTuple):
+class OpenRates(NamedTuple):
     """Derivatives before the loops pass them on.
 
     Attributes:
@@ -59,7 +59,7 @@ def gap_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> np.nd
 
 def rates(
     shape: TreeShape, numbers: TreeNumbers, knobs: Sequence[Knob], at: Frames, x: np.ndarray, q: np.ndarray
-) -> Rates:
+) -> OpenRates:
     """Return all derivatives at closed configurations.
 
     Args:
@@ -94,12 +94,14 @@ def rates(
             if index in shape.tool.carriers:
                 twist[:3, c] = _moved(linear, angular, tool - pivot)
                 twist[3:, c] = 0.0 if angular is None else angular
-    return Rates(
+    return OpenRates(
         by_parameter, gap_by_position(shape, numbers, at), twist, _tool_by_position(shape, numbers, at, tool), active
     )
 
 
-def passed_on(shape: TreeShape, found: Rates, inverse: np.ndarray, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def passed_on(
+    shape: TreeShape, found: OpenRates, inverse: np.ndarray, gain: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the tool's twist per parameter (N, 6, p) and per encoder's position (N, 6, na), loops closed.
 
     Args:
@@ -168,6 +170,3 @@ def _vector(at: Frames, joint: int, local: np.ndarray) -> np.ndarray:
 
 def _samples_first(x: np.ndarray) -> np.ndarray:
     return np.moveaxis(x, -1, 0)
-
-
-__all__ = ["Anchor", "Rates", "gap_by_position", "gaps", "passed_on", "rates"]

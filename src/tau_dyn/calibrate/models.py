@@ -41,7 +41,6 @@ class Spec:
     """A model, before it is fitted.
 
     Attributes:
-        name: As on the command line.
         structure: Which dimensions are free.
         additions: Addition -> joints that have it.
     """
@@ -193,7 +192,7 @@ class RodFamily:
             return tie(base, {}, self._superfluous(structure))
         together: dict[str, list[str]] = {}
         if structure == "ideal":
-            together |= self._one_direction(names)
+            together |= self._one_direction()
         if self.rods.numbers.arms:
             return tie(base, together)
         if structure == "ideal" and not self._simplifies():
@@ -217,9 +216,8 @@ class RodFamily:
     def _simplifies(self) -> bool:
         return "nonparallel" in self.structures
 
-    def _one_direction(self, names: Sequence[str]) -> dict[str, list[str]]:
-        rails = [self.rods.numbers.joints[k] for k in range(len(self.rods.numbers.joints))]
-        owners = [j.name for j in rails if j.slides and j.parent < 0]
+    def _one_direction(self) -> dict[str, list[str]]:
+        owners = [j.name for j in self.rods.numbers.joints if j.slides and j.parent < 0]
         if self.rods.numbers.arms:
             owners = list(self.rods.numbers.arms)
         return {f"guideways.direction_{a}": [f"{o}.direction_{a}" for o in owners] for a in "xyz"}

@@ -147,11 +147,9 @@ class Problem:
     def _play(self, function: Callable[..., np.ndarray | None], state: State, at: Poses) -> np.ndarray:
         """Return the derivative by backlash, half of it to each side."""
         if not self.unknowns.plays:
-            return np.zeros((self.poses.n, self._of_size(function, state, at), self.poses.na))
+            rows = 6 if function == self.geometry.tool_by_joint else self._rows
+            return np.zeros((self.poses.n, rows, self.poses.na))
         return self._of(function, state, at) * (-0.5 * self.poses.approach[:, None])
-
-    def _of_size(self, function: Callable[..., np.ndarray | None], state: State, at: Poses) -> int:
-        return 6 if function == self.geometry.tool_by_joint else self._rows
 
     def _measured_in_base(self, state: State) -> Poses:
         if self.geometry.orients:

@@ -12,7 +12,9 @@ from tau_dyn.calibrate.causes import Finding
 from tau_dyn.calibrate.crossvalidation import Unseen, of_errors, rms_interval
 from tau_dyn.calibrate.errors import Errors
 from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.geometry import untied
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.sensitivity import sensitivities
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
@@ -205,12 +207,7 @@ def frame_rows(fitted: Fit) -> list[dict[str, object]]:
 
 def turn_rows(fitted: Fit) -> list[dict[str, object]]:
     """Return the orientations of turning joints' frames as unit quaternions `x y z w`, in their parents' frames."""
-    from tau_dyn.calibrate.geometry import Tied
-    from tau_dyn.calibrate.rod_geometry import RodGeometry
-
-    geometry, theta = fitted.geometry, fitted.theta
-    while isinstance(geometry, Tied):
-        theta, geometry = geometry.full(theta), geometry.geometry
+    geometry, (theta,) = untied(fitted.geometry, fitted.theta)
     if not isinstance(geometry, RodGeometry):
         return []
     return [

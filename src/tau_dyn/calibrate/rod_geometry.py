@@ -28,7 +28,7 @@ from tau_dyn.kinematics.rods import Rods
 from tau_dyn.parameters import Parameter, Parameters
 
 _STEPS = 12
-_AT_REST = 1e-12  # [m]: what the last Newton step may be
+_AT_REST = 1e-9  # [m or rad]: after a step this small the next one, a quadratic one, would be rounding
 _CLOSED = 1e-9  # [m]
 
 
@@ -50,6 +50,11 @@ class RodGeometry:
     def actuated(self) -> tuple[str, ...]:
         """Actuated joints."""
         return self.rods.robot.actuated
+
+    @property
+    def position_units(self) -> tuple[str, ...]:
+        """Units of `q`."""
+        return self.rods.robot.position_units
 
     @property
     def orients(self) -> bool:
@@ -168,7 +173,7 @@ class RodGeometry:
             position = position + step[:, :3]
             if not self.rods.translates:
                 rotation = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
-            if np.abs(step).max(initial=0.0) < _AT_REST * 1e3:
+            if np.abs(step).max(initial=0.0) < _AT_REST:
                 break
         here = Poses(position, rotation)
         return here, np.abs(at.gap(here)).max(axis=1, initial=0.0) < _CLOSED

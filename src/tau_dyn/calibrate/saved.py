@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.families import family_of
 from tau_dyn.calibrate.frames import Frame, Frames
-from tau_dyn.calibrate.geometry import Geometry, Predicted, Tied
+from tau_dyn.calibrate.geometry import Geometry, Predicted, untied
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
@@ -68,9 +68,7 @@ class CalibratedRobot:
         Raises:
             InputError: A robot of another kind.
         """
-        geometry, theta = self.geometry, self.theta
-        while isinstance(geometry, Tied):
-            theta, geometry = geometry.full(theta), geometry.geometry
+        geometry, (theta,) = untied(self.geometry, self.theta)
         if not isinstance(geometry, RodGeometry):
             raise InputError(f"{self.robot.source} is no robot of rods between carts and a plate; use `forward`")
         return geometry.rods_at(theta)
@@ -129,7 +127,7 @@ def load_calibration(path: str | Path) -> CalibratedRobot:
         return _built(content)
     except InputError as fault:
         raise InputError(f"{path}: {fault}") from fault
-    except (KeyError, TypeError, ValueError, AttributeError) as fault:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as fault:
         raise InputError(
             f"{path}: an entry is missing or of the wrong kind ({fault}); save the calibration again"
         ) from fault
@@ -158,6 +156,8 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
         raise InputError("a parameter is not a number")
     frames = Frames(*(tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool")))
     slack = np.array(content["backlash"], float)
+    if slack.shape != (robot.na,) or not np.isfinite(slack).all():
+        raise InputError("backlash needs a number for each actuated joint")
     return CalibratedRobot(robot, geometry, theta, frames, slack, str(content["model"]["name"]))
 
 
@@ -167,4 +167,7 @@ def _frame(frame: Frame) -> dict[str, list[float]]:
 
 
 def _read_frame(row: Mapping[str, Any]) -> Frame:
-    return Frame(Rotation.from_quat(row["quaternion"]).as_matrix(), np.array(row["translation"], float))
+    rotation, translation = Rotation.from_quat(row["quaternion"]).as_matrix(), np.array(row["translation"], float)
+    if rotation.shape != (3, 3) or translation.shape != (3,) or not np.isfinite([*rotation, translation]).all():
+        raise InputError("a frame is no place and orientation")
+    return Frame(rotation, translation)

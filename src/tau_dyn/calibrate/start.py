@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.calibrate.frames import IDENTITY, Frame, Frames, align, mean_rotation
-from tau_dyn.calibrate.geometry import Geometry, Predicted
+from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 
@@ -71,12 +71,11 @@ def is_flat(points: np.ndarray) -> bool:
     return bool(len(s) < 3 or s[2] < _FLAT * s[0])
 
 
-def check_spread(poses: PoseSet, geometry: Geometry, workspace: Predicted) -> None:
+def check_spread(poses: PoseSet, workspace: Predicted) -> None:
     """Refuse poses in one plane where the robot can leave it.
 
     Args:
         poses: Measured poses.
-        geometry: The mechanism.
         workspace: Nominal poses all over the joints' ranges.
 
     Raises:

@@ -19,8 +19,9 @@ import numpy as np
 from tau_dyn.calibrate.loop_derivatives import gap_by_position, gaps
 from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.kinematics.loop_arrays import LoopArrays, lengths_of
+from tau_dyn.kinematics.loop_arrays import LoopArrays
 from tau_dyn.kinematics.loops import LoopSolver
+from tau_dyn.kinematics.pseudo_inverse import lengths_of
 from tau_dyn.kinematics.tree_arrays import frames
 
 _ROUNDS = 40

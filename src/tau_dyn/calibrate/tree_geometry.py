@@ -26,6 +26,7 @@ from tau_dyn.calibrate.tree_parameters import PRIORITY, rows_of
 from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape, numbers_at, shape_of
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.kinematics.tree_arrays import frames, point, times
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
@@ -56,6 +57,11 @@ class TreeGeometry:
         return self.shape.robot.actuated
 
     @property
+    def position_units(self) -> tuple[str, ...]:
+        """Units of `q`."""
+        return self.shape.robot.position_units
+
+    @property
     def home(self) -> np.ndarray:
         """Actuated positions in the middle of the workspace (na,)."""
         return self.shape.robot.home
@@ -82,7 +88,7 @@ class TreeGeometry:
         The assembly mode is that of the robot file's home; `start` is not needed.
         """
         numbers = self._numbers(theta)
-        closed = self.loops.close(numbers, self._checked(q))
+        closed = self.loops.close(numbers, checked_positions(self.shape.robot, q))
         at = frames(numbers.joints, closed.x)
         position = point(at, self.shape.tool.joint, numbers.tool).T
         rotation = np.moveaxis(times(at.rotation[self.shape.tool.joint], self.shape.tool.axes), 2, 0).copy()
@@ -99,7 +105,7 @@ class TreeGeometry:
 
     def left_open(self, theta: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Return the largest distance (N,) [m] between points that should coincide, where loops are over-constrained."""
-        return self.loops.close(self._numbers(theta), self._checked(q)).open
+        return self.loops.close(self._numbers(theta), checked_positions(self.shape.robot, q)).open
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
         """Return None: a tree's loops involve its passive joints, which nobody measures; use forward residuals."""
@@ -140,18 +146,8 @@ class TreeGeometry:
             raise InputError(f"this geometry has {len(self.knobs)} parameters, not {theta.shape}")
         return numbers_at(self.shape, self.knobs, theta, self.parameters.values)
 
-    def _checked(self, q: np.ndarray) -> np.ndarray:
-        q = np.asarray(q, float)
-        q = q[None] if q.ndim == 1 else q
-        if q.ndim != 2 or q.shape[1] != len(self.actuated):
-            raise InputError(
-                f"{self.shape.robot.source} has {len(self.actuated)} actuated joints ({', '.join(self.actuated)}); "
-                f"positions must be (N, {len(self.actuated)}), not {q.shape}"
-            )
-        return q
-
     def _linearised(self, theta: np.ndarray, q: np.ndarray, knobs: Sequence[Knob]) -> tuple[np.ndarray, np.ndarray]:
-        numbers, q = self._numbers(theta), self._checked(q)
+        numbers, q = self._numbers(theta), checked_positions(self.shape.robot, q)
         closed: Closed = self.loops.close(numbers, q)
         found = rates(self.shape, numbers, knobs, frames(numbers.joints, closed.x), closed.x, q.T)
         by_parameter, by_joint = passed_on(self.shape, found, closed.inverse, numbers.gain)

@@ -84,7 +84,8 @@ def collect(
     """
     p = len(geometry.parameters)
     own, nd, nt = frames.parameters(), 6 * len(frames.device), 6 * len(frames.tool)
-    play = [Parameter(f"{joint}.backlash", 0.0, "m", free=False) for joint in geometry.actuated]
+    joints = zip(geometry.actuated, geometry.position_units, strict=True)
+    play = [Parameter(f"{joint}.backlash", 0.0, unit, free=False) for joint, unit in joints]
     rows = (*geometry.parameters, *own, *play)
     may = [*geometry.parameters.free, *[device] * nd]
     target = [tool and geometry.orients] * 3 + [tool and geometry.orients and turned] * 3

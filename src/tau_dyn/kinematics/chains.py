@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.tree_arrays import cross
+from tau_dyn.kinematics.tree_arrays import combined, cross, times
 
 
 class ChainJoint(NamedTuple):
@@ -78,19 +78,13 @@ def path(joints: Sequence[ChainJoint], carrier: int) -> list[int]:
 
 
 def turned(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return `R c` (3, N) of rotations (3, 3, N) and a constant (3,)."""
-    used = np.flatnonzero(vector)
-    out = np.zeros((3, rotation.shape[2]))
-    for k in used:
-        out = out + rotation[:, k] * vector[k]
-    return out
+    """Return `R c` (3, N) of rotations (3, 3, N) and a constant (3,), without negative zeros."""
+    return combined(rotation, vector) + 0.0
 
 
 def product(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
-    """Return `R C` (3, 3, N) of rotations (3, 3, N) and a constant (3, 3)."""
-    if np.array_equal(constant, np.eye(3)):
-        return rotation
-    return np.stack([turned(rotation, column) for column in constant.T], axis=1)
+    """Return `R C` (3, 3, N) of rotations (3, 3, N) and a constant (3, 3), without negative zeros unless `C` is one."""
+    return rotation if np.array_equal(constant, np.eye(3)) else times(rotation, constant) + 0.0
 
 
 def _rotated(parent: np.ndarray, joint: ChainJoint, angle: np.ndarray) -> np.ndarray:

@@ -18,7 +18,8 @@ from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics, nearest_configuration
 from tau_dyn.kinematics.jacobians import jacobian
 from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.rods import Rods, checked_positions
+from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.rods import Rods
 from tau_dyn.robot import Robot
 
 _JUMP = 0.3  # of the mean rod's length, or m or rad without rods: no path of neighbouring poses asks for this

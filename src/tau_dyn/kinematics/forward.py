@@ -12,7 +12,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
 from tau_dyn.kinematics.outcome import Forward
 from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.rods import Rods, checked_positions
+from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.rods import Rods
+from tau_dyn.kinematics.sliding_plate import SlidingPlate
 from tau_dyn.robot import Robot
 
 __all__ = ["Forward", "forward_kinematics", "forward_solutions"]
@@ -51,8 +53,6 @@ def forward_solutions(rods: Rods, q: np.ndarray) -> np.ndarray:
     Raises:
         InputError: The plate does not translate only; `assembly` finds the modes of a free plate.
     """
-    from tau_dyn.kinematics.sliding_plate import SlidingPlate
-
     engine = engine_of(rods)
     if not isinstance(engine, SlidingPlate):
         raise InputError(f"{rods.robot.source}: two closed solutions are for plates that translate only")

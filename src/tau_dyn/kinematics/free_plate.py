@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.kinematics import chains, geometry
 from tau_dyn.kinematics.outcome import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
 from tau_dyn.kinematics.plate_arrays import Plate, SixRods, dense, lapack, residual, rows
@@ -21,11 +22,11 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
 BLOCK = 8192
-_CELL = 0.03  # of the mean rod's length for slides; rad / 1 for turns
+_CELL = 0.03  # of the mean rod's length for slides; half as much again in rad for turns
 _FROZEN = 1e-5  # after a step this small (relative to the rods) one with the same factors is the last
 _ROUNDS = 8
 _FAR = 1000  # cells from home beyond which positions are taken for a mistake of units
-_TOLERANCE = 1e-9  # relative to the rods: what the last step may be
+_TOLERANCE = 1e-9  # [m] what the last step may be; of the rods' length where that is above one metre
 _SINGULAR = 1e-7  # of home's determinant
 _ASTRAY = 0.2  # relative to the rods: what Newton may move a plate away from where its cell puts it
 _KEPT = 200_000  # cells kept at most
@@ -63,8 +64,6 @@ class FreePlate:
         self._reference = 1.0
         solved = self._newton(points, squares, nominal)
         if not solved.found[0]:
-            from tau_dyn.exceptions import LoopClosureError
-
             raise LoopClosureError(f"{rods.robot.source}: with this geometry the rods cannot be closed at home")
         self.home = solved.plate
         self._reference = float(solved.determinant[0])
@@ -205,7 +204,7 @@ class FreePlate:
         n = points.shape[2]
         plate = Plate(np.full((3, n), np.nan), np.full((3, 3, n), np.nan))
         found, determinant = np.zeros(n, bool), np.full(n, np.nan)
-        left, whole = np.flatnonzero(np.isfinite(guess.position[0])), False
+        left = np.flatnonzero(np.isfinite(guess.position[0]))
         now, A = guess, points
         if left.size < n:
             now, A = guess.take(left), points[:, :, left]
@@ -216,8 +215,7 @@ class FreePlate:
             sq = squares if squares.shape[1] == 1 else squares[:, left]
             now, size, det = self._step(A, sq, now)
             done = size < _TOLERANCE * max(1.0, self.scale)
-            whole = bool(done.all())
-            if whole and left.size == n:
+            if left.size == n and done.all():
                 return Solved(now, np.ones(n, bool), det)
             ready = left[done]
             plate.position[:, ready], plate.rotation[:, :, ready] = now.position[:, done], now.rotation[:, :, done]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.exceptions import UnknownName
-from tau_dyn.kinematics.chains import Carried, ChainJoint, Placed, path, placed, turned, velocities
+from tau_dyn.kinematics.chains import Carried, ChainJoint, Placed, path, placed, velocities
 from tau_dyn.parameters import Parameter, Parameters
 
 AXES = ("x", "y", "z")
@@ -266,6 +266,5 @@ def _vector(owner: str, what: str, value: np.ndarray, unit: str) -> list[Paramet
 
 
 __all__ = [
-    "Numbers", "closure_by_q", "gap_columns", "leg_lengths", "leg_rates", "nearest_rails", "parameters_of", "turned",
-    "with_values",
+    "Numbers", "closure_by_q", "gap_columns", "leg_lengths", "leg_rates", "nearest_rails", "parameters_of", "with_values",
 ]  # fmt: skip

@@ -15,7 +15,8 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods, checked_positions
+from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.trilateration import meet, side_of
 
 _EQUAL = 0.01  # by how much the lengths of parallel rods may differ, relative

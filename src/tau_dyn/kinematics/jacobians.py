@@ -22,7 +22,8 @@ from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.plate_arrays import lapack
 from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.rods import Rods, checked_positions
+from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.robot import Robot
 
@@ -56,7 +57,7 @@ def jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> 
     if rods is None:
         return _of_tree(robot, q)
     plate = _plate(rods, q, poses)
-    return -_solved(rods, _by_tool(rods, q, plate), rods.gap_by_q(q, plate))
+    return -_solved(_by_tool(rods, q, plate), rods.gap_by_q(q, plate))
 
 
 def inverse_jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
@@ -84,7 +85,7 @@ def acceleration_bias(robot: Robot | Rods, q: np.ndarray, v: np.ndarray, poses: 
         engine = engine_of(robot)
         assert isinstance(engine, TreePose)
         out = np.full((len(q), 6), np.nan)
-        for index, closed in engine.closed(q, np.arange(len(q))):
+        for index, closed in engine.closed(q, np.flatnonzero(np.isfinite(q).all(axis=1))):
             out[index] = engine.acceleration(closed, v[index])
         return out
     return _bias(rods, q, v, _plate(rods, q, poses))
@@ -123,7 +124,7 @@ def _by_tool(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
     return np.concatenate([columns[:, :, :3], turned], axis=2)
 
 
-def _solved(rods: Rods, by_pose: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def _solved(by_pose: np.ndarray, sides: np.ndarray) -> np.ndarray:
     sides = sides[:, :, None] if sides.ndim == 2 else sides
     return lapack(by_pose, np.moveaxis(sides, 0, 2)).transpose(2, 0, 1)
 
@@ -136,7 +137,7 @@ def _bias(rods: Rods, q: np.ndarray, v: np.ndarray, plate: Poses) -> np.ndarray:
     """
     by_pose, by_q = rods.gap_by_pose(q, plate), rods.gap_by_q(q, plate)
     by_pose = by_pose[:, :, :3] if rods.translates else by_pose
-    twist = -_solved(rods, by_pose, np.einsum("nka,na->nk", by_q, v))[:, :, 0]
+    twist = -_solved(by_pose, np.einsum("nka,na->nk", by_q, v))[:, :, 0]
     w = np.zeros((len(q), 3)) if rods.translates else twist[:, 3:]
     r = rods.plate_points(plate) - plate.position[:, None]
     rate = np.einsum("nkia,na->nki", rods.base_jacobian(q), v) - twist[:, None, :3] - np.cross(w[:, None], r)
@@ -149,7 +150,7 @@ def _bias(rods: Rods, q: np.ndarray, v: np.ndarray, plate: Poses) -> np.ndarray:
     for k in np.flatnonzero(rods.numbers.slides >= 0):
         right[:, k] -= v[:, rods.numbers.slides[k]] ** 2
     length = np.linalg.norm(d, axis=2)
-    total = _solved(rods, -by_pose, right / length)[:, :, 0]
+    total = _solved(-by_pose, right / length)[:, :, 0]
     if rods.translates:
         return total
     arm = plate.rotation @ rods.tool.translation

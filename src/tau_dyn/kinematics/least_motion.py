@@ -27,7 +27,7 @@ def least_motion(
         gap: Closure (N, n).
         turning: Derivatives `T` of the tool's rotation (N, 3, m), or of nothing (N, 0, m).
         turn: Rotation `t` that is left (N, 3 or 0) [rad].
-        weight: What motion costs (m,), small beside 1; 0 where `T` sees all of it.
+        weight: What motion costs (m,), or (N, m or 1), small beside 1; 0 where `T` sees all of it.
         pull: Motion `p` that costs nothing (N, m).
         softness: Square root of what lost rows are worth beside the others.
     """

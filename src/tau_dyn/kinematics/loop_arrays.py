@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from tau_dyn.kinematics.elimination import Elimination, Entries
 from tau_dyn.kinematics.loops import LoopSolver
+from tau_dyn.kinematics.pseudo_inverse import ILL, inverses
 from tau_dyn.kinematics.tree_arrays import Frames, Joint, Motion, Vector, cross, frames, motion, plus, point
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
@@ -22,7 +23,6 @@ _DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left af
 _ROUNDS = 12
 _LARGEST = 0.5  # [m or rad] what Newton may move a passive joint away from its guess; more may be another assembly mode
 _FAR = 2000  # cells from home beyond which positions are taken for a mistake of units
-_ILL = 1e8
 _TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPACK
 
 
@@ -124,7 +124,8 @@ class LoopArrays:
     def _started(self, q: np.ndarray) -> np.ndarray:
         """Return a first guess of all positions (nv, N): the cell's middle, moved along its `G`."""
         away = self._reduced(q - self.solver.robot.home)
-        cells, which = np.unique(np.round(away / _CELL).astype(int), axis=0, return_inverse=True)
+        nearest = np.clip(np.round(away / _CELL), -_FAR - 1, _FAR + 1)  # what is farther has no closure anyway
+        cells, which = np.unique(nearest.astype(int), axis=0, return_inverse=True)
         self._learn(cells[[tuple(cell) not in self._cells for cell in cells.tolist()]])
         known = [self._cells[tuple(cell)] for cell in cells.tolist()]
         which = which.ravel()
@@ -188,7 +189,7 @@ class LoopArrays:
 
     def _inverse(self, entries: Entries, probe: np.ndarray | None = None) -> tuple[Inverse, np.ndarray | None]:
         """Return the passive Jacobian's inverse, and its product with a probe where elimination was tried and trusted on it."""
-        passive = {(r, self._row[c]): value for (r, c), value in entries.items() if c in self._row}
+        passive = self._passive(entries)
         if self._plan is not None:
             factor = self._plan.factor(passive)
             if probe is None:
@@ -203,15 +204,17 @@ class LoopArrays:
         if not self._ends or 3 * len(self._ends) != len(self.passive):
             return None
         home = self._positions(self.solver.close(self.solver.robot.home))
-        entries = self.entries(frames(self.joints, home[:, None]))
-        passive = {(r, self._row[c]): value for (r, c), value in entries.items() if c in self._row}
+        passive = self._passive(self.entries(frames(self.joints, home[:, None])))
         J = self._dense(passive, len(self.passive))[0]
-        return None if np.linalg.cond(J) > _ILL else Elimination.plan(set(passive), J)
+        return None if np.linalg.cond(J) > ILL else Elimination.plan(set(passive), J)
 
     def jacobian(self, at: Frames) -> np.ndarray:
         """Return the gaps' derivatives by passive speeds (N, 3 * loops, passive)."""
-        entries = self.entries(at)
-        return self._dense({(r, self._row[c]): x for (r, c), x in entries.items() if c in self._row}, len(self.passive))
+        return self._dense(self._passive(self.entries(at)), len(self.passive))
+
+    def _passive(self, entries: Entries) -> Entries:
+        """Return the passive joints' columns, numbered among themselves."""
+        return {(r, self._row[c]): value for (r, c), value in entries.items() if c in self._row}
 
     def _dense(self, entries: Entries, width: int) -> np.ndarray:
         n = len(next(iter(entries.values())))
@@ -261,46 +264,6 @@ class LoopArrays:
             at = item.idx_q
             x[joint.v] = np.arctan2(q[at + 1], q[at]) if item.nq == 2 else q[at]
         return x
-
-
-def inverses(J: np.ndarray) -> np.ndarray:
-    """Return inverses (N, n, m) of matrices (N, m, n); of one that is singular or not square, the pseudo-inverse.
-
-    Pseudo-inverses are those of unit columns, as in `loops.py`.
-    """
-    if J.shape[1] != J.shape[2]:
-        return _pseudo_inverses(J)
-    try:
-        out = np.linalg.inv(J)
-    except np.linalg.LinAlgError:
-        return _pseudo_inverses(J)
-    with np.errstate(all="ignore"):
-        size = np.abs(J).sum(axis=1).max(axis=1) * np.abs(out).sum(axis=1).max(axis=1)
-    ill = ~(size < _ILL)
-    if ill.any():
-        out[ill] = _pseudo_inverses(J[ill])
-    return out
-
-
-def _pseudo_inverses(J: np.ndarray) -> np.ndarray:
-    out = np.full((len(J), J.shape[2], J.shape[1]), np.nan)
-    sound = np.isfinite(J).all(axis=(1, 2))
-    out[sound] = _sound_pseudo_inverses(J[sound])
-    return out
-
-
-def _sound_pseudo_inverses(J: np.ndarray) -> np.ndarray:
-    lengths = lengths_of(J)
-    u, s, vt = np.linalg.svd(J / lengths[:, None, :], full_matrices=False)
-    kept = s > 1e-10 * s[:, :1]  # a rod's free spin has no influence on anything we report: least norm
-    weight = np.divide(1.0, s, out=np.zeros_like(s), where=kept)
-    return (vt.transpose(0, 2, 1) * weight[:, None, :]) @ u.transpose(0, 2, 1) / lengths[:, :, None]
-
-
-def lengths_of(J: np.ndarray) -> np.ndarray:
-    """Return the columns' lengths (N, n) of matrices (N, m, n), 1 for those that are zero but for rounding."""
-    lengths = np.linalg.norm(J, axis=1)
-    return np.where(lengths > 1e-10 * lengths.max(axis=1, keepdims=True, initial=0.0), lengths, 1.0)
 
 
 def _end(model: pin.Model, frame: int) -> _Ends:

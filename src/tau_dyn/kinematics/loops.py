@@ -17,16 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dgetrf, dgetri
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.kinematics.constraints import Constraints
+from tau_dyn.kinematics.pseudo_inverse import inverse, lengths_of
 from tau_dyn.robot import Robot
 
 _TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
 _ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
 _STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
-_ILL = 1e8  # conditioning above which the inverse comes from singular values
 
 
 @dataclass
@@ -98,7 +97,7 @@ class LoopSolver:
         if not self.robot.loops:
             return 1.0
         J_p = self._constraints.jacobian(self.close(q_a))[:, self.passive_v]
-        s = np.linalg.svd(J_p / _lengths(J_p), compute_uv=False)
+        s = np.linalg.svd(J_p / lengths_of(J_p), compute_uv=False)
         return float(s[0] / s[-1]) if s[-1] > 1e-10 * s[0] else np.inf
 
     def free_motions(self) -> np.ndarray:
@@ -185,29 +184,10 @@ class LoopSolver:
     def _linearise(self, q: np.ndarray) -> None:
         """Keep the inverse of `J_p` and `G` at this configuration."""
         jacobian = self._constraints.jacobian(q)
-        self._inverse = _inverse(jacobian[:, self.passive_v])
+        self._inverse = inverse(jacobian[:, self.passive_v])
         self._G = self._identity.copy()
         self._G[self.passive_v] = -self._inverse @ jacobian[:, self.active_v]
 
     def _listed(self, q_a: np.ndarray) -> str:
         pairs = zip(self.robot.actuated, q_a, self.robot.position_units, strict=True)
         return ", ".join(f"{j} = {x:.4g} {unit}" for j, x, unit in pairs)
-
-
-def _inverse(J: np.ndarray) -> np.ndarray:
-    """Return the inverse by LU; of a matrix that is singular or not square, the pseudo-inverse with unit columns."""
-    if J.shape[0] == J.shape[1]:
-        lu, pivots, fault = dgetrf(J)
-        if fault == 0:
-            inverse = dgetri(lu, pivots)[0]
-            if np.abs(J).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max() < _ILL:
-                return inverse
-    lengths = _lengths(J)
-    u, s, vt = np.linalg.svd(J / lengths, full_matrices=False)
-    keep = s > 1e-10 * s[0]  # a rod's free spin has no influence on anything we report: least norm
-    return (vt[keep].T / s[keep]) @ u[:, keep].T / lengths[:, None]
-
-
-def _lengths(J: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(J, axis=0)
-    return np.where(lengths > 1e-10 * lengths.max(initial=0.0), lengths, 1.0)  # rounding is no direction to scale up

@@ -3,15 +3,15 @@
 limits: {x: [0.5, 2.5], z: [0.2, .inf]}          # of the tool [m]; an end may be left open
 obstacles:
 - name: table
-box: {centre: [1.0, -1.2, 0.4], size: [0.8, 0.6, 0.8], rpy: [0, 0, 0]}      # m, rad
-margin: 0.05                                 # [m] that must stay free around it; 0 if left out
+  box: {centre: [1.0, -1.2, 0.4], size: [0.8, 0.6, 0.8], rpy: [0, 0, 0]}      # m, rad
+  margin: 0.05                                 # [m] that must stay free around it; 0 if left out
 - name: wall
-half_space: {point: [0, 2, 0], normal: [0, -1, 0]}      # the normal points into free space
+  half_space: {point: [0, 2, 0], normal: [0, -1, 0]}      # the normal points into free space
 - name: operator
-cylinder: {centre: [2, 0, 0], radius: 0.5, height: 4, axis: [0, 0, 1]}
-blocks: tool                                 # only the tool's point must stay out; default: robot, all of it
+  cylinder: {centre: [2, 0, 0], radius: 0.5, height: 4, axis: [0, 0, 1]}
+  blocks: tool                                 # only the tool's point must stay out; default: robot, all of it
 - name: lamp
-sphere: {centre: [1, 0, 2], radius: 0.1}
+  sphere: {centre: [1, 0, 2], radius: 0.1}
 """
 
 from __future__ import annotations

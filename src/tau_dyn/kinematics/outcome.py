@@ -21,8 +21,24 @@ Newton's steps did not come to rest; a solution may exist. `joint limit`: positi
 """
 
 
+class _Judged:
+    """Samples with a code each."""
+
+    code: np.ndarray
+
+    @property
+    def ok(self) -> np.ndarray:
+        """Where there is an answer (N,)."""
+        return self.code == OK
+
+    @property
+    def reason(self) -> np.ndarray:
+        """Why there is none, '' where there is one (N,)."""
+        return REASONS[self.code]
+
+
 @dataclass(frozen=True, eq=False)
-class Forward:
+class Forward(_Judged):
     """Poses from actuated positions.
 
     Attributes:
@@ -35,19 +51,9 @@ class Forward:
     plate: Poses
     code: np.ndarray
 
-    @property
-    def ok(self) -> np.ndarray:
-        """Where there is a pose (N,)."""
-        return self.code == OK
-
-    @property
-    def reason(self) -> np.ndarray:
-        """Why there is none, '' where there is one (N,)."""
-        return REASONS[self.code]
-
 
 @dataclass(frozen=True, eq=False)
-class Inverse:
+class Inverse(_Judged):
     """Actuated positions from poses.
 
     Attributes:
@@ -68,13 +74,3 @@ class Inverse:
     culprit: np.ndarray
     unlimited: np.ndarray = field(repr=False)
     rotation: np.ndarray = field(repr=False)
-
-    @property
-    def ok(self) -> np.ndarray:
-        """Where there are positions (N,)."""
-        return self.code == OK
-
-    @property
-    def reason(self) -> np.ndarray:
-        """Why there are none, '' where there are (N,)."""
-        return REASONS[self.code]

@@ -18,6 +18,7 @@ from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
 TOOL = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")
+_FAR = 50.0  # [m] no robot is larger, and millimetres are
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
 
 
@@ -117,7 +118,7 @@ def inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = Fals
     found = inverse_kinematics(robot, poses)
     if not found.ok.any():
         raise InputError(
-            f"{robot.source}: {_place(poses)} cannot be reached: {_why(robot, found)}{_row(poses.position)}"
+            f"{robot.source}: {_place(poses)} cannot be reached: {_why(robot, found)}{_row(poses.position)}{_millimetres(poses)}"
         )
     warnings = _lost(found.reason)
     turned = found.ok & (found.orientation_error > _TOLD)
@@ -235,6 +236,10 @@ def _why(robot: Robot, found: Inverse) -> str:
 
 def _place(poses: Poses) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in poses.position[0]) + ") m"
+
+
+def _millimetres(poses: Poses) -> str:
+    return "; positions are in m (do they stand in mm?)" if np.abs(poses.position[0]).max() > _FAR else ""
 
 
 def _listed(robot: Robot, q: np.ndarray) -> str:

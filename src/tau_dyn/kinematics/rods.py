@@ -2,7 +2,7 @@ r"""A parallel robot as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis 
 
 Actuated chains carry points A, the plate at pose X carries points B, rods hold their distance. `build_rods` reads all of
 it from the robot's tree (`recognise.py`); forward and inverse kinematics, Jacobians and calibration know the robot
-through `Rods` alone. Public arrays have samples first; what the solvers use (`closure.py`) has samples last.
+through `Rods` alone. Public arrays have samples first; what the solvers use (`chains.py`, `geometry.py`) has samples last.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import chains, geometry
-from tau_dyn.kinematics.chains import Carried, ChainJoint
 from tau_dyn.kinematics.geometry import Numbers
 from tau_dyn.kinematics.home_pose import pose_at_home
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.recognise import Found, NotRods, recognise
+from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.read_numbers import numbers_of
+from tau_dyn.kinematics.recognise import NotRods, recognise
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
@@ -195,7 +195,7 @@ def build_rods(robot: Robot) -> Rods:
         LoopClosureError: The loops cannot be closed at home.
     """
     found = recognise(robot)
-    numbers = _numbers(robot, found)
+    numbers = numbers_of(robot, found)
     home = Poses(found.home.translation[None].copy(), found.home.rotation[None].copy())
     return Rods(
         robot=robot,
@@ -209,96 +209,6 @@ def build_rods(robot: Robot) -> Rods:
         geometry=geometry.parameters_of(numbers),
         nominal_home=home,
         numbers=numbers,
-    )
-
-
-def checked_positions(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return actuated positions as an array (N, na); one sample may come without its first axis.
-
-    Raises:
-        InputError: The array has another shape.
-    """
-    q = np.asarray(q, float)
-    q = q[None] if q.ndim == 1 else q
-    if q.ndim != 2 or q.shape[1] != robot.na:
-        raise InputError(
-            f"{robot.source} has {robot.na} actuated joints ({', '.join(robot.actuated)}); "
-            f"positions must be (N, {robot.na}), not {q.shape}"
-        )
-    return q
-
-
-def _numbers(robot: Robot, found: Found) -> Numbers:
-    joints, index = _chain_joints(robot, found)
-    actuator = {robot.model.getJointId(name): k for k, name in enumerate(robot.actuated)}
-    rods = found.rods
-    numbers = Numbers(
-        names=tuple(rod.name for rod in rods),
-        joints=tuple(joints),
-        carried=Carried(tuple(index[rod.carrier] for rod in rods), np.array([rod.base for rod in rods])),
-        lengths=np.array([rod.length for rod in rods]),
-        on_plate=np.array([rod.plate for rod in rods]),
-        slides=np.array([actuator.get(rod.slide, -1) for rod in rods]),
-        offsets=np.array([rod.offset for rod in rods]),
-        gains=np.array([rod.gain for rod in rods]),
-    )
-    return _as_arms(robot, found, numbers) if robot.arms else numbers
-
-
-def _chain_joints(robot: Robot, found: Found) -> tuple[list[ChainJoint], dict[int, int]]:
-    """Return the actuated joints that carry rods, parents first, and their indices by Pinocchio's."""
-    model = robot.model
-    wanted = sorted({j for rod in found.rods for j in model.supports[rod.carrier].tolist()[1:]})
-    index, joints = {0: -1}, []
-    for j in wanted:
-        index[j] = len(joints)
-        kind, placement = model.joints[j].shortname(), model.jointPlacements[j]
-        slides = kind.startswith("JointModelP")
-        subspace = _subspace(model, j)
-        joints.append(
-            ChainJoint(
-                name=model.names[j],
-                parent=index[int(model.parents[j])],
-                actuator=robot.actuated.index(model.names[j]),
-                slides=slides,
-                origin=placement.translation.copy(),
-                direction=_clean(placement.rotation @ (subspace[:3] if slides else subspace[3:])),
-                rotation=_clean(placement.rotation),
-            )
-        )
-    return joints, index
-
-
-def _subspace(model: pin.Model, joint: int) -> np.ndarray:
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    return np.asarray(data.joints[joint].S).reshape(6, -1)[:, 0]
-
-
-def _clean(x: np.ndarray) -> np.ndarray:
-    """Return numbers with the rounding of whole ones taken away, so that zeros are seen as zeros."""
-    return np.where(np.abs(x - np.round(x)) < 1e-15, np.round(x), x) + 0.0
-
-
-def _as_arms(robot: Robot, found: Found, numbers: Numbers) -> Numbers:
-    """Return the geometry by arms where the file declares a simplified Gantry-Tau and it is one."""
-    carriers = [numbers.joints[c].name if c >= 0 else "" for c in numbers.carried.carrier]
-    carts = [arm.cart_joint for arm in robot.arms]
-    alone = all(j.slides and j.parent < 0 for j in numbers.joints)
-    if not (found.translates and alone and sorted(carriers) == sorted(carts) and np.all(numbers.slides < 0)):
-        return numbers
-    joints = list(numbers.joints)
-    for k, carrier in enumerate(numbers.carried.carrier):
-        joint = joints[carrier]
-        shift = joint.rotation @ numbers.carried.local[k] - found.home.rotation @ numbers.on_plate[k]
-        joints[carrier] = joint._replace(origin=joint.origin + shift)
-    zero = np.zeros((len(carriers), 3))
-    return replace(
-        numbers,
-        joints=tuple(joints),
-        carried=Carried(numbers.carried.carrier, zero),
-        on_plate=zero,
-        arms=tuple(f"arm{carts.index(c) + 1}" for c in carriers),
     )
 
 

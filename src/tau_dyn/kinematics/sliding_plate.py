@@ -42,7 +42,7 @@ class SlidingPlate:
         code = np.zeros(len(q), np.int8)
         for first in range(0, len(q), BLOCK):
             part = slice(first, first + BLOCK)
-            position[part], code[part] = self._block(np.ascontiguousarray(q[part].T), _part(start, part, len(q)))
+            position[part], code[part] = self._block(np.ascontiguousarray(q[part].T), _part(start, part))
         return Poses(position, np.broadcast_to(self.rods.rotation, (len(q), 3, 3))), code
 
     def both(self, q: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ class SlidingPlate:
         return list(max(combinations(range(len(d)), 3), key=lambda three: abs(np.linalg.det(d[list(three)]))))
 
 
-def _part(start: Poses | None, part: slice, n: int) -> np.ndarray | None:
+def _part(start: Poses | None, part: slice) -> np.ndarray | None:
     if start is None:
         return None
     position = start.position

@@ -12,7 +12,6 @@ from typing import NamedTuple, overload
 import numpy as np
 import pinocchio as pin
 
-AXES = {"X": 0, "Y": 1, "Z": 2}
 _AHEAD, _BEHIND = (1, 2, 0), (2, 0, 1)
 
 Vector = np.ndarray | None
@@ -61,23 +60,29 @@ class Motion(NamedTuple):
 
 def joints_of(model: pin.Model) -> list[Joint] | None:
     """Return a model's joints, parents first, or None where one has more than one degree of freedom."""
-    found, data = [], model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
+    found = []
     for index in range(1, model.njoints):
         item, name = model.joints[index], model.joints[index].shortname().removeprefix("JointModel")
         if item.nv != 1 or not name.startswith(("R", "P")) or "Mimic" in name:
             return None
-        subspace = np.asarray(data.joints[index].S).reshape(6, -1)[:, 0]
-        axis = _clean(subspace[:3] if name.startswith("P") else subspace[3:])
+        way = subspace(model, index)
+        axis = without_rounding(way[:3] if name.startswith("P") else way[3:])
         along = next((k for k in range(3) if axis[k] == 1.0), None)
         placement = model.jointPlacements[index]
-        rotation, offset = _clean(placement.rotation), placement.translation.copy()
+        rotation, offset = without_rounding(placement.rotation), placement.translation.copy()
         slides, v = name.startswith("P"), int(item.idx_v)
         found.append(Joint(index, int(model.parents[index]), rotation, offset, axis, along, slides, v))
     return found
 
 
-def _clean(x: np.ndarray) -> np.ndarray:
+def subspace(model: pin.Model, joint: int) -> np.ndarray:
+    """Return the twist (6,) of a joint of one degree of freedom in its own frame, linear first."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    return np.asarray(data.joints[joint].S).reshape(6, -1)[:, 0]
+
+
+def without_rounding(x: np.ndarray) -> np.ndarray:
     """Return numbers with the rounding of whole ones taken away, so that zeros are seen as zeros."""
     return np.where(np.abs(x - np.round(x)) < 1e-15, np.round(x), x)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tau_dyn.kinematics.joint_limits import SLACK
 from tau_dyn.kinematics.outcome import BRANCH_CHANGE, NOT_A_NUMBER, OK, Inverse
 from tau_dyn.kinematics.plate_arrays import log_of
 from tau_dyn.kinematics.poses import Poses
@@ -17,7 +18,7 @@ _STARTS_LOOPS = 2  # closing loops from far away takes its time
 _SAME = 1e-6  # [m or rad] closer solutions are one
 _MODE = 1e-6  # [m or 1] by how much forward kinematics may lead elsewhere
 
-Maker = Callable[[TreeNewton, Robot, Poses], np.ndarray]
+Maker = Callable[[TreeNewton, Poses], np.ndarray]
 """Makes starts (nv, N) for poses."""
 
 
@@ -26,13 +27,13 @@ def tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | None, lim
     robot, n = engine.robot, len(poses.position)
     first = np.repeat(robot.home[None], n, axis=0) if start is None else start
     found = _solved(engine, poses, engine.begun(first), first)
-    tries: list[Maker] = [] if start is not None else [_way, *[_random(k) for k in range(_starts(robot))]]
+    tries: list[Maker] = [] if start is not None else [TreeNewton.way, *[_random(k) for k in range(_starts(robot))]]
     for attempt in tries:
         again = np.flatnonzero(~_fits(robot, found, limits) & (found.code != NOT_A_NUMBER))
         if not again.size:
             break
         part = poses.take(again)
-        tried = _solved(engine, part, attempt(engine, robot, part), first[again])
+        tried = _solved(engine, part, attempt(engine, part), first[again])
         better = _fits(robot, tried, limits) | (tried.ok & ~found.ok[again])
         found = _put(found, again[better], tried, better)
     return found
@@ -43,7 +44,7 @@ def tree_solutions(engine: TreeNewton, poses: Poses) -> np.ndarray:
     robot, n = engine.robot, len(poses.position)
     sets: list[list[np.ndarray]] = [[] for _ in range(n)]
     home = np.repeat(robot.home[None], n, axis=0)
-    starts = [engine.begun(home), *[_random(k)(engine, robot, poses) for k in range(_starts(robot))]]
+    starts = [engine.begun(home), *[_random(k)(engine, poses) for k in range(_starts(robot))]]
     for x in starts:
         q = _solved(engine, poses, x, home).q
         for k in np.flatnonzero(np.isfinite(q[:, 0])):
@@ -80,14 +81,11 @@ def _elsewhere(engine: TreeNewton, q: np.ndarray, poses: Poses, error: np.ndarra
         return ~(near & (np.abs(np.linalg.norm(turn, axis=0) - error[:, 1]) < _MODE))
 
 
-def _way(engine: TreeNewton, robot: Robot, poses: Poses) -> np.ndarray:
-    return engine.way(poses)
-
-
 def _random(k: int) -> Maker:
     """Return a maker of starts within the limits, the same every time."""
 
-    def starts(engine: TreeNewton, robot: Robot, poses: Poses) -> np.ndarray:
+    def starts(engine: TreeNewton, poses: Poses) -> np.ndarray:
+        robot = engine.robot
         low = np.where(np.isfinite(robot.lower), robot.lower, robot.home - np.pi)
         high = np.where(np.isfinite(robot.upper), robot.upper, robot.home + np.pi)
         one = np.random.default_rng(k).uniform(low, np.maximum(low, high))
@@ -104,7 +102,7 @@ def _fits(robot: Robot, found: Inverse, limits: bool) -> np.ndarray:
     if not limits:
         return found.ok
     with np.errstate(invalid="ignore"):
-        return found.ok & np.all((found.q >= robot.lower - 1e-9) & (found.q <= robot.upper + 1e-9), axis=1)
+        return found.ok & np.all((found.q >= robot.lower - SLACK) & (found.q <= robot.upper + SLACK), axis=1)
 
 
 def _put(found: Inverse, index: np.ndarray, tried: Inverse, taken: np.ndarray) -> Inverse:

@@ -4,7 +4,9 @@ r"""Newton on all joints of a tree at once: its loops and the tool's position cl
 
 with `x` the positions of all joints, actuated and passive. No loop is closed for itself on the way, so a pose out of reach
 costs as little as one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool idle
-towards the start. Orientation in the null space of position: Siciliano et al. 2009, ch. 3.5. Arrays of joints have samples last.
+towards the start. Orientation in the null space of position: Siciliano et al. 2009, ch. 3.5. What motion costs falls with the
+square of the turn that is left, which keeps convergence quadratic near singularities such as a straight elbow: Yamashita &
+Fukushima 2001. Arrays of joints have samples last.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ _DONE, _NEAR = 1e-13, 1e-8  # [m or rad]
 _CLOSED = 1e-10  # [m]
 _ROUGH = 1e-2  # [m] what may stay open on a way
 _STEPS = 12  # on the way from home
-_DAMPING = 1e-4  # what a joint's motion costs beside a turn of the tool
+_DAMPING = 1e-4  # most that a joint's motion costs beside a turn of the tool
+_LEAST = 1e-10  # of the same, so that idle motions stay defined
 _SOFT = 1e-6  # its square times what the orientation pulls with is what the closure is off by
 _IDLE = 1e-7
 _NEARBY = 0.05  # [m or rad] from home, where what idles is looked for
@@ -76,12 +79,24 @@ class TreeNewton:
         q, error, rotation = np.full(toward.shape, np.nan), np.full((n, 2), np.nan), np.full((n, 3, 3), np.nan)
         for first in range(0, n, _BLOCK):
             part = np.arange(first, min(first + _BLOCK, n))
-            found, error[part] = self.newton(poses.take(part), x[:, part], toward[part])
+            found, error[part] = self._found(poses.take(part), x[:, part], toward[part])
             q[part] = found[self._active].T
             rotation[part] = self.engine.pose_at(found).rotation
         code = np.where(np.isfinite(q).all(axis=1), OK, OUT_OF_REACH).astype(np.int8)
         code[~sound] = NOT_A_NUMBER
         return q, code, error, rotation
+
+    def _found(self, poses: Poses, x: np.ndarray, toward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `newton`'s answer; where idling keeps it from coming to rest, the tool is brought there first."""
+        found, error = self.newton(poses, x, toward)
+        lost = np.flatnonzero(~np.isfinite(found[0])) if self._idle else np.zeros(0, int)
+        if lost.size:
+            part = poses.take(lost)
+            there, off = self.newton(part, x[:, lost], None)
+            nearer, missed = self.newton(part, there, toward[lost])
+            idled = np.isfinite(nearer[0])
+            found[:, lost], error[lost] = np.where(idled, nearer, there), np.where(idled[:, None], missed, off)
+        return found, error
 
     def way(self, poses: Poses) -> np.ndarray:
         """Return where the straight way from home leads (nv, N); nan where it is barred."""
@@ -99,11 +114,11 @@ class TreeNewton:
         return x
 
     def newton(
-        self, poses: Poses, x: np.ndarray, toward: np.ndarray, rounds: int = _ROUNDS
+        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rounds: int = _ROUNDS
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return closed positions (nv, N), nan where there are none, and the tool's errors (N, 2).
 
-        With few `rounds`, on a way, what is nearly closed is good enough.
+        With few `rounds`, on a way, what is nearly closed is good enough; without `toward` nothing idles.
         """
         x, error = x.copy(), np.full((x.shape[1], 2), np.nan)
         sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
@@ -112,7 +127,7 @@ class TreeNewton:
         for _ in range(rounds):
             if not left.size:
                 break
-            dx, gap, error[left] = self._step(poses.take(left), x[:, left], toward[left])
+            dx, gap, error[left] = self._step(poses.take(left), x[:, left], None if toward is None else toward[left])
             size = np.abs(dx).max(axis=1)
             x[:, left] += (dx * np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]).T
             tight = gap < _CLOSED
@@ -122,7 +137,9 @@ class TreeNewton:
         x[:, ~closed], error[~closed] = np.nan, np.nan
         return x, error
 
-    def _step(self, poses: Poses, x: np.ndarray, toward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _step(
+        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the step (N, nv), the largest gap (N,) [m] and the tool's errors (N, 2)."""
         at = frames(self.engine.joints, x)
         here, C, T = self.engine.pose_of(at), self._closure(at), self._twist(at)[:, 3:]
@@ -130,11 +147,12 @@ class TreeNewton:
         gap = np.concatenate([*[(point(at, *a) - point(at, *b)).T for a, b in self._ends], away], axis=1)
         turn = log_of(np.moveaxis(poses.rotation @ np.swapaxes(here.rotation, 1, 2), 0, 2)).T
         pull = np.zeros((x.shape[1], x.shape[0]))
-        if self._idle:
+        if self._idle and toward is not None:
             vt = np.linalg.svd(np.concatenate([C, T], axis=1))[2][:, -self._idle :]
             pull[:, self._active] = toward - x[self._active].T
             pull = np.einsum("nki,nkj,nj->ni", vt, vt, pull)
-        dx = least_motion(C, gap, T, turn, np.full(len(x), _DAMPING), pull, _SOFT)
+        left = np.sum(turn**2, axis=1, keepdims=True)
+        dx = least_motion(C, gap, T, turn, np.clip(left, _LEAST, _DAMPING), pull, _SOFT)
         error = np.stack([np.linalg.norm(away, axis=1), np.linalg.norm(turn, axis=1)], axis=1)
         return dx, np.abs(gap).max(axis=1), error
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import matmul_toeplitz
 from scipy.optimize import least_squares, minimize_scalar
 
-from tau_dyn.estimate.noise import fit_autoregression
+from tau_dyn.estimate import fit_autoregression
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes.actuators import Actuator, filtered
 from tau_dyn.modes.record import Record

@@ -11,6 +11,7 @@ from tau_dyn.modes.checks import CorrelationTest, fit_of, independence, whitenes
 from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.doubts import doubts
 from tau_dyn.modes.feedback import Feedback
+from tau_dyn.modes.followed import Fit, Response, Trace
 from tau_dyn.modes.leftover import leftovers
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.noise import NoiseModel, noise_model
@@ -20,7 +21,7 @@ from tau_dyn.modes.preparation import Prepared
 from tau_dyn.modes.pulses import impulse_responses
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import Refined
-from tau_dyn.modes.result import Fit, Modes, Response, Trace
+from tau_dyn.modes.result import Modes
 from tau_dyn.modes.simulate import late_inputs, predict, simulate
 from tau_dyn.modes.spectra import Empirical, empirical_response
 from tau_dyn.modes.stabilisation import stabilisation

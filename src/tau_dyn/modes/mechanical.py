@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes.mechanical_evidence import Evidence, Refined, evidence_of
-from tau_dyn.modes.mechanical_fit import Fit, Task, fit_stand_in, fit_whole
+from tau_dyn.modes.mechanical_fit import MechanicalFit, Task, fit_stand_in, fit_whole
 from tau_dyn.modes.mechanical_judgement import CHANCE, KNOWN, asymmetry
 from tau_dyn.modes.places import Places, places_of
 from tau_dyn.modes.second_order import SecondOrder, derivative_of, symmetric_basis, unpack
@@ -206,7 +206,7 @@ def _stand_in(task: Task, reason: str) -> Mechanical:
     return _refused(reason if found.why in reason else f"{reason}; {found.why}")
 
 
-def _judged(fit: Fit, task: Task, status: str, why: str) -> Mechanical:
+def _judged(fit: MechanicalFit, task: Task, status: str, why: str) -> Mechanical:
     """Return the result a fit deserves."""
     n, worst = task.places.n, "M" if fit.unknown["M"] > fit.unknown["K"] else "K"
     if not np.isfinite(fit.unknown[worst]):

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.modes.second_order import SecondOrder, symmetric_basis, unpack
+from tau_dyn.modes.second_order import SecondOrder, pack, symmetric_basis, unpack
 
 _ROUNDS = 8
 _MARGIN = 1e-6
@@ -43,7 +43,7 @@ def solve_conic(s: np.ndarray, H: np.ndarray, driven: tuple[int, ...]) -> Second
         found = unpack(x, n)
         if not is_physical(found):
             found = _program(R, target, n)
-        x = np.concatenate([part[np.triu_indices(n)] for part in (found.M, found.D, found.K)])
+        x = pack(found)
         if np.linalg.norm(x - last) < 1e-6 * np.linalg.norm(x):
             break
         last, W = x, found.compliance(s) / size

@@ -17,7 +17,7 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.modes.places import Places
 from tau_dyn.modes.state_space import StateSpace
 
-_STEP = 1e-2
+STEP = 1e-2
 """Step of the central differences, in standard errors."""
 
 
@@ -117,7 +117,7 @@ class Evidence:
 
     def factor(self, s: np.ndarray) -> np.ndarray:
         """Return the factor (F p m, r), complex, of the response's covariance at s (F,)."""
-        columns = [(up.response(s) - down.response(s)).ravel() / (2 * _STEP) for up, down in self.nearby]
+        columns = [(up.response(s) - down.response(s)).ravel() / (2 * STEP) for up, down in self.nearby]
         return np.column_stack(columns)
 
     def completed(self, places: Places) -> Evidence:
@@ -151,5 +151,5 @@ def _steps(theta: np.ndarray, covariance: np.ndarray, model_at: Callable[[np.nda
     unit = np.where(size > 0, size, 1)
     value, vector = np.linalg.eigh(covariance / np.outer(unit, unit))
     for k in np.flatnonzero(value > 1e-13 * value[-1]):
-        step = _STEP * unit * vector[:, k] * np.sqrt(value[k])
+        step = STEP * unit * vector[:, k] * np.sqrt(value[k])
         yield model_at(theta + step), model_at(theta - step)

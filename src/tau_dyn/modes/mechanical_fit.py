@@ -45,7 +45,7 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class MechanicalFit:
     """A fit, in the user's units.
 
     Attributes:
@@ -63,7 +63,7 @@ class Fit:
     unknown: Mapping[str, float] = field(default_factory=lambda: {"M": 0.0, "K": 0.0})
 
 
-def fit_whole(task: Task) -> Fit:
+def fit_whole(task: Task) -> MechanicalFit:
     """Return the maximum-likelihood structure with as many degrees of freedom as modes."""
     f = _grid(task.modes_hz, task.span_hz)
     s = 2j * np.pi * f
@@ -72,7 +72,7 @@ def fit_whole(task: Task) -> Fit:
     return _fit(task, s, task.modes_hz, None)
 
 
-def fit_stand_in(task: Task, count: int) -> Fit:
+def fit_stand_in(task: Task, count: int) -> MechanicalFit:
     """Return the structure of the named degrees of freedom that best stands for the first `count` modes.
 
     Between the named places the modes are known from every force to every sensor by reciprocity; all of that is fitted.
@@ -84,7 +84,7 @@ def fit_stand_in(task: Task, count: int) -> Fit:
     return _fit(task, 2j * np.pi * f, wanted, np.where(f < 0.5 * wanted[0], _STATIC, 1.0))
 
 
-def _fit(task: Task, s: np.ndarray, wanted: np.ndarray, weight: np.ndarray | None) -> Fit:
+def _fit(task: Task, s: np.ndarray, wanted: np.ndarray, weight: np.ndarray | None) -> MechanicalFit:
     """Return the fit at points s: by likelihood, or with relative errors under `weight` (F,) of the completed response."""
     units = _Units.of(task, s)
     square = task.places.square
@@ -103,7 +103,9 @@ def _fit(task: Task, s: np.ndarray, wanted: np.ndarray, weight: np.ndarray | Non
         elsewhere = agreement(evidence, found, places, wanted, task.span_hz, task.tolerance)
         agrees = agrees.both(elsewhere).reaching(0.5 * wanted[0])
     chance = consistency(target, fitted) if target.whitens else None
-    return Fit(found, None if covariance is None else units.restore_covariance(covariance), agrees, chance, worst)
+    return MechanicalFit(
+        found, None if covariance is None else units.restore_covariance(covariance), agrees, chance, worst
+    )
 
 
 @dataclass(frozen=True, eq=False)

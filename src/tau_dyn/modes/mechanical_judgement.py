@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from tau_dyn.modes.mechanical_evidence import Evidence
+from tau_dyn.modes.mechanical_evidence import STEP, Evidence
 from tau_dyn.modes.mechanical_likelihood import Target, relative_frame
 from tau_dyn.modes.places import Places
 from tau_dyn.modes.second_order import SecondOrder
@@ -151,7 +151,7 @@ def asymmetry(evidence: Evidence, places: Places) -> tuple[float, float]:
     variance = np.zeros(len(size))
     for up, down in evidence.nearby:
         if up.residues.shape == down.residues.shape == residues.shape:
-            change = (difference(up.residues) - difference(down.residues)) / 2e-2
+            change = (difference(up.residues) - difference(down.residues)) / (2 * STEP)
             variance += np.sum(np.abs(change) ** 2, axis=(1, 2)) / size**2
     worst = int(np.argmax(found - 4 * np.sqrt(variance)))
     return float(found[worst]), float(np.sqrt(variance[worst]))

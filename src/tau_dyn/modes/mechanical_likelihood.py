@@ -101,12 +101,6 @@ def maximise(target: Target, start: SecondOrder) -> SecondOrder:
     return structure(found.x)
 
 
-def information(target: Target, structure: SecondOrder) -> np.ndarray:
-    """Return Fisher's information (q, q) of the entries of M, D, K, for a target that whitens."""
-    J = target.jacobian(structure)
-    return J.T @ J
-
-
 def relative_frame(structure: SecondOrder) -> np.ndarray:
     """Return the change (q, q) of entries per unit of `E` in `L (I + E) L'`: units and coordinates drop out of `E`."""
     blocks = []

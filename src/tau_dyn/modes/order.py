@@ -157,7 +157,15 @@ class _Row:
     modes: tuple[Mode, ...]
 
 
-def _add(rows: list[_Row], fitted, kept, make: Start, order: int, kind: str, progress) -> None:
+def _add(
+    rows: list[_Row],
+    fitted: Sequence[Record],
+    kept: Sequence[Record],
+    make: Start,
+    order: int,
+    kind: str,
+    progress: Callable[[str], None] | None,
+) -> None:
     if progress is not None:
         progress(f"order {order}")
     row = _try(fitted, kept, make, order, kind)

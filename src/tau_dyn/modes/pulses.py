@@ -17,16 +17,18 @@ import numpy as np
 from numpy.fft import irfft, rfft
 from scipy.fft import next_fast_len
 
+from tau_dyn.modes.followed import ImpulseResponses
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
-from tau_dyn.modes.result import ImpulseResponses
 from tau_dyn.modes.simulate import simulate
 from tau_dyn.modes.state_space import StateSpace
 
 FLOOR = 1e-2
 """Floor as a share of the inputs' mean power."""
-DECADES = 2.5
-"""Time constants of the slowest decaying mode that are shown."""
+TIME_CONSTANTS = 2.5
+"""Of the slowest decaying mode, as many as are shown."""
+PERIODS = 12
+"""Of the lowest mode, as many as are shown at most."""
 LONGEST = 200_000
 
 
@@ -84,9 +86,9 @@ def _of_pulses(model: StateSpace, records: Sequence[Record], held_out: bool) -> 
 
 
 def _length(model: StateSpace, modes: Sequence[Mode], n: int) -> int:
-    """Return how many samples to show: until the slowest mode has decayed, and ten periods of the lowest at most."""
+    """Return how many samples to show: until the slowest mode has decayed, and some periods of the lowest at most."""
     if not modes:
         return min(n // 2, 200)
     slowest = min(2 * np.pi * m.frequency_hz * max(m.damping_ratio, 1e-4) for m in modes)
     period = 1 / min(m.frequency_hz for m in modes)
-    return int(np.clip(min(DECADES / slowest, 12 * period) / model.dt + model.delay, 20, n // 2))
+    return int(np.clip(min(TIME_CONSTANTS / slowest, PERIODS * period) / model.dt + model.delay, 20, n // 2))

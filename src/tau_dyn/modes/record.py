@@ -13,6 +13,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, ensure_even, segments
+from tau_dyn.log.complaints import no_column
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +130,7 @@ def records_of(log: Log, inputs: Sequence[str], outputs: Sequence[str], referenc
     names = [*inputs, *outputs, *references]
     for name in names:
         if name not in log.channels:
-            raise InputError(f"{log.name} has no column '{name}'; it has {', '.join(log.channels)}")
+            raise InputError(no_column(log.name, name, tuple(log.channels)))
     for name in [*inputs, *outputs]:
         if names.count(name) > 1:
             raise InputError(f"column '{name}' is named twice; each is an input or an output")

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.era import era
+from tau_dyn.modes.gramians import gramians, root
 from tau_dyn.modes.state_space import StateSpace
 
 MARKOV = 400  # samples of the impulse response of an unstable model
@@ -20,7 +20,7 @@ MARKOV = 400  # samples of the impulse response of an unstable model
 
 def hankel_values(model: StateSpace) -> np.ndarray:
     """Return the Hankel singular values (n,) of a stable model, largest first."""
-    controllable, observable = _roots(model)
+    controllable, observable = (root(gramian) for gramian in gramians(model))
     return np.linalg.svd(observable.T @ controllable, compute_uv=False)
 
 
@@ -39,20 +39,8 @@ def reduce_order(model: StateSpace, order: int) -> StateSpace:
     if model.spectral_radius() >= 1:
         small = era(model.markov(MARKOV), model.dt, order)
         return replace(small, delay=model.delay, noise=model.noise)
-    controllable, observable = _roots(model)
+    controllable, observable = (root(gramian) for gramian in gramians(model))
     U, values, Vt = np.linalg.svd(observable.T @ controllable)
-    root = np.sqrt(np.maximum(values[:order], 1e-300))
-    left, right = (observable @ U[:, :order]) / root, (controllable @ Vt[:order].T) / root
+    size = np.sqrt(np.maximum(values[:order], 1e-300))
+    left, right = (observable @ U[:, :order]) / size, (controllable @ Vt[:order].T) / size
     return replace(model, A=left.T @ model.A @ right, B=left.T @ model.B, C=model.C @ right, K=left.T @ model.K)
-
-
-def _roots(model: StateSpace) -> tuple[np.ndarray, np.ndarray]:
-    """Square roots S S' of the controllability and the observability Gramian."""
-    return _root(solve_discrete_lyapunov(model.A, model.B @ model.B.T)), _root(
-        solve_discrete_lyapunov(model.A.T, model.C.T @ model.C)
-    )
-
-
-def _root(gramian: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
-    return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -19,6 +19,7 @@ from tau_dyn.modes.error_covariance import error_covariance, residuals
 from tau_dyn.modes.gauss_newton import Point, evaluate
 from tau_dyn.modes.innovation import model_of, predictor_of, predictor_record
 from tau_dyn.modes.input_matrices import mirrored, solved
+from tau_dyn.modes.leftover import PREDICTED, SIMULATED
 from tau_dyn.modes.modal import Mode, modes_of
 from tau_dyn.modes.modal_form import ModalForm, free_numbers, full_vector, layout_of, modal_form, stepped
 from tau_dyn.modes.propagation import propagated
@@ -26,7 +27,7 @@ from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.response import ResponseEstimate
 from tau_dyn.modes.state_space import StateSpace
 
-KINDS = ("output_error", "prediction_error")
+KINDS = (SIMULATED, PREDICTED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,7 @@ def refine(
     ready = [record.aligned(model.delay).scaled(scales) for record in records]
     direct = bool(np.any(model.D)) if direct is None else direct
     start = replace(model.scaled(scales), delay=0)
-    problem = _output_errors if kind == "output_error" else _prediction_errors
+    problem = _output_errors if kind == SIMULATED else _prediction_errors
     point, wide, free, as_model, allowed = problem(start, ready, direct)
     path = descend(point, wide, free, maximum_rounds, allowed)
     point = tidied(path.point)

@@ -30,10 +30,12 @@ class Empirical:
     """Response and coherence seen in the data.
 
     Attributes:
-        frequency: (F,) [Hz]. response: (F, p, m), NaN where the inputs hold no power. coherence: Share of each
-        output's power that the inputs explain together (F, p), 0 to 1; NaN where it means nothing. excited:
-        Frequencies at which the inputs hold power (F,) bool. n_averages: Stretches averaged. how: What was done, in
-        words.
+        frequency: (F,) [Hz].
+        response: (F, p, m), nan where the inputs hold no power.
+        coherence: Share of each output's power that the inputs explain together (F, p), 0 to 1; nan where it means nothing.
+        excited: Frequencies at which the inputs hold power (F,) bool.
+        n_averages: Stretches averaged.
+        how: What was done, in words.
     """
 
     frequency: np.ndarray

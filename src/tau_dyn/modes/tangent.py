@@ -12,13 +12,15 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgWarning, qr, solve_discrete_lyapunov
+from scipy.linalg import LinAlgWarning, qr
 
 from tau_dyn.modes.gauss_newton import Normal, Point
+from tau_dyn.modes.gramians import gramians, root
 from tau_dyn.modes.modal_form import ModalForm, layout_of, with_coordinates
 from tau_dyn.modes.state_space import StateSpace
 
 SMALLEST = 1e-15  # of the largest curvature: directions below it are not moved along
+_ROUNDING = 1e-14  # of a Gramian's largest eigenvalue
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +92,13 @@ def balanced(model: StateSpace) -> StateSpace:
         return model
     with warnings.catch_warnings():  # a pole close to the unit circle; the check below sees what matters
         warnings.simplefilter("ignore", LinAlgWarning)
-        controllable = solve_discrete_lyapunov(model.A, model.B @ model.B.T)
-        observable = solve_discrete_lyapunov(model.A.T, model.C.T @ model.C)
+        controllable, observable = gramians(model)
     if not (np.isfinite(controllable).all() and np.isfinite(observable).all()):
         return model
-    R, Q = _root(controllable), _root(observable)
+    R, Q = root(controllable, _ROUNDING), root(observable, _ROUNDING)
     U, values, Vt = np.linalg.svd(Q.T @ R)
-    root = np.sqrt(np.maximum(values, 1e-10 * values[0]))
-    T, inverse = (R @ Vt.T) / root, (U / root).T @ Q.T
+    size = np.sqrt(np.maximum(values, 1e-10 * values[0]))
+    T, inverse = (R @ Vt.T) / size, (U / size).T @ Q.T
     if np.abs(inverse @ T - np.eye(n)).max() > 1e-6:
         return model
     return replace(model.in_coordinates(T), B=np.linalg.solve(T, model.B))
@@ -169,8 +170,3 @@ def _unit(shape: tuple[int, int], row: int, column: int) -> np.ndarray:
     out = np.zeros(shape)
     out[row, column] = 1.0
     return out
-
-
-def _root(gramian: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
-    return vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -176,9 +175,3 @@ def _number(value: object) -> float:
     if not np.isfinite(number):
         raise ValueError(f"{value} is not finite")
     return number
-
-
-def same_place(sizes: Sequence[tuple[int, int]]) -> Cameras:
-    """Return cameras of unknown numbers, for a start."""
-    n = len(sizes)
-    return Cameras(np.zeros((n, 9)), np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.array(sizes))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,9 +11,11 @@ from types import ModuleType
 import numpy as np
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_bytes
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 _LARGEST = 1 << 30  # bytes of one file
+_MOST_PIXELS = 1 << 28  # the largest cameras have 1.5e8
 
 
 def opencv() -> ModuleType:
@@ -21,6 +24,7 @@ def opencv() -> ModuleType:
     Raises:
         InputError: It is not installed.
     """
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))  # a small PNG may declare gigabytes
     try:
         import cv2
     except ImportError as fault:
@@ -66,9 +70,7 @@ def read_image(path: Path) -> np.ndarray:
     """
     cv2 = opencv()
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path}: larger than 1 GiB; that is no photograph")
-        data = np.fromfile(path, np.uint8)
+        data = np.frombuffer(read_bytes(path, _LARGEST), np.uint8)
     except OSError as fault:
         raise InputError(f"{path}: cannot be read ({fault.strerror or fault})") from fault
     try:
@@ -81,6 +83,8 @@ def read_image(path: Path) -> np.ndarray:
         image = None
     if image is None:
         raise InputError(f"{path}: not an image that can be read; give PNG, JPEG, TIFF or BMP")
+    if image.size > _MOST_PIXELS:  # where OpenCV was there before us
+        raise InputError(f"{path}: {image.shape[1]}x{image.shape[0]} pixels; that is no photograph")
     if image.dtype != np.uint8:
         top = max(float(np.nanmax(image)), 1e-9)
         image = np.clip(255.0 * image / top, 0, 255).astype(np.uint8)

@@ -71,7 +71,7 @@ def _table(seen: Album, solved: Solved, labels: list[tuple[int, int]], positions
     refused |= {seen.name(*labels[v]): why for v, why in solved.left_out.items()}
     kept = [labels[v] for v in solved.used]
     plates, names, extra, seen_by = _plates(seen, solved, kept)
-    q, joints, warned = _robot(seen, positions, plates, names, extra, kept, solved)
+    q, joints, warned = _robot(seen, positions, plates, names, extra, kept)
     keep = np.flatnonzero(~extra & (np.isfinite(q).all(axis=1) if joints else True))
     if not len(keep):
         raise CannotAnswer(
@@ -116,7 +116,6 @@ def _robot(
     names: list[str],
     extra: np.ndarray,
     kept: list[tuple[int, int]],
-    solved: Solved,
 ) -> tuple[np.ndarray, tuple[str, ...], list[str]]:
     """Return the robot's positions of each plate (k, na)."""
     if positions is None:

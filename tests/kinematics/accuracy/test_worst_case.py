@@ -21,6 +21,7 @@ from tau_dyn.kinematics.accuracy import (
 )
 from tau_dyn.kinematics.accuracy import certified as certified_bound
 from tau_dyn.kinematics.accuracy.monte_carlo import draw, monte_carlo
+from tau_dyn.kinematics.accuracy.rod_device import Moved, State
 from tau_dyn.kinematics.accuracy.worst import first_order, worst_case
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
@@ -199,6 +200,36 @@ def test_near_a_singularity_the_linear_bound_is_wrong_and_nothing_is_proved() ->
         exact.append(found.largest["exact"][0])
     assert abs(off[0]) < 0.01 < abs(off[1])
     assert np.isfinite(proved[0]) and np.isnan(proved[2]) and np.isnan(exact[2])
+
+
+class _Bent:
+    """One source of two numbers whose tool goes along a bent path; from its second pose on it falls off its branch."""
+
+    balls, m = (slice(0, 2),), 2
+
+    def sensitivity(self, state: State, plate: Poses | None = None, e: np.ndarray | None = None) -> np.ndarray:
+        at = np.zeros((len(state), 2)) if e is None else e
+        H = np.zeros((len(state), 3, 2))
+        H[:, 0, 0], H[:, 1, 1], H[:, 1, 0] = 1.0, 1.0, at[:, 0]
+        return H
+
+    def closed(self, state: State, e: np.ndarray) -> Moved:
+        ok = np.arange(len(state)) == 0
+        shift = np.stack([e[:, 0], e[:, 1] + e[:, 0] ** 2 / 2, 0 * e[:, 0]], axis=1)
+        return Moved(np.where(ok[:, None], shift, np.nan), np.zeros_like(shift), state.plate, ok)
+
+
+def test_a_pose_that_falls_off_its_branch_leaves_its_neighbours_alone() -> None:
+    """A pose's exact worst case is its own, error, size and direction: the same alone and beside a pose that has none."""
+    here = Poses(np.zeros((2, 3)), np.broadcast_to(np.eye(3), (2, 3, 3)))
+    state = State(np.zeros((2, 1)), here.position, here.rotation, here)
+    corners = np.broadcast_to([1.0, 0.0], (2, 1, 2))
+    alone = worst_case(_Bent(), state.take(slice(0, 1)), corners[:1])
+    beside = worst_case(_Bent(), state, corners)
+    assert np.isnan(beside.size[1]) and alone.size[0] > 1.2
+    for one, other in zip(alone, beside, strict=True):
+        assert np.allclose(one[0], other[0], rtol=1e-12)
+    assert np.isclose(np.linalg.norm(_Bent().closed(state, beside.e).shift[0]), beside.size[0], rtol=1e-12)
 
 
 def test_draws_fill_their_balls_evenly() -> None:

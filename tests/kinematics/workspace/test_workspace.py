@@ -13,6 +13,8 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.obstacles import surroundings_from
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace import Demands, find_workspace, tilt
+from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.study import study
 from tau_dyn.robot import load_robot
 
 
@@ -225,6 +227,23 @@ def test_home_that_does_not_belong_is_refused(gantry) -> None:
     """An obstacle over home leaves nothing to be connected to; the sentence names it."""
     with pytest.raises(InputError, match=r"home .* does not belong itself \(safety zone: block\)"):
         find_workspace(gantry, demands=obstacle(sphere={"centre": [0, 0, 0.2], "radius": 0.1}, blocks="tool"))
+
+
+def test_workspace_that_runs_on_beyond_the_box_searched_says_so() -> None:
+    """A reach estimated far too small is enlarged a few times; what still touches the box is a warning, not a failure."""
+    machine = machine_of(robots.planar())
+    home = machine.home.position[0]
+    machine.reach = lambda: (home - [0.01, 0.01, 0.0], home + [0.01, 0.01, 0.0])
+    found = find_workspace(machine, resolution=0.004, demands=FREE)
+    assert any("touches the box" in said for said in found.warnings)
+    assert found.inside.any() and found.inside[found.lattice.nearest(home)]
+
+
+def test_place_of_the_tilt_may_be_an_array() -> None:
+    """A place given as an array is asked for as one given as a list: a planar arm says that its tool does not turn freely."""
+    for place in (np.array([0.4, 0.2, 0.0]), [0.4, 0.2, 0.0]):
+        with pytest.raises(InputError, match="does not turn freely"):
+            study(robots.planar(), resolution=0.1, demands=FREE, tilt_at=place)
 
 
 def test_judged_positions_reach_their_places(gantry) -> None:

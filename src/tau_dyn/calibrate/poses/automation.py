@@ -156,9 +156,7 @@ def plan_campaign(
     demands = demands if demands is not None else Demands()
     machine = machine_of(robot)
     geometry = geometry_of(robot, model)
-    device = device if device is not None else UniformDevice(_NOISE if geometry.orients else _NOISE[:1])
-    if isinstance(device, Camera) and not geometry.orients:
-        device = replace(device, steady=True)  # all pictures show one orientation
+    device = _device_for(geometry, device)
     reach = find_reachable(machine, demands, safety, wanted=candidates, seed=seed, progress=progress)
     reach = _predictable(reach, geometry)
     progress("looking for poses in sight")
@@ -184,23 +182,9 @@ def plan_campaign(
     rehearsal = rehearse(choice, device, runs=runs, seed=seed, fix=fix, free=free, known=known)
     approve(choice, rehearsal, required)
     progress("ordering poses")
-    tour = plan_tour(choice.q, robot.home, reach.check, reach.q)
-    if not (tour.pose >= 0).any():
-        raise CannotAnswer(
-            f"no move from home to any of the chosen poses is free ({next(iter(tour.left_out.values()), 'blocked')})",
-            "fewer obstacles around home",
-        )
-    return Plan(
-        robot,
-        device,
-        reach,
-        visible,
-        choice,
-        rehearsal,
-        tour,
-        reach.check,
-        (*reach.warnings, *choice.warnings, *said, *_left_out(tour)),
-    )
+    tour = _tour(choice, robot, reach)
+    warnings = (*reach.warnings, *choice.warnings, *said, *_left_out(tour))
+    return Plan(robot, device, reach, visible, choice, rehearsal, tour, reach.check, warnings)
 
 
 def geometry_of(robot: Robot, model: str | None = None) -> Geometry:
@@ -213,6 +197,30 @@ def geometry_of(robot: Robot, model: str | None = None) -> Geometry:
     family = family_of(robot, home)
     largest = "complete" if "complete" in family.structures else family.structures[-1]
     return family.build(family.spec(model if model is not None else largest))
+
+
+def _device_for(geometry: Geometry, device: Device | None) -> Device:
+    """Return the device given, or one that sees everything; a camera that sees one orientation alone is told so."""
+    if device is None:
+        return UniformDevice(_NOISE if geometry.orients else _NOISE[:1])
+    if isinstance(device, Camera) and not geometry.orients:
+        return replace(device, steady=True)  # all pictures show one orientation
+    return device
+
+
+def _tour(choice: PoseChoice, robot: Robot, reach: Reachable) -> Tour:
+    """Return the chosen poses in order.
+
+    Raises:
+        CannotAnswer: No free move leads from home to any of them.
+    """
+    tour = plan_tour(choice.q, robot.home, reach.check, reach.q)
+    if not (tour.pose >= 0).any():
+        raise CannotAnswer(
+            f"no move from home to any of the chosen poses is free ({next(iter(tour.left_out.values()), 'blocked')})",
+            "fewer obstacles around home",
+        )
+    return tour
 
 
 def _predictable(reach: Reachable, geometry: Geometry) -> Reachable:

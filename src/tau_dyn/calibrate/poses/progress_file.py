@@ -16,10 +16,11 @@ import numpy as np
 
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.files import write_whole
+from tau_dyn.files import read_bytes, write_whole
 from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
 
 _VERSION = 1
+_LARGEST = 64 * 2**20  # [bytes]
 Measure = Callable[[int, np.ndarray], "tuple[np.ndarray, np.ndarray | None] | None"]
 """From a pose's number and positions (na,) to the measured position (3,) and orientation (3, 3) or None; None where
 nothing was seen."""
@@ -33,7 +34,7 @@ class Progress:
         actuated: Joints, in the order of `q`.
         q: Places of the tour (k, na).
         pose: Pose measured there (k,), -1 on the way.
-        state: `open`, `measured` or `missed` of each place; places on the way are `open` until they are passed.
+        state: `open`, `measured` or `missed` of each place; of places on the way `open` or `passed`.
         position: Measured positions (k, 3) [m], nan where there are none.
         rotation: Measured orientations (k, 3, 3), nan where there are none.
     """
@@ -108,12 +109,14 @@ def read_progress(path: str | Path, actuated: tuple[str, ...]) -> Progress:
         InputError: It is not one, or belongs to another robot.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = json.loads(read_bytes(path, _LARGEST).decode("utf-8"))
         joints = tuple(map(str, content["actuated"]))
         rows = content["places"]
         if content["version"] != _VERSION:
             raise ValueError
         found = _read(joints, rows)
+    except InputError:
+        raise
     except FileNotFoundError as fault:
         raise InputError(f"{path}: no such file") from fault
     except (OSError, UnicodeDecodeError) as fault:

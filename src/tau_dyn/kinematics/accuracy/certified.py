@@ -2,7 +2,7 @@ r"""An upper bound on the tool's error that holds for every error within its bou
 
 With w = B - A, |w| = L and D the whole change of w, `|w + D| = L + l` reads exactly
 
-    u . (dp + phi x R b) = [u . dA - u . R db + l] + r,      r = (l^2 - |D|^2) / 2L - u . (R' - R - [phi]) b - u . (R' - R) db,
+    u . (dp + phi x R b) = [u . dA - u . R db + l] + r,      r = (l^2 - |D|^2) / 2L - u . (R' - R - [phi] R) b - u . (R' - R) db,
 
 and |r| is bounded by the displacement itself: |D| <= d + t (|b| + |db|) + |db| + |dA| for |dp| <= d, |phi| <= t. If d and t bound
 the right side's solution, that map takes the ball (d, t) into itself and shrinks distances there, so exactly one pose lies in it

@@ -68,10 +68,10 @@ class Errors:
     rods: Mapping[str, RodError] = field(default_factory=dict)
 
     @property
-    def nothing(self) -> bool:
-        """Whether everything is exact."""
+    def largest(self) -> float:
+        """Largest bound [m or rad], 0 where everything is exact."""
         sizes = [s for a in self.actuators.values() for s in (a.along, a.across or 0.0, *(a.axes or ()))]
-        return not any([*sizes, *(s for r in self.rods.values() for s in (r.length, r.base, r.plate))])
+        return max([0.0, *sizes, *(s for r in self.rods.values() for s in (r.length, r.base, r.plate))])
 
     def scaled(self, factor: float) -> Errors:
         """Return the same errors, all larger by a factor."""

@@ -40,14 +40,9 @@ def grow(
     factors: Sequence[float] = FACTORS,
 ) -> Growth:  # fmt: skip
     """Return the methods' largest displacements at one pose (q (na,), tool 1 sample) for enlarged errors."""
-    kept = [f for f in factors if _size(errors) * f <= LARGEST]
+    kept = [f for f in factors if errors.largest * f <= LARGEST]
     rows: list[Accuracy] = []
     for factor in kept:
         more = errors.scaled(factor)
         rows.append(positioning_errors(device_of(robot, rods, more), more, q[None], tool, methods=methods, samples=1))
     return Growth(np.array(kept), {m: np.array([r.largest[m][0] for r in rows]) for m in rows[0].largest})
-
-
-def _size(errors: Errors) -> float:
-    sizes = [s for a in errors.actuators.values() for s in (a.along, a.across or 0.0, *(a.axes or ()))]
-    return max([*sizes, *(s for r in errors.rods.values() for s in (r.length, r.base, r.plate))])

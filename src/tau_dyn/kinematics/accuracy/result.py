@@ -12,6 +12,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.errors import Errors
 from tau_dyn.kinematics.accuracy.growth import Growth, grow
 from tau_dyn.kinematics.accuracy.monte_carlo import draw
+from tau_dyn.kinematics.accuracy.parallelepiped import half_edges
 from tau_dyn.kinematics.accuracy.section import Grid
 from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, device_of, positioning_errors
 from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
@@ -87,7 +88,7 @@ class AccuracyResult(Shown):
         accuracy: Errors at all poses; None where only measurements were checked.
         grid: The section's grid; None for a list of poses.
         growth: Enlarged errors at the worst pose; None without `exact`.
-        body: Error bodies: at the worst pose, and at the pose nearest home.
+        bodies: Error bodies, at the pose nearest home and at the worst pose.
         measured: Checks of measured points.
         from_measured: Whether the errors come from those measurements.
     """
@@ -236,8 +237,6 @@ def _body(device: Any, found: Accuracy, q: np.ndarray, tool: Poses, k: int, seed
         worst = device.closed(state, found.worst[k : k + 1]).shift[0]
     corners = np.empty((0, 3))
     if found.faces.shape[1]:
-        from tau_dyn.kinematics.accuracy.parallelepiped import half_edges
-
         signs = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)], float)
         corners = signs @ half_edges(device, state)[0].T
     return Body(k, cloud[np.isfinite(cloud).all(axis=1)], corners, worst)

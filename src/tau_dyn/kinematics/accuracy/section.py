@@ -117,7 +117,7 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def default_section(robot: Robot, tool: Poses, rods: Rods | None) -> Section:
-    """Return the section through home across the guideways; where nothing slides, the one with x upright."""
+    """Return the section through home across the guideways; where nothing slides, across z, without rods across y."""
     axis = 1
     if rods is not None:
         sliding = [j for j, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]

@@ -13,6 +13,7 @@ from tau_dyn.kinematics.accuracy import certified, ellipsoids, parallelepiped
 from tau_dyn.kinematics.accuracy.errors import Errors
 from tau_dyn.kinematics.accuracy.monte_carlo import monte_carlo
 from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State
+from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
 from tau_dyn.kinematics.accuracy.sources import rod_sources
 from tau_dyn.kinematics.accuracy.worst import first_order, worst_case
 from tau_dyn.kinematics.poses import Poses
@@ -68,18 +69,16 @@ class Accuracy:
             return self.largest[method] / self.largest["exact"] - 1
 
 
-def device_of(robot: Robot, rods: Rods | None, errors: Errors):
+def device_of(robot: Robot, rods: Rods | None, errors: Errors) -> Any:
     """Return the robot with its error sources, through its rods where it has them.
 
     Raises:
         InputError: Nothing errs, or an error does not fit the robot.
     """
-    if errors.nothing:
+    if not errors.largest:
         raise InputError("all errors are zero, so the tool is exact; give at least one, such as --actuator-error 50e-6")
     if rods is not None:
         return RodDevice(rods, rod_sources(rods, errors))
-    from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
-
     return SerialDevice(robot, errors)
 
 

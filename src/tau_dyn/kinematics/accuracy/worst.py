@@ -154,20 +154,21 @@ def worst_case(device: Device, state: State, corners: np.ndarray, *, part: slice
 
 
 def _climb(device: Device, state: State, e: np.ndarray, part: slice) -> tuple[Worst, np.ndarray]:
+    """Return the farthest place found from errors `e` (N, m) on, and which poses lost their branch on the way."""
     best = Worst(np.zeros(len(e)), e, np.zeros((len(e), 3)))
+    lost = np.zeros(len(e), bool)
     for _ in range(CLOSED_CLIMBS):
         moved = device.closed(state, e)
-        d = moved.shift if part.start == 0 else moved.turn
+        lost |= ~moved.ok
+        d = np.where(moved.ok[:, None], moved.shift if part.start == 0 else moved.turn, 0.0)
         size = np.linalg.norm(d, axis=1)
-        if not moved.ok.all():
-            return best._replace(size=np.where(moved.ok, size, 0.0)), ~moved.ok
         farther = size > best.size * (1 + 1e-12)
         best = Worst(np.where(farther, size, best.size), np.where(farther[:, None], e, best.e),
                      np.where(farther[:, None], _unit(d), best.direction))  # fmt: skip
         if not farther.any():
             break
         e = _aligned(device.sensitivity(state, moved.plate, e)[:, part], d[:, None], device.balls)[:, 0]
-    return best, np.zeros(len(e), bool)
+    return best, lost
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -7,7 +7,8 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly.modes import AssemblyModes, assembly_modes
 from tau_dyn.kinematics.poses import Poses, quaternions
-from tau_dyn.kinematics.rods import Rods, build_rods, checked_positions
+from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.rods import Rods, build_rods
 from tau_dyn.robot import Robot
 
 _FLAT = 1e-12

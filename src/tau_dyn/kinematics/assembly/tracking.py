@@ -31,12 +31,10 @@ class Paths(NamedTuple):
     Attributes:
         x: Points (n, 8) of norm one.
         t: How far each came (n,); 1 where the end is regular.
-        n_steps: Steps of the longest path.
     """
 
     x: np.ndarray
     t: np.ndarray
-    n_steps: int
 
     @property
     def regular(self) -> np.ndarray:
@@ -57,9 +55,9 @@ def track(start: Hexapod, end: Hexapod, x: np.ndarray, *, tolerance: float = 1e-
     moving = _Moving.between(start, end)
     x, t, shrink = x / np.linalg.norm(x, axis=1, keepdims=True), np.zeros(len(x)), np.ones(len(x))
     active = np.arange(len(x))
-    step = 0
-    while len(active) and step < max_steps:
-        step += 1
+    for _ in range(max_steps):
+        if not len(active):
+            break
         terms = moving.series(x[active], t[active])
         h = shrink[active] * _step(terms, tolerance)
         last = h >= 1 - t[active]
@@ -71,7 +69,7 @@ def track(start: Hexapod, end: Hexapod, x: np.ndarray, *, tolerance: float = 1e-
         shrink[active] = np.where(good, np.minimum(1.0, 2 * shrink[active]), 0.5 * shrink[active])
         stuck = ~good & (h < _SMALLEST)
         active = active[(1 - t[active] > np.where(nearly_null(x[active]), _SMALLEST_NULL, _SMALLEST)) & ~stuck]
-    return Paths(x, t, step)
+    return Paths(x, t)
 
 
 def nearly_null(x: np.ndarray) -> np.ndarray:

@@ -18,10 +18,10 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.assumptions.guideway import SURE
 from tau_dyn.kinematics.poses import Poses
 
 FEWEST = 6
-SURE = 0.01
 NEAR_POLE = np.radians(2.0)
 """Second Euler angle this close to 0 or 180 degrees leaves the first and third free to trade."""
 

@@ -15,7 +15,7 @@ from tau_dyn.kinematics.workspace.judge import Judge
 from tau_dyn.kinematics.workspace.lattice import INSIDE, Explored, Lattice, explore, lattice_over
 from tau_dyn.kinematics.workspace.machine import Machine
 from tau_dyn.kinematics.workspace.machines import machine_of
-from tau_dyn.kinematics.workspace.measure import bounding_box, connected, deep, missed_size, size_of
+from tau_dyn.kinematics.workspace.measure import Size, bounding_box, connected, deep, missed_size, size_of
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.robot import Robot
 
@@ -68,14 +68,12 @@ class _Recorder:
         self.judge, self.turn = judge, turn
         self.places: list[np.ndarray] = []
         self.q: list[np.ndarray] = []
-        self.codes: list[np.ndarray] = []
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
         poses = Poses(places, np.broadcast_to(self.turn, (len(places), 3, 3)))
         judged = self.judge.judge(poses)
         self.places.append(places)
         self.q.append(judged.q)
-        self.codes.append(judged.code)
         return judged.code
 
 
@@ -87,8 +85,8 @@ def _explored(
     step = _resolution(resolution, lower, upper)
     if step is None:
         step = _suitable(machine, judge, turn, lower, upper)
-    recorder = _Recorder(judge, turn)
     for _ in range(_GROWTH):
+        recorder = _Recorder(judge, turn)
         found = explore(lattice_over(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed)
         below, above = _touched(found.inside)
         below &= lower > judge.demands.surroundings.lower
@@ -97,7 +95,6 @@ def _explored(
             break
         room = 0.25 * (upper - lower)
         lower, upper = lower - room * below, upper + room * above
-        recorder = _Recorder(judge, turn)
     return found, recorder
 
 
@@ -180,9 +177,8 @@ def _result(machine: Machine, judge: Judge, turn: np.ndarray, found: Explored, r
         belongs = kept
         if not belongs.any():
             raise InputError(f"nothing keeps {demands.border:g} m from the border; ask for less")
-    places, q, codes = (np.concatenate(x) for x in (recorder.places, recorder.q, recorder.codes))
+    places, q = np.concatenate(recorder.places), np.concatenate(recorder.q)
     index = np.rint((places - lattice.low) / lattice.step).astype(int)
-    codes = code[tuple(index.T)]
     size = size_of(belongs, lattice.step, missed_size(found))
     lower, upper = bounding_box(belongs, lattice.low, lattice.step)
     return Workspace(
@@ -199,7 +195,7 @@ def _result(machine: Machine, judge: Judge, turn: np.ndarray, found: Explored, r
         reasons=judge.reasons,
         places=places,
         q=q,
-        place_codes=codes,
+        place_codes=code[tuple(index.T)],
         warnings=tuple(_warnings(machine, judge, found, size)),
     )
 
@@ -217,7 +213,7 @@ def _start(lattice: Lattice, inside: np.ndarray, home: np.ndarray) -> tuple[int,
     return tuple(index[int(np.argmin(np.linalg.norm(lattice.points(index) - home, axis=1)))].tolist())
 
 
-def _warnings(machine: Machine, judge: Judge, found: Explored, size) -> list[str]:
+def _warnings(machine: Machine, judge: Judge, found: Explored, size: Size) -> list[str]:
     said = []
     coarse = found.lattice.step * found.lattice.stride
     for obstacle in judge.demands.surroundings.obstacles:

@@ -9,6 +9,7 @@ import numpy as np
 from tau_dyn.kinematics.ball_joints import BallJoints, ball_joints
 from tau_dyn.kinematics.collisions import Placed, touched_obstacle
 from tau_dyn.kinematics.dexterity import dexterity
+from tau_dyn.kinematics.joint_limits import SLACK, unwound
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.demands import Demands, Reasons
 from tau_dyn.kinematics.workspace.lattice import INSIDE
@@ -16,7 +17,6 @@ from tau_dyn.kinematics.workspace.machine import Machine, travel
 from tau_dyn.kinematics.workspace.pairs import pairs_of
 
 _BATCH = 20000
-_SLACK = 1e-9
 
 
 class Judged(NamedTuple):
@@ -38,6 +38,7 @@ class Judge:
             self.balls = ball_joints(machine.rods, angle=demands.ball_angle)
         self._lower, self._upper = travel(machine.robot)
         self._endless = ~np.isfinite(machine.robot.upper) | ~np.isfinite(machine.robot.lower)
+        self._turns = np.array([kind == "revolute" for kind in machine.robot.joint_kinds]) & ~self._endless
         home = dexterity(machine.rates(machine.robot.home[None], machine.home))
         self._signs = float(home.tool_sign[0]), float(home.actuator_sign[0])
         self.pairs, self.touching = pairs_of(machine, demands.clearance) if demands.collisions else ([], [])
@@ -58,7 +59,7 @@ class Judge:
         code = np.full(len(solved.ok), INSIDE)
         for reason in np.unique(solved.reason[~solved.ok].astype(str)):
             code[~solved.ok & (solved.reason == reason)] = self.reasons.code(*_of_solver(reason))
-        q = self._unwound(solved.q)
+        q = unwound(solved.q, self._turns, self._lower, self._upper)
         self._actuators(code, q)
         self._places(code, poses.position)
         self._balls(code, q, poses)
@@ -73,18 +74,6 @@ class Judge:
         if len(hit):
             code[hit] = self.reasons.code(kind, culprit)
 
-    def _unwound(self, q: np.ndarray) -> np.ndarray:
-        """Return positions with turns outside their limits moved by a whole turn where that fits."""
-        q = q.copy()
-        for k, kind in enumerate(self.machine.robot.joint_kinds):
-            for turn in (2 * np.pi, -2 * np.pi) if kind == "revolute" and not self._endless[k] else ():
-                with np.errstate(invalid="ignore"):
-                    outside = (q[:, k] < self._lower[k] - _SLACK) | (q[:, k] > self._upper[k] + _SLACK)
-                moved = q[:, k] + turn
-                fits = outside & (moved >= self._lower[k] - _SLACK) & (moved <= self._upper[k] + _SLACK)
-                q[fits, k] = moved[fits]
-        return q
-
     def _actuators(self, code: np.ndarray, q: np.ndarray) -> None:
         if not self.demands.actuators:
             return
@@ -92,7 +81,7 @@ class Judge:
         for k, name in enumerate(self.machine.robot.actuated):
             if not self._endless[k]:
                 x = q[index, k]
-                outside = (x < self._lower[k] - _SLACK) | (x > self._upper[k] + _SLACK)
+                outside = (x < self._lower[k] - SLACK) | (x > self._upper[k] + SLACK)
                 self._mark(code, index, outside, "actuator limit", name)
 
     def _places(self, code: np.ndarray, place: np.ndarray) -> None:
@@ -100,7 +89,7 @@ class Judge:
         around = self.demands.surroundings
         for k, axis in enumerate("xyz"):
             x = place[index, k]
-            self._mark(code, index, (x < around.lower[k] - _SLACK) | (x > around.upper[k] + _SLACK), "tool limit", axis)
+            self._mark(code, index, (x < around.lower[k] - SLACK) | (x > around.upper[k] + SLACK), "tool limit", axis)
         for zone in around.obstacles:
             kind = "safety zone" if zone.blocks == "tool" else "obstacle"
             self._mark(code, index, zone.distance(place[index]) < zone.margin, kind, zone.name)
@@ -113,7 +102,7 @@ class Judge:
         angles = self.balls.angles(q[index], self.machine.rods.plate_poses(poses.take(index)))
         for side, where in enumerate(("cart", "plate")):
             for k, rod in enumerate(self.machine.rods.names):
-                wrong = angles[:, side, k] > self.balls.limits[side, k] + _SLACK
+                wrong = angles[:, side, k] > self.balls.limits[side, k] + SLACK
                 self._mark(code, index, wrong, "ball joint", f"{rod} on the {where}")
 
     def _singular(self, code: np.ndarray, q: np.ndarray, poses: Poses) -> None:

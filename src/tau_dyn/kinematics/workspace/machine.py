@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.bodies import Body
-from tau_dyn.kinematics.collisions import Placed, moved
+from tau_dyn.kinematics.collisions import Placed, moved, standing
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
@@ -107,7 +106,6 @@ def frames_of(robot: Robot, joints: list, q: np.ndarray) -> Frames:
 def carried(body: Body, at: Frames | None) -> Placed:
     """Return a body where its joint is, or where it stands."""
     if body.joint == 0 or at is None:
-        placement: pin.SE3 = body.placement
-        return Placed(body.shape, placement.rotation[None].copy(), placement.translation[None].copy())
+        return standing(body.shape, body.placement)
     rotation = np.ascontiguousarray(np.moveaxis(at.rotation[body.joint], 2, 0))
     return moved(body, rotation, at.origin[body.joint].T)

@@ -13,26 +13,26 @@ from tau_dyn.kinematics.dexterity import Rates, dexterity, worst_force, worst_sp
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.stiffness import Softest, Springs, compliance, in_series, softest
 from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.robot import Robot
 
 JOINT_STIFFNESS = 115e6
 """Stiffness of one ball joint [N/m]: the full-size Gantry-Tau prototypes' (thesis 2.3, 115 kN/mm)."""
 
 
 class Quantity(NamedTuple):
-    """What a map shows: its words, unit, and whether more is better."""
+    """What a map shows: its words and unit."""
 
     words: str
     unit: str
-    more_is_better: bool
 
 
 QUANTITIES: dict[str, Quantity] = {
-    "condition": Quantity("condition number", "1", False),
-    "manipulability": Quantity("manipulability", "1", True),
-    "singularity": Quantity("distance to singularity", "1", True),
-    "stiffness": Quantity("stiffness, softest direction", "N/m", True),
-    "speed": Quantity("speed in every direction", "m/s", True),
-    "force": Quantity("force in every direction", "N", True),
+    "condition": Quantity("condition number", "1"),
+    "manipulability": Quantity("manipulability", "1"),
+    "singularity": Quantity("distance to singularity", "1"),
+    "stiffness": Quantity("stiffness, softest direction", "N/m"),
+    "speed": Quantity("speed in every direction", "m/s"),
+    "force": Quantity("force in every direction", "N"),
 }
 
 
@@ -90,7 +90,7 @@ def elasticity(machine: Machine, rod: float | None = None, actuators: Mapping[st
     )
 
 
-def _drives(robot, given: Mapping[str, float]) -> np.ndarray:
+def _drives(robot: Robot, given: Mapping[str, float]) -> np.ndarray:
     drives = np.full(robot.na, np.inf)
     for name, value in given.items():
         if not value > 0:
@@ -163,7 +163,7 @@ class Quality:
 
 
 class Statistics(NamedTuple):
-    """Least, middle, largest, and the share of points near the middle half."""
+    """Least, middle and largest of finite values."""
 
     least: float
     median: float

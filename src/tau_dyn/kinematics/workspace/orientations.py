@@ -15,7 +15,6 @@ from tau_dyn.kinematics.workspace.result import Workspace
 _SIDES = 24
 _MOST = np.deg2rad(120.0)
 _STEP = np.deg2rad(1.0)
-_ROTATES = 1e-6
 
 
 class Tilt(NamedTuple):

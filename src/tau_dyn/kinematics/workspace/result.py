@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.demands import KINDS, Reasons
 from tau_dyn.kinematics.workspace.judge import Judge
-from tau_dyn.kinematics.workspace.lattice import Lattice
+from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice
 from tau_dyn.kinematics.workspace.machine import Machine
 from tau_dyn.kinematics.workspace.measure import Size
 
@@ -48,7 +48,7 @@ class Workspace:
         judge: What decided.
         rotation: Rotation (3, 3) of the tool.
         lattice: The points that were looked at.
-        code: Code of every point (lattice shape), 0 where it belongs.
+        code: Code of every point (lattice shape), `INSIDE` where it belongs.
         asked: Whether a point was judged itself, not filled from its neighbours (lattice shape).
         size: Volume with bounds [m^3]; area or length where the tool moves in a plane or on a line.
         lower: Lowest coordinates of the set (3,) [m].
@@ -76,12 +76,11 @@ class Workspace:
     q: np.ndarray
     place_codes: np.ndarray
     warnings: tuple[str, ...] = ()
-    more: dict[str, Any] = field(default_factory=dict)
 
     @property
     def inside(self) -> np.ndarray:
         """Whether each point belongs (lattice shape)."""
-        return self.code == 0
+        return self.code == INSIDE
 
     @property
     def dimension(self) -> int:
@@ -137,5 +136,4 @@ class Workspace:
                 else None,
             },
             "excluded": self.counts(),
-            **self.more,
         }

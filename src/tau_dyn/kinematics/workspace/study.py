@@ -13,6 +13,7 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.workspace.catalogue import Catalogue, catalogue
 from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.find import find_workspace
+from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.kinematics.workspace.maps import Quality, elasticity
 from tau_dyn.kinematics.workspace.orientations import Tilt, tilt, turns_freely
@@ -60,13 +61,12 @@ class Study(Shown):
     def _cloud(self) -> dict[str, Any]:
         """Return places inside [m], thinned, with the maps there: what a viewer draws."""
         space = self.workspace
-        inside = np.flatnonzero(space.place_codes == 0)
+        inside = np.flatnonzero(space.place_codes == INSIDE)
         chosen = inside[:: max(1, -(-len(inside) // _MOST_PLACES))]
         values = self.quality.values(self.maps, space.q[chosen], space.poses(space.places[chosen]))
         return {"points": space.places[chosen], "values": values}
 
     def _section(self, s: Section) -> dict[str, Any]:
-        reach = s.code != 0
         kinds = {code: kind for code, kind, _ in self.workspace.reasons.items()}
         solved = ~np.isin(s.code, [c for c, kind in kinds.items() if kind == "out of reach"])
         cell = float(np.diff(s.u[:2])[0]) ** 2 if len(s.u) > 1 else 0.0
@@ -76,7 +76,7 @@ class Study(Shown):
             "area_m2": s.area,
             "area_with_inverse_kinematics_m2": float(solved.sum()) * cell,
             "extent": dict(zip(("xyz"[s.across], "xyz"[s.up]), ends, strict=True)),
-            "points": int(reach.size),
+            "points": int(s.code.size),
         }
 
 
@@ -92,7 +92,7 @@ def study(
     turn_deg: Sequence[float] | None = None,
     sections: Sequence[str] = (),
     maps: Sequence[str] = (),
-    tilt_at: Sequence[float] | None = None,
+    tilt_at: Sequence[float] | np.ndarray | None = None,
     rod_stiffness: float | None = None,
     actuator_stiffness: Mapping[str, float] | None = None,
     seed: int = 0,
@@ -131,12 +131,11 @@ def study(
     cuts = [section(found, axis, at, quality, names) for axis, at in planes or usual_sections(found)]
     progress("maps over the workspace")
     figures = catalogue(found, quality)
-    free = turns_freely(found)
     if tilt_at is not None and not np.isfinite(tilt_at).all():
         raise InputError("the place of --tilt must hold three finite numbers")
     lean = (
         tilt(found, np.asarray(tilt_at if tilt_at is not None else machine.home.position[0]))
-        if free or tilt_at
+        if tilt_at is not None or turns_freely(found)
         else None
     )
     warnings = [*found.warnings]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.study import Study
 
 
@@ -16,7 +17,7 @@ def points_table(found: Study) -> pd.DataFrame:
     places, q, codes = space.places[first], space.q[first], space.place_codes[first]
     columns: dict[str, np.ndarray] = {f"{axis}_tool": places[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"q_{name}": q[:, k] for k, name in enumerate(space.machine.robot.actuated)}
-    inside = codes == 0
+    inside = codes == INSIDE
     columns["inside"] = inside.astype(int)
     words = {int(code): space.reasons.words(int(code)) for code in np.unique(codes)}
     columns["reason"] = np.array([words[int(code)] for code in codes], dtype=object)

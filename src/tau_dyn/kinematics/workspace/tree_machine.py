@@ -11,14 +11,13 @@ from tau_dyn.kinematics import jacobians
 from tau_dyn.kinematics.bodies import read_bodies
 from tau_dyn.kinematics.collisions import Placed
 from tau_dyn.kinematics.dexterity import Rates
+from tau_dyn.kinematics.engines import engine_of
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.loop_arrays import LoopArrays
-from tau_dyn.kinematics.loops import LoopSolver
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.tree_arrays import joints_of
-from tau_dyn.kinematics.workspace.machine import Solved, carried, drawn_positions, frames_of
+from tau_dyn.kinematics.tree_pose import TreePose
+from tau_dyn.kinematics.workspace.machine import Solved, carried, drawn_positions
 from tau_dyn.robot import Robot
 
 _WAVES = 300
@@ -59,11 +58,10 @@ class TreeMachine:
         self.robot = robot
         self.rods: Rods | None = None
         self.home = forward_kinematics(robot, robot.home[None]).poses
-        self._joints = joints_of(robot.model) or []
-        self._loops = LoopArrays(LoopSolver(robot), self._joints) if self._joints and robot.loops else None
+        engine = engine_of(robot)
+        assert isinstance(engine, TreePose)
+        self._engine = engine
         self.bodies, self.meshes = read_bodies(robot)
-        if not self._joints:
-            self.bodies = [b for b in self.bodies if b.joint == 0]
         self._turns = np.array([kind == "revolute" for kind in robot.joint_kinds])
         self._start, self._widest = _Start(), 0.0
         self._start.add(self.home.position, robot.home[None])
@@ -123,9 +121,7 @@ class TreeMachine:
 
     def solids(self, q: np.ndarray, poses: Poses) -> list[Placed]:
         """Return `bodies` at these poses."""
-        if not self._joints:
-            return [carried(body, None) for body in self.bodies]
-        at = self._loops.close(q).at if self._loops is not None else frames_of(self.robot, self._joints, q)
+        at = self._engine.loops.close(q).at
         return [carried(body, at) for body in self.bodies]
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
