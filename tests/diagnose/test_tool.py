@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.aliases import alias_periods
+from tau_dyn.diagnose.force import diagnosis_preparation
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.tool import tool_channel
 from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
+from tau_dyn.diagnose.tool_pieces import piece_of
 from tau_dyn.dynamics import GantryTauMechanism
 from tau_dyn.effects import EFFECTS
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -237,3 +240,22 @@ def test_logs_in_different_frames_are_refused(rng) -> None:
     one, other = recorded(t, q, tool_at(q), rng), recorded(t, q, tool_at(q)[:, [1, 2, 0]], rng)
     with pytest.raises(InputError, match="measured in one frame"):
         tool_channel(model, [one, other])
+
+
+def test_forces_that_are_not_there_are_missed(rng):
+    """Whoever forgot a force column is told that only positions were looked at, and which column would change that."""
+    t, q = poses(rng, 60)
+    found = diagnose(robot, [recorded(t, q, tool_at(q), rng)])
+    assert (
+        found.warnings[0]
+        == "forces were not looked at, only positions: the logs have no tau_cart1, tau_cart2, tau_cart3"
+    )
+
+
+def test_a_cart_that_stands_exactly_still_spoils_no_sample(rng):
+    """Rounding turns the sign of a velocity that is zero; that is no reversal, and the tool is looked at all the same."""
+    t, q = moving(rng, 8.0)
+    q[:, 2] = robot.home[2]
+    log = recorded(t, q, tool_at(q), rng)
+    piece = piece_of(model, log, diagnosis_preparation(robot, [log], ()))
+    assert piece.usable.mean() > 0.5

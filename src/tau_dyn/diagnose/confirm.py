@@ -21,7 +21,7 @@ from scipy import stats
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
 from tau_dyn.diagnose.parts import CONFIRM, TRAIN
-from tau_dyn.diagnose.trials import _PRIOR_BLOCKS
+from tau_dyn.diagnose.trials import PRIOR_BLOCKS
 from tau_dyn.estimate import Autoregression, Whitener
 
 LEVEL = 0.02
@@ -111,9 +111,9 @@ def _regress(free: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held
     blocks = np.bincount(held.block, along[: len(r)] * rest)
     count = len(np.unique(held.block))
     ratio = float(np.sum(blocks**2)) / (variance * square)
-    inflation = max(1.0, (count * ratio + _PRIOR_BLOCKS) / (count + _PRIOR_BLOCKS))
+    inflation = max(1.0, (count * ratio + PRIOR_BLOCKS) / (count + PRIOR_BLOCKS))
     stderr = float(np.sqrt(inflation * variance / square))
-    dof = max(2.0, count + _PRIOR_BLOCKS - 1)
+    dof = max(2.0, count + PRIOR_BLOCKS - 1)
     return Confirmation(float(solution[0]), stderr, float(stats.t.sf(solution[0] / stderr, dof)))
 
 

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.effect import JointMotion
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
+from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
 

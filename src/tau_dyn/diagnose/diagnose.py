@@ -116,7 +116,13 @@ def diagnose(
         base = found[0].model if found else prepared
         if has_tool(base.robot, train) and (not found or tool_disagrees(base, train)):
             with_tool = [log for log in held if has_tool(base.robot, [log])]
-            found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
+            try:
+                found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
+            except CannotAnswer as fault:
+                if not found:
+                    raise
+                more = f"tool positions were not looked at: {fault.missing}"  # forces have their answer
+                found[0] = replace(found[0], warnings=(*found[0].warnings, more))
         if has_links(train):
             found.append(diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress))
         return _forces_missed(merged(found), prepared.robot, train)

@@ -9,7 +9,7 @@ twice that noncentrality, as it is an estimate itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +25,6 @@ from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
 from tau_dyn.model import Model
 
 MARGIN = 2.0
-
-Remake = Callable[[Sequence[Log]], Channel]
-"""Builds the channel of other logs as the first one was built: same filters, same parts, same baseline."""
 
 
 def noise_only(

@@ -13,7 +13,7 @@ from tau_dyn.diagnose.parts import CONFIRM, TRAIN
 from tau_dyn.diagnose.result import Finding, Gain, Signature
 from tau_dyn.diagnose.search import Found, Search, columns_of, tangents
 from tau_dyn.effects import Effect
-from tau_dyn.effects.effect import spelled
+from tau_dyn.effects.words import spelled
 from tau_dyn.parameters import Parameter, Parameters
 
 _POINTS = 2000

@@ -11,10 +11,9 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.extend import Judged, errors_of
 from tau_dyn.diagnose.noise import rich_columns
 from tau_dyn.diagnose.result import Errors
-from tau_dyn.diagnose.search import Search
 
 
-def noise_floor(channel: Channel, search: Search, extended: Judged, rng: np.random.Generator) -> Errors:
+def noise_floor(channel: Channel, extended: Judged, rng: np.random.Generator) -> Errors:
     """Return the floor on the part used for nothing else."""
     masks, variables = channel.masks(0, 1, 2), channel.variables()
     left = [e.copy() for e in extended.residuals]

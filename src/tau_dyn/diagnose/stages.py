@@ -248,7 +248,7 @@ def assembled(
         seed: Seed of whatever was random.
     """
     before, after = bars.judgements[0], bars.judgements[-1]
-    floor = noise_floor(channel, hunt, after, np.random.default_rng(seed))
+    floor = noise_floor(channel, after, np.random.default_rng(seed))
     return Diagnosis(
         verdict=answer.verdict,
         sentence=answer.sentence,

@@ -24,6 +24,8 @@ OUTPUTS = ("x_tool", "y_tool", "z_tool")
 POSE_S = 1.0
 """Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
 _SAME = 1e-4  # of a joint's range: it has not moved
+_STILL = 1e-9
+"""Speed [m/s or rad/s] that rounding alone gives a joint which stands still without any noise."""
 _FAR = 0.05
 """Distance from forward kinematics over the positions' own spread, above which the two do not belong together."""
 _LINE = 1e-6
@@ -135,7 +137,7 @@ def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _kept(v: np.ndarray, threshold: float) -> np.ndarray:
     """Return the direction (N,) of the last motion that was surely one; before the first, that of the first."""
-    sure = np.flatnonzero(np.abs(v) >= threshold)
+    sure = np.flatnonzero(np.abs(v) >= max(threshold, _STILL))
     if not len(sure):
         return np.zeros_like(v)
     last = np.searchsorted(sure, np.arange(len(v)), side="right") - 1

@@ -24,7 +24,7 @@ DRAWS = 60
 DENSE_DRAWS = 24
 """Of a scan of thousands of periods, whose largest value hardly varies."""
 _CHUNK = 64
-_PRIOR_BLOCKS = 10.0
+PRIOR_BLOCKS = 10.0
 """Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
 GROUP_LEVEL = 0.01
 """Level at which a further joint joins a cause."""
@@ -301,4 +301,4 @@ def _inflation(ground: Ground, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> f
     blocks = np.bincount(ground.whiten.block, along * e)
     count = len(np.unique(ground.whiten.block))
     ratio = float(np.sum(blocks**2)) / square
-    return max(1.0, (count * ratio + _PRIOR_BLOCKS) / (count + _PRIOR_BLOCKS))
+    return max(1.0, (count * ratio + PRIOR_BLOCKS) / (count + PRIOR_BLOCKS))

@@ -19,6 +19,7 @@ from tau_dyn.diagnose.encoders import MARGIN, noncentrality
 from tau_dyn.diagnose.ground import Ground, gains
 from tau_dyn.diagnose.noise import over_runs, smooth
 from tau_dyn.diagnose.parts import TRAIN
+from tau_dyn.diagnose.trials import PRIOR_BLOCKS
 
 _PAIR_PRICE = 4.0
 """What a second variable has to explain more than one alone, in twice the log-likelihood, beside its degrees of freedom."""
@@ -67,7 +68,7 @@ def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: f
         both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
         Q = ground.Q[rows]
         for names, signed in _sets(values, output):
-            C = _rows(channel, ground, k, _bases(values, names, signed, output))
+            C = _rows(ground, k, _bases(values, names, signed, output))
             if C.shape[1] == 0:
                 continue
             A = Q.T @ C
@@ -130,7 +131,7 @@ def _basis(values: Mapping[str, np.ndarray], names: tuple[str, ...], signed: boo
     return np.column_stack([sign * c for c in columns]) if columns else np.zeros((len(next(iter(values.values()))), 0))
 
 
-def _rows(channel: Channel, ground: Ground, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
+def _rows(ground: Ground, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
     return ground.whiten.one(output, basis) / ground.scale
 
 
@@ -138,7 +139,7 @@ def _inflation(channel: Channel, ground: Ground, output: str, names: tuple[str, 
     """Return the scatter of blocks over what the noise model says, at least 1."""
     k = channel.outputs.index(output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    C = _rows(channel, ground, k, _bases(channel.variables(), names, signed, output))
+    C = _rows(ground, k, _bases(channel.variables(), names, signed, output))
     left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
     gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
     along = left @ gamma
@@ -147,7 +148,7 @@ def _inflation(channel: Channel, ground: Ground, output: str, names: tuple[str, 
         return 1.0
     scores = np.bincount(ground.whiten.block[rows], along * (ground.e[rows] - along))
     count = len(np.unique(ground.whiten.block[rows]))
-    return max(1.0, (count * float(np.sum(scores**2)) / square + 10.0) / (count + 10.0))
+    return max(1.0, (count * float(np.sum(scores**2)) / square + PRIOR_BLOCKS) / (count + PRIOR_BLOCKS))
 
 
 def _described(
@@ -177,7 +178,7 @@ def _formula(channel: Channel, ground: Ground, k: int, names: tuple[str, ...], o
     rows = np.flatnonzero(ground.whiten.index == k)
     best, text = _SIMPLE * T, ""
     for label, bases in _terms(channel.variables(), names, output).items():
-        C = _rows(channel, ground, k, bases)
+        C = _rows(ground, k, bases)
         A = ground.Q[rows].T @ C
         G = float(np.sum(C**2) - np.sum(A**2))
         if G <= _LEFT * float(np.sum(C**2)):
