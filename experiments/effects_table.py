@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.effects import EFFECTS, Effect, Scene
-from tau_dyn.effects.effect import spelled
+from tau_dyn.effects.words import spelled
 from tau_dyn.files import write_whole
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "effects.md"

@@ -6,6 +6,9 @@ cannot answer, 1 for a defect of ours.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 LONGEST_SENTENCE = 1000
 """Characters of a message; what a file holds may be quoted in it, and has no end."""
 
@@ -18,6 +21,16 @@ def one_line(text: str) -> str:
     return (
         words if words.isprintable() else "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)
     )
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return a question about the nearest known word, in brackets; nothing where none is near, or only its number differs."""
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.7)
+    return f" (did you mean {near[0]}?)" if near and _digits(near[0]) == _digits(word) else ""
+
+
+def _digits(word: str) -> str:
+    return "".join(c for c in word if c.isdigit())
 
 
 class TauDynError(Exception):
@@ -44,7 +57,8 @@ class UnknownName(InputError, KeyError):
         names = [str(k) for k in known]  # type: ignore[attr-defined]
         listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
         there_are = f"there are {listed}" if names else "there are none"
-        super().__init__(f"{where + ': ' if where else ''}no {kind} named '{name}'; {there_are}")
+        near = did_you_mean(name, names)
+        super().__init__(f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}")
 
 
 class LoopClosureError(InputError):

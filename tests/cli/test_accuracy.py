@@ -100,7 +100,7 @@ def test_serial_arm_errs_by_its_lever(tmp_path: Path) -> None:
         (["--actuator-error", "5e-5", "--section", "x=99"], "reaches nothing of the section x = 99 m"),
         (["--actuator-error", "5e-5", "--section", "x"], "write an axis and where to cut it"),
         (["--actuator-error", "5e-5", "--method", "guess"], "no method named 'guess'"),
-        (["--actuator-error", "5e-5", "--grid", "1"], "between 2 and 201"),
+        (["--actuator-error", "5e-5", "--grid", "1"], "from 2 to 201"),
         (["--actuator-error", "5e-5", "--range", "y=0:1"], "needs a range of y and one of z"),
         (["--measured", "nowhere.csv"], "nowhere.csv"),
         (["--errors", "nowhere.yaml"], "nowhere.yaml"),

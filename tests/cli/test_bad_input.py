@@ -118,7 +118,19 @@ def test_a_still_log_cannot_answer(tmp_path, capsys):
     log = axis_log(tmp_path / "still.csv", q=np.zeros_like(T))
     out = tmp_path / "r.json"
     assert "move axis" in fails(capsys, ["identify", "linear_axis", log, "--json", out], status=3)
-    assert json.loads(out.read_text())["status"] == "cannot_answer"
+    said = json.loads(out.read_text())
+    assert said["status"] == "cannot_answer"
+    assert [Path(row["path"]).name for row in said["inputs"]] == ["linear_axis.urdf.xacro", "still.csv"]
+
+
+def test_poses_that_cannot_answer_name_their_files_too(tmp_path, capsys):
+    """What went in stands in every result, also where calibrated poses were too few to say anything."""
+    poses, held, out = (tmp_path / n for n in ("p.csv", "h.csv", "r.json"))
+    for path in (poses, held):
+        path.write_text("q_cart1,q_cart2,q_cart3,x_tool,y_tool,z_tool\n0,0,0,1,0,1\n")
+    fails(capsys, ["calibrate", "gantry_tau", poses, "--holdout", held, "--json", out], status=3)
+    names = [Path(row["path"]).name for row in json.loads(out.read_text())["inputs"]]
+    assert names == ["gantry_tau.urdf.xacro", "p.csv", "h.csv"]
 
 
 def test_positions_in_millimetres_are_noticed(tmp_path, capsys):

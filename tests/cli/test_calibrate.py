@@ -25,9 +25,11 @@ def campaign(tmp_path_factory):
     poses, _ = measured(rods, "nonparallel", 120, 5)
     every = np.arange(poses.n)
     (folder / "poses.csv").write_text(to_csv(poses.take(every[::2]), rods.robot.actuated))
-    (folder / "held.csv").write_text(to_csv(poses.take(every[1::2]), rods.robot.actuated))
+    (folder / "held.csv").write_text(to_csv(poses.take(every[1::4]), rods.robot.actuated))
+    (folder / "more.csv").write_text(to_csv(poses.take(every[3::4]), rods.robot.actuated))
+    held = [str(folder / "held.csv"), str(folder / "more.csv")]
     status = main(
-        ["calibrate", "gantry_tau", str(folder / "poses.csv"), "--holdout", str(folder / "held.csv"), "--quiet"]
+        ["calibrate", "gantry_tau", str(folder / "poses.csv"), "--holdout", *held, "--quiet"]
         + ["--json", str(folder / "r.json"), "--report", str(folder / "r.html"), "--out", str(folder / "m.yaml")]
     )
     assert status == 0
@@ -84,6 +86,13 @@ def test_page_is_one_file_and_tells_the_story(campaign):
     for section in ("Error before and after", "What each model gained", "Errors in space", "What no pose can tell"):
         assert section in page
     assert "made up for by" in page
+
+
+def test_every_file_stands_in_the_pages_provenance(campaign):
+    """Poses may be held out in several files; the page names each with its hash."""
+    page = (campaign / "r.html").read_text()
+    inputs = json.loads((campaign / "r.json").read_text())["inputs"]
+    assert len(inputs) == 4 and all(row["sha256"] in page for row in inputs)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def test_all_configurations(tmp_path, capsys):
     [
         (["ik", "gantry_tau", "--position", "9", "9", "9"], "cannot be reached: out of reach of cart1"),
         (["ik", "gantry_tau", "--position", "3.75", "-0.6", "0.75"], "cart1 would be at 1.87522 m"),
-        (["ik", "gantry_tau", "--position", "1", "nan", "0"], "not a finite number"),
+        (["ik", "gantry_tau", "--position", "1", "nan", "0"], "write a finite number"),
         (["ik", "gantry_tau"], "give --position X Y Z or --poses"),
         (["ik", "gantry_tau", "--position", "1.7", "-0.6", "0.7", "--quaternion", "0", "0", "0", "0"], "zero"),
         (["fk", "gantry_tau", "--q", "0", "0"], "one value for each actuated joint"),

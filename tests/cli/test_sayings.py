@@ -19,8 +19,13 @@ from tau_dyn.cli import main
         ("simulate linear_axis --rate 0 --out x.csv", "--rate '0': write a number above zero"),
         ("simulate linear_axis --rate abc --out x.csv", "--rate 'abc': write a number above zero"),
         ("fk linear_axis --q abc", "--q 'abc': write a finite number"),
+        ("workspace linear_axis --rod-stiffness -1", "--rod-stiffness '-1': write a number above zero"),
+        ("accuracy delta --grid x", "--grid 'x': write a whole number from 2 to 201"),
+        ("accuracy delta --samples 0", "--samples '0': write a whole number from 1 to 100000"),
+        ("view delta --port 0", "--port '0': write a port between 1 and 65535"),
+        ("excite delta --box a 0 0 1 1 1 --out m.csv", "--box 'a': write a number"),
         ("plan-poses linear_axis --n x", "--n 'x': write a whole number above zero, or auto"),
-        ("identify linear_axis log.csv --out", "--out expected one argument"),
+        ("identify linear_axis log.csv --out", "--out needs a value after it"),
     ],
 )
 def test_a_slip_is_answered_in_words(tmp_path, monkeypatch, capsys, argv, says):

@@ -72,6 +72,15 @@ def test_causes_that_came_and_went_are_listed():
     }
 
 
+@pytest.mark.parametrize("name", ["l.csv", "l.mat", "l.bag", "l.db3", "l.pq", "logs", "L.MCAP"])
+def test_whatever_holds_a_recording_counts_as_one(tmp_path, name):
+    """Logs come in many kinds of files and in folders; robot files and maps are no data."""
+    inputs = [(name, "1"), ("r.urdf.xacro", "2"), ("map.yaml", "3"), ("r.urdf", "4")]
+    content = {"command": "identify", "inputs": [{"path": p, "sha256": h} for p, h in inputs]}
+    (tmp_path / "r.json").write_text(json.dumps(content))
+    assert read_side(tmp_path / "r.json").logs == {"1"}
+
+
 def test_results_from_the_same_recording_say_so():
     """Two analyses of one log are not independent."""
     one, two = (
@@ -95,6 +104,22 @@ def saved(tmp_path, name, mass, stderr):
     )
     model.save(tmp_path / name)
     return tmp_path / name
+
+
+@pytest.mark.parametrize("used", ["trained_on", "held_out"])
+def test_models_from_the_same_recording_say_so(tmp_path, used):
+    """A model file holds the hashes of the logs that it was fitted to and judged on."""
+    for name, mass in (("a.yaml", 95.0), ("b.yaml", 95.2)):
+        model = Model.load(saved(tmp_path, name, mass, 0.2))
+        replace(model, provenance={used: [{"path": "monday.csv", "sha256": "0" * 64}]}).save(tmp_path / name)
+    found = compare(read_side(tmp_path / "a.yaml"), read_side(tmp_path / "b.yaml"))
+    assert any("same recordings" in w for w in found.warnings)
+
+
+def test_a_standard_error_of_zero_is_none(tmp_path):
+    """Two values without a scatter cannot be judged; they do not end in a division by zero."""
+    sides = [read_side(saved(tmp_path, f"{mass}.yaml", mass, 0.0)) for mass in (95.0, 96.0)]
+    assert [c.changed for c in compare(*sides).changes if c.name == "carriage_link.mass"] == [None]
 
 
 def test_the_command_compares_models(tmp_path, capsys):

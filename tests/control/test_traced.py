@@ -35,6 +35,14 @@ def test_array_code_computes_what_it_computes_on_numbers(rng) -> None:
     np.testing.assert_allclose(values, code(A).ravel(), rtol=1e-13)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_small_matrices_have_inverses(n: int, rng) -> None:
+    """The inverse of an expression's matrix times the matrix is the unit matrix, for one number too."""
+    A = rng.standard_normal((n, n)) + 2 * np.eye(n)
+    made = np.linalg.inv(inputs(Graph(), "a", A.ravel()).reshape(n, n))
+    np.testing.assert_allclose([[x.value for x in row] for row in made] @ A, np.eye(n), atol=1e-12)
+
+
 def test_a_question_becomes_a_guard() -> None:
     """`if x > 1` is answered as at the reference state, and the answer is kept to be checked where the code runs."""
     graph = Graph()

@@ -54,6 +54,14 @@ def test_a_urdf_reads_back_with_the_same_forces(model, rng):
     assert_allclose(Model.of(again).mechanism.inverse_dynamics(q, v, a), want, atol=1e-9 * np.abs(want).max())
 
 
+@pytest.mark.parametrize("source", ["a---b", "a--->b", "a-->b", "-", "a\x01\x1bb"])
+@pytest.mark.parametrize("write_file", [urdf_of, mjcf_of])
+def test_no_file_name_ends_the_comment_at_the_top(source, write_file):
+    """An XML comment holds no two hyphens in a row and nothing that is no character; what a file is called may."""
+    robot = robot_from_urdf(load_robot("linear_axis").urdf, source)
+    assert fromstring(write_file(Model.of(robot)).text).tag in ("robot", "mujoco")
+
+
 def test_a_urdf_carries_friction_as_pinocchio_reads_it(model):
     """`<dynamics>` holds the viscous and Coulomb coefficients of each drive."""
     again = robot_from_urdf(urdf_of(model).text, "again")

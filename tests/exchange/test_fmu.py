@@ -258,6 +258,36 @@ def test_units_are_made_of_base_units():
     assert base_units("pieces") is None
 
 
+@pytest.mark.parametrize(
+    ("unit", "powers"),
+    [
+        ("N/(m/s)", {"kg": 1, "s": -1}),
+        ("N m/(rad/s)", {"kg": 1, "m": 2, "s": -1, "rad": -1}),
+        ("N/(m/s)^2", {"kg": 1, "m": -1}),
+        ("N/(m/s K)", {"kg": 1, "s": -1, "K": -1}),
+        ("N s^2/m", {"kg": 1}),
+        ("rad/(N m)", {"rad": 1, "kg": -1, "m": -2, "s": 2}),
+    ],
+)
+def test_a_quotient_in_brackets_is_divided_by_as_a_whole(unit, powers):
+    """A force per speed is a damping, kg/s: what stands below the bar within a bracket comes up again."""
+    assert {k: x for k, x in (base_units(unit) or {}).items() if x} == powers
+
+
+@pytest.mark.parametrize("unit", ["N/(m/s", "N)/m", "(((", "N//m^x", "^2"])
+def test_a_unit_that_is_none_has_no_base_units(unit):
+    """Brackets that do not close and powers that are no numbers give no answer instead of a wrong one."""
+    assert base_units(unit) is None
+
+
+def test_a_joint_cannot_end_the_comment_of_an_fmu():
+    """The source is compiled where the FMU is written: a joint's name stays within the comment that lists it."""
+    robot = robot_from_urdf(load_robot("linear_axis").urdf.replace('"axis"', '"x*/int evil;/*"'), "named")
+    source = source_of(equations_of(Model.of(robot)), "{}")
+    line = next(x for x in source.splitlines() if "Parameters:" in x)
+    assert line.count("*/") == 1 and line.endswith("*/") and line.count("/*") == 1
+
+
 @needs_compiler
 def test_the_command_writes_the_same_file_twice(tmp_path, capsys):
     """`export --to fmu` is the model's own content: no date, no path, no chance."""

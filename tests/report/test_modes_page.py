@@ -16,8 +16,9 @@ from tau_dyn.log import Log
 from tau_dyn.modes import Modes, find_modes
 from tau_dyn.modes.modal import Mode
 from tau_dyn.report import modes_page, print_modes
+from tau_dyn.report.log_chart import LogChart, log_ticks
 from tau_dyn.report.modes_shapes import shape_drawing, space_axes
-from tau_dyn.report.modes_svg import LogChart, between, log_ticks
+from tau_dyn.report.modes_svg import between
 from tau_dyn.report.modes_words import frequency, headline, interval, verdict
 
 

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from tau_dyn.log import Log, check_log
 from tau_dyn.report import check_page, excitation_page, print_check, print_identification, simulation_page
+from tau_dyn.report.identification_words import headline, verdict
 from tau_dyn.report.time_view import even_channels
-from tau_dyn.report.words import headline, verdict
 from tau_dyn.simulate import Sensors, Trajectory
 
 COMMAND = "tau-dyn check 'a & <b>.csv'"

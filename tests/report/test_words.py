@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from tau_dyn.report.figures import friction_curves
+from tau_dyn.report.identification_words import headline, mass_group, verdict
 from tau_dyn.report.robot_picture import robot_picture
+from tau_dyn.report.rows import Row, grouped
 from tau_dyn.report.series import gaps, pack, thin
-from tau_dyn.report.words import headline, listed, mass_group, percent, verdict, with_uncertainty
+from tau_dyn.report.svg import Chart, label, power_of
+from tau_dyn.report.words import listed, percent, with_uncertainty
+from tau_dyn.robot import robot_from_urdf
 
 
 @pytest.mark.parametrize(
@@ -89,3 +93,36 @@ def test_picture_shows_every_joint(robot):
     """The drawing labels the actuated joints."""
     labels = " ".join(re.findall(r"<text[^>]*>([^<]*)</text>", robot_picture(robot)))
     assert all(joint in labels for joint in robot.actuated)
+
+
+def test_an_arm_stands_on_its_foot_whatever_its_other_joints_are(write):
+    """The line from the base to a turning root joint is drawn by the joint's own kind, not by that of one before it."""
+    two = write.two_link().replace(' name="elbow" type="revolute"', ' name="elbow" type="prismatic"')
+    beside = write.joint("turn", "revolute", "base_link", "beside_link", "0 1 0", "0 1 0") + write.drive("turn")
+    text = two.replace("</robot>", f"{write.rod('beside_link', 1, 0.3)}{beside}</robot>")
+    robot = robot_from_urdf(text, "two arms")
+    assert robot.actuated == ("shoulder", "elbow", "turn")
+    assert robot_picture(robot).count('class="rod"') == 2
+
+
+@pytest.mark.parametrize(
+    ("limits", "value", "text", "power"),
+    [
+        ((-3e-7, 4e-7), 2.5e-7, "250", -9),
+        ((0.0, 4e-4), 2.5e-4, "250", -6),
+        ((0.0, 0.02), 0.005, "0.005", 0),
+        ((-120.0, 80.0), -100.0, "−100", 0),
+        ((0.0, 3e5), 2e5, "200", 3),
+    ],
+)
+def test_ticks_are_short_and_say_their_power_of_ten(limits, value, text, power):
+    """Numbers too long for their place leave out a power of ten, which the axis then names."""
+    assert (label(value, limits), power_of(limits)) == (text, power)
+    drawn = Chart(344, 240, (0.0, 1.0), limits, "a", "b", "y").render()
+    assert ("× 10" in drawn) == bool(power)
+
+
+def test_headings_of_the_parameter_table_stand_once():
+    """Lines of one joint stand together however they are ordered; headings keep the order of their first line."""
+    rows = [Row(n, g, "known", "", "", "", "", "", None) for n, g in (("a", "x"), ("b", "y"), ("c", "x"))]
+    assert [(name, [r.name for r in members]) for name, members in grouped(rows)] == [("x", ["a", "c"]), ("y", ["b"])]

@@ -30,8 +30,8 @@ from tau_dyn.cli import (
     view,
     workspace,
 )
-from tau_dyn.cli.common import Parser
 from tau_dyn.cli.execute import execute
+from tau_dyn.cli.parser import Parser
 from tau_dyn.exceptions import TauDynError, one_line
 from tau_dyn.version import __version__
 

@@ -5,7 +5,17 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot,
+    command_line,
+    load_robot_from,
+    progress,
+    robot_file,
+    written,
+)
+from tau_dyn.cli.kinds import whole_between
 from tau_dyn.exceptions import InputError
 
 HELP = "how accurate a robot is; are its guideways straight and parallel"
@@ -42,7 +52,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--range", metavar="AXIS=LOW:HIGH", nargs="+", action="extend", default=[], help="part of the section"
     )
     where.add_argument(
-        "--grid", metavar="N", type=_grid, help="points along the section's longer side (31; 11 for slow ones)"
+        "--grid",
+        metavar="N",
+        type=whole_between(2, 201),
+        help="points along the section's longer side (31; 11 for slow ones)",
     )
     where.add_argument("--no-limits", action="store_true", help="ignore the actuators' position limits")
     where.add_argument("--poses", metavar="POSES.csv", type=Path, help="poses (q_J) instead of a section")
@@ -55,7 +68,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="METHOD",
         help="linear, parallelepiped, ellipsoid, exact, certified, montecarlo or all (default)",
     )
-    how.add_argument("--samples", metavar="N", type=_samples, help="random draws a pose (300; 50 for slow robots)")
+    how.add_argument(
+        "--samples", metavar="N", type=whole_between(1, 100_000), help="random draws a pose (300; 50 for slow robots)"
+    )
     add_common(parser)
 
 
@@ -63,16 +78,16 @@ def run(args: argparse.Namespace) -> Outcome:
     """Bound the tool's error."""
     with progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.accuracy import Errors
+        from tau_dyn.kinematics.engines import rods_of
 
         robot = load_robot_from(args)
-        rods = _rods(robot)
+        rods = rods_of(robot)
         read, files = _measured(args, robot)
         errors, from_measured = _errors(args, robot, rods, read)
         found = (
             _checked_only(robot, read)
             if errors is None
-            else _study(args, robot, rods, errors or Errors(), read, from_measured, step)
+            else _study(args, robot, rods, errors, read, from_measured, step)
         )
     return Outcome(
         result=found.to_dict(),
@@ -86,12 +101,6 @@ def run(args: argparse.Namespace) -> Outcome:
         show=lambda console: _show(console, found, args),
         report=lambda: _page(found, [(name, p.sha256) for name, p in files]),
     )
-
-
-def _rods(robot):
-    from tau_dyn.kinematics.engines import rods_of
-
-    return rods_of(robot)
 
 
 def _measured(args: argparse.Namespace, robot):
@@ -225,25 +234,10 @@ def _doubts(found) -> list[str]:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report import print_accuracy
 
-    written = {"report": args.report, "result": args.json}
-    print_accuracy(console, found, {k: str(v) for k, v in written.items() if v})
+    print_accuracy(console, found, written(args))
 
 
 def _page(found, files: list[tuple[str, str]]) -> str:
     from tau_dyn.report import accuracy_page
 
     return accuracy_page(found, files=files, command_line=command_line())
-
-
-def _grid(text: str) -> int:
-    value = int(text)
-    if not 2 <= value <= 201:
-        raise argparse.ArgumentTypeError(f"'{text}': between 2 and 201 points to a side")
-    return value
-
-
-def _samples(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 100_000:
-        raise argparse.ArgumentTypeError(f"'{text}': between 1 and 100000 draws")
-    return value

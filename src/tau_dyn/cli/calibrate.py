@@ -5,7 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot,
+    command_line,
+    load_robot_from,
+    progress,
+    robot_file,
+    written,
+)
 
 HELP = "geometry with uncertainty from measured poses"
 
@@ -118,8 +127,7 @@ def _save(path: Path, found) -> None:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report.calibration_terminal import print_calibration
 
-    written = {"model": args.out, "report": args.report, "result": args.json}
-    print_calibration(console, found, {k: str(v) for k, v in written.items() if v})
+    print_calibration(console, found, written(args, model=args.out))
 
 
 def _page(found, read: list[tuple[str, str]]) -> str:

@@ -40,7 +40,11 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=checked.to_dict(),
         warnings=log.warnings,
-        inputs=[Path(args.log), *([args.columns] if args.columns else []), *(robot_file(args) if args.robot else [])],
+        inputs=[
+            (args.log, log.sha256),
+            *([args.columns] if args.columns else []),
+            *(robot_file(args) if args.robot else []),
+        ],
         show=lambda console: print_check(console, log, checked),
         report=lambda: check_page(log, checked, robot=robot, command_line=command_line()),
     )

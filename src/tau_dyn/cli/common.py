@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import math
-import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from tau_dyn.cli.run_folder import out_argument
+from tau_dyn.cli.kinds import whole_number
+from tau_dyn.cli.parser import Parser
 from tau_dyn.exceptions import InputError
 
 
@@ -46,105 +45,6 @@ class Outcome:
 
 
 _RUN_FOLDER = "result, report and run.json (what went in, options, versions) go here"
-_NEGATIVE = re.compile(r"^-(\d|\.\d)")
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser whose faults are one sentence, like all others."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Take `-1e-3` for a number: argparse before Python 3.14 takes it for an option."""
-        self.writes = False
-        super().__init__(*args, **kwargs)
-        self._negative_number_matcher = _NEGATIVE
-
-    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
-        """Add an argument; `--out` also takes a run folder, in which the command's own file is called as its metavar."""
-        if "--out" in names:
-            shown, self.writes = options.get("metavar", "FILE"), True
-            options["type"] = out_argument(options.get("type", Path), shown)
-            if shown not in ("DIR", "FOLDER/"):
-                options["help"] = f"{options.get('help', '')}; FOLDER/ takes it with result, report and run.json"
-            self.set_defaults(own_file=shown.lower() if Path(shown).suffix else "")
-        return super().add_argument(*names, **options)
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuse what a command does not know itself, so that its own help is named."""
-        known, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            near = did_you_mean(unknown[0], re.findall(r"--[\w-]+", self.format_usage()))
-            self.error(f"there is no {unknown[0]} here{near}")
-        return known, unknown
-
-    def error(self, message: str) -> NoReturn:
-        """Raise instead of printing usage and leaving; in words that say what would be right."""
-        raise InputError(f"{self.prog}: {_in_words(message)}; see {self.prog} --help")
-
-
-_KINDS = {
-    "whole_number": "a whole number from zero up",
-    "positive": "a number above zero",
-    "positive_large": "a number above zero",
-    "not_negative": "zero or a number above it",
-    "positive_whole": "a whole number above zero",
-    "number_of_poses": "a whole number above zero, or auto",
-    "finite": "a finite number",
-    "float": "a number",
-    "int": "a whole number",
-    "_port": "a port between 1 and 65535",
-    "port": "a port between 1 and 65535",
-}
-"""What the readers of arguments take, for messages."""
-
-
-def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """Return a question about the nearest known word, in brackets; nothing where none is near."""
-    near = difflib.get_close_matches(word, known, n=1)
-    return f" (did you mean {near[0]}?)" if near else ""
-
-
-def _in_words(message: str) -> str:
-    """Return argparse's message as a person would say it."""
-    if match := re.match(r"argument (.+?): invalid (\w+) value: (.+)$", message):
-        kind = _KINDS.get(match[2], match[2].strip("_").replace("_", " "))
-        return f"{match[1]} {match[3]}: write {kind}"
-    if match := re.match(r"argument (.+?): invalid choice: '?(.+?)'? \(choose from (.+)\)$", message):
-        known = [word.strip("' ") for word in match[3].split(",")]
-        what = match[1].lower() if match[1] == "COMMAND" else match[1]
-        return f"there is no {what} '{match[2]}'{did_you_mean(match[2], known)}; there are {', '.join(known)}"
-    if match := re.match(r"the following arguments are required: (.+)$", message):
-        if match[1] == "COMMAND":
-            return "name a command, such as demo"
-        return f"{' and '.join(match[1].rsplit(', ', 1))} {'are' if ',' in match[1] else 'is'} missing"
-    return re.sub(r"^argument (\S+): ", r"\1 ", message)
-
-
-def whole_number(text: str) -> int:
-    """Read a whole number from zero up."""
-    value = int(text)
-    if value < 0:
-        raise ValueError
-    return value
-
-
-def positive(text: str) -> float:
-    """Read a positive number of sensible size."""
-    value = float(text)
-    if not 0 < value < 1e9:
-        raise ValueError
-    return value
-
-
-def not_negative(text: str) -> float:
-    """Read zero or a positive number of sensible size."""
-    return 0.0 if float(text) == 0 else positive(text)
-
-
-def csv_file(text: str) -> Path:
-    """Read the name of a CSV file to write."""
-    if Path(text).suffix.lower() != ".csv":
-        raise argparse.ArgumentTypeError(f"'{text}' must end in .csv, which is what is written")
-    return Path(text)
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -158,10 +58,13 @@ def add_common(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--quiet", action="store_true", help="no progress, no result on the screen; warnings stay")
 
 
-def add_robot(parser: argparse.ArgumentParser, *, optional: bool = False) -> None:
-    """Add the robot and what belongs to loading it."""
-    text = "a .urdf or .urdf.xacro file, or the short name of a robot that comes along (a xacro is code: it evaluates Python)"
-    parser.add_argument("robot", metavar="ROBOT", nargs="?" if optional else None, help=text)
+def add_robot(parser: argparse.ArgumentParser, *, or_model: str = "") -> None:
+    """Add the robot and what belongs to loading it; where a model file is taken as well, `or_model` says what it brings."""
+    code = "(a xacro is code: it evaluates Python)"
+    text = f"a .urdf or .urdf.xacro file, or the short name of a robot that comes along {code}"
+    if or_model:
+        text = text.replace("file, or", "file,") + f", or a model file MODEL.yaml of identify or diagnose, {or_model}"
+    parser.add_argument("robot", metavar="ROBOT", help=text)
     add_robot_options(parser)
 
 
@@ -201,11 +104,22 @@ def load_robot_from(args: argparse.Namespace):
     return load_robot(args.robot, actuated=args.actuated, xacro=not args.no_xacro, **given)
 
 
+def is_model_file(path: str | Path) -> bool:
+    """Tell whether a path names a model file of ours rather than a robot."""
+    return Path(path).suffix.lower() in (".yaml", ".yml")
+
+
 def robot_file(args: argparse.Namespace) -> list[Path]:
-    """Return the robot's file, for the list of inputs."""
+    """Return the robot's or the model's file, for the list of inputs."""
     from tau_dyn.robot.expand import find_robot
 
-    return [find_robot(args.robot)]
+    return [Path(args.robot) if is_model_file(args.robot) else find_robot(args.robot)]
+
+
+def written(args: argparse.Namespace, **own: Path | None) -> dict[str, str]:
+    """Return what was written and where, for the last line on the screen: a command's own files, the page, the result."""
+    files = {**own, "report": args.report, "result": args.json}
+    return {name.replace("_", " "): str(path) for name, path in files.items() if path}
 
 
 def command_line() -> str:

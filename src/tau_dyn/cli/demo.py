@@ -47,8 +47,8 @@ def run(args: argparse.Namespace) -> Outcome:
         truth = hidden_model(true_model(robot, args.seed))
         sensors = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=RATE_HZ)
         logs = []
-        for k, (name, motion, duration) in enumerate((("monday", "fourier", 48.0), ("tuesday", "fourier", 32.0))):
-            path = named_motion(motion, truth, duration, args.seed + k)
+        for k, (name, duration) in enumerate((("monday", 48.0), ("tuesday", 32.0))):
+            path = named_motion("fourier", truth, duration, args.seed + k)
             logs.append(
                 simulate(
                     truth,
@@ -118,7 +118,6 @@ def hidden_model(model):
 def _show(console, found, written: dict[str, str]) -> None:
     from tau_dyn.report import print_diagnosis
 
-    console.print(
-        "Hidden in the made logs: a ripple of 2 N every 20.9 mm on cart2, and Stribeck friction on all carts."
-    )
+    ripple = f"a ripple of {RIPPLE:g} N every {1e3 * TOOTH:g} mm on cart2"
+    console.print(f"Hidden in the made logs: {ripple}, and Stribeck friction on all carts.")
     print_diagnosis(console, found, written)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, csv_file, load_robot_from, progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, written
 from tau_dyn.cli.fitting import add_fitting, fitting_inputs, fitting_options, read_fitting_logs
+from tau_dyn.cli.kinds import csv_file
 from tau_dyn.exceptions import CannotAnswer
 
 HELP = "what the simulation gets wrong, and the cause"
@@ -107,8 +108,7 @@ def _show(console, found, args: argparse.Namespace, result: dict) -> None:
     from tau_dyn.report import print_diagnosis
 
     proposed = result.get("proposal", {})
-    written = {"extended model": args.out, "report": args.report, "result": args.json, "motion": proposed.get("out")}
-    print_diagnosis(console, found, {k: str(v) for k, v in written.items() if v})
+    print_diagnosis(console, found, written(args, extended_model=args.out, motion=proposed.get("out")))
     for note in proposed.get("notes", ()):
         console.print(f"proposed: {note}", markup=False)
 

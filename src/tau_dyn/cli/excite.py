@@ -14,14 +14,11 @@ from tau_dyn.cli.common import (
     add_common,
     add_robot,
     command_line,
-    csv_file,
     load_robot_from,
-    not_negative,
-    positive,
     progress,
     robot_file,
-    whole_number,
 )
+from tau_dyn.cli.kinds import csv_file, not_negative, positive, whole_number
 from tau_dyn.exceptions import InputError
 
 HELP = "an exciting motion within the robot's limits"
@@ -44,7 +41,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="random motions to start or choose from (default 20)",
     )
     parser.add_argument(
-        "--model", default="asymmetric", help="what shall be identified: rigid, symmetric, asymmetric or a file"
+        "--model",
+        default="asymmetric",
+        help="what shall be identified: rigid, symmetric, asymmetric (default) or a model file",
     )
     parser.add_argument(
         "--method", choices=("optimal", "random"), default="optimal",

@@ -7,7 +7,6 @@ written), 3 the data cannot answer (`--json` and the run folder say so), 1 a def
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -18,10 +17,10 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 
-from tau_dyn.cli.common import Outcome, command_line, to_json
+from tau_dyn.cli.common import Outcome, command_line, robot_file, to_json
 from tau_dyn.cli.run_folder import RunFolder, configuration_of
 from tau_dyn.exceptions import CannotAnswer, InputError, one_line
-from tau_dyn.files import writing_whole
+from tau_dyn.files import sha256_of, writing_whole
 from tau_dyn.version import __version__
 
 _OUTPUTS = ("json", "report", "out", "propose", "save_cameras", "rapid", "resume")
@@ -105,7 +104,7 @@ def _checked(call: _Call) -> dict[Path, tuple[int, int]]:
             raise InputError(f"{path} is a folder; name a file")
     if len({path.resolve() for path in destinations}) < len(destinations):
         raise InputError("two outputs are to be written to one file; give each its own")
-    given = _given(call.args)
+    given = {path.resolve() for path in _given(call.args)}
     for path in destinations:
         if path.resolve() in given:
             raise InputError(f"{path} is an input of this command and would be overwritten; name another file")
@@ -125,8 +124,8 @@ def _show(outcome: Outcome) -> None:
         ) from fault
 
 
-def _given(args: argparse.Namespace) -> set[Path]:
-    """Return every file that the arguments name: all that is not an output may be an input."""
+def _given(args: argparse.Namespace) -> list[Path]:
+    """Return every file that the arguments name, as they name it: all that is not an output may be an input."""
     names = [name for name in vars(args) if name not in (*_OUTPUTS, "command", "own_file")]
     values = [x for name in names for x in _flat(getattr(args, name)) if isinstance(x, str | Path) and str(x)]
     values += [x.partition("=")[2] for x in values if isinstance(x, str) and x.partition("=")[2]]  # JOINT=FILE
@@ -134,7 +133,7 @@ def _given(args: argparse.Namespace) -> set[Path]:
     folders = [Path(x) for name in ("logs", "holdout", "images") for x in _flat(getattr(args, name, None)) if x]
     items += [file for folder in folders if folder.is_dir() for file in folder.iterdir()]  # a recording in pieces
     items += [path.parent / name for path in list(items) for name in _mapped_files(args)]
-    return {item.resolve() for item in items if _is_file(item)}
+    return [item for item in items if _is_file(item)]
 
 
 def _flat(value: Any) -> list[Any]:
@@ -208,11 +207,13 @@ def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:
 
 
 def _unanswered(args: argparse.Namespace, fault: CannotAnswer) -> Outcome:
-    """Return the outcome of a command whose data cannot answer."""
-    named = [*(getattr(args, "logs", None) or []), *(getattr(args, "holdout", None) or [])]
+    """Return the outcome of a command whose data cannot answer, with the robot and all files that it was given."""
     result = {"status": "cannot_answer", "missing": fault.missing, "experiment": fault.experiment}
-    inputs = [Path(path) for path in named]
-    return Outcome(result=result, warnings=fault.warnings, inputs=inputs, exit_status=fault.exit_status)
+    inputs = [*(robot_file(args) if getattr(args, "robot", None) else []), *_given(args)]
+    once = {path.resolve(): path for path in reversed(inputs)}
+    return Outcome(
+        result=result, warnings=fault.warnings, inputs=list(reversed(once.values())), exit_status=fault.exit_status
+    )
 
 
 class _Screen(Console):
@@ -245,4 +246,4 @@ def envelope(
 def _hashed(item: Path | tuple[str, str]) -> tuple[str, str]:
     if isinstance(item, tuple):
         return item
-    return str(item), hashlib.sha256(item.read_bytes()).hexdigest() if item.is_file() else ""
+    return str(item), sha256_of(item) if item.is_file() else ""

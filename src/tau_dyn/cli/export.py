@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot_options, load_robot_from, positive, progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot_options, is_model_file, load_robot_from, progress
+from tau_dyn.cli.kinds import positive
 from tau_dyn.exceptions import InputError
 
 HELP = "a robot or model as URDF, MJCF, FMU, C kinematics, a controller's reference, or RAPID"
@@ -109,21 +110,17 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _beside(args: argparse.Namespace, ending: str) -> Path:
-    if _is_model(args):
+    if is_model_file(args.model):
         return args.model.with_suffix(ending)
     stem = args.motion.stem if args.motion is not None else args.model.name.split(".")[0]
     return Path(f"{stem}_reference{ending}" if ending == ".csv" else f"{stem}{ending}")
-
-
-def _is_model(args: argparse.Namespace) -> bool:
-    return args.model.suffix.lower() in (".yaml", ".yml")
 
 
 def _model(args: argparse.Namespace):
     """Return the model; of a robot its nominal rigid body without effects."""
     from tau_dyn.model import Model
 
-    if _is_model(args):
+    if is_model_file(args.model):
         return Model.load(args.model)
     args.robot = str(args.model)
     return Model.of(load_robot_from(args), [])
@@ -134,11 +131,16 @@ def _exchanged(args: argparse.Namespace, out: Path) -> Made:
     from tau_dyn.exchange import mjcf_of, urdf_of
     from tau_dyn.model import Model
 
+    if not is_model_file(args.model):
+        learned = f"tau-dyn identify {args.model} LOG --out model.yaml"
+        raise InputError(
+            f"{args.model}: --to {args.to} takes a model file, as `{learned}` writes it; a robot's file is there already"
+        )
     model = Model.load(args.model)
     made = urdf_of(model) if args.to == "urdf" else mjcf_of(model)
     links = len(model.robot.links)
     leaning = f"; nominal, since no data determined them: {', '.join(made.nominal)}" if made.nominal else ""
-    said = f"{model.robot.name} with {links} {'link' if links == 1 else 'links'} that carry mass -> {out}{leaning}"
+    said = f"{model.robot.name} with {links} {'link that carries' if links == 1 else 'links that carry'} mass -> {out}{leaning}"
     return Made(
         {out: made.text}, said, {"left_out": list(made.left_out), "nominal": list(made.nominal)}, tuple(made.left_out)
     )

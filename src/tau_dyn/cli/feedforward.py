@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, positive, progress
+from tau_dyn.cli.common import Outcome, add_common, progress
+from tau_dyn.cli.kinds import positive
 from tau_dyn.exceptions import InputError
 
 HELP = "tau_ff(q, v, a) for a controller, in C or Python"

@@ -6,7 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tau_dyn.cli.common import robot_file, whole_number
+from tau_dyn.cli.common import robot_file
+from tau_dyn.cli.kinds import whole_number
+from tau_dyn.exceptions import InputError
 
 if TYPE_CHECKING:
     from tau_dyn.log import Log, Recording
@@ -70,7 +72,6 @@ def open_fitting_logs(args: argparse.Namespace) -> tuple[list[Log | Recording], 
 
 def read_fitting_logs(args: argparse.Namespace) -> tuple[list[Log], list[Log]]:
     """Return the logs to fit and those held out, in memory."""
-    from tau_dyn.exceptions import InputError
     from tau_dyn.log import Log
 
     opened = open_fitting_logs(args)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, written
 from tau_dyn.cli.fitting import add_engine, add_fitting, fitting_inputs, fitting_options, open_fitting_logs
 from tau_dyn.scale.run_many import cores
 
@@ -57,8 +57,7 @@ def run(args: argparse.Namespace) -> Outcome:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report import print_identification
 
-    written = {"model": args.out, "report": args.report, "result": args.json}
-    print_identification(console, found, {k: str(v) for k, v in written.items() if v})
+    print_identification(console, found, written(args, model=args.out))
     console.print(f"estimator: {found.estimator}")
 
 

@@ -7,7 +7,8 @@ import argparse
 import numpy as np
 
 from tau_dyn.cli.common import Outcome, add_robot, load_robot_from, progress
-from tau_dyn.cli.pose_tables import add_table_options, finite, outcome, read_columns
+from tau_dyn.cli.kinds import finite
+from tau_dyn.cli.pose_tables import add_table_options, outcome, read_columns
 from tau_dyn.exceptions import InputError
 
 HELP = "inverse kinematics: which actuated positions put the tool at a pose"

@@ -13,7 +13,9 @@ from tau_dyn.cli.common import (
     load_robot_from,
     progress,
     robot_file,
+    written,
 )
+from tau_dyn.exceptions import InputError
 
 HELP = "resonances and black-box models from vibration logs"
 
@@ -21,26 +23,12 @@ HELP = "resonances and black-box models from vibration logs"
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "logs", metavar="LOG", nargs="+", help="CSV, Parquet, MCAP or .mat with t and any columns; never joined"
-    )
-    names = parser.add_argument_group("columns, by name")
-    names.add_argument("--inputs", metavar="COLUMN", nargs="+", action="extend", default=[], help="what excites")
-    names.add_argument(
-        "--outputs",
-        metavar="COLUMN",
+        "logs",
+        metavar="LOG",
         nargs="+",
-        action="extend",
-        default=[],
-        help="what responds; as many as inputs and in their order, they are taken as measured where the forces act",
+        help="CSV, Parquet, MCAP, a ROS bag or .mat with t and any columns; never joined",
     )
-    names.add_argument(
-        "--reference",
-        metavar="COLUMN",
-        nargs="+",
-        action="extend",
-        default=[],
-        help="what a feedback loop was asked to follow, where one was closed",
-    )
+    _add_columns(parser.add_argument_group("columns, by name"))
     parser.add_argument(
         "--holdout",
         metavar="LOG",
@@ -50,6 +38,31 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="logs to judge on, used for nothing else (without any, the last 30 %% of each log)",
     )
     parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")
+    _add_model(parser)
+    parser.add_argument(
+        "--robot",
+        metavar="ROBOT",
+        help="draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own modes",
+    )
+    add_robot_options(parser)
+    parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the black-box model here")
+    add_common(parser)
+
+
+def _add_columns(group: argparse._ArgumentGroup) -> None:
+    for name, text in (
+        ("inputs", "what excites"),
+        (
+            "outputs",
+            "what responds; as many as inputs and in their order, they are taken as measured where the forces act",
+        ),
+        ("reference", "what a feedback loop was asked to follow, where one was closed"),
+    ):
+        group.add_argument(f"--{name}", metavar="COLUMN", nargs="+", action="extend", default=[], help=text)
+
+
+def _add_model(parser: argparse.ArgumentParser) -> None:
+    """Add what is chosen about the model."""
     parser.add_argument(
         "--method",
         default="auto",
@@ -73,14 +86,6 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in their "
         "order, where as many)",
     )
-    parser.add_argument(
-        "--robot",
-        metavar="ROBOT",
-        help="draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own modes",
-    )
-    add_robot_options(parser)
-    parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the black-box model here")
-    add_common(parser)
 
 
 def run(args: argparse.Namespace) -> Outcome:
@@ -120,8 +125,6 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _robot_asked(args: argparse.Namespace) -> bool:
-    from tau_dyn.exceptions import InputError
-
     if args.robot is None and (args.set or args.actuated):
         raise InputError("--set and --actuated say how to load a robot; name it with --robot ROBOT")
     return args.robot is not None
@@ -139,8 +142,6 @@ def _on_robot(robot, found):
 
 
 def _pair(text: str) -> tuple[str, str]:
-    from tau_dyn.exceptions import InputError
-
     one, colon, other = text.partition(":")
     if not colon:
         raise InputError(f"--collocated {text}: write INPUT:OUTPUT, two columns at one place")
@@ -156,8 +157,7 @@ def _save(path: Path, found, read: list[tuple[str, str]]) -> None:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report import print_modes
 
-    written = {"model": args.out, "report": args.report, "result": args.json}
-    print_modes(console, found, {k: str(v) for k, v in written.items() if v})
+    print_modes(console, found, written(args, model=args.out))
 
 
 def _page(found, on_robot, read: list[tuple[str, str]]) -> str:

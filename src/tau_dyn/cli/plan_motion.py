@@ -8,34 +8,26 @@ from pathlib import Path
 from tau_dyn.cli.common import (
     Outcome,
     add_common,
-    add_robot_options,
+    add_robot,
     command_line,
-    csv_file,
+    is_model_file,
     load_robot_from,
-    not_negative,
-    positive,
     progress,
     robot_file,
-    whole_number,
+    written,
 )
-from tau_dyn.cli.pose_tables import finite, read_columns
+from tau_dyn.cli.kinds import csv_file, finite, not_negative, positive, whole_number
+from tau_dyn.cli.pose_tables import read_columns
 from tau_dyn.exceptions import InputError
 
 HELP = "the fastest motion within force limits, free or along a path"
 
-_MODEL_FILES = (".yaml", ".yml")
 _COLUMNS = ("x_tool", "y_tool", "z_tool")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "robot",
-        metavar="ROBOT",
-        help="a .urdf or .urdf.xacro file, the short name of a robot that comes along (a xacro is code: it evaluates Python), or "
-        "a model file MODEL.yaml of identify or diagnose, whose friction then counts",
-    )
-    add_robot_options(parser)
+    add_robot(parser, or_model="whose friction then counts")
     ends = parser.add_argument_group("where")
     place = ("X", "Y", "Z")
     ends.add_argument(
@@ -97,15 +89,15 @@ def run(args: argparse.Namespace) -> Outcome:
         )  # fmt: skip
 
     def show(console) -> None:
-        from tau_dyn.report.motion_plan_terminal import print_plan
+        from tau_dyn.report.motion_plan_terminal import print_motion_plan
 
-        print_plan(console, plan, {"motion": str(args.out), "report": str(args.report or "")})
+        print_motion_plan(console, plan, written(args, motion=args.out))
 
     return Outcome(
         result=plan.to_dict() | {"out": str(args.out)},
         warnings=[*model.robot.warnings, *plan.warnings],
         inputs=[
-            *([Path(args.robot)] if _is_model(args) else robot_file(args)),
+            *robot_file(args),
             *([Path(args.path)] if args.path not in (None, "line") else []),
         ],
         show=show,
@@ -130,8 +122,6 @@ def _path(args: argparse.Namespace):
 
     if args.path in (None, "line"):
         return args.path
-    if Path(args.path).resolve() in {p.resolve() for p in (args.out, args.json, args.report) if p is not None}:
-        raise InputError(f"{args.path} is an input of this command and would be overwritten; name another file")
     if not Path(args.path).is_file():
         raise InputError(f"--path {args.path}: write line, or name a table with the columns {', '.join(_COLUMNS)}")
     table = read_columns(Path(args.path))
@@ -141,15 +131,11 @@ def _path(args: argparse.Namespace):
     return np.column_stack([table[name] for name in _COLUMNS])
 
 
-def _is_model(args: argparse.Namespace) -> bool:
-    return Path(args.robot).suffix.lower() in _MODEL_FILES
-
-
 def _model(args: argparse.Namespace):
     """Return the model that ROBOT names: a file of ours with its effects, or a rigid robot."""
     from tau_dyn.model import Model
 
-    if not _is_model(args):
+    if not is_model_file(args.robot):
         return Model.of(load_robot_from(args))
     if args.set or args.actuated:
         raise InputError(f"{args.robot} is a model file, which carries its own robot; leave --set and --actuated out")

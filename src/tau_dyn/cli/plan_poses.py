@@ -9,13 +9,12 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    csv_file,
     load_robot_from,
-    not_negative,
-    positive,
     progress,
     robot_file,
+    written,
 )
+from tau_dyn.cli.kinds import csv_file, not_negative, number_of_poses, positive, positive_whole
 
 HELP = "poses to measure for a calibration, and what they will give"
 
@@ -59,32 +58,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--weighted", action="store_true", help="the fit will weigh each pose by the device's covariance there"
     )
-    look = parser.add_argument_group("what measures (default: everything seen with 0.1 mm and 0.1 mrad)")
-    device = look.add_mutually_exclusive_group()
-    device.add_argument("--camera", metavar="FILE.yaml", type=Path, help="camera and pattern")
-    device.add_argument("--tracker", metavar="FILE.yaml", type=Path, help="laser tracker and reflector")
-    demand = parser.add_argument_group("where the robot may go")
-    demand.add_argument(
-        "--obstacles", metavar="FILE.yaml", type=Path, help="obstacles, safety zones, limits of the tool"
-    )
-    demand.add_argument("--no-collisions", action="store_true", help="let the robot pass through itself")
-    demand.add_argument(
-        "--safety",
-        metavar="M",
-        type=not_negative,
-        default=0.05,
-        help="from obstacles and the workspace's border [m] (0.05)",
-    )
-    demand.add_argument(
-        "--safety-angle", metavar="DEG", type=not_negative, default=5.0, help="from the ball joints' limits (5)"
-    )
-    demand.add_argument(
-        "--candidates",
-        metavar="N",
-        type=positive_whole,
-        default=1000,
-        help="about how many poses to choose from (1000)",
-    )
+    _add_device(parser.add_argument_group("what measures (default: everything seen with 0.1 mm and 0.1 mrad)"))
+    _add_demands(parser.add_argument_group("where the robot may go"))
     parser.add_argument(
         "--out", metavar="POSES.csv", type=csv_file, help="write the places in driving order here: pose, q_J"
     )
@@ -99,17 +74,34 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_common(parser)
 
 
-def number_of_poses(text: str) -> int | str:
-    """Read a number of poses, or auto."""
-    return "auto" if text == "auto" else positive_whole(text)
+def _add_device(group: argparse._ArgumentGroup) -> None:
+    device = group.add_mutually_exclusive_group()
+    device.add_argument("--camera", metavar="FILE.yaml", type=Path, help="camera and pattern")
+    device.add_argument("--tracker", metavar="FILE.yaml", type=Path, help="laser tracker and reflector")
 
 
-def positive_whole(text: str) -> int:
-    """Read a whole number above zero."""
-    value = int(text)
-    if not 0 < value < 1_000_000:
-        raise ValueError
-    return value
+def _add_demands(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--obstacles", metavar="FILE.yaml", type=Path, help="obstacles, safety zones, limits of the tool"
+    )
+    group.add_argument("--no-collisions", action="store_true", help="let the robot pass through itself")
+    group.add_argument(
+        "--safety",
+        metavar="M",
+        type=not_negative,
+        default=0.05,
+        help="from obstacles and the workspace's border [m] (0.05)",
+    )
+    group.add_argument(
+        "--safety-angle", metavar="DEG", type=not_negative, default=5.0, help="from the ball joints' limits (5)"
+    )
+    group.add_argument(
+        "--candidates",
+        metavar="N",
+        type=positive_whole,
+        default=1000,
+        help="about how many poses to choose from (1000)",
+    )
 
 
 def run(args: argparse.Namespace) -> Outcome:
@@ -210,13 +202,6 @@ def _safety(args: argparse.Namespace):
 
 
 def _show(console, plan, args: argparse.Namespace) -> None:
-    from tau_dyn.report.poses_terminal import print_plan
+    from tau_dyn.report.poses_terminal import print_pose_plan
 
-    written = {
-        "places": args.out,
-        "RAPID": args.rapid,
-        "progress": args.resume,
-        "report": args.report,
-        "result": args.json,
-    }
-    print_plan(console, plan, {k: str(v) for k, v in written.items() if v})
+    print_pose_plan(console, plan, written(args, places=args.out, RAPID=args.rapid, progress=args.resume))

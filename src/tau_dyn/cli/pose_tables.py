@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_common, command_line, csv_file, robot_file
+from tau_dyn.cli.common import Outcome, add_common, command_line, robot_file, written
+from tau_dyn.cli.kinds import csv_file
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_bytes
 
 
 def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
@@ -20,20 +22,12 @@ def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
     add_common(parser)
 
 
-def finite(text: str) -> float:
-    """Read a finite number."""
-    value = float(text)
-    if not np.isfinite(value):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number")
-    return value
-
-
 def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Read a table's columns by name."""
     from tau_dyn.log.delimited import parse_delimited
 
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as fault:
         raise InputError(f"{path}: cannot be read ({fault.strerror})") from fault
     return parse_delimited(str(path), data)[0]
@@ -43,13 +37,11 @@ def outcome(table, args: argparse.Namespace) -> Outcome:
     """Return what to print and write."""
     from tau_dyn.report.kinematics_page import kinematics_page, print_poses
 
-    written = {"table": args.out, "report": args.report, "result": args.json}
-    named = {k: str(v) for k, v in written.items() if v}
     return Outcome(
         result=table.to_dict(),
         warnings=[*table.robot.warnings, *table.warnings],
         inputs=[*robot_file(args), *([args.poses] if args.poses else [])],
-        show=lambda console: print_poses(console, table, named),
+        show=lambda console: print_poses(console, table, written(args, table=args.out)),
         files={args.out: table.to_csv()} if args.out else {},
         report=lambda: kinematics_page(table, command_line=command_line()),
     )

@@ -12,7 +12,6 @@ folder first and enters it last, so that a folder that holds one is complete.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import os
 import platform
@@ -27,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import owner, refusal, sweep
+from tau_dyn.files import owner, refusal, sha256_of, sweep
 from tau_dyn.version import __version__
 
 _LIBRARIES = ("pin", "numpy", "scipy", "cvxpy", "clarabel", "pandas", "pyarrow", "xacro")
@@ -102,7 +101,7 @@ class RunFolder:
 
     def holds(self, path: Path) -> bool:
         """Tell whether a file lies in this folder."""
-        return path.resolve().parent == self.path.resolve()
+        return path.parent.resolve() == self.path.resolve()  # where it stands, not where a link there leads
 
     @contextmanager
     def writing(self) -> Iterator[Path]:
@@ -157,8 +156,9 @@ def _moved_in(staged: Path, folder: Path) -> None:
         before = read_run(folder).files
         (folder / RUN).unlink()
         for name in {*before} - {*new}:
-            if Path(name).name == name:  # a name, no path that leads elsewhere
-                (folder / name).unlink(missing_ok=True)
+            left = folder / name
+            if Path(name).name == name and (left.is_symlink() or left.is_file()):  # no path elsewhere, no folder
+                left.unlink()
     for name in new:
         os.replace(staged / name, folder / name)
 
@@ -214,7 +214,7 @@ def _plain(value: Any) -> Any:
 
 
 def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+    return sha256_of(path) if path.is_file() else ""
 
 
 def _few(names: set[str] | list[str]) -> str:

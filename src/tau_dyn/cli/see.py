@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, csv_file, positive, progress
+from tau_dyn.cli.common import Outcome, add_common, progress
+from tau_dyn.cli.kinds import csv_file, positive
 
 HELP = "measured poses from images of a pattern plate"
 

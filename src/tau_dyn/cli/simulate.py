@@ -9,31 +9,22 @@ from tau_dyn.cli import vibration
 from tau_dyn.cli.common import (
     Outcome,
     add_common,
-    add_robot_options,
+    add_robot,
     command_line,
-    csv_file,
+    is_model_file,
     load_robot_from,
-    not_negative,
-    positive,
     progress,
     robot_file,
 )
+from tau_dyn.cli.kinds import csv_file, not_negative, positive
 from tau_dyn.exceptions import InputError
 
 HELP = "a log from the model, its controller and sensors"
 
-_MODEL_FILES = (".yaml", ".yml")
-
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "robot",
-        metavar="ROBOT",
-        help="a .urdf or .urdf.xacro file, the short name of a robot that comes along (a xacro is code: it evaluates Python), or "
-        "a model file MODEL.yaml of identify or diagnose, which carries its robot, its effects and their values",
-    )
-    add_robot_options(parser)
+    add_robot(parser, or_model="which carries its robot, its effects and their values")
     parser.add_argument(
         "--motion",
         metavar="M",
@@ -105,10 +96,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result={"n_samples": log.n_samples, "duration_s": log.duration, "rate_hz": log.rate_hz, "out": str(args.out)},
         warnings=[*model.robot.warnings, *log.warnings],
-        inputs=[
-            *([Path(args.robot)] if _is_model(args) else robot_file(args)),
-            *(p for p in given if p is not None and p.is_file()),
-        ],
+        inputs=[*robot_file(args), *(p for p in given if p is not None and p.is_file())],
         show=lambda console: console.print(
             f"{log.duration:.4g} s of {model.robot.name} at {log.rate_hz:g} Hz -> {args.out}", markup=False
         ),
@@ -117,17 +105,13 @@ def run(args: argparse.Namespace) -> Outcome:
     )
 
 
-def _is_model(args: argparse.Namespace) -> bool:
-    return Path(args.robot).suffix.lower() in _MODEL_FILES
-
-
 def _model(args: argparse.Namespace):
     """Return what is simulated: a model file's robot as it is, or ROBOT with hidden effects, a model's values, or nominal."""
     from tau_dyn.identify import build_model
     from tau_dyn.model import Model
     from tau_dyn.simulate import read_effects_file
 
-    if _is_model(args):
+    if is_model_file(args.robot):
         options = {"--set": args.set, "--actuated": args.actuated, "--effects": args.effects, "--model": args.model}
         given = [name for name, value in options.items() if value]
         if given:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from tau_dyn.cli.common import Outcome, load_robot_from, not_negative, positive, progress, robot_file
+from tau_dyn.cli.common import Outcome, load_robot_from, progress, robot_file
+from tau_dyn.cli.kinds import not_negative, positive
 from tau_dyn.exceptions import InputError
 
 KINDS = ("prbs", "push-x", "push-y", "push-z", "push-xyz")

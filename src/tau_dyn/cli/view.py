@@ -7,17 +7,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, positive, progress, robot_file
+from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, progress, robot_file
+from tau_dyn.cli.kinds import port, positive
+from tau_dyn.exceptions import InputError
 
 HELP = "the robot in the browser, with a log to play and results where they live"
 _HERE = ("127.0.0.1", "localhost", "::1")
-
-
-def _port(text: str) -> int:
-    value = int(text)
-    if not 0 < value < 65536:
-        raise ValueError
-    return value
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--cloud", metavar="FILE.csv", type=Path, help="points x y z to show, such as workspace --out writes"
     )
     parser.add_argument("--host", default=_HERE[0], help="address (default 127.0.0.1: this computer only)")
-    parser.add_argument("--port", type=_port, default=8080, help="port (default 8080, or the next free one)")
+    parser.add_argument("--port", type=port, default=8080, help="port (default 8080, or the next free one)")
     parser.add_argument("--no-shadows", action="store_true", help="draw no shadows; faster without a graphics card")
     parser.add_argument("--for", dest="seconds", metavar="SECONDS", type=positive, help="close after this long")
     add_common(parser)
@@ -65,7 +60,6 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def open_window(args: argparse.Namespace, step: Callable[[str], None]):
     """Return the window with all that the arguments name in it; nothing is opened before all of it is read."""
-    from tau_dyn.exceptions import InputError
     from tau_dyn.view import Viewer, read_result
     from tau_dyn.view.results import read_cloud
 

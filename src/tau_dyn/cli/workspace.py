@@ -10,13 +10,13 @@ from tau_dyn.cli.common import (
     add_common,
     add_robot,
     command_line,
-    csv_file,
     load_robot_from,
-    not_negative,
-    positive,
     progress,
     robot_file,
+    written,
 )
+from tau_dyn.cli.kinds import csv_file, not_negative, positive, positive_large
+from tau_dyn.exceptions import InputError
 
 HELP = "where the tool can be, and how well it works there"
 
@@ -85,14 +85,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_common(parser)
 
 
-def positive_large(text: str) -> float:
-    """Read a positive number, a stiffness may be large."""
-    value = float(text)
-    if not 0 < value < 1e15:
-        raise ValueError
-    return value
-
-
 def run(args: argparse.Namespace) -> Outcome:
     """Find the workspace."""
     with progress(args.quiet) as step:
@@ -141,14 +133,12 @@ def _demands(args: argparse.Namespace):
 
 
 def _stiffnesses(given: list[str]) -> dict[str, float]:
-    from tau_dyn.exceptions import InputError
-
     found = {}
     for text in given:
         name, _, number = text.rpartition("=")
         try:
             found[name] = positive_large(number)
-        except ValueError as fault:
+        except argparse.ArgumentTypeError as fault:
             raise InputError(f"--actuator-stiffness {text}: write a number above zero, or JOINT=number") from fault
     return found
 
@@ -162,8 +152,7 @@ def _save(path: Path, found) -> None:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report.workspace_terminal import print_workspace
 
-    written = {"points": args.out, "report": args.report, "result": args.json}
-    print_workspace(console, found, {k: str(v) for k, v in written.items() if v})
+    print_workspace(console, found, written(args, points=args.out))
 
 
 def _page(found) -> str:

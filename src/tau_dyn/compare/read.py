@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 
 from tau_dyn.compare.run import RESULT, RUN, Run, is_run, read_run
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_bytes
 from tau_dyn.model import Model
 
-_DATA = (".csv", ".parquet", ".mcap")
+_NO_DATA = (".urdf", ".xacro", ".yaml", ".yml", ".json")  # robots, maps, models; recordings come in many kinds of files
 _PARTS = ("train", "holdout", "baseline", "extended", "noise_floor")
 _RMS = "unseen position error, rms"
 _NO_ANSWER = ("seed", "search_s", "evaluations")  # what a run was asked, and how long it took
@@ -89,9 +90,7 @@ def read_side(path: str | Path) -> Side:
 
 def _of_file(path: Path, run: Run | None = None) -> Side:
     try:
-        if path.stat().st_size > _MOST:
-            raise InputError(f"{path}: larger than 64 MiB, so no result or model of ours")
-        data = path.read_bytes()
+        data = read_bytes(path, _MOST)
     except OSError as fault:
         raise InputError(f"{path}: {'no such file' if not path.exists() else 'cannot be read'}") from fault
     digest = hashlib.sha256(data).hexdigest()
@@ -102,8 +101,9 @@ def _of_file(path: Path, run: Run | None = None) -> Side:
 
 def _of_model(path: Path, digest: str) -> Side:
     model = Model.load(path)
-    values = {p.name: Quantity(p.value, p.stderr, p.unit) for p in model.parameters}
-    logs = frozenset(str(x["sha256"]) for x in _dicts(model.provenance.get("logs")) if "sha256" in x)
+    values = {p.name: _quantity(p.value, p.stderr, p.unit) for p in model.parameters}
+    used = [x for key in ("trained_on", "held_out") for x in _dicts(model.provenance.get(key))]
+    logs = frozenset(str(x["sha256"]) for x in used if "sha256" in x)
     return Side(path, digest, "model", values, {}, {}, logs)
 
 
@@ -111,7 +111,9 @@ def _of_result(path: Path, digest: str, data: bytes, run: Run | None) -> Side:
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as fault:
-        raise InputError(f"{path}: neither a model file (.yaml) nor a result (.json): {fault}") from fault
+        raise InputError(
+            f"{path}: neither a model file (.yaml) nor a result (--json) nor a run folder of ours"
+        ) from fault
     if not isinstance(content, dict) or not isinstance(content.get("command"), str):
         raise InputError(f"{path}: not a result of ours; its 'command' is missing")
     refused = content.get("status") == "cannot_answer" and "missing" in content
@@ -126,7 +128,7 @@ def _of_result(path: Path, digest: str, data: bytes, run: Run | None) -> Side:
             {**dict(_parameters(content)), **dict(_modes(content)), **dict(_calibrated(content))},
             dict(_errors(content)),
             dict(_findings(content)),
-            frozenset(str(x["sha256"]) for x in read if Path(str(x.get("path"))).suffix.lower() in _DATA),
+            frozenset(str(x["sha256"]) for x in read if Path(str(x.get("path"))).suffix.lower() not in _NO_DATA),
             inputs={str(x.get("path")): str(x["sha256"]) for x in read},
             intervals=dict(_intervals(content)),
             gains=dict(_gains(content)),
@@ -231,6 +233,7 @@ def _errors(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, str]
 
 
 def _quantity(value: Any, stderr: Any, unit: Any) -> Quantity:
+    """Return a value that was read; a standard error that is none, such as zero, is taken as not known."""
     known = None if stderr is None or not isfinite(float(stderr)) or float(stderr) <= 0 else float(stderr)
     return Quantity(float(value), known, str(unit))
 

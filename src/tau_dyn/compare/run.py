@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_bytes
 
 RUN, RESULT, REPORT = "run.json", "result.json", "report.html"
 FORMAT = 1
@@ -77,11 +78,11 @@ def read_run(folder: Path) -> Run:
     """
     path = folder / RUN
     try:
-        if path.stat().st_size > _MOST:
-            raise InputError(f"{path}: larger than 1 MiB, so no run of ours")
-        held = json.loads(path.read_bytes())
+        held = json.loads(read_bytes(path, _MOST))
     except OSError as fault:
         raise InputError(f"{folder}: no run folder; it has no {RUN}") from fault
+    except InputError:
+        raise
     except (ValueError, RecursionError) as fault:
         raise InputError(f"{path}: not valid JSON ({fault})") from fault
     if not isinstance(held, dict) or held.get("run_format") != FORMAT:

@@ -91,6 +91,7 @@ _PLACES = {
 _MODULE = {name: module for module, names in _PLACES.items() for name in names}
 
 __all__ = [
+    "CommandLimits",
     "ComplementaryToolObserver",
     "Convergence",
     "Correction",
@@ -104,7 +105,6 @@ __all__ = [
     "LeadThroughSettings",
     "Learning",
     "LearningLaw",
-    "CommandLimits",
     "MotionLimits",
     "MotionPlan",
     "MotorSide",

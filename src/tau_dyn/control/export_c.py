@@ -9,10 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tau_dyn.control.export_c_graph import graph_lines, guard_lines, output_lines, unused_lines
-from tau_dyn.control.export_c_loops import ITERATIONS, STEP, STEPS, closing_lines
+from tau_dyn.control.export_c_loops import closing_lines
+from tau_dyn.control.export_c_newton import ITERATIONS, STEP, STEPS
 from tau_dyn.control.export_c_text import checked_name, header, source
 from tau_dyn.control.export_model import Program
 from tau_dyn.control.export_text import about
+
+_TAKEN = frozenset({"factor", "solve", "solve_t", "closure", "home", "solved", "newton", "closed"})
+"""Functions and tables of the source itself."""
 
 
 def c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
@@ -23,9 +27,9 @@ def c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
         name: Of the function; also of the header, `name.h`.
 
     Raises:
-        InputError: The name is no identifier of C.
+        InputError: The name is no identifier of C, or means something else there.
     """
-    checked_name(name)
+    checked_name(name, _TAKEN)
     words = list(about(program))
     joints = f"#define {name.upper()}_JOINTS {program.feedforward.model.robot.na}"
     declared = header(name, [*words, "", *_returns(program)], [joints, *_declared(program, name)])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 SECTIONS = """\
@@ -31,11 +29,6 @@ static double one_step(const double *f, double *state, double in)
     state[2] = f[3] * in - f[7] * out;
     return out;
 }"""
-
-
-def numbers(values: np.ndarray | Sequence[float]) -> list[str]:
-    """Return numbers as C reads them back to the last digit."""
-    return [repr(float(x)) for x in np.ravel(values)]
 
 
 def third_order(b: np.ndarray, a: np.ndarray) -> np.ndarray:

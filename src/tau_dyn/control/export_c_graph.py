@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from tau_dyn.control.graph import Graph, Node
@@ -19,7 +19,10 @@ _TRUTHS = frozenset({"lt", "le", "eq", "and", "or", "not"})
 
 def graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
     """Yield one line a node that outputs and guards need; an input `q3` is read as `q[3]`, node 7 is called `t7`."""
-    show: Callable[[int], str] = lambda k: _shown(graph.nodes[k])  # noqa: E731
+
+    def show(k: int) -> str:
+        return _shown(graph.nodes[k])
+
     for node in graph.needed(outputs):
         k = node.index
         if node.op in ("input", "const", "item"):
@@ -49,7 +52,7 @@ def _shown(node: Node) -> str:
     return f"t{node.index}"
 
 
-def named(x: Any) -> str:
+def _named(x: Any) -> str:
     """Return a node's name, or a number, as C."""
     return _shown(x) if isinstance(x, Node) else number(float(x))
 
@@ -68,7 +71,7 @@ def guard_lines(graph: Graph, status: int = 1) -> Iterator[str]:
 
 def output_lines(array: str, outputs: Sequence[Any]) -> Iterator[str]:
     """Yield the assignments of an output array."""
-    yield from (f"    {array}[{k}] = {named(x)};" for k, x in enumerate(outputs))
+    yield from (f"    {array}[{k}] = {_named(x)};" for k, x in enumerate(outputs))
 
 
 def unused_lines(graph: Graph, outputs: Sequence[Any], arrays: Sequence[str]) -> Iterator[str]:

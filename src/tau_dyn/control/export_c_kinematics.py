@@ -10,7 +10,7 @@ from tau_dyn.control import export_c_inverse as search
 from tau_dyn.control import export_c_newton as text
 from tau_dyn.control.export_c_graph import graph_lines, guard_lines, output_lines, unused_lines
 from tau_dyn.control.export_c_linear import FACTOR, SOLVE
-from tau_dyn.control.export_c_text import checked_name, header, source
+from tau_dyn.control.export_c_text import checked_name, header, numbers, source
 from tau_dyn.control.export_kinematics import KinematicsProgram, Piece
 from tau_dyn.control.export_kinematics_text import about_kinematics, declared, starts
 from tau_dyn.version import __version__
@@ -170,4 +170,4 @@ def _cost(program: KinematicsProgram) -> np.ndarray:
 
 
 def _numbers(values: Sequence[float] | np.ndarray) -> str:
-    return ", ".join(repr(float(x)) for x in np.ravel(values))
+    return ", ".join(numbers(values))

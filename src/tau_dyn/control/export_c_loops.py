@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tau_dyn.control.export_c_graph import graph_lines, named
+from tau_dyn.control.export_c_graph import graph_lines, output_lines
 from tau_dyn.control.export_c_linear import FACTOR, SOLVE, SOLVE_T
+from tau_dyn.control.export_c_newton import ITERATIONS, STEP, STEPS
+from tau_dyn.control.export_c_text import numbers
 from tau_dyn.control.export_model import Program
 
-STEP, STEPS, ITERATIONS, CLOSED = 0.05, 100, 12, 1e-9
-"""Largest step of a joint at once [m or rad], most steps a call, most Newton iterations a step, largest gap left [m]."""
+CLOSED = 1e-9
+"""Largest gap left [m]."""
 
 
 def closing_lines(program: Program, name: str) -> Iterator[str]:
@@ -28,14 +30,13 @@ def closing_lines(program: Program, name: str) -> Iterator[str]:
     yield "{"
     flat = [x for row in program.jacobian for x in row]
     yield from graph_lines(graph, [*program.gap, *flat])
-    for array, values in (("gap", program.gap), ("J", flat)):
-        for k, x in enumerate(values):
-            yield f"    {array}[{k}] = {named(x)};"
+    yield from output_lines("gap", program.gap)
+    yield from output_lines("J", flat)
     yield "}"
     yield ""
     home = [*robot.home, *loops.home[loops.passive]]
     text = _CLOSE.replace("@NAME@", name).replace("@NA@", str(robot.na)).replace("@NP@", str(n))
-    text = text.replace("@NG@", str(len(program.gap))).replace("@HOME@", ", ".join(repr(float(x)) for x in home))
+    text = text.replace("@NG@", str(len(program.gap))).replace("@HOME@", ", ".join(numbers(home)))
     text = text.replace("@ROWS@", ", ".join(str(r) for r in loops.rows)).replace("@STEP@", repr(STEP))
     text = (
         text.replace("@STEPS@", str(STEPS)).replace("@ITERATIONS@", str(ITERATIONS)).replace("@CLOSED@", repr(CLOSED))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from tau_dyn.exceptions import InputError
 
@@ -13,16 +15,29 @@ _KEYWORDS = frozenset(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
     "return short signed sizeof static struct switch typedef union unsigned void volatile while main".split()
 )
+_MATH = frozenset(
+    "acos asin atan atan2 cos sin tan acosh asinh atanh cosh sinh tanh exp exp2 expm1 frexp ilogb ldexp log log10 log1p "
+    "log2 logb modf scalbn scalbln cbrt fabs hypot pow sqrt erf erfc lgamma tgamma ceil floor nearbyint rint lrint llrint "
+    "round lround llround trunc fmod remainder remquo copysign nan nextafter nexttoward fdim fmax fmin fma j0 j1 jn y0 y1 "
+    "yn gamma signgam fpclassify isfinite isinf isnan isnormal signbit NAN INFINITY HUGE_VAL NULL double_t float_t".split()
+)
+"""What `math.h` declares or defines; each function also with `f` and `l` behind it."""
 
 
-def checked_name(name: str) -> str:
-    """Return a name for a function of C.
+def checked_name(name: str, taken: Collection[str] | None = None) -> str:
+    """Return a name for a function of C, or for the beginning of several.
+
+    Args:
+        name: The name.
+        taken: Names that the source itself uses, where the function is called just this; None where more follows it.
 
     Raises:
-        InputError: It is no identifier of C.
+        InputError: It is no identifier of C, or means something else in the source.
     """
     if not _NAME.fullmatch(name) or name in _KEYWORDS:
         raise InputError(f"'{name}' cannot name a function in C; use letters, digits and underscores, a letter first")
+    if taken is not None and (name in taken or name in _MATH or name[:-1] in _MATH and name[-1] in "fl"):
+        raise InputError(f"'{name}' cannot name a function in C, where it means something else; take another name")
     return name
 
 
@@ -38,12 +53,22 @@ def identifiers(names: Iterable[str]) -> list[str]:
     return out
 
 
+def harmless(line: str) -> str:
+    """Return one line of a comment that nothing in it ends, and that is plain ASCII."""
+    plain = line.encode("ascii", "backslashreplace").decode("ascii")
+    plain = re.sub(r"[\x00-\x1f\x7f]", " ", plain)
+    for wrong, right in (("*/", "* /"), ("/*", "/ *"), ("??", "? ?")):
+        while wrong in plain:
+            plain = plain.replace(wrong, right)
+    return plain.rstrip("\\ ")
+
+
 def comment(lines: Iterable[str]) -> str:
     """Return lines as a block comment without its ends; whatever they hold, the comment goes on.
 
     `*/` ends a comment, `/*` and trigraphs draw warnings, invisible characters can make text look like code.
     """
-    return "\n".join(f" * {_tame(line)}".rstrip() for line in lines)
+    return "\n".join(f" * {harmless(line)}".rstrip() for line in lines)
 
 
 def header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
@@ -57,13 +82,18 @@ def header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
 def source(name: str, first: str, body: Iterable[str]) -> str:
     """Return a source file that includes its header and `math.h`."""
     top = [
-        f"/* {_tame(first)} Units, joints and provenance: {name}.h */",
+        f"/* {harmless(first)} Units, joints and provenance: {name}.h */",
         f'#include "{name}.h"',
         "",
         "#include <math.h>",
         "",
     ]
     return "\n".join([*top, *body, ""])
+
+
+def numbers(values: np.ndarray | Sequence[float]) -> list[str]:
+    """Return numbers as C reads them back to the last digit."""
+    return [repr(float(x)) for x in np.ravel(values)]
 
 
 def table(kind: str, name: str, values: Iterable[str], size: str = "") -> str:
@@ -77,15 +107,6 @@ def table(kind: str, name: str, values: Iterable[str], size: str = "") -> str:
     rows.append(row.rstrip(", "))
     text = "\n    ".join(r.rstrip() for r in rows)
     return f"static const {kind} {name}[{size}] = {{\n    {text}\n}};"
-
-
-def _tame(line: str) -> str:
-    plain = line.encode("ascii", "backslashreplace").decode("ascii")
-    plain = re.sub(r"[\x00-\x1f\x7f]", " ", plain)
-    for wrong, right in (("*/", "* /"), ("/*", "/ *"), ("??", "? ?")):
-        while wrong in plain:
-            plain = plain.replace(wrong, right)
-    return plain.rstrip("\\ ")
 
 
 def header_beside(source: Path) -> Path:

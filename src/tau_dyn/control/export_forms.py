@@ -105,7 +105,7 @@ class TreeForm(Mechanism):
         raise TypeError("the conditioning of a tree")
 
     def guide_force(self, q, v, a):
-        raise TypeError("the guides' forces on a tree with loops")
+        raise TypeError("the force that presses on each guide of a tree")
 
 
 class LoopForm(TreeForm):

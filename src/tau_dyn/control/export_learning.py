@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.control.export_c_filters import SECTIONS, numbers
-from tau_dyn.control.export_c_text import checked_name, header, source, table
+from tau_dyn.control.export_c_filters import SECTIONS
+from tau_dyn.control.export_c_text import checked_name, header, numbers, source, table
 from tau_dyn.control.iterative import LearningLaw
 from tau_dyn.exceptions import InputError
 from tau_dyn.version import __version__

@@ -73,20 +73,12 @@ class Loops:
         return np.array(out)
 
     def full(self, active: Any, passive: Any) -> list[Any]:
-        """Return one entry a joint; joints that are not solved for stay at home's (pass zeros' motion separately)."""
-        out: list[Any] = list(self.home)
-        for places, values in ((self.active, active), (self.passive, passive)):
-            for k, x in zip(places, values, strict=True):
-                out[k] = x
-        return out
+        """Return one position a joint; joints that are not solved for stay at home's."""
+        return spread(list(self.home), (self.active, active), (self.passive, passive))
 
     def rates(self, active: Any, passive: Any) -> list[Any]:
         """Return one speed or acceleration a joint; joints that are not solved for rest."""
-        out: list[Any] = [0.0] * len(self.tree.joints)
-        for places, values in ((self.active, active), (self.passive, passive)):
-            for k, x in zip(places, values, strict=True):
-                out[k] = x
-        return out
+        return spread([0.0] * len(self.tree.joints), (self.active, active), (self.passive, passive))
 
     def closure(self, q: Any, v: Any = None) -> Closure:
         """Return the loops' equations at positions and, for the drift, speeds of all joints."""
@@ -114,6 +106,14 @@ class Loops:
             axis = places[j][0] @ self.tree.joints[j].axis
             jacobian[:, j] = axis if self.tree.joints[j].slides else cross(axis, place - places[j][1])
         return place, jacobian, R @ (m.c + cross(m.dw, r) + cross(m.w, cross(m.w, r)))
+
+
+def spread(out: list[Any], *parts: tuple[list[int], Any]) -> list[Any]:
+    """Put values at their places among the joints of a tree, and return all."""
+    for places, values in parts:
+        for k, x in zip(places, values, strict=True):
+            out[k] = x
+    return out
 
 
 def _pivoted(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tau_dyn.control.export_c_filters import ONE_STEP, numbers, third_order
-from tau_dyn.control.export_c_text import checked_name, header, source, table
+from tau_dyn.control.export_c_filters import ONE_STEP, third_order
+from tau_dyn.control.export_c_text import checked_name, header, numbers, source, table
 from tau_dyn.control.observers import ComplementaryToolObserver, KalmanToolObserver
 from tau_dyn.version import __version__
 

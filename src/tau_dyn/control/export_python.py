@@ -6,12 +6,14 @@ another, each started from the one before, as in C.
 
 from __future__ import annotations
 
+import builtins
 import keyword
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from tau_dyn.control.export_c_loops import CLOSED, ITERATIONS, STEP, STEPS
+from tau_dyn.control.export_c_loops import CLOSED
+from tau_dyn.control.export_c_newton import ITERATIONS, STEP, STEPS
 from tau_dyn.control.export_model import Program
 from tau_dyn.control.export_text import about
 from tau_dyn.control.graph import Graph, Node
@@ -26,6 +28,8 @@ _FORM = {
     "not": "np.logical_not({})",
 }  # fmt: skip
 
+_TAKEN = ("np", "HOME", "ROWS")
+
 
 def python_source(program: Program, name: str = "tau_ff") -> str:
     """Return a feedforward as the text of a Python module with one public function.
@@ -35,12 +39,14 @@ def python_source(program: Program, name: str = "tau_ff") -> str:
         name: Of the function.
 
     Raises:
-        InputError: The name is no identifier of Python.
+        InputError: The name is no identifier of Python, or means something else there.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", name) or keyword.iskeyword(name):
         raise InputError(
             f"'{name}' cannot name a function in Python; use letters, digits and underscores, a letter first"
         )
+    if name in _TAKEN or hasattr(builtins, name):
+        raise InputError(f"'{name}' cannot name a function in Python, where it means something else; take another name")
     words = "\n".join(about(program)).replace("\\", "/").replace('"""', "'''")
     more = "".join(f", {signal}" for signal in program.signals)
     lines = [f'"""{words}', '"""', "", "import numpy as np", ""]

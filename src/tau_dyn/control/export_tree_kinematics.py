@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.control.export_loops import Loops
+from tau_dyn.control.export_loops import Loops, spread
 from tau_dyn.control.export_tree import Tree, exact
 from tau_dyn.control.traced import cross
 from tau_dyn.robot import Robot
@@ -40,11 +40,8 @@ class TreeKinematics:
 
     def place(self, q: Any, z: Any) -> list[Any]:
         """Return one position a joint of the tree."""
-        out: list[Any] = [0.0] * len(self.tree.joints) if self.loops is None else list(self.loops.home)
-        for places, values in ((self.active, q), (self.passive, z)):
-            for k, x in zip(places, values, strict=True):
-                out[k] = x
-        return out
+        rest = [0.0] * len(self.tree.joints) if self.loops is None else list(self.loops.home)
+        return spread(rest, (self.active, q), (self.passive, z))
 
     def gaps(self, q: Any, z: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the solved equations' gaps (np,) [m] and their derivatives (np, na + np)."""

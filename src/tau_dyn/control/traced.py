@@ -138,7 +138,7 @@ def _inverse(A: Any) -> Any:
 
 def _inverse_of(A: np.ndarray, n: int) -> np.ndarray:
     if n == 1:
-        return _op("div")(1.0, A)
+        return np.array([[_op("div")(1.0, A[0, 0])]], dtype=object)
     if n == 2:
         cofactors = np.array([[A[1, 1], -A[0, 1]], [-A[1, 0], A[0, 0]]], dtype=object)
         return cofactors * _op("div")(1.0, A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])

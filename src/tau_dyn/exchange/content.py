@@ -7,6 +7,7 @@ mean of both directions, the rest is left out, and both are said. Base parameter
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -93,10 +94,11 @@ def nominal(model: Model) -> tuple[str, ...]:
 
 
 def header(model: Model) -> str:
-    """Return what a file says about itself; never two hyphens in a row, which XML comments cannot hold."""
+    """Return what a file says about itself: no two hyphens in a row, which XML comments cannot hold, no control characters."""
     lines = [f"Written by tau_dyn {__version__} from {model.robot.source}."]
     leaning = nominal(model)
     if leaning:
         lines.append(f"Not determined by data, so nominal: {', '.join(leaning)}.")
     lines += [f"{sentence}." for sentence in left_out(model)]
-    return " ".join(lines).replace("--", "- -")
+    text = "".join(c if c.isprintable() else "?" for c in " ".join(lines))
+    return re.sub("-(?=-)", "- ", text)

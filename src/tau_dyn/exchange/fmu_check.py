@@ -50,12 +50,12 @@ def _expected(equations: Equations, q: np.ndarray, v: np.ndarray, a: np.ndarray)
             added = forces.mass(*state[:2])
             rows.append([*np.ravel(forces.bounds(*state)), *np.ravel(np.zeros((n, n)) if added is None else added)])
         part = equations.friction
-        gives = {"lower": _sorted(part, v, True), "upper": _sorted(part, v, False), "added": part.gives["added"]}
+        gives = {"lower": _sorted(part, True), "upper": _sorted(part, False), "added": part.gives["added"]}
         found.append((Part(part.graph, part.takes, gives), np.array(rows)))
     return found
 
 
-def _sorted(part: Part, v: Any, low: bool) -> tuple[Any, ...]:
+def _sorted(part: Part, low: bool) -> tuple[Any, ...]:
     """Return the friction's lower or upper bound as the simulator gives it where an effect pushes forwards."""
     graph, out = part.graph, []
     for k, (x, y) in enumerate(zip(part.gives["lower"], part.gives["upper"], strict=True)):

@@ -115,17 +115,33 @@ def _units(root: Element, variables: tuple[Variable, ...]) -> None:
 
 
 def base_units(unit: str) -> dict[str, int] | None:
-    """Return a unit as powers of base units, `N s/m` as kg/s; None where it is not made of units known here."""
+    """Return a unit as powers of base units, `N s/m` as kg/s; None where it is not made of units known here.
+
+    A space multiplies and a bar divides by what follows it, which may be a bracket: `N/(m/s)` is N s/m.
+    """
+    words = re.findall(r"\)\^-?\d+|[()/]|[^\s()/]+", unit)
+    try:
+        powers = _product(words)
+    except (KeyError, ValueError, IndexError, RecursionError):
+        return None
+    return None if words else powers
+
+
+def _product(words: list[str]) -> dict[str, int]:
+    """Take factors from the words up to a closing bracket, and return their powers."""
     powers: dict[str, int] = {}
-    for part, text in enumerate(unit.replace("(", " ").replace(")", " ").split("/")):
-        for word in text.split():
-            name, _, power = word.partition("^")
-            if word == "1":
-                continue
-            if name not in _BASE or not (power or "1").lstrip("-").isdigit():
-                return None
-            for base, exponent in _BASE[name].items():
-                powers[base] = powers.get(base, 0) + (-1 if part else 1) * int(power or 1) * exponent
+    sign = 1
+    while words and not words[0].startswith(")"):
+        word = words.pop(0)
+        if word == "/":
+            sign = -1
+            continue
+        inner = _product(words) if word == "(" else None
+        name, _, power = (words.pop(0) if word == "(" else word).partition("^")
+        known = inner if inner is not None else {} if name == "1" else _BASE[name]
+        for base, exponent in known.items():
+            powers[base] = powers.get(base, 0) + sign * int(power or 1) * exponent
+        sign = 1
     return powers
 
 

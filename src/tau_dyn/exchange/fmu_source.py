@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from tau_dyn.control.export_c_graph import graph_lines, guard_lines, number, output_lines, unused_lines
 from tau_dyn.control.export_c_loops import closing_lines
+from tau_dyn.control.export_c_text import harmless
 from tau_dyn.control.export_model import Program
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.exchange.content import nominal
@@ -26,7 +27,7 @@ def _lines(equations: Equations, guid: str) -> Iterator[str]:
     model, loops = equations.model, equations.loops
     na, nt = model.robot.na, max(1, len(equations.parameters))
     passive = len(loops.passive) if loops is not None else 0
-    yield f"/* {about(model)}".replace("*/", "* /") + " FMI 2.0 for co-simulation; C99. */"
+    yield f"/* {harmless(about(model))} FMI 2.0 for co-simulation; C99. */"
     yield from ("#include <math.h>", "#include <stddef.h>", "#include <stdlib.h>", "#include <string.h>", "")
     sizes = {
         "NA": na,
@@ -44,7 +45,7 @@ def _lines(equations: Equations, guid: str) -> Iterator[str]:
     names = model.parameters.names
     values = model.parameters.values
     yield ""
-    yield "/* Parameters: " + (", ".join(names[k] for k in equations.parameters) or "none") + ". */"
+    yield f"/* Parameters: {harmless(', '.join(names[k] for k in equations.parameters)) or 'none'}. */"
     yield _array("nominal", [float(values[k]) for k in equations.parameters] or [0.0])
     yield _array("home_position", [float(x) for x in model.robot.home])
     yield ""

@@ -3,13 +3,15 @@
 from tau_dyn.report.accuracy_page import accuracy_page
 from tau_dyn.report.accuracy_terminal import print_accuracy
 from tau_dyn.report.check_page import check_page
+from tau_dyn.report.check_terminal import print_check
 from tau_dyn.report.diagnosis_page import diagnosis_page
 from tau_dyn.report.diagnosis_terminal import print_diagnosis
+from tau_dyn.report.identification_page import identification_page
+from tau_dyn.report.identification_terminal import print_identification
 from tau_dyn.report.modes_page import modes_page
 from tau_dyn.report.modes_terminal import print_modes
 from tau_dyn.report.motion_pages import excitation_page, simulation_page
-from tau_dyn.report.page import identification_page, write_report
-from tau_dyn.report.tables import print_check, print_identification
+from tau_dyn.report.write import write_report
 
 __all__ = [
     "accuracy_page",

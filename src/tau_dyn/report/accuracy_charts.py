@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 from markupsafe import Markup
-from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.kinematics.accuracy import AccuracyResult, Body
 from tau_dyn.kinematics.assumptions import Guideway, Orientation
 from tau_dyn.report.accuracy_words import scale_of
 from tau_dyn.report.level_plot import Map, level_plot
-from tau_dyn.report.modes_svg import LogChart
-from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, TOP, Chart, padded, tag
+from tau_dyn.report.log_chart import LogChart
+from tau_dyn.report.space import hull_of
+from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, WHOLE, Chart, padded, path_of, tag
 
 AXES = "xyz"
 COMPARED = {
@@ -69,8 +70,6 @@ def _guideways(found: AccuracyResult) -> tuple[np.ndarray, tuple[str, ...]]:
     assert grid is not None
     points, names = [], []
     data = robot.model.createData()
-    import pinocchio as pin
-
     pin.forwardKinematics(robot.model, data, pin.neutral(robot.model))
     pin.computeJointJacobians(robot.model, data)
     for joint, kind in zip(robot.actuated, robot.joint_kinds, strict=True):
@@ -97,14 +96,15 @@ def growth_chart(found: AccuracyResult) -> Markup:
     seen = np.concatenate([c[np.isfinite(c)] for c in curves.values()] or [np.ones(1)])
     if not seen.size:
         return Markup("")
-    low, high = 1e-3, max(1.0, 1.3 * float(seen.max()))
-
-    def log(x: np.ndarray | float) -> np.ndarray:
-        return np.log10(np.clip(x, low, high))
-
-    chart = LogChart(520, 300, (float(g.factors[0]), float(g.factors[-1])), (float(log(low)), float(log(high))),
-                     "all errors enlarged, worst pose", "times the stated errors", "off by [10ˣ %]")  # fmt: skip
-    lines = [chart.line(g.factors, np.where(np.isfinite(c), log(c), np.nan), COMPARED[m]) for m, c in curves.items()]
+    ylim = 1e-3, max(1.0, 1.3 * float(seen.max()))
+    xlim = float(g.factors[0]), float(g.factors[-1])
+    chart = LogChart(
+        HALF, 300, xlim, ylim, "all errors enlarged, worst pose", "times the stated errors", "off by [%]", log_y=True
+    )
+    lines = [
+        chart.line(g.factors, np.where(np.isfinite(c), np.clip(c, *ylim), np.nan), COMPARED[m])
+        for m, c in curves.items()
+    ]
     return chart.render(*lines)
 
 
@@ -131,12 +131,13 @@ def _body_chart(body: Body, i: int, j: int, factor: float, unit: str, reach: flo
 
 
 def _outline(chart: Chart, corners: np.ndarray) -> Markup:
-    try:
-        ring = corners[ConvexHull(corners).vertices]
-    except QhullError:
+    around = hull_of(corners)
+    if around is None:
         return Markup("")
-    points = [f"{a:.1f} {b:.1f}" for a, b in zip(chart.x(ring[:, 0]), chart.y(ring[:, 1]), strict=True)]
-    return tag("path", d="M" + "L".join(points) + "Z", class_="box")
+    ring = corners[around]
+    return tag(
+        "path", d=path_of(np.column_stack([chart.x(ring[:, 0]), chart.y(ring[:, 1])]), closed=True), class_="box"
+    )
 
 
 def guideway_charts(line: Guideway) -> list[Markup]:
@@ -147,7 +148,7 @@ def guideway_charts(line: Guideway) -> list[Markup]:
     charts = []
     for name, values, style in (("along", line.along, "predicted"), ("across", across, "residual")):
         values = factor * values
-        chart = Chart(520, 220, padded(line.q, share=0.02), padded(values, np.zeros(1)), f"{line.joint}, {name}",
+        chart = Chart(HALF, 220, padded(line.q, share=0.02), padded(values, np.zeros(1)), f"{line.joint}, {name}",
                       f"{line.joint} [m]", f"error {name} [{unit}]")  # fmt: skip
         charts.append(chart.render(chart.line(line.q[order], values[order], style), chart.dots(line.q, values, "mean")))
     return charts
@@ -158,7 +159,7 @@ def orientation_chart(found: Orientation) -> Markup:
     n = np.arange(1, len(found.euler) + 1)
     angles = np.degrees(found.euler - found.euler.mean(axis=0))
     chart = Chart(
-        1060, 260, (0.0, float(len(n) + 1)), padded(angles), "ZYZ Euler angles less their means", "pose", "[°]"
+        WHOLE, 260, (0.0, float(len(n) + 1)), padded(angles), "ZYZ Euler angles less their means", "pose", "[°]"
     )
     styles = ("predicted", "residual", "expected")
     return chart.render(*[chart.line(n.astype(float), angles[:, k], styles[k]) for k in range(3)])

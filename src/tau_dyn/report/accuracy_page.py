@@ -9,7 +9,7 @@ import numpy as np
 
 from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.report import accuracy_charts as charts
-from tau_dyn.report.accuracy_words import METHOD_WORDS, at, headline, share, size, summary, verdict
+from tau_dyn.report.accuracy_words import METHOD_WORDS, at, headline, pretty, share, size, summary, verdict
 from tau_dyn.report.shell import Opening, render
 from tau_dyn.report.words import number
 
@@ -49,7 +49,7 @@ def accuracy_page(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = (
         styles=charts.COMPARED,
         bodies=[_body(found, k) for k in range(len(found.bodies))],
         guideways=[(g, _line_row(g), charts.guideway_charts(g)) for g in found.measured.guideways],
-        sentences=[_pretty(s) for s in found.measured.sentences],
+        sentences=[pretty(s) for s in found.measured.sentences],
         orientation=None
         if found.measured.orientation is None
         else charts.orientation_chart(found.measured.orientation),
@@ -148,7 +148,3 @@ def _line_row(line: Any) -> dict[str, str]:
         "aliases": "" if line.cycle is None or not line.cycle.aliases else ", ".join(size(x) for x in line.cycle.aliases),
         "backlash": "–" if line.backlash is None else f"{size(line.backlash.size)} ± {size(line.backlash.stderr)}",
     }  # fmt: skip
-
-
-def _pretty(sentence: str) -> str:
-    return sentence.replace("+-", "±").replace(" um", " µm").replace(" deg", "°")

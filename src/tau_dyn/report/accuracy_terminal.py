@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.kinematics.accuracy import AccuracyResult
-from tau_dyn.report.accuracy_words import METHOD_WORDS, at, headline, share, size, summary, verdict
-from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, put, room, say
+from tau_dyn.report.accuracy_words import at, headline, pretty, share, size, summary, verdict
+from tau_dyn.report.terminal import bare_table, put, room, say, say_opening, say_written
 
 
 def print_accuracy(console: Console, found: AccuracyResult, written: Mapping[str, str] | None = None) -> None:
@@ -21,19 +21,16 @@ def print_accuracy(console: Console, found: AccuracyResult, written: Mapping[str
         found: The result.
         written: What was written, such as `{"report": "a.html"}`, for the last line.
     """
-    judged, badge = verdict(found)
-    say(console, summary(found), "dim")
-    if found.accuracy is not None:
-        say(console, f"{headline(found)}.", "bold")
-    say(console, f"{badge}. {judged.sentence}", LEVEL_STYLE[judged.level])
+    judged, _ = verdict(found)
+    said = "" if found.accuracy is None else f"{headline(found)}."
+    say_opening(console, summary(found), said, judged.level, judged.sentence)
     if found.accuracy is not None:
         put(console, _methods(found, room(console)))
         for method, why in found.accuracy.left_out.items():
             say(console, f"{method} is left out: {why}.", "dim")
     for sentence in found.measured.sentences:
-        say(console, sentence.replace("+-", "±").replace(" um", " µm"))
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+        say(console, pretty(sentence))
+    say_written(console, written)
 
 
 def _methods(found: AccuracyResult, columns: int) -> Table:
@@ -51,6 +48,3 @@ def _methods(found: AccuracyResult, columns: int) -> Table:
         where = at(a.position[s.worst_pose]) if np.isfinite(s.most) and columns >= 96 else ""
         table.add_row(method, size(s.least), size(s.median), size(s.most), spread, where)
     return table
-
-
-__all__ = ["METHOD_WORDS", "print_accuracy"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.kinematics.accuracy import AccuracyResult
-from tau_dyn.report.words import Verdict, count, listed, number, percent
+from tau_dyn.report.words import Verdict, count, listed, minus, number, percent
 
 SMALL_SHARE = 0.1
 """Departure from the exact worst case up to which a linear bound counts as good."""
@@ -44,6 +44,11 @@ def share(value: float) -> str:
     if abs(value) < 0.001:
         return "< 0.1 %"
     return f"{'+' if value > 0 else '−'}{percent(100 * abs(value))}"
+
+
+def pretty(sentence: str) -> str:
+    """Return a sentence of a result with the signs that a person would write."""
+    return sentence.replace("+-", "±").replace(" um", " µm").replace(" deg", "°")
 
 
 def at(position: np.ndarray) -> str:
@@ -91,18 +96,13 @@ def verdict(found: AccuracyResult) -> tuple[Verdict, str]:
     off = {m: a.off(m) for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest}
     worst = {m: float(np.nanmax(np.abs(x))) for m, x in off.items() if np.isfinite(x).any()}
     bad = [m for m, x in worst.items() if x > SMALL_SHARE]
-    certified = "certified" in a.largest and bool(np.isfinite(a.largest["certified"]).all())
     if bad:
         words = listed([f"{m} by up to {percent(100 * worst[m])}" for m in bad])
-        return Verdict("care", f"Simple bounds are off: {words}; the exact worst case is the one to use."), _badge(
-            certified
-        )
+        said = f"Simple bounds are off: {words}; the exact worst case is the one to use."
+        return Verdict("care", said), "Use the exact bound"
     said = "The linear bounds are as good as exact here; errors are small against the rods and no singularity is near."
-    return Verdict("good", said), _badge(certified)
-
-
-def _badge(certified: bool) -> str:
-    return "Bound proved" if certified else "Bound not proved"
+    proved = "certified" in a.largest and bool(np.isfinite(a.largest["certified"]).all())
+    return Verdict("good", said), "Bound proved" if proved else "Bound not proved"
 
 
 def summary(found: AccuracyResult) -> str:
@@ -113,7 +113,7 @@ def summary(found: AccuracyResult) -> str:
     where = (
         count(len(a.q), "pose")
         if found.grid is None
-        else f"{count(len(a.q), 'pose')} of the section {found.grid.section.words}"
+        else f"{count(len(a.q), 'pose')} of the section {minus(found.grid.section.words)}"
     )
     source = ", from measured points" if found.from_measured else ""
     names = [*a.errors.actuators, *a.errors.rods]

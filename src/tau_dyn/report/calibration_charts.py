@@ -2,39 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.calibrate.candidates import Candidate
 from tau_dyn.calibrate.result import Calibration
-from tau_dyn.report.modes_svg import log_ticks
-from tau_dyn.report.robot_picture import project
-from tau_dyn.report.svg import BOTTOM, LEFT, TOP, Chart, padded, tag
+from tau_dyn.report.log_chart import LogChart
+from tau_dyn.report.space import BOX_EDGES, box_corners, project
+from tau_dyn.report.svg import Chart, padded, tag
 
 _ARROW = 0.13
 """Length of the largest error vector, as a share of the picture."""
-
-
-@dataclass(frozen=True)
-class LogErrors(Chart):
-    """A chart whose vertical axis is logarithmic; `ylim` stays in data units and has to be positive."""
-
-    def y(self, value: np.ndarray | float) -> np.ndarray:
-        """Return vertical drawing coordinates."""
-        low, high = np.log10(self.ylim)
-        at = np.log10(np.maximum(np.asarray(value, float), 1e-300))
-        return self.height - BOTTOM - (at - low) / (high - low) * (self.height - TOP - BOTTOM)
-
-    def _levels(self, right: int) -> list[Markup]:
-        pieces = []
-        for value, named in log_ticks(*self.ylim, most=max(3, self.height // 40)):
-            at = float(self.y(value))
-            pieces.append(tag("path", d=f"M{LEFT} {at:.1f}H{right}", class_="grid"))
-            if named:
-                pieces.append(tag("text", f"{value:.4g}", x=LEFT - 6, y=at + 3.5, text_anchor="end"))
-        return pieces
 
 
 def error_chart(found: Calibration, *, turned: bool = False) -> Markup:
@@ -49,8 +27,18 @@ def error_chart(found: Calibration, *, turned: bool = False) -> Markup:
     index = np.arange(1, len(a) + 1)
     values = np.concatenate([a, b])
     values = values[np.isfinite(values) & (values > 0)]
-    low, high = float(values.min()), float(values.max())
-    chart = LogErrors(1100, 260, (0.0, len(a) + 1.0), (low / 1.3, high * 1.3), name, "unseen pose", f"[{unit}]")
+    low, high = (float(values.min()), float(values.max())) if values.size else (1.0, 1.0)
+    chart = LogChart(
+        1100,
+        260,
+        (0.0, len(a) + 1.0),
+        (low / 1.3, high * 1.3),
+        name,
+        "unseen pose",
+        f"[{unit}]",
+        log_x=False,
+        log_y=True,
+    )
     return chart.render(
         chart.line(index, a, "measured thin"), chart.line(index, b, "predicted"), chart.dots(index, b, "pose")
     )
@@ -76,7 +64,7 @@ def _vectors(found: Calibration, model: Candidate) -> tuple[str, Markup] | None:
         return None
     base, error = base[ok], error[ok]
     at, along = project(base), project(error)
-    corners = project(_corners(base))
+    corners = project(box_corners(base.min(axis=0), base.max(axis=0)))
     low, high = corners.min(axis=0), corners.max(axis=0)
     extent = float(np.max(high - low)) or 1.0
     largest = float(np.percentile(np.linalg.norm(error, axis=1), 95)) or 1.0
@@ -103,19 +91,12 @@ def _vectors(found: Calibration, model: Candidate) -> tuple[str, Markup] | None:
 
 def _edges(base: np.ndarray, shift: np.ndarray, scale: float) -> Markup:
     """Return the box around the poses, and the base's axes' names at its lower corner."""
-    at = (project(_corners(base)) - shift) * scale
-    pairs = [(i, i | 1 << a) for i in range(8) for a in range(3) if not i >> a & 1]
-    lines = "".join(f"M{at[i][0]:.1f} {at[i][1]:.1f}L{at[j][0]:.1f} {at[j][1]:.1f}" for i, j in pairs)
+    at = (project(box_corners(base.min(axis=0), base.max(axis=0))) - shift) * scale
+    lines = "".join(f"M{at[i][0]:.1f} {at[i][1]:.1f}L{at[j][0]:.1f} {at[j][1]:.1f}" for i, j in BOX_EDGES)
     names = [
         tag("text", "xyz"[a], x=float(at[1 << a][0]), y=float(at[1 << a][1]) - 4, class_="axis-name") for a in range(3)
     ]
     return tag("path", d=lines, class_="box") + Markup("").join(names)
-
-
-def _corners(points: np.ndarray) -> np.ndarray:
-    """Return the corners (8, 3) of the box around points."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return np.array([[(low, high)[i >> a & 1][a] for a in range(3)] for i in range(8)])
 
 
 def _round_down(x: float) -> float:

@@ -12,7 +12,6 @@ from tau_dyn.calibrate.sensitivity import CHANGE, sensitivities
 from tau_dyn.report import calibration_charts as charts
 from tau_dyn.report.calibration_words import (
     angle,
-    badge,
     finding_words,
     headline,
     length,
@@ -24,7 +23,7 @@ from tau_dyn.report.figures import interval_bar
 from tau_dyn.report.quantities import shown_unit
 from tau_dyn.report.shell import Opening, render
 from tau_dyn.report.waterfall import Ladder, Rung
-from tau_dyn.report.words import number, rounded
+from tau_dyn.report.words import badge, minus, number, rounded
 
 _CORRELATED = 12
 _SENSITIVE = 12
@@ -41,14 +40,15 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
     judged = verdict(found)
     opening = Opening(headline(found), judged.level, badge(judged.level), judged.sentence, summary(found))
     turned = found.errors(found.chosen).rotation is not None
-    uses = ["poses", "held-out poses"]
     return render(
         "calibration.html.j2",
         f"{found.robot.name}: calibration",
         opening,
         [],
         robot=found.robot,
-        logs=[(use, name, sha256 or "not a file") for use, (name, sha256) in zip(uses, poses, strict=False)],
+        logs=[
+            ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
+        ],
         command_line=command_line,
         provenance={"model": found.chosen.name, "seed": str(found.seed), "residual": found.fit.kind},
         name=found.poses.source,
@@ -183,8 +183,8 @@ def _frame(row: dict[str, object]) -> dict[str, str]:
     quaternion: Any = row["quaternion"]
     return {
         "name": f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}",
-        "translation": ", ".join(f"{x:.5f}" for x in translation),
-        "quaternion": ", ".join(f"{x:.6f}" for x in quaternion),
+        "translation": minus(", ".join(f"{x:.5f}" for x in translation)),
+        "quaternion": minus(", ".join(f"{x:.6f}" for x in quaternion)),
     }
 
 

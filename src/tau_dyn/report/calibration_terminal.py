@@ -9,7 +9,7 @@ from rich.table import Table
 
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.report.calibration_words import angle, finding_words, headline, length, model_words, summary, verdict
-from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, say
+from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
 from tau_dyn.report.words import listed
 
 BAR = 10
@@ -24,9 +24,7 @@ def print_calibration(console: Console, found: Calibration, written: Mapping[str
         written: What was written, such as `{"report": "c.html"}`, for the last line.
     """
     judged = verdict(found)
-    say(console, summary(found), "dim")
-    say(console, headline(found), "bold")
-    say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    say_opening(console, summary(found), headline(found), judged.level, judged.sentence)
     put(console, _ladder(found))
     for finding in found.findings:
         say(console, f"{finding.status}: {finding_words(finding)}")
@@ -34,8 +32,7 @@ def print_calibration(console: Console, found: Calibration, written: Mapping[str
     if len(blind.dropped):
         names = [blind.names[k] for k in blind.dropped]
         say(console, f"kept nominal, for no pose can tell: {listed(names, 8)}", "dim")
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+    say_written(console, written)
 
 
 def _ladder(found: Calibration) -> Table:

@@ -6,7 +6,7 @@ from tau_dyn.calibrate.candidates import Candidate
 from tau_dyn.calibrate.causes import Finding
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.report.quantities import quantity
-from tau_dyn.report.words import Level, Verdict, count, listed, percent
+from tau_dyn.report.words import Verdict, count, listed, percent
 
 NAMES = {
     "frames": "robot file",
@@ -85,11 +85,6 @@ def verdict(found: Calibration) -> Verdict:
     return Verdict(
         "good", f"What is left ({length(reached)} rms at unseen poses) is what noise lets expect ({length(expected)})."
     )
-
-
-def badge(level: Level) -> str:
-    """Return the verdict in a word or three."""
-    return {"good": "Ready to use", "care": "Use with care", "poor": "Not fit for use"}[level]
 
 
 def summary(found: Calibration) -> str:

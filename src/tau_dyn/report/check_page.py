@@ -9,13 +9,13 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.log import Finding, Log, LogCheck, examine_clock
+from tau_dyn.report.check_words import check_headline, said_of, worst_first
 from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.svg import Chart, padded
+from tau_dyn.report.svg import THIRD, Chart, padded
 from tau_dyn.report.time_view import Curve, View, even_channels, strip
-from tau_dyn.report.words import Level, check_headline, count, listed, number, percent, steady
+from tau_dyn.report.words import Level, count, listed, number, percent, steady
 from tau_dyn.robot import Robot
 
-ORDER = {"fault": 0, "warning": 1, "ok": 2}
 LONGEST_STEPS = 5.0
 """Steps longer than so many usual ones stand in the histogram's last bar."""
 STEP_DOTS = 1500
@@ -32,7 +32,7 @@ def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, comma
     """
     joints = list(dict.fromkeys((*log.joints("q"), *log.joints("tau"))))
     units = _units(joints, robot)
-    found = sorted(checked.findings, key=lambda f: ORDER[f.severity])
+    found = worst_first(checked)
     return render(
         "check.html.j2",
         f"{log.name}: check",
@@ -92,8 +92,8 @@ def _views(log: Log, joints: list[str], units: dict[str, tuple[str, str]]) -> li
 
 
 def _said(finding: Finding, log: Log) -> str:
-    """Return a finding's sentence without the log's name in front; the page has said it."""
-    text = finding.sentence.removeprefix(f"{log.name}: ")
+    """Return a finding's sentence with a capital in front, where it begins with a word and not a channel's name."""
+    text = said_of(finding, log.name)
     first = text.split(" ", 1)[0]
     return text[:1].upper() + text[1:] if first.isalpha() else text
 
@@ -161,7 +161,7 @@ def _step_charts(log: Log) -> list[Markup]:
     low, high = padded(shown, share=0.04)
     counts, edges = np.histogram(shown, np.linspace(max(0.0, low), high, 61))
     decades = np.log10(1 + counts)
-    chart = Chart(344, 240, (float(edges[0]), float(edges[-1])), (0.0, 1.08 * float(decades.max())), "how often", "step [ms]",
+    chart = Chart(THIRD, 240, (float(edges[0]), float(edges[-1])), (0.0, 1.08 * float(decades.max())), "how often", "step [ms]",
                   "log₁₀(1 + samples)")  # fmt: skip
     x, y = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(decades, 2), [0.0]])
     worst = np.argsort(-np.abs(steps - np.median(steps)))[: STEP_DOTS // 2]

@@ -6,7 +6,6 @@ and last why to trust it. The page reads a `Diagnosis` and judges nothing new.
 
 from __future__ import annotations
 
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from tau_dyn.diagnose.result import Diagnosis, Finding, TimeTrace, Unexplained
 from tau_dyn.report import diagnosis_words, figures, quantities, words
 from tau_dyn.report import waterfall as fall
 from tau_dyn.report.diagnosis_rows import diagnosed_rows
+from tau_dyn.report.rows import grouped
 from tau_dyn.report.series import limits
 from tau_dyn.report.shell import Opening, logs_used, render
 from tau_dyn.report.signature import signature_charts
@@ -52,7 +52,7 @@ def diagnosis_page(diagnosis: Diagnosis, *, command_line: str = "") -> str:
         open_ends=[_open_end(item) for item in diagnosis.unexplained],
         simulated=diagnosis_words.simulation_rows(diagnosis.simulation),
         settings=diagnosis_words.settings_rows(diagnosis.settings),
-        groups=[(name, list(members)) for name, members in groupby(rows, lambda r: r.group)],
+        groups=grouped(rows),
         scale=words.percent(100 * scale),
         bar=figures.row_bar,
         said=diagnosis_words,

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.report import diagnosis_words as said
-from tau_dyn.report.terminal import LEVEL_STYLE, MARGIN, bare_table, meter, plain, put, room, say
+from tau_dyn.report.terminal import MARGIN, bare_table, meter, plain, put, room, say, say_opening, say_written
 from tau_dyn.report.waterfall import Rung, figures_of, ladder
 from tau_dyn.report.words import listed, percent
 
@@ -32,17 +32,15 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis, written: Mapping[str
         written: What was written, such as `{"extended model": "m.yaml"}`, for the last line.
     """
     level, _ = said.badge(diagnosis)
-    say(console, f"{diagnosis.model.robot.name} · {said.summary(diagnosis)}", "dim")
-    say(console, diagnosis.sentence, "bold")
-    say(console, said.judgement(diagnosis).sentence, LEVEL_STYLE[level])
+    about = f"{diagnosis.model.robot.name} · {said.summary(diagnosis)}"
+    say_opening(console, about, diagnosis.sentence, level, said.judgement(diagnosis).sentence)
     put(console, _waterfall(diagnosis, room(console)))
     for title, items in _uncertain(diagnosis):
         if len(items) == 1:
             say(console, f"{title}: {items[0]}")
         else:
             put(console, _list(title, items))
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+    say_written(console, written)
 
 
 def _waterfall(diagnosis: Diagnosis, columns: int) -> Table:

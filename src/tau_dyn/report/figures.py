@@ -8,16 +8,16 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.effects import Motion, TorqueOffset
-from tau_dyn.effects.effect import JointwiseEffect
+from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.identify import Identification
 from tau_dyn.report.residuals import Residual
 from tau_dyn.report.rows import Row
-from tau_dyn.report.svg import Chart, padded, tag
+from tau_dyn.report.svg import THIRD, Chart, padded, tag
 from tau_dyn.report.words import number, pretty_unit
 
 DOTS = 1200
 BINS = 24
-SMALL = (344, 240)
+SMALL = (THIRD, 240)
 
 
 @dataclass(frozen=True)

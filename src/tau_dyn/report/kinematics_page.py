@@ -10,7 +10,7 @@ from rich.table import Table
 
 from tau_dyn.kinematics.pose_table import PoseTable
 from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.terminal import MARGIN, bare_table, plain, put, room, say
+from tau_dyn.report.terminal import MARGIN, bare_table, plain, put, room, say, say_written
 
 _ROWS_SHOWN = 200
 _ROWS_PRINTED = 12
@@ -25,9 +25,8 @@ def kinematics_page(table: PoseTable, *, command_line: str = "") -> str:
     """
     answered, rows = int(table.ok.sum()), len(table.q)
     level = "good" if answered == rows else "care"
-    badge = (
-        "Answered" if answered == rows == 1 else "All rows answered" if answered == rows else f"{rows - answered} not"
-    )
+    every = "Answered" if rows == 1 else "All rows answered"
+    badge = every if answered == rows else f"{answered} of {rows} answered"
     shown = _shown(table)
     return render(
         "kinematics.html.j2",
@@ -86,8 +85,7 @@ def print_poses(console: Console, table: PoseTable, written: Mapping[str, str] |
             put(console, part)
         if len(table.q) > _ROWS_PRINTED:
             say(console, f"and {len(table.q) - _ROWS_PRINTED} rows more; --out FILE.csv writes them all", "dim")
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+    say_written(console, written)
 
 
 def _parts(table: PoseTable, width: int) -> list[Table]:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, TOP, Chart, tag, ticks
+from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, Chart, tag, ticks
 
 FINE = 4
 """Points drawn between two of the grid, to a side."""
-WIDTH, LEGEND = 520, 66
+WIDTH, LEGEND = HALF, 66
 COLOURS = ("#f3f0dd", "#fbe29a", "#f6bf5f", "#ee9748", "#dd6b44", "#c1434d", "#98285a", "#6a1a5d", "#41114f", "#210a37")
 """From light to dark, so that it prints in grey and reads without colour vision."""
 

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from tau_dyn.modes.on_robot import ShapesOnRobot
 from tau_dyn.modes.result import Modes, Trace
 from tau_dyn.report import modes_charts as charts
+from tau_dyn.report import modes_model_charts as model_charts
 from tau_dyn.report.figures import interval_bar
 from tau_dyn.report.modes_robot import robot_drawings
 from tau_dyn.report.modes_shapes import shape_drawing, space_axes
@@ -28,7 +29,7 @@ from tau_dyn.report.modes_words import (
 )
 from tau_dyn.report.shell import Opening, render
 from tau_dyn.report.time_view import Curve, View, strip
-from tau_dyn.report.words import number, percent, rounded
+from tau_dyn.report.words import Z95, number, percent, rounded
 
 SHAPES = 8
 """Modes whose shapes are drawn."""
@@ -75,12 +76,12 @@ def modes_page(
         columns=charts.columns(found),
         hidden_pairs=len(found.inputs) * len(found.outputs) - len(drawn),
         coherence=[charts.coherence_chart(found, i) for i in range(len(found.outputs))] if _coherent(found) else [],
-        stabilisation=charts.stabilisation_chart(found) if found.stabilisation else Markup(""),
-        choices=charts.charts_of(_choices(found)),
-        poles=charts.pole_chart(found),
+        stabilisation=model_charts.stabilisation_chart(found) if found.stabilisation else Markup(""),
+        choices=_choices(found),
+        poles=model_charts.pole_chart(found),
         whiteness=[charts.test_chart(found, t) for t in found.whiteness],
         independence=[charts.test_chart(found, t) for t in _worst(found)],
-        impulse=charts.charts_of([charts.impulse_chart(found, i, j) for i, j in drawn]) if found.impulse else [],
+        impulse=[charts.impulse_chart(found, i, j) for i, j in drawn] if found.impulse else [],
         fits=_fits(found),
         mechanical=_mechanical(found),
         mechanical_words=mechanical_words(found),
@@ -90,8 +91,12 @@ def modes_page(
 
 
 def _choices(found: Modes) -> list[Markup]:
-    orders = [charts.order_chart(found), charts.criterion_chart(found)] if len(found.order_choice.trials) > 1 else []
-    return [*orders, charts.delay_chart(found)]
+    orders = (
+        [model_charts.order_chart(found), model_charts.criterion_chart(found)]
+        if len(found.order_choice.trials) > 1
+        else []
+    )
+    return [*orders, *([model_charts.delay_chart(found)] if len(found.delay_choice.scan) > 1 else [])]
 
 
 def _coherent(found: Modes) -> bool:
@@ -110,7 +115,7 @@ def _row(found: Modes, k: int) -> dict[str, Any]:
     m = found.modes[k]
     sizes = np.abs(m.shape)
     known = np.isfinite(m.damping_stderr) and m.damping_ratio > 0
-    spread = 1.96 * m.damping_stderr / m.damping_ratio / BAR_SPAN if known else 0.0
+    spread = Z95 * m.damping_stderr / m.damping_ratio / BAR_SPAN if known else 0.0
     decay = 2 * np.pi * m.frequency_hz * m.damping_ratio
     orders = [t.order for t in found.order_choice.trials if t.order >= found.order] or [found.order]
     seen = sum(_appears(found, n, m.frequency_hz) for n in orders)

@@ -1,7 +1,7 @@
 """Mode shapes drawn on the robot: at rest in grey, swung out in colour.
 
 On the screen it swings; on paper, and for those who asked for less motion, it stands swung out. The view is that of
-`robot_picture`. Sizes of modes cannot be compared: each is drawn as large as its figure takes.
+`space.py`. Sizes of modes cannot be compared: each is drawn as large as its figure takes.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
-from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.modes.figure import Skeleton
 from tau_dyn.modes.on_robot import Pair, ShapesOnRobot, Swing
 from tau_dyn.report.modes_shapes import PERIOD
-from tau_dyn.report.robot_picture import project
-from tau_dyn.report.svg import tag
+from tau_dyn.report.space import View, hull_of, project
+from tau_dyn.report.svg import path_of, tag
 from tau_dyn.report.words import number
 
 WIDTH, HEIGHT, MARGIN = 330, 250, 30
@@ -42,7 +41,7 @@ def robot_drawings(shapes: ShapesOnRobot | None, chosen: Sequence[bool]) -> list
     """Return the drawings of the modes that are chosen; none without a robot."""
     if shapes is None:
         return []
-    view, skeleton = _View.of(shapes.skeleton), shapes.skeleton
+    view, skeleton = _view(shapes.skeleton), shapes.skeleton
     pairs = [pair for pair, take in zip(shapes.pairs, chosen, strict=True) if take]
     return [
         Drawn(_drawing(skeleton, p.measured, view, "measured"), _said(p.measured), *_beside(skeleton, p, view))
@@ -50,7 +49,7 @@ def robot_drawings(shapes: ShapesOnRobot | None, chosen: Sequence[bool]) -> list
     ]
 
 
-def _beside(skeleton: Skeleton, pair: Pair, view: _View) -> tuple[Markup, str]:
+def _beside(skeleton: Skeleton, pair: Pair, view: View) -> tuple[Markup, str]:
     if pair.model is None:
         return Markup(""), ""
     return _drawing(skeleton, pair.model, view, "robot file"), f"{_said(pair.model)}, MAC {pair.mac:.2f}"
@@ -60,32 +59,13 @@ def _said(swing: Swing) -> str:
     return f"{number(swing.frequency_hz, 4)} Hz, damping {number(100 * swing.damping_ratio, 2)} %"
 
 
-class _View:
-    """Maps points of space to the drawing, and displacements on one scale."""
-
-    def __init__(self, scale: float, shift: np.ndarray) -> None:
-        self.scale, self.shift = scale, shift
-
-    @classmethod
-    def of(cls, skeleton: Skeleton) -> _View:
-        flat = project(np.concatenate([*skeleton.links, *skeleton.rails, skeleton.joints, *_rows(skeleton)]))
-        low, high = flat.min(axis=0), flat.max(axis=0)
-        room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
-        scale = float(np.min(room / np.maximum(high - low, 1e-3)))
-        return cls(scale, np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2)
-
-    def place(self, points: np.ndarray, moved: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return points (n, 3) [m] on the drawing (n, 2) [px], moved by so many pixels' worth (n, 3)."""
-        flat = self.scale * project(points) + self.shift
-        return flat + project(np.broadcast_to(moved, points.shape))
+def _view(skeleton: Skeleton) -> View:
+    spots = [at[None] for at in skeleton.places.values()]
+    return View.of(np.concatenate([*skeleton.links, *skeleton.rails, skeleton.joints, *spots]), WIDTH, HEIGHT, MARGIN)
 
 
-def _rows(skeleton: Skeleton) -> list[np.ndarray]:
-    return [at[None] for at in skeleton.places.values()]
-
-
-def _drawing(skeleton: Skeleton, swing: Swing, view: _View, who: str) -> Markup:
-    pieces = [tag("path", d=_line(view.place(rail)), class_="rail") for rail in skeleton.rails]
+def _drawing(skeleton: Skeleton, swing: Swing, view: View, who: str) -> Markup:
+    pieces = [tag("path", d=path_of(view.place(rail)), class_="rail") for rail in skeleton.rails]
     order = sorted(range(len(skeleton.links)), key=lambda k: -len(skeleton.links[k]))
     pieces += [tag("path", d=_outline(view.place(skeleton.links[k])), class_="at-rest") for k in order]
     moving, still = [], []
@@ -107,33 +87,26 @@ def _drawing(skeleton: Skeleton, swing: Swing, view: _View, who: str) -> Markup:
     )  # fmt: skip
 
 
-def _frames(points: np.ndarray, moved: np.ndarray, view: _View) -> list[str]:
+def _frames(points: np.ndarray, moved: np.ndarray, view: View) -> list[str]:
     """Return one outline each for moments of a swing, the first again at the end; hulls keep their corners."""
-    corners = _corners(view.place(points))
+    flat = view.place(points)
+    corners = _corners(flat)
     angles = np.linspace(0, 2 * np.pi, FRAMES)
-    return [_closed(view.place(points, REACH * np.real(moved * np.exp(1j * x)))[corners]) for x in angles]
+    return [_around((flat + REACH * project(np.real(moved * np.exp(1j * x))))[corners]) for x in angles]
 
 
 def _corners(flat: np.ndarray) -> np.ndarray:
     """Return which points (n, 2) are drawn, in order."""
-    if len(flat) > 2:
-        try:
-            return ConvexHull(flat).vertices
-        except (QhullError, ValueError):  # all on one line
-            pass
-    return np.arange(len(flat))
+    around = hull_of(flat) if len(flat) > 2 else None
+    return np.arange(len(flat)) if around is None else around
 
 
 def _outline(flat: np.ndarray) -> str:
-    return _closed(flat[_corners(flat)])
+    return _around(flat[_corners(flat)])
 
 
-def _closed(flat: np.ndarray) -> str:
-    return _line(flat) + ("Z" if len(flat) > 2 else "")
-
-
-def _line(flat: np.ndarray) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in flat)
+def _around(flat: np.ndarray) -> str:
+    return path_of(flat, closed=len(flat) > 2)
 
 
 def _arrow(at: np.ndarray, moved: np.ndarray) -> Markup:
@@ -147,5 +120,5 @@ def _arrow(at: np.ndarray, moved: np.ndarray) -> Markup:
     for side in (1, -1):
         end = at + side * tip
         head = [end - side * 6 * along + 3.5 * across, end, end - side * 6 * along - 3.5 * across]
-        pieces += [_line(np.array([at, end])), _line(np.array(head))]
+        pieces += [path_of(np.array([at, end])), path_of(np.array(head))]
     return tag("path", d="".join(pieces), class_="arrow")

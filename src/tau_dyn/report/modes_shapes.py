@@ -13,7 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.modes.modal import Mode
-from tau_dyn.report.svg import tag
+from tau_dyn.report.svg import path_of, tag
 
 AXES = {"x": (0.90, 0.30), "y": (-0.78, 0.42), "z": (0.0, -1.0)}
 """Where the axes of space point on the drawing, y down: seen from above, in front and the right."""
@@ -53,7 +53,7 @@ def _path(shape: np.ndarray, axes: dict[str, int]) -> Markup:
     for axis, k in axes.items():
         swing += np.outer(np.real(shape[k] * np.exp(1j * angle)), AXES[axis])
     path = middle + REACH * swing / max(float(np.abs(swing).max()), 1e-12)
-    d = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in path) + "Z"
+    d = path_of(path, closed=True)
     pieces = []
     for axis, (a, b) in AXES.items():
         if axis not in axes:

@@ -19,7 +19,7 @@ from tau_dyn.report.modes_words import (
     summary,
     verdict,
 )
-from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, room, say
+from tau_dyn.report.terminal import bare_table, meter, plain, put, room, say, say_opening, say_written
 
 BAR = 12
 
@@ -33,17 +33,14 @@ def print_modes(console: Console, found: Modes, written: Mapping[str, str] | Non
         written: What was written, such as `{"report": "m.html"}`, for the last line.
     """
     judged = verdict(found)
-    say(console, summary(found), "dim")
-    say(console, headline(found), "bold")
-    say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    say_opening(console, summary(found), headline(found), judged.level, judged.sentence)
     if found.modes:
         put(console, _modes(found, room(console)))
     put(console, _fits(found))
     say(console, mechanical_words(found))
     reasons = ". ".join(text[:1].upper() + text[1:] for text in found.why.values())
     say(console, f"{reasons}.", "dim")
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+    say_written(console, written)
 
 
 def _modes(found: Modes, columns: int) -> Table:

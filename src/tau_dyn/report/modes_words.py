@@ -6,9 +6,8 @@ import numpy as np
 
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.result import Modes
-from tau_dyn.report.words import Verdict, count, decimals_for, listed, number, rounded
+from tau_dyn.report.words import Z95, Verdict, count, decimals_for, listed, number, rounded
 
-Z95 = 1.959964
 GOOD_FIT, FAIR_FIT = 90.0, 70.0
 MOST = 5
 """Modes that the headline names."""

@@ -12,10 +12,10 @@ from tau_dyn.excitation import Prediction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.svg import Chart, padded, tag
+from tau_dyn.report.svg import THIRD, Chart, padded, tag
 from tau_dyn.report.time_view import Curve, View, strip
-from tau_dyn.report.trust import FAIR, WELL, conditioning_words
-from tau_dyn.report.words import Level, count, listed, number, percent, pretty_unit, steady
+from tau_dyn.report.trust import FAIR, WELL, separation_words
+from tau_dyn.report.words import Level, count, limit_words, listed, number, percent, pretty_unit, steady
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Sensors, Trajectory
 
@@ -82,7 +82,7 @@ def excitation_page(
         f"A motion of {number(motion.duration, 4)} s with condition number {number(condition, 3)}.",
         level,
         badge,
-        conditioning_words(condition).split(": ", 1)[1].capitalize(),
+        f"{separation_words(condition).capitalize()}.",
         f"{count(robot.na, 'joint')}: {listed(robot.actuated)}; {count(free, 'free parameter')}; "
         f"condition numbers below {WELL:g} are good, above {FAIR:g} poor.",
     )
@@ -175,7 +175,7 @@ def _followed(log: Log, robot: Robot, k: int) -> dict[str, Any]:
         row["error_share"] = float(np.max(np.abs(behind))) / travel if travel > 0 else None
     if tau is not None:
         peak = float(np.max(np.abs(tau)))
-        row |= {"force": [number(float(np.sqrt(np.mean(tau**2))), 3), number(peak, 3)], "limit": _limit(limit)}
+        row |= {"force": [number(float(np.sqrt(np.mean(tau**2))), 3), number(peak, 3)], "limit": limit_words(limit)}
         row |= {"used": _share(peak, limit), "saturated": bool(peak >= FORCE_NEAR * limit)}
     return row
 
@@ -189,19 +189,15 @@ def _driven(motion: Trajectory, robot: Robot, k: int) -> dict[str, Any]:
         "joint": robot.actuated[k],
         "unit": robot.position_units[k],
         "range": f"{steady(float(q.min()))} … {steady(float(q.max()))}",
-        "limits": f"{_limit(low)} … {_limit(high)}" if room else "none",
+        "limits": f"{limit_words(low)} … {limit_words(high)}" if room else "none",
         "from": None if left is None else float(left[0]),
         "width": 0.0 if left is None else float(left[1] - left[0]),
         "speed": steady(float(np.max(np.abs(v)))),
-        "speed_limit": _limit(fastest),
+        "speed_limit": limit_words(fastest),
         "speed_share": _share(float(np.max(np.abs(v))), fastest),
         "acceleration": steady(float(np.max(np.abs(a)))),
         "reversals": str(int(np.sum(np.diff(np.sign(v[v != 0])) != 0))),
     }
-
-
-def _limit(value: float) -> str:
-    return number(value, 3) if np.isfinite(value) else "none"
 
 
 def _share(value: float, limit: float) -> float | None:
@@ -217,7 +213,7 @@ def _phase_chart(motion: Trajectory, robot: Robot, k: int) -> Markup:
     q, v = motion.q[::step, k], motion.v[::step, k]
     xlim = padded(np.array([x for x in (low, high) if np.isfinite(x)]), q)
     ylim = padded(np.array([x for x in (-fastest, fastest) if np.isfinite(x)]), v)
-    chart = Chart(344, 240, xlim, ylim, robot.actuated[k], f"position [{unit}]", f"speed [{unit}/s]")
+    chart = Chart(THIRD, 240, xlim, ylim, robot.actuated[k], f"position [{unit}]", f"speed [{unit}/s]")
     frame = Markup("")
     if np.all(np.isfinite([low, high, fastest])):
         (x0, x1), (y0, y1) = chart.x(np.array([low, high])), chart.y(np.array([fastest, -fastest]))

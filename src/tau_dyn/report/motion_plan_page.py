@@ -10,9 +10,9 @@ from markupsafe import Markup
 from tau_dyn.control.motion import Binding, MotionPlan
 from tau_dyn.report.motion_plan_words import headline, judgement, path_words, squares_unit
 from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.svg import Chart, padded
+from tau_dyn.report.svg import THIRD, WHOLE, Chart, padded
 from tau_dyn.report.time_view import Curve, View, strip
-from tau_dyn.report.words import number, percent, pretty_unit, steady
+from tau_dyn.report.words import limit_words, number, percent, pretty_unit, steady
 
 _POINTS = 1200
 _PLANES = ((0, 1), (0, 2), (1, 2))
@@ -58,9 +58,6 @@ def _facts(plan: MotionPlan) -> list[tuple[str, str]]:
 
 
 def _row(row: dict[str, Any]) -> dict[str, Any]:
-    def limit(value: float) -> str:
-        return number(value, 4) if np.isfinite(value) else "none"
-
     def share(value: float, most: float) -> float | None:
         return 100 * min(value / most, 1.0) if np.isfinite(most) else None
 
@@ -68,10 +65,10 @@ def _row(row: dict[str, Any]) -> dict[str, Any]:
         "joint": row["joint"],
         "travel": f"{steady(row['travel'])} {row['unit']}",
         "speed": f"{steady(row['speed'])} {row['unit']}/s",
-        "speed_limit": limit(row["speed_limit"]),
+        "speed_limit": limit_words(row["speed_limit"], 4),
         "acceleration": f"{steady(row['acceleration'])} {row['unit']}/s²",
         "force": f"{number(row['force'], 4)} {pretty_unit(row['force_unit'])}",
-        "force_limit": limit(row["force_limit"]),
+        "force_limit": limit_words(row["force_limit"], 4),
         "force_share": share(row["force"], row["force_limit"]),
         "at_limit": percent(100 * row["at_force_limit"]),
     }
@@ -88,7 +85,7 @@ def _forces(plan: MotionPlan) -> list[Markup]:
         limit, tau = float(plan.limits.force[k]), plan.tau[:, k]
         edges = np.array([-limit, limit]) if np.isfinite(limit) else np.zeros(0)
         unit = pretty_unit(plan.model.robot.force_units[k])
-        chart = Chart(344, 220, (0.0, float(plan.t[-1])), padded(tau, edges), joint, "time [s]", f"force [{unit}]")
+        chart = Chart(THIRD, 220, (0.0, float(plan.t[-1])), padded(tau, edges), joint, "time [s]", f"force [{unit}]")
         ends = np.array([0.0, plan.t[-1]])
         frame = [chart.line(ends, np.full(2, edge), "limit") for edge in edges]
         charts.append(chart.render(*frame, chart.line(plan.t[::step], tau[::step], "predicted")))
@@ -102,7 +99,7 @@ def _way(plan: MotionPlan, i: int, j: int) -> Markup:
     place = plan.tool[::step] if (len(plan.tool) - 1) % step == 0 else np.vstack([plan.tool[::step], plan.tool[-1:]])
     x, y = place[:, i], place[:, j]
     xlim, ylim = _square(x, y)
-    chart = Chart(344, 300, xlim, ylim, f"{axes[i]}{axes[j]}", f"{axes[i]} [m]", f"{axes[j]} [m]")
+    chart = Chart(THIRD, 300, xlim, ylim, f"{axes[i]}{axes[j]}", f"{axes[i]} [m]", f"{axes[j]} [m]")
     ends = np.array([0, -1])
     return chart.render(
         chart.line(x[ends], y[ends], "expected"), chart.line(x, y, "predicted"), chart.dots(x[ends], y[ends], "mean")
@@ -123,7 +120,7 @@ def _speed(plan: MotionPlan) -> Markup:
     if speed is None:
         return Markup("")
     step = max(1, len(plan.t) // _POINTS)
-    chart = Chart(720, 220, (0.0, float(plan.t[-1])), padded(speed, np.zeros(1)), "tool", "time [s]", "speed [m/s]")
+    chart = Chart(WHOLE, 240, (0.0, float(plan.t[-1])), padded(speed, np.zeros(1)), "tool", "time [s]", "speed [m/s]")
     return chart.render(chart.line(plan.t[::step], speed[::step], "predicted"))
 
 

@@ -1,4 +1,4 @@
-"""What `plan-motion` prints."""
+"""What the terminal shows of a planned motion: duration, what holds it back, each drive's force against its limit."""
 
 from __future__ import annotations
 
@@ -8,31 +8,29 @@ from rich.console import Console
 
 from tau_dyn.control.motion import MotionPlan
 from tau_dyn.report.motion_plan_words import headline, judgement, path_words, squares_unit
-from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, say
-from tau_dyn.report.words import number, percent
+from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
+from tau_dyn.report.words import limit_words, number, percent
 
 _WIDTH = 16
 
 
-def print_plan(console: Console, plan: MotionPlan, written: Mapping[str, str]) -> None:
+def print_motion_plan(console: Console, plan: MotionPlan, written: Mapping[str, str] | None = None) -> None:
     """Print a planned motion for a person.
 
     Args:
         console: Where to.
         plan: The motion.
-        written: What was written, such as `{"motion": "m.csv"}`; empty names are left out.
+        written: What was written, such as `{"motion": "m.csv"}`, for the last line.
     """
     level, badge, said = judgement(plan)
-    say(console, path_words(plan), "dim")
-    say(console, headline(plan), "bold")
-    say(console, f"{badge}. {said}", LEVEL_STYLE[level])
+    say_opening(console, path_words(plan), headline(plan), level, f"{badge}. {said}")
     table = bare_table()
     for name, justify in (("joint", "left"), ("force", "right"), ("limit", "right"), ("", "left"), ("at it", "right")):
         table.add_column(name, justify=justify, no_wrap=True)  # type: ignore[arg-type]
     for row in plan.peaks():
         share = row["force"] / row["force_limit"]
         table.add_row(
-            plain(row["joint"]), f"{number(row['force'], 4)} {row['force_unit']}", number(row["force_limit"], 4),
+            plain(row["joint"]), f"{number(row['force'], 4)} {row['force_unit']}", limit_words(row["force_limit"], 4),
             meter(share, _WIDTH), percent(100 * row["at_force_limit"]),
         )  # fmt: skip
     put(console, table)
@@ -43,4 +41,4 @@ def print_plan(console: Console, plan: MotionPlan, written: Mapping[str, str]) -
         f"squared forces over time {plan.energy:.4g} {squares_unit(plan)} s, work {plan.work:.4g} J; {solver}",
         "dim",
     )
-    say(console, "   ".join(f"{what} → {path}" for what, path in written.items() if path))
+    say_written(console, written)

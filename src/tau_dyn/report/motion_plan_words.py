@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tau_dyn.control.motion import MotionPlan
-from tau_dyn.report.words import Level, listed, percent
+from tau_dyn.report.words import Level, listed, number, percent
 
 
 def headline(plan: MotionPlan) -> str:
@@ -28,7 +28,7 @@ def path_words(plan: MotionPlan) -> str:
     """Return from where to where, and for what robot."""
     ends = plan.q[[0, -1]] if plan.tool is None else plan.tool[[0, -1]]
     unit = " m" if plan.tool is not None else ""
-    start, end = (f"({', '.join(f'{x:.4g}' for x in row)}){unit}" for row in ends)
+    start, end = (f"({', '.join(number(round(float(x), 6) + 0.0) for x in row)}){unit}" for row in ends)
     effects = ", ".join(dict.fromkeys(e.name.replace("_", " ") for e in plan.model.effects)) or "no friction"
     return f"{plan.model.robot.name} from {start} to {end}, rest to rest; rigid bodies with {effects}."
 

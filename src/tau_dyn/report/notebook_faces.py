@@ -22,9 +22,11 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.report import (
     accuracy_words,
     calibration_words,
+    check_words,
     comparison,
     diagnosis_words,
     figures,
+    identification_words,
     modes_words,
     words,
     workspace_words,
@@ -118,16 +120,16 @@ def _model(found: Model) -> Face:
 
 @face_of.register
 def _identification(found: Identification) -> Face:
-    judged, rows = words.verdict(found), parameter_rows(found)
+    judged, rows = identification_words.verdict(found), parameter_rows(found)
     cells = [Row([r.name, r.estimate, r.unit, r.interval, r.nominal, figures.row_bar(r), r.note],
                  "" if r.state == "known" else "care") for r in rows]  # fmt: skip
     curves = figures.friction_curves(found)
     return Face(
         "Identification",
         found.model.robot.name,
-        words.headline(found),
+        identification_words.headline(found),
         judged.level,
-        {"good": "Ready to use", "care": "Use with care", "poor": "Not fit for use"}[judged.level],
+        words.badge(judged.level),
         ("parameter", "estimate", "unit", "95 % interval", "nominal", "", ""),
         cells,
         [figures.friction_chart(curve) for curve in curves[:_PICTURES]],
@@ -185,7 +187,7 @@ def _calibration(found: Calibration) -> Face:
     rows = [_dimension(row) for row in found.parameter_rows()]
     return Face(
         "Calibration", f"{found.robot.name}, model {found.chosen.name}", calibration_words.headline(found), judged.level,
-        calibration_words.badge(judged.level), ("dimension", "value", "unit", "95 % interval", "nominal"), rows,
+        words.badge(judged.level), ("dimension", "value", "unit", "95 % interval", "nominal"), rows,
         [error_chart(found)], [judged.sentence, *found.warnings], ("calibration",),
     )  # fmt: skip
 
@@ -201,13 +203,14 @@ def _dimension(row: dict[str, Any]) -> Row:
 @face_of.register
 def _check(found: LogCheck) -> Face:
     level = {"fault": "poor", "warning": "care", "ok": ""}
-    order = sorted(found.findings, key=lambda f: ("fault", "warning", "ok").index(f.severity))
     rows = [
-        Row([f.topic, f.severity, f.sentence.removeprefix(f"{found.name}: "), f.remedy], level[f.severity])
-        for f in order
+        Row([f.topic, f.severity, check_words.said_of(f, found.name), f.remedy], level[f.severity])
+        for f in check_words.worst_first(found)
     ]
     said = "good" if found.fit_for_use and not found.warnings else "care" if found.fit_for_use else "poor"
-    return Face("Check", found.name, words.check_headline(found), said, columns=("topic", "", "", "remedy"), rows=rows)
+    return Face(
+        "Check", found.name, check_words.check_headline(found), said, columns=("topic", "", "", "remedy"), rows=rows
+    )
 
 
 @face_of.register

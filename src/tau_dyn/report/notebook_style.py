@@ -29,8 +29,13 @@ def style_of(templates: tuple[str, ...] = ()) -> str:
         f"{', '.join(f'{s} .tau-dyn' for s in DARK)} {{ {dark} }}",
         _asset("notebook.css"),
     ]
-    sources = [page, *(_asset(f"{name}.html.j2") for name in templates)]
+    sources = [page, *(_style_in(_asset(f"{name}.html.j2")) for name in templates)]
     return "\n".join([*own, *(rule for text in sources for rule in _scoped(text))])
+
+
+def _style_in(template: str) -> str:
+    """Return what a page's own style elements say."""
+    return "\n".join(re.findall(r"<style>(.*?)</style>", template, re.DOTALL))
 
 
 def _scoped(text: str) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isnan
 
 from rich.console import Console
 from rich.table import Table
@@ -10,13 +11,13 @@ from rich.table import Table
 from tau_dyn.calibrate.poses.automation import Plan
 from tau_dyn.calibrate.poses.enough import doubling_gain, fewest
 from tau_dyn.report.calibration_words import angle, length
-from tau_dyn.report.terminal import bare_table, plain, put, say
+from tau_dyn.report.terminal import bare_table, plain, put, say, say_written
 from tau_dyn.report.words import listed
 
 _ROWS = 8
 
 
-def print_plan(console: Console, plan: Plan, written: Mapping[str, str] | None = None) -> None:
+def print_pose_plan(console: Console, plan: Plan, written: Mapping[str, str] | None = None) -> None:
     """Print a plan for a person.
 
     Args:
@@ -31,14 +32,13 @@ def print_plan(console: Console, plan: Plan, written: Mapping[str, str] | None =
     blind = list(plan.choice.not_identifiable)
     if blind:
         say(console, f"kept nominal, for no pose can tell: {listed(blind, 8)}", "dim")
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+    say_written(console, written)
 
 
 def headline(plan: Plan) -> str:
     """Return the answer in one sentence."""
     made = plan.choice.predicted
-    turned = f" and {angle(made.turn)}" if made.turn == made.turn else ""
+    turned = "" if isnan(made.turn) else f" and {angle(made.turn)}"
     return (
         f"{made.poses} poses will bring the tool to {length(made.rms)}{turned} (rms over the "
         f"workspace, give or take {length(made.scatter)}); "

@@ -12,6 +12,7 @@ import numpy as np
 
 from tau_dyn.estimate import Regression
 from tau_dyn.identify import Identification
+from tau_dyn.report.words import Z95
 
 LAGS = 20.0
 """Longest lag times the low-pass' cutoff; at least 0.3 s and at most 2 s are shown."""
@@ -72,7 +73,7 @@ def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_h
     correlation = covariance / covariance[0] if covariance[0] > 0 else np.zeros(n_lags)
     lags = np.arange(n_lags) * step
     expected = filter_memory(lags, cutoff_hz)
-    bound = 1.96 * float(np.sqrt(np.sum(expected**2) * 2 / max(1, len(values))))
+    bound = Z95 * float(np.sqrt(np.sum(expected**2) * 2 / max(1, len(values))))
     beyond = np.flatnonzero(np.abs(correlation - expected) > max(SYSTEMATIC, bound))
     lasts = float(lags[beyond[-1]]) if beyond.size else 0.0
     return Residual(regression.outputs[k], regression.units[k], values, lags, correlation, expected, bound, lasts)
@@ -87,5 +88,4 @@ def filter_memory(lags: np.ndarray, cutoff_hz: float, order: int = 4) -> np.ndar
 
 def _lagged_sum(x: np.ndarray, n_lags: int) -> np.ndarray:
     size = 1 << int(np.ceil(np.log2(len(x) + n_lags)))
-    sums = np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[:n_lags]
-    return sums
+    return np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[:n_lags]

@@ -1,7 +1,7 @@
 """The robot at home as a line drawing: guideways, carts, rods, plate, or the chain of an arm; from its tree alone.
 
 A link is drawn through the points where it meets others: its own joint, its children's joints and its loops' ends. Two
-points make a rod, more make a plate. The view is orthographic, from the front right and above; z is up.
+points make a rod, more make a plate. The view is that of `space.py`.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from collections.abc import Collection
 import numpy as np
 import pinocchio as pin
 from markupsafe import Markup
-from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.kinematics import LoopSolver
-from tau_dyn.report.svg import tag
+from tau_dyn.report.space import View, outline, triad
+from tau_dyn.report.svg import path_of, tag
 from tau_dyn.robot import Robot
 
-AZIMUTH, ELEVATION = np.deg2rad(-62.0), np.deg2rad(18.0)
 WIDTH, HEIGHT, MARGIN = 380, 290, 34
 
 
@@ -48,9 +47,11 @@ def _shapes(robot: Robot, data: pin.Data) -> list[np.ndarray]:
         points = np.unique(np.round(points, 6), axis=0)
         if len(points) > 1:
             shapes.append(points)
-    roots = [j for j in map(model.getJointId, robot.actuated) if model.parents[j] == 0]
-    chain = [j for j, kind in zip(roots, robot.joint_kinds, strict=False) if kind == "revolute" and not robot.loops]
-    return shapes + [np.array([np.zeros(3), data.oMi[j].translation]) for j in chain if np.any(data.oMi[j].translation)]
+    if robot.loops:
+        return shapes
+    kinds = zip(map(model.getJointId, robot.actuated), robot.joint_kinds, strict=True)
+    feet = [data.oMi[j].translation for j, kind in kinds if kind == "revolute" and model.parents[j] == 0]
+    return shapes + [np.array([np.zeros(3), place]) for place in feet if np.any(place)]
 
 
 def _guideways(robot: Robot, data: pin.Data) -> dict[str, np.ndarray]:
@@ -66,28 +67,14 @@ def _guideways(robot: Robot, data: pin.Data) -> dict[str, np.ndarray]:
     return rails
 
 
-def project(points: np.ndarray) -> np.ndarray:
-    """Return screen coordinates (n, 2) [m], right and down."""
-    ca, sa, ce, se = np.cos(AZIMUTH), np.sin(AZIMUTH), np.cos(ELEVATION), np.sin(ELEVATION)
-    screen = np.array([[-sa, ca, 0.0], [ca * se, sa * se, -ce]])
-    return np.atleast_2d(points) @ screen.T
-
-
 def _drawing(
     robot: Robot, data: pin.Data, shapes: list[np.ndarray], rails: dict[str, np.ndarray], named: Collection[str]
 ) -> Markup:
     joints = [data.oMi[robot.model.getJointId(j)].translation for j in robot.actuated]
-    everything = project(np.concatenate([*shapes, *rails.values(), np.array(joints)]))
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
-    scale = float(np.min(room / np.maximum(high - low, 1e-3)))
-    shift = np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2
-
-    def place(points: np.ndarray) -> np.ndarray:
-        return scale * project(points) + shift
-
+    view = View.of(np.concatenate([*shapes, *rails.values(), np.array(joints)]), WIDTH, HEIGHT, MARGIN)
+    place = view.place
     pieces = [
-        tag("path", d=_path(place(rail)), class_="rail" + " named" * (name in named)) for name, rail in rails.items()
+        tag("path", d=path_of(place(rail)), class_="rail" + " named" * (name in named)) for name, rail in rails.items()
     ]
     pieces += [_link(place(points)) for points in sorted(shapes, key=len, reverse=True)]
     spots = np.array([place(at)[0] for at in joints])
@@ -102,18 +89,19 @@ def _drawing(
         pieces.append(tag("text", "tool", x=x, y=y + 24, text_anchor="middle", class_="joint-name"))
     text = f"{robot.name} at its home position"
     return tag(
-        "svg", tag("title", text), *pieces, _triad(), viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", class_="robot"
+        "svg",
+        tag("title", text),
+        *pieces,
+        triad(26, HEIGHT - 22, 18),
+        viewBox=f"0 0 {WIDTH} {HEIGHT}",
+        role="img",
+        class_="robot",
     )
 
 
 def _link(points: np.ndarray) -> Markup:
-    if len(points) == 2:
-        return tag("path", d=_path(points), class_="rod")
-    try:
-        hull = points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):  # all on one line
-        return tag("path", d=_path(points), class_="rod")
-    return tag("path", d=_path(hull) + "Z", class_="plate")
+    path = path_of(points) if len(points) == 2 else outline(points)
+    return tag("path", d=path, class_="plate" if path.endswith("Z") else "rod")
 
 
 def joint_labels(robot: Robot) -> list[str]:
@@ -144,20 +132,3 @@ def _labels(names: list[str], spots: np.ndarray, tops: np.ndarray) -> list[Marku
             pieces.append(tag("text", text, x=float(spot[0]), y=y, text_anchor="middle", class_="joint-name"))
             done |= near
     return pieces
-
-
-def _triad() -> Markup:
-    origin = np.array([26.0, HEIGHT - 22.0])
-    pieces = []
-    for axis, name in zip(np.eye(3), "xyz", strict=True):
-        tip = origin + 18 * project(axis)[0]
-        pieces.append(tag("path", d=_path(np.array([origin, tip])), class_="triad"))
-        place = origin + 27 * project(axis)[0]
-        pieces.append(
-            tag("text", name, x=float(place[0]), y=float(place[1]) + 3, text_anchor="middle", class_="triad-name")
-        )
-    return Markup("").join(pieces)
-
-
-def _path(points: np.ndarray) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -74,6 +74,14 @@ def parameter_rows(found: Identification, truth: Mapping[str, float] | None = No
         _compared(row, r, truth[row.name]) if truth and row.name in truth else row
         for row, r in zip(rows, raw, strict=True)
     ]
+
+
+def grouped(rows: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+    """Return the lines by heading, headings in the order in which they first appear."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row.group, []).append(row)
+    return list(found.items())
 
 
 def bar_scale(rows: list[dict[str, Any]]) -> float:

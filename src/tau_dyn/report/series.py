@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.estimate import Regression, Run
+from tau_dyn.estimate import Regression
 from tau_dyn.identify import Identification
 
 
@@ -81,14 +81,9 @@ def _panels(found: Identification, regression: Regression, held_out: bool, part:
         predicted = run.W @ found.estimate.theta
         shaded = None if part is None else (float(part.runs[i].t[0]), float(part.runs[i].t[-1]))
         for k, joint in enumerate(regression.outputs):
-            rows.append(_panel(run, k, joint, regression.units[k], predicted, held_out, shaded))
+            rows.append(Panel(run.name, joint, regression.units[k], held_out, run.t, run.y[:, k], predicted[:, k],
+                              run.usable[:, k], shaded))  # fmt: skip
     return rows
-
-
-def _panel(
-    run: Run, k: int, joint: str, unit: str, predicted: np.ndarray, held_out: bool, shaded: tuple[float, float] | None
-) -> Panel:
-    return Panel(run.name, joint, unit, held_out, run.t, run.y[:, k], predicted[:, k], run.usable[:, k], shaded)
 
 
 def thin(t: np.ndarray, columns: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,8 @@
-"""What every page shares: the template environment, style, scripts named by hash, the time view, and where it was made."""
+"""What every page shares: the template environment, style, scripts, the time view, and where it was made.
+
+A page is one file that needs no other: offline, light and dark, on screen and on paper. Its texts are escaped by Jinja; its
+content security policy allows no network and no script but the two inside, which it names by hash.
+"""
 
 from __future__ import annotations
 

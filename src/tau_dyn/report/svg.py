@@ -12,6 +12,8 @@ import numpy as np
 from markupsafe import Markup, escape
 
 LEFT, RIGHT, TOP, BOTTOM = 46, 10, 20, 34
+THIRD, HALF, WHOLE = 344, 520, 1060
+"""Widths of drawings that stand three or two in a row of a card, or alone [px]."""
 
 
 def tag(name: str, *content: Markup | str, **attributes: object) -> Markup:
@@ -24,6 +26,11 @@ def tag(name: str, *content: Markup | str, **attributes: object) -> Markup:
 
 def _short(value: object) -> str:
     return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else str(value)
+
+
+def path_of(points: np.ndarray, *, closed: bool = False) -> str:
+    """Return a path through points (n, 2) of the drawing."""
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
 
 
 def ticks(low: float, high: float, about: int = 5) -> np.ndarray:
@@ -108,17 +115,23 @@ class Chart:
         )  # fmt: skip
 
     def _axes(self) -> Markup:
-        bottom, right = self.height - BOTTOM, self.width - RIGHT
+        right = self.width - RIGHT
         pieces = [
             tag("text", self.title, x=right, y=12, text_anchor="end", class_="name"),
-            tag("text", self.ylabel, x=LEFT - 40, y=12, class_="axis-name"),
-            tag("text", self.xlabel, x=right, y=self.height - 3, text_anchor="end", class_="axis-name"),
-        ]
+            tag("text", f"{self.ylabel}{self._power_words(self.ylim)}", x=LEFT - 40, y=12, class_="axis-name"),
+            tag("text", f"{self.xlabel}{self._power_words(self.xlim)}", x=right, y=self.height - 3, text_anchor="end",
+                class_="axis-name"),
+        ]  # fmt: skip
+        return Markup("").join([*pieces, *self._columns(self.height - BOTTOM), *self._levels(right)])
+
+    def _columns(self, bottom: int) -> list[Markup]:
+        """Return the vertical lines and what they are called."""
+        pieces = []
         for value in ticks(*self.xlim, about=max(3, self.width // 110)):
             at = float(self.x(value))
             pieces.append(tag("path", d=f"M{at:.1f} {TOP}V{bottom}", class_="grid"))
             pieces.append(tag("text", label(value, self.xlim), x=at, y=bottom + 14, text_anchor="middle"))
-        return Markup("").join([*pieces, *self._levels(right)])
+        return pieces
 
     def _levels(self, right: int) -> list[Markup]:
         """Return the horizontal lines and what they are called."""
@@ -129,11 +142,25 @@ class Chart:
             pieces.append(tag("text", label(value, self.ylim), x=LEFT - 6, y=at + 3.5, text_anchor="end"))
         return pieces
 
+    def _power_words(self, limits: tuple[float, float]) -> str:
+        """Return what an axis' numbers are to be multiplied by, where they would be too long otherwise."""
+        power = power_of(limits)
+        return f" × 10{str(power).translate(_RAISED)}" if power else ""
+
+
+_RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+def power_of(limits: tuple[float, float]) -> int:
+    """Return the power of ten, in threes, that is left out of an axis' numbers; 0 where they are short as they are."""
+    size = max(abs(x) for x in limits)
+    return 0 if not 0 < size < 6e-3 and not 1e5 <= size < np.inf else 3 * int(np.floor(np.log10(size) / 3))
+
 
 def label(value: float, limits: tuple[float, float]) -> str:
     """Return a tick's number; what is zero up to rounding is zero."""
     span = limits[1] - limits[0]
-    return "0" if abs(value) < 1e-9 * span else f"{value:.5g}".replace("-", "−")
+    return "0" if abs(value) < 1e-9 * span else f"{value / 10.0 ** power_of(limits):.5g}".replace("-", "−")
 
 
 def padded(*arrays: np.ndarray, share: float = 0.06) -> tuple[float, float]:

@@ -1,9 +1,12 @@
 """How the terminal is written to: plain text within 100 columns, a margin, bars of block characters.
 
-Nothing is markup, so that no name can style a line or steer the terminal; no line ends in blanks.
+Nothing is markup, so that no name can style a line or steer the terminal; no line ends in blanks. Colour carries meaning only
+(weak values dim, the verdict's level), and disappears when the output is piped. Tables fit 80 columns.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 from rich import box
 from rich.console import Console
@@ -13,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 MARGIN = (0, 0, 0, 2)
-LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
+_LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
 
 
@@ -41,6 +44,20 @@ def room(console: Console) -> int:
 def say(console: Console, text: str, style: str = "") -> None:
     """Print a paragraph after an empty line."""
     put(console, plain(text, style))
+
+
+def say_opening(console: Console, summary: str, headline: str, level: str, sentence: str) -> None:
+    """Print how every answer begins: what went in, the headline (none if empty), and how far to trust it, in its colour."""
+    say(console, summary, "dim")
+    if headline:
+        say(console, headline, "bold")
+    say(console, sentence, _LEVEL_STYLE[level])
+
+
+def say_written(console: Console, written: Mapping[str, str] | None) -> None:
+    """Print, as the last line, what was written and where; nothing where nothing was."""
+    if written:
+        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
 
 
 def put(console: Console, what: Text | Table) -> None:

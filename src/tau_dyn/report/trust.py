@@ -52,13 +52,17 @@ def used_words(found: Identification) -> str:
 
 def conditioning_words(cond: float) -> str:
     """Return how well a motion separates the parameters, by its condition number."""
-    if cond < WELL:
-        judged = "the motion separates the parameters well"
-    elif cond < FAIR:
-        judged = "acceptable; a richer motion would sharpen single values"
-    else:
-        judged = "ill-conditioned; single values lean on small differences, their combinations do not"
+    judged = separation_words(cond)
     return f"Condition number {number(cond, 3)} (below {WELL:g} is good, above {FAIR:g} is poor): {judged}."
+
+
+def separation_words(cond: float) -> str:
+    """Return what a condition number means, as a clause."""
+    if cond < WELL:
+        return "the motion separates the parameters well"
+    if cond < FAIR:
+        return "acceptable; a richer motion would sharpen single values"
+    return "ill-conditioned; single values lean on small differences, their combinations do not"
 
 
 def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, str]]:

@@ -1,27 +1,15 @@
-"""What a colleague would say about a result: numbers with their uncertainty, the headline, the verdict.
+"""How every result is said: numbers with their uncertainty, units, lists, and how far something may be used.
 
-`±` is a standard error in tables (`95.14 ± 0.20 kg`); in the headline's `known to ±0.4 %` it is the 95 % interval.
+`±` is a standard error (`95.14 ± 0.20 kg`); minus signs are true ones.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from math import floor, isfinite, log10
-from typing import Any, Literal, NamedTuple
-
-from tau_dyn.identify import Identification
-from tau_dyn.log import LogCheck
-from tau_dyn.report.residuals import residuals_of
+from typing import Literal, NamedTuple
 
 Z95 = 1.959964
-POOR_PERCENT = 20.0
-"""Held-out error above which a model is called unfit: one fifth of the force is missed."""
-OVERFIT = 1.5
-"""Held-out error over training error above which the fit does not carry over to other data."""
-ROUGH_PERCENT = 15.0
-"""Half of a 95 % interval above which a mass is `only` known to it."""
-
 Level = Literal["good", "care", "poor"]
 
 
@@ -32,15 +20,25 @@ class Verdict(NamedTuple):
     sentence: str
 
 
+def badge(level: Level) -> str:
+    """Return a verdict in a word or three."""
+    return {"good": "Ready to use", "care": "Use with care", "poor": "Not fit for use"}[level]
+
+
 def number(value: float, digits: int = 4) -> str:
     """Return a number with so many significant digits and a true minus sign."""
     text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
-    return _minus(text if not _tiny_or_huge(value) else f"{value:.{digits - 1}e}")
+    return minus(text if not _tiny_or_huge(value) else f"{value:.{digits - 1}e}")
+
+
+def limit_words(limit: float, digits: int = 3) -> str:
+    """Return a limit as a number; `none` where there is none."""
+    return number(limit, digits) if isfinite(limit) else "none"
 
 
 def steady(value: float) -> str:
     """Return a number with three significant digits, zeros at its end kept, so that a column reads evenly."""
-    return number(value, 3) if _tiny_or_huge(value) or not value else _minus(f"{value:#.3g}".rstrip("."))
+    return number(value, 3) if _tiny_or_huge(value) or not value else minus(f"{value:#.3g}".rstrip("."))
 
 
 def percent(value: float) -> str:
@@ -64,7 +62,7 @@ def rounded(value: float, stderr: float) -> str:
     if decimals > 7 or _tiny_or_huge(max(abs(value), stderr)):
         return number(value)
     shown = round(value, decimals)
-    return _minus(f"{shown if shown else 0.0:.{max(decimals, 0)}f}")
+    return minus(f"{shown if shown else 0.0:.{max(decimals, 0)}f}")
 
 
 def with_uncertainty(value: float, stderr: float | None, unit: str = "") -> str:
@@ -93,121 +91,10 @@ def count(n: int, noun: str) -> str:
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
-def headline(found: Identification, truth: Mapping[str, float] | None = None) -> str:
-    """Return the one sentence above everything; with the truth at hand it tells true errors, not only claimed ones."""
-    if found.holdout is not None:
-        start = f"The model predicts held-out force to {percent(found.holdout.relative_error_percent)}"
-    else:
-        start = f"The model fits the force to {percent(found.train.relative_error_percent)}; nothing was held out to judge it"
-    return "; ".join([start, *_clauses(found.rows(), truth or {})]) + "."
-
-
-def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Verdict:
-    """Return how far the result may be used; estimates that miss a known truth are not to be read as physics."""
-    judged = found.holdout or found.train
-    error, weak = judged.relative_error_percent, [r for r in found.rows() if not r["determined"]]
-    if error > POOR_PERCENT:
-        return Verdict("poor", f"Do not use it yet: {percent(error)} of the force is unexplained.")
-    if found.holdout is None:
-        return Verdict("care", "Judge it on another log before use: these errors are those of the fit itself.")
-    if error > OVERFIT * found.train.relative_error_percent:
-        own = percent(found.train.relative_error_percent)
-        return Verdict("care", f"It fits its own log to {own} but others less well; record a richer motion before use.")
-    off = _missed(found.rows(), truth or {})
-    if off:
-        return Verdict(
-            "care", f"Good for predicting force; {listed(off, 3)} missed the true value by more than 3 standard errors."
-        )
-    if weak:
-        few = count(len(weak), "single value")
-        return Verdict(
-            "care",
-            f"Good for predicting force on motion like this; do not read {few} of {len(found.rows())} as physics.",
-        )
-    if found.warnings:
-        return Verdict("care", f"Good for predicting force; {count(len(found.warnings), 'warning')} to read first.")
-    if not all(residual.white for residual in residuals_of(found)):
-        return Verdict(
-            "good", "Use it for feedforward and simulation; single values may carry force that the model leaves out."
-        )
-    return Verdict("good", "Use it for feedforward and simulation; each value also stands by itself.")
-
-
-def check_headline(checked: LogCheck, name: str = "") -> str:
-    """Return whether a log may be used, in a sentence; with a name it is the sentence's subject."""
-    faults = sum(f.severity == "fault" for f in checked.findings)
-    doubts = sum(f.severity == "warning" for f in checked.findings)
-    start, fit, not_fit = (
-        (f"{name} is ", "fit for use", "not fit for use") if name else ("", "Fit for use", "Not fit for use")
-    )
-    if not checked.fit_for_use:
-        more = f", {count(doubts, 'warning')}" if doubts else ""
-        return f"{start}{not_fit} as it is: {count(faults, 'fault')}{more}."
-    return f"{start}{fit}, with {count(doubts, 'warning')}." if doubts else f"{start}{fit}."
-
-
-def mass_group(name: str) -> str:
-    """Return what a mass is a mass of, without its number: `rod2a_link.mass` -> `rod`."""
-    owner = name.rsplit(".", 1)[0].removesuffix("_link")
-    return re.sub(r"_?\d+[a-z]?$", "", owner) or owner
-
-
-def _missed(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
-    """Return the names of estimates more than three standard errors away from the truth."""
-    compared = [r for r in rows if r["name"] in truth and r["stderr"]]
-    return [r["name"] for r in compared if abs(r["value"] - truth[r["name"]]) > 3 * r["stderr"]]
-
-
-def _clauses(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
-    masses = [r for r in rows if r["name"].endswith(".mass")]
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for row in masses:
-        groups.setdefault(mass_group(row["name"]), []).append(row)
-    if len(groups) > 3 or not masses:
-        known = sum(r["determined"] for r in rows)
-        return [f"{known} of {count(len(rows), 'parameter')} are known to better than 30 % each"]
-    clauses = [
-        _known(name, members, truth) for name, members in groups.items() if any(r["determined"] for r in members)
-    ]
-    weak = [n for n, g in groups.items() if not any(r["determined"] for r in g) and any(r["stderr"] for r in g)]
-    unseen = [n for n, g in groups.items() if all(r["stderr"] is None for r in g)]
-    if weak:
-        clauses.append(f"{_masses(weak, groups)} not determined by this motion")
-    if unseen:
-        apart = all(not r["identifiable"] for n in unseen for r in groups[n])
-        clauses.append(
-            f"{_masses(unseen, groups)} {'seen only in combination' if apart else 'not shown by this motion'}"
-        )
-    return clauses
-
-
-def _known(name: str, members: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> str:
-    known = [r for r in members if r["determined"]]
-    worst = max(100 * Z95 * r["stderr"] / abs(r["value"]) for r in known)
-    true = [truth.get(r["name"]) for r in known]
-    if all(true):
-        off = max(100 * abs(r["value"] / x - 1) for r, x in zip(known, true, strict=True) if x)
-        some = f"{len(known)} of {len(members)} " if len(known) < len(members) else ""
-        what = f"{some}{name} {'mass' if len(members) == 1 else 'masses'}"
-        if _missed(known, truth):
-            return f"{what} missed the truth by up to {percent(off)}, beyond the claimed ±{percent(worst)}"
-        return f"{what} came within {percent(off)} of the truth"
-    how = "known to" if worst < ROUGH_PERCENT else "only known to"
-    if len(members) == 1:
-        return f"{name} mass is {how} ±{percent(worst)}"
-    if len(known) == len(members):
-        return f"{name} masses are {how} ±{percent(worst)}"
-    return f"{len(known)} of {len(members)} {name} masses {'is' if len(known) == 1 else 'are'} {how} ±{percent(worst)}"
-
-
-def _masses(names: Sequence[str], groups: dict[str, list[dict[str, Any]]]) -> str:
-    several = len(names) > 1 or len(groups[names[0]]) > 1
-    return f"{listed(names)} {'masses are' if several else 'mass is'}"
-
-
 def _tiny_or_huge(value: float) -> bool:
     return value != 0 and not 1e-4 <= abs(value) < 1e7
 
 
-def _minus(text: str) -> str:
+def minus(text: str) -> str:
+    """Return a text of numbers with true minus signs."""
     return text.replace("-", "−")

@@ -9,11 +9,11 @@ from tau_dyn.kinematics.workspace.demands import KINDS
 from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.sections import Section
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, TOP, Chart, tag
-from tau_dyn.report.words import number
+from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, THIRD, TOP, Chart, tag
+from tau_dyn.report.words import minus, number
 from tau_dyn.report.workspace_words import SHOWN_UNITS
 
-WIDTH, TALLEST = 344, 420
+WIDTH, TALLEST = THIRD, 420
 LEVELS = 16
 """Colours of a map."""
 _AXES = "xyz"
@@ -52,7 +52,7 @@ def _chart(found: Study, s: Section, title: str) -> Chart:
 
 def section_chart(found: Study, s: Section) -> Markup:
     """Return a section: the workspace, what excludes the rest, the rods' joints on their guideways as squares."""
-    chart = _chart(found, s, s.name)
+    chart = _chart(found, s, minus(s.name))
     pieces = []
     kinds: dict[str, list[int]] = {}
     for code, kind, _ in found.workspace.reasons.items():
@@ -83,7 +83,7 @@ def map_scale(found: Study, name: str) -> tuple[float, float, bool]:
 
 def map_chart(found: Study, s: Section, name: str) -> Markup:
     """Return a map of one quantity in a section."""
-    chart = _chart(found, s, s.name)
+    chart = _chart(found, s, minus(s.name))
     low, high, logarithmic = map_scale(found, name)
     values = s.maps[name]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -10,9 +10,9 @@ from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.study import Study
 from tau_dyn.report import workspace_charts as charts
 from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.words import listed, number, percent
+from tau_dyn.report.words import listed, minus, number, percent
 from tau_dyn.report.workspace_space import space_picture, tilt_chart
-from tau_dyn.report.workspace_words import SHOWN_UNITS, badge, headline, shown, summary, verdict
+from tau_dyn.report.workspace_words import SHOWN_UNITS, SIZE_UNITS, badge, headline, shown, summary, verdict
 
 MAP_WORDS = {
     "condition": "How much better the best direction is than the worst; 1 is isotropic, large is near a singularity.",
@@ -47,7 +47,7 @@ def workspace_page(found: Study, *, command_line: str = "") -> str:
         warnings=[text[:1].upper() + text[1:] for text in (*robot.warnings, *found.warnings)],
         sections=[charts.section_chart(found, s) for s in found.sections],
         kinds=[(charts.class_of(kind), kind) for kind in charts.kinds_in(found)],
-        areas=[(s.name, f"{number(s.area, 3)} m²") for s in found.sections],
+        areas=[(minus(s.name), f"{number(s.area, 3)} m²") for s in found.sections],
         space=space_picture(found),
         obstacles=[o.name for o in space.judge.demands.surroundings.obstacles],
         reasons=_reasons(found),
@@ -89,21 +89,15 @@ def _facts(found: Study) -> list[tuple[str, str, str]]:
     """Return what stands in large numbers: words, number, unit."""
     space, frame = found.workspace, found.workspace.footprint
     name, unit = space.measure
-    pretty = {"m3": "m³", "m2": "m²"}.get(unit, unit)
-    rows = [(name, number(space.size.value, 3), pretty)]
+    rows = [(name, number(space.size.value, 3), SIZE_UNITS[unit])]
     if space.dimension == 3 and frame.area > 0:
         rows.append(("workspace per footprint", number(space.size.value / frame.area, 2), "m³/m²"))
         if frame.height > 0:
             rows.append(("workspace per installation", number(space.size.value / frame.area / frame.height, 2), ""))
-    picked = [("stiffness", 0), ("speed", 0), ("condition", 1)]
-    for quantity, which in picked:
+    for quantity, which, words in (("stiffness", 0, "least"), ("speed", 0, "least"), ("condition", 1, "median")):
         if quantity in found.catalogue.rows:
-            spread = found.catalogue.rows[quantity][0]
-            words = {"stiffness": "stiffness, least", "speed": "speed, least", "condition": "condition, median"}[
-                quantity
-            ]
-            value, _, shown_unit = shown(quantity, spread[which]).partition(" ")
-            rows.append((words, value, shown_unit))
+            value, _, shown_unit = shown(quantity, found.catalogue.rows[quantity][0][which]).partition(" ")
+            rows.append((f"{quantity}, {words}", value, shown_unit))
     return rows[:6]
 
 

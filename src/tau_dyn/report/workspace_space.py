@@ -1,7 +1,7 @@
 """The workspace in space with the robot at home in it, and how far the tool leans.
 
 The cloud is a picture of the border's points, nearest on top, shaded by the way they face; frame, carts and plate are
-outlines, rods are lines, drawn over it. The view is the robot drawing's: orthographic, from the front right and above.
+outlines, rods are lines, drawn over it. The view is that of `space.py`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio as pin
 from markupsafe import Markup
 from scipy import ndimage
-from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.kinematics.collisions import Placed
 from tau_dyn.kinematics.loops import LoopSolver
@@ -22,8 +21,8 @@ from tau_dyn.kinematics.obstacles import Obstacle
 from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace
 from tau_dyn.kinematics.workspace.orientations import Tilt
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.report.robot_picture import AZIMUTH, ELEVATION
-from tau_dyn.report.svg import tag
+from tau_dyn.report.space import BOX_EDGES, View, box_corners, outline, seen, triad
+from tau_dyn.report.svg import path_of, tag
 
 WIDTH, HEIGHT, MARGIN = 700, 520, 30
 _FINE = 2  # picture points per drawing unit
@@ -39,56 +38,36 @@ def space_picture(found: Study) -> Markup:
     machine = space.machine
     solids = machine.solids(machine.robot.home[None], machine.home)
     outlines = [(_outline(s), body.rod >= 0, body.joint == 0) for s, body in zip(solids, machine.bodies, strict=True)]
-    walls = [(o.name, p) for o in space.judge.demands.surroundings.obstacles for p in _obstacle(o)]
-    box = _box(space.lower, space.upper)
+    walls = [points for o in space.judge.demands.surroundings.obstacles for points in _obstacle(o)]
+    box = box_corners(space.lower, space.upper)
     ends = [o for o, _, _ in outlines] or _skeleton(found)
-    shift, scale = _fit(np.concatenate([*ends, box, machine.home.position]))
-
-    def place(points: np.ndarray) -> np.ndarray:
-        return scale * _project(points)[:, :2] + shift
-
-    pieces = [_cloud(found, scale, shift)]
-    pieces += [tag("path", d=_path(place(box[list(edge)])), class_="w-box") for edge in _EDGES]
-    for _, points in walls:
-        pieces.append(tag("path", d=_hull(place(points)), class_="w-wall"))
+    view = View.of(np.concatenate([*ends, box, machine.home.position]), WIDTH, HEIGHT, MARGIN)
+    place = view.place
+    pieces = [_cloud(found, view)]
+    pieces += [tag("path", d=path_of(place(box[list(edge)])), class_="w-box") for edge in BOX_EDGES]
+    pieces += [tag("path", d=outline(place(points)), class_="w-wall") for points in walls]
     for points, is_rod, fixed in sorted(outlines, key=lambda o: o[1]):
         if is_rod:
-            pieces.append(tag("path", d=_path(place(points)), class_="rod"))
+            pieces.append(tag("path", d=path_of(place(points)), class_="rod"))
         else:
-            pieces.append(tag("path", d=_hull(place(points)), class_="w-frame" if fixed else "plate"))
+            pieces.append(tag("path", d=outline(place(points)), class_="w-frame" if fixed else "plate"))
     if not outlines:
-        pieces += [tag("path", d=_path(place(line)), class_="rod") for line in _skeleton(found)]
+        pieces += [tag("path", d=path_of(place(line)), class_="rod") for line in _skeleton(found)]
     x, y = (float(c) for c in place(machine.home.position)[0])
     pieces.append(tag("circle", cx=x, cy=y, r=5, class_="cart"))
     words = f"workspace of {machine.robot.name}, the robot at home in it"
     return tag(
-        "svg", tag("title", words), *pieces, *_triad(), viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", class_="space"
+        "svg",
+        tag("title", words),
+        *pieces,
+        triad(40, HEIGHT - 34, 26),
+        viewBox=f"0 0 {WIDTH} {HEIGHT}",
+        role="img",
+        class_="space",
     )
 
 
-_EDGES = [(a, b) for a in range(8) for b in range(a) if bin(a ^ b).count("1") == 1]
-
-
-def _project(points: np.ndarray) -> np.ndarray:
-    """Return screen coordinates, right and down, and the distance towards the viewer (n, 3) [m]."""
-    ca, sa, ce, se = np.cos(AZIMUTH), np.sin(AZIMUTH), np.cos(ELEVATION), np.sin(ELEVATION)
-    screen = np.array([[-sa, ca, 0.0], [ca * se, sa * se, -ce], [ca * ce, sa * ce, se]])
-    return np.atleast_2d(points) @ screen.T
-
-
-def _fit(points: np.ndarray) -> tuple[np.ndarray, float]:
-    flat = _project(points)[:, :2]
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    room = np.array([WIDTH, HEIGHT]) - 2 * MARGIN
-    scale = float(np.min(room / np.maximum(high - low, 1e-3)))
-    return np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2, scale
-
-
-def _box(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    return np.array([[(lower, upper)[(k >> i) & 1][i] for i in range(3)] for k in range(8)])
-
-
-def _cloud(found: Study, scale: float, shift: np.ndarray) -> Markup:
+def _cloud(found: Study, view: View) -> Markup:
     """Return the border's points as a picture."""
     space = found.workspace
     inside, lattice = space.inside, space.lattice
@@ -98,11 +77,11 @@ def _cloud(found: Study, scale: float, shift: np.ndarray) -> Markup:
     step = max(1, len(index) // _SPLATS)
     index = index[::step]
     slope = np.stack([np.asarray(g)[tuple(index.T)] for g in np.gradient(soft)], axis=1)
-    facing = -_project(slope)
+    facing = -seen(slope)
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
-    at = _project(lattice.points(index))
-    wide = int(np.ceil(1.5 * scale * lattice.step * np.sqrt(step) * _FINE))
-    pixel = np.rint((scale * at[:, :2] + shift) * _FINE).astype(int)
+    at = seen(lattice.points(index))
+    wide = int(np.ceil(1.5 * view.scale * lattice.step * np.sqrt(step) * _FINE))
+    pixel = np.rint((view.scale * at[:, :2] + view.shift) * _FINE).astype(int)
     light = 0.62 + 0.38 * np.clip(facing @ np.array([-0.35, -0.55, 0.75]), -0.5, 1.0)
     return _image(_splat(pixel, at[:, 2], light, max(wide, 1)))
 
@@ -150,7 +129,7 @@ def _outline(solid: Placed) -> np.ndarray:
         local = np.array([[0, 0, -length / 2], [0, 0, length / 2]])
     elif isinstance(shape, Box):
         half = np.array(shape.size) / 2
-        local = _box(-half, half)
+        local = box_corners(-half, half)
     elif isinstance(shape, Cylinder):
         angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         ring = shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -182,27 +161,6 @@ def _skeleton(found: Study) -> list[np.ndarray]:
     return lines
 
 
-def _hull(points: np.ndarray) -> str:
-    try:
-        return _path(points[ConvexHull(points).vertices]) + "Z"
-    except (QhullError, ValueError):  # all on one line
-        return _path(points)
-
-
-def _path(points: np.ndarray) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
-
-
-def _triad() -> list[Markup]:
-    origin, pieces = np.array([40.0, HEIGHT - 34.0]), []
-    for axis, name in zip(np.eye(3), "xyz", strict=True):
-        way = _project(axis)[0, :2]
-        pieces.append(tag("path", d=_path(np.array([origin, origin + 26 * way])), class_="triad"))
-        x, y = (float(c) for c in origin + 36 * way)
-        pieces.append(tag("text", name, x=x, y=y + 4, text_anchor="middle", class_="triad-name"))
-    return pieces
-
-
 def tilt_chart(found: Tilt) -> Markup:
     """Return how far the tool leans towards each side, outwards in degrees."""
     middle, far = 130.0, 104.0
@@ -214,7 +172,7 @@ def tilt_chart(found: Tilt) -> Markup:
         pieces.append(tag("text", f"{degrees:.0f}°", x=middle + 3, y=middle - r - 2, class_="axis-name"))
     r = far * np.rad2deg(found.angle) / most
     points = np.stack([middle + r * np.cos(found.towards), middle - r * np.sin(found.towards)], axis=1)
-    pieces.append(tag("path", d=_path(points) + "Z", class_="lean"))
+    pieces.append(tag("path", d=path_of(points, closed=True), class_="lean"))
     pieces.append(tag("text", "x", x=middle + far + 10, y=middle + 4, class_="name"))
     pieces.append(tag("text", "y", x=middle, y=middle - far - 14, text_anchor="middle", class_="name"))
     words = "how far the tool leans towards each side"

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, say
+from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
 from tau_dyn.report.words import listed, number, percent
 from tau_dyn.report.workspace_words import headline, shown, summary, verdict
 
@@ -25,9 +25,8 @@ def print_workspace(console: Console, found: Study, written: Mapping[str, str] |
         written: What was written, such as `{"report": "w.html"}`, for the last line.
     """
     judged = verdict(found)
-    say(console, f"{found.workspace.machine.robot.name} · {summary(found)}", "dim")
-    say(console, headline(found), "bold")
-    say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    about = f"{found.workspace.machine.robot.name} · {summary(found)}"
+    say_opening(console, about, headline(found), judged.level, judged.sentence)
     put(console, _reasons(found))
     put(console, _figures(found))
     say(console, f"Stiffness: {found.catalogue.elasticity}.", "dim")
@@ -40,8 +39,7 @@ def print_workspace(console: Console, found: Study, written: Mapping[str, str] |
             console,
             f"Tilt: {rows['every_way_deg']:.0f}° towards every side, {rows['best_way_deg']:.0f}° towards the best.",
         )
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+    say_written(console, written)
 
 
 def _reasons(found: Study) -> Table:

@@ -11,7 +11,8 @@ from tau_dyn.report.words import Level, Verdict, count, listed, number, percent
 SHOWN_UNITS = {"N/m": (1e-6, "N/µm"), "m/s": (1.0, "m/s"), "N": (1.0, "N"), "1": (1.0, "")}
 """Factor and unit in which quantities are shown; files stay in SI."""
 
-_UNITS = {"m3": "m³", "m2": "m²", "m": "m", "1": "points"}
+SIZE_UNITS = {"m3": "m³", "m2": "m²", "m": "m", "1": "points"}
+"""How the unit of a size is shown, by the workspace's dimension."""
 
 
 def shown(name: str, value: float, digits: int = 3) -> str:
@@ -27,7 +28,7 @@ def size_words(found: Study) -> str:
     size, (_, unit) = found.workspace.size, found.workspace.measure
     half = (size.high - size.low) / 2
     digits = int(np.clip(np.ceil(-np.log10(max(half, 1e-9))) + 1, 0, 6))
-    return f"{size.value:.{digits}f} ± {half:.{max(digits, 1)}f} {_UNITS[unit]}"
+    return f"{size.value:.{digits}f} ± {half:.{max(digits, 1)}f} {SIZE_UNITS[unit]}"
 
 
 def headline(found: Study) -> str:
@@ -70,4 +71,4 @@ def summary(found: Study) -> str:
 
 def badge(level: Level) -> str:
     """Return the judgement in a word or three."""
-    return {"good": "sharp", "care": "rough", "poor": "too rough"}[level]
+    return {"good": "Sharp", "care": "Rough", "poor": "Too rough"}[level]

@@ -22,9 +22,8 @@ _ROUND = 8
 """Directions around a ball of a hull, and half as many layers."""
 _BALL, _BRACKET, _MOTOR = 1.5, 0.9, 1.5
 """Radii, in rods' (balls, brackets) and arms' radii (motors)."""
-
-
 _SAME = 1e-6
+"""Distance [m] below which two joints are one place."""
 _DRUM = (104, 112, 124)
 
 
@@ -88,7 +87,7 @@ def _hull(shape: Shape, places: list[np.ndarray], thin: float) -> Shape | None:
     """Return the hull of balls in these places, or nothing where they are on a line or fewer than three."""
     if len(places) < 3 or np.linalg.matrix_rank(np.array(places) - np.mean(places, axis=0), tol=thin) < 2:
         return None
-    points = np.concatenate([p + 1.5 * thin * _sphere() for p in places])
+    points = np.concatenate([p + _BALL * thin * _sphere() for p in places])
     try:
         hull = ConvexHull(points)
     except QhullError:

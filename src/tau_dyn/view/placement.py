@@ -69,5 +69,10 @@ class Placer:
 
 def pose(place: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
     """Return a pose as position (3,) and quaternion (4,) w x y z."""
-    x, y, z, w = pin.Quaternion(place.rotation).coeffs()
-    return place.translation.copy(), np.array([w, x, y, z])
+    return place.translation.copy(), wxyz(pin.Quaternion(place.rotation))
+
+
+def wxyz(turn: pin.Quaternion) -> np.ndarray:
+    """Return a quaternion's numbers (4,) w x y z, the order of viser."""
+    x, y, z, w = turn.coeffs()
+    return np.array([w, x, y, z])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics import forward_kinematics
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot
 
@@ -70,8 +71,6 @@ def _resampled(log: Log, robot: Robot, t: np.ndarray) -> np.ndarray:
 
 def trail(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Return the tool's path (m, 3) [m] along positions (n, na); empty without a tool or where it leaves its reach."""
-    from tau_dyn.kinematics import forward_kinematics
-
     if robot.tool_frame is None or not len(q):
         return np.zeros((0, 3))
     thin = q[:: max(1, len(q) // _TRAIL)]

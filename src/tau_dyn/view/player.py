@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.view.palette import GHOST, ROLES, keys
+from tau_dyn.view.palette import GHOST, ROLES, keys, plain
 from tau_dyn.view.placement import Placer
 from tau_dyn.view.playback import Playback, trail
 from tau_dyn.view.scene import Figure
@@ -101,8 +101,6 @@ class Player:
 
 
 def _apart(viewer: Viewer, playback: Playback) -> str:
-    from tau_dyn.view.palette import plain
-
     far = playback.apart()
     assert far is not None
     units = viewer.robot.position_units

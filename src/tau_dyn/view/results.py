@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_bytes
 from tau_dyn.robot import Robot
 from tau_dyn.view import recompute
 from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Finding, Findings, Uncertainty
@@ -18,6 +20,7 @@ _BEST = ("exact", "certified", "montecarlo", "ellipsoid", "parallelepiped", "lin
 _MOST_POINTS = 100_000
 _LARGEST = 64 * 1024 * 1024
 """Largest file that is read [bytes]."""
+_LARGEST_CLOUD = 2**30
 
 
 def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Content]:
@@ -56,7 +59,9 @@ def read_cloud(path: Path) -> Cloud:
     import pandas as pd
 
     try:
-        table = pd.read_csv(path, comment="#")
+        table = pd.read_csv(BytesIO(read_bytes(path, _LARGEST_CLOUD)), comment="#")
+    except InputError:
+        raise
     except (OSError, ValueError) as fault:
         raise InputError(f"{path}: cannot be read as CSV") from fault
     sets = (("x_tool", "y_tool", "z_tool"), ("x", "y", "z"))
@@ -77,13 +82,13 @@ def read_cloud(path: Path) -> Cloud:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path}: larger than {_LARGEST >> 20} MB; a result is not")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_bytes(path, _LARGEST).decode("utf-8"))
+    except InputError:
+        raise
     except OSError as fault:
         raise InputError(f"{path}: {fault.strerror or 'cannot be read'}") from fault
     except (ValueError, RecursionError) as fault:
-        raise InputError(f"{path}: not a result of tau-dyn: no JSON") from fault
+        raise InputError(f"{path}: not a result of tau-dyn: no JSON; give what --json wrote") from fault
     if not isinstance(content, dict):
         raise InputError(f"{path}: not a result of tau-dyn: a JSON object is expected")
     return content

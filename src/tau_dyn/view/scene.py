@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.view.palette import NAMED, QUIET, Rgb
-from tau_dyn.view.placement import Placed
+from tau_dyn.view.placement import Placed, wxyz
 from tau_dyn.view.shapes import Shape
 
 
@@ -33,8 +33,8 @@ class Figure:
 
     def move(self, placed: Placed) -> None:
         """Move all shapes."""
-        for handle, (position, wxyz) in zip(self.handles, placed, strict=True):
-            handle.position, handle.wxyz = position, wxyz
+        for handle, (position, turn) in zip(self.handles, placed, strict=True):
+            handle.position, handle.wxyz = position, turn
 
     def light(self, named: Collection[int]) -> None:
         """Paint the named shapes in one colour and let the others step back; with none all have their own again."""
@@ -71,8 +71,7 @@ def _pale(colour: Rgb) -> Rgb:
 
 def between(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and quaternion (4,) of what lies along z from one point to another."""
-    x, y, z, w = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start).coeffs()
-    return (start + end) / 2, np.array([w, x, y, z])
+    return (start + end) / 2, wxyz(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start))
 
 
 def light_scene(scene: Any, shadows: bool) -> None:
@@ -97,8 +96,8 @@ def add_floor(scene: Any, low: np.ndarray, high: np.ndarray) -> None:
     )  # fmt: skip
 
 
-def _corners(shape: Shape, position: np.ndarray, wxyz: np.ndarray) -> np.ndarray:
-    w, x, y, z = wxyz
+def _corners(shape: Shape, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    w, x, y, z = turn
     cube = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     local = shape.size if shape.kind == "hull" else cube * shape.half
     return local @ pin.Quaternion(w, x, y, z).toRotationMatrix().T + position

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.modes.on_robot import ShapesOnRobot, Swing
 from tau_dyn.view.palette import NAMED, ROLES, plain
+from tau_dyn.view.placement import wxyz
 from tau_dyn.view.scene import between
 
 if TYPE_CHECKING:
@@ -119,19 +121,15 @@ class _Body:
         if self._rod is not None:
             handle.position, handle.wxyz = between(now[0], now[-1])
             return
-        turn, _ = _rotation(self._rest - self._middle, now - now.mean(axis=0))
-        handle.position, handle.wxyz = now.mean(axis=0), turn
+        middle = now.mean(axis=0)
+        handle.position, handle.wxyz = middle, _turn(self._rest - self._middle, now - middle)
 
 
-def _rotation(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the turn that takes points (n, 3) nearest to others (Kabsch), as quaternion w x y z and as matrix."""
-    import pinocchio as pin
-
+def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the turn that takes points (n, 3) nearest to others (Kabsch), as quaternion (4,) w x y z."""
     u, _, vt = np.linalg.svd(before.T @ after)
     sign = np.sign(np.linalg.det(u @ vt)) or 1.0
-    rotation = vt.T @ np.diag([1.0, 1.0, sign]) @ u.T
-    x, y, z, w = pin.Quaternion(rotation).coeffs()
-    return np.array([w, x, y, z]), rotation
+    return wxyz(pin.Quaternion(vt.T @ np.diag([1.0, 1.0, sign]) @ u.T))
 
 
 def _faces(points: np.ndarray) -> np.ndarray | None:

@@ -99,7 +99,7 @@ def test_a_motion_too_fast_for_the_period_is_not_resampled() -> None:
         (there(), {"force": 5.0}, r"joint cart\d needs .* N at t = .* may no more than 5 N"),
         (replace(there(), q=there().q + 50.0), {}, "joint cart1 reaches 49.* and may go from"),
         (replace(there(), q=there().q + 0.1 * (np.arange(151) > 70)[:, None]), {}, r"moves at 25\.\d* m/s"),
-        (replace(there(), v=there().v + 0.05), {}, "it begins with joint cart1 at 0.05 per s; it must be at rest"),
+        (replace(there(), v=there().v + 0.05), {}, "it begins with joint cart1 at 0.05 m/s; it must be at rest"),
         (replace(there(), joints=("a", "b", "c")), {}, "it moves a, b, c, the robot has cart1"),
     ],
 )  # fmt: skip

@@ -128,6 +128,19 @@ def test_norm_optimal_is_monotone_and_learns() -> None:
     assert np.all(done.relative()[-1] < 3)
 
 
+def test_norm_optimal_solves_each_motion_for_itself() -> None:
+    """A law used on one motion after another never answers with the matrices of an earlier one."""
+    optimal = NormOptimalLaw(MotorSide(actuators()), effort=1e-4, change=0.05)
+
+    def solved(first: int) -> tuple[np.ndarray, np.ndarray]:
+        once = motion(first)  # gone at the end; the next one may be made at its address
+        fresh = NormOptimalLaw(MotorSide(actuators()), effort=1e-4, change=0.05)
+        return optimal.operators(once)[0] @ np.ones(800), fresh.operators(once)[0] @ np.ones(800)
+
+    for first in (60, 90, 120, 150, 60):
+        assert_allclose(*solved(first))
+
+
 def test_observed_side_with_exact_models_is_the_measured_side() -> None:
     """Computed and accelerated tool from one model: complementary filters add up to 1, so F_y T_uy is T_uy."""
     model, inverse = resonant(), lambda tool: tool[:, :2]

@@ -45,7 +45,7 @@ def broken_limits(model: Model, motion: Trajectory, limits: CommandLimits) -> li
         _beyond(names, motion.t, _larger(motion.v, np.diff(motion.q, axis=0) / dt), limits.speed, "moves at", units, "/s"),
         _beyond(names, motion.t, _larger(motion.a, np.diff(motion.q, n=2, axis=0) / dt**2), limits.acceleration,
                 "accelerates by", units, "/s^2"),
-        _unrest(motion),
+        _unrest(motion, units),
     ]  # fmt: skip
     found = [c for c in clauses if c]
     loops = broken_limit(model, motion, forces=False) if not found else None
@@ -87,11 +87,12 @@ def _over(
     return f"joint {names[j]} {verb} {x[k, j]:.4g} {units[j]} at t = {t[k]:.4g} s and {allowed[j]} {units[j]}"
 
 
-def _unrest(motion: Trajectory) -> str:
+def _unrest(motion: Trajectory, units: np.ndarray) -> str:
     """Say that a motion does not begin or end at rest."""
     top = float(np.abs(motion.v).max())
     for word, v in (("begins", motion.v[0]), ("ends", motion.v[-1])):
         k = int(np.argmax(np.abs(v)))
         if abs(v[k]) > _REST * top and top > 0:
-            return f"it {word} with joint {motion.joints[k]} at {v[k]:.3g} per s; it must be at rest, or the robot is jerked"
+            at = f"joint {motion.joints[k]} at {v[k]:.3g} {units[k]}/s"
+            return f"it {word} with {at}; it must be at rest, or the robot is jerked"
     return ""

@@ -21,7 +21,7 @@ from tau_dyn.control.interface.reference import digest
 from tau_dyn.control.iterative import Learning
 from tau_dyn.control.iterative.law import Law
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import write_whole
+from tau_dyn.files import read_bytes, write_whole
 from tau_dyn.log import read_table
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory
@@ -163,8 +163,8 @@ def read_correction(path: str | Path, joints: Sequence[str], *, period: float = 
         InputError: It cannot be read, is no correction, or its sample period is not the controller's.
     """
     table = read_table(path)
-    with Path(path).open(encoding="utf-8", errors="replace") as file:
-        head = _HEAD.fullmatch(file.readline())
+    first = read_bytes(path).partition(b"\n")[0]
+    head = _HEAD.fullmatch(first.decode("utf-8", "replace"))
     if head is None:
         raise InputError(
             f"{table.name}: its first line does not say which motion it corrects; it is no correction file"
@@ -181,10 +181,10 @@ def _require_small(correction: Correction, limits: CommandLimits, units: Sequenc
     excess = np.abs(correction.dq) - limits.correction
     k, j = divmod(int(np.argmax(excess)), excess.shape[1])
     if excess[k, j] > 0:
-        shown = lambda x: f"{np.rad2deg(x):.4g} deg" if units[j] == "rad" else f"{1e3 * x:.4g} mm"  # noqa: E731
+        factor, unit = (np.rad2deg(1.0), "deg") if units[j] == "rad" else (1e3, "mm")
         raise InputError(
-            f"the correction of joint {correction.joints[j]} is {shown(correction.dq[k, j])} at sample {k + 1} and may be no "
-            f"more than {shown(limits.correction[j])}"
+            f"the correction of joint {correction.joints[j]} is {factor * correction.dq[k, j]:.4g} {unit} at sample {k + 1} and "
+            f"may be no more than {factor * limits.correction[j]:.4g} {unit}"
         )
     jump = np.abs(np.diff(np.pad(correction.dq, ((1, 1), (0, 0))), axis=0)) / correction.dt
     k, j = divmod(int(np.argmax(jump - limits.speed)), jump.shape[1])

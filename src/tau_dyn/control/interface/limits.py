@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.control.per_joint import PerJoint, limit_of
 from tau_dyn.robot import Robot
 
 CORRECTION_TURN, CORRECTION_SLIDE = float(np.deg2rad(10.0)), 0.01
@@ -38,10 +38,10 @@ class CommandLimits:
         cls,
         robot: Robot,
         *,
-        speed: float | np.ndarray | None = None,
-        acceleration: float | np.ndarray | None = None,
-        force: float | np.ndarray | None = None,
-        correction: float | np.ndarray | None = None,
+        speed: PerJoint | None = None,
+        acceleration: PerJoint | None = None,
+        force: PerJoint | None = None,
+        correction: PerJoint | None = None,
     ) -> CommandLimits:
         """Return limits: those given, a number or one a joint, and the robot file's where none is.
 
@@ -52,19 +52,8 @@ class CommandLimits:
         return cls(
             robot.lower,
             robot.upper,
-            _limit(robot, "speed", speed, robot.velocity_limit),
-            _limit(robot, "acceleration", acceleration, np.full(robot.na, np.inf)),
-            _limit(robot, "force", force, robot.effort_limit),
-            _limit(robot, "correction", correction, usual),
+            limit_of(robot, "speed", speed, robot.velocity_limit),
+            limit_of(robot, "acceleration", acceleration, np.full(robot.na, np.inf)),
+            limit_of(robot, "force", force, robot.effort_limit),
+            limit_of(robot, "correction", correction, usual),
         )
-
-
-def _limit(robot: Robot, name: str, given: float | np.ndarray | None, default: np.ndarray) -> np.ndarray:
-    values = np.asarray(default if given is None else given, float)
-    if values.shape not in ((), (1,), (robot.na,)):
-        raise InputError(
-            f"the {name} limit must be one number or {robot.na}, one a joint ({', '.join(robot.actuated)})"
-        )
-    if not np.all(values > 0):
-        raise InputError(f"the {name} limit must be above zero, not {np.min(values):g}")
-    return np.broadcast_to(values, (robot.na,)).copy()

@@ -110,7 +110,10 @@ def _module(
     units = ", ".join(
         f"{j} [{'mm' if k == 'prismatic' else 'deg'}]" for j, k in zip(robot.actuated, robot.joint_kinds, strict=True)
     )
-    target = lambda k: f"places{{{k}}}{option}"  # noqa: E731
+
+    def target(k: str) -> str:
+        return f"places{{{k}}}{option}"
+
     return [
         f"MODULE {name}",
         comment(f"{motion.name}: {motion.duration:.4g} s in {len(rows)} places"),

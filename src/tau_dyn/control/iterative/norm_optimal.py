@@ -39,7 +39,7 @@ class NormOptimalLaw:
     side: Side
     effort: float = 1e-3
     change: float = 0.1
-    _kept: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
+    _kept: list[tuple[Reference, tuple[np.ndarray, np.ndarray]]] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse costs that leave nothing to minimise."""
@@ -65,11 +65,9 @@ class NormOptimalLaw:
         """Return None: the law varies along the trial."""
 
     def _solved(self, motion: Reference) -> tuple[np.ndarray, np.ndarray]:
-        key = id(motion)
-        if key not in self._kept:
-            self._kept.clear()
-            self._kept[key] = self._solve(motion)
-        return self._kept[key]
+        if not self._kept or self._kept[0][0] is not motion:
+            self._kept[:] = [(motion, self._solve(motion))]
+        return self._kept[0][1]
 
     def _solve(self, motion: Reference) -> tuple[np.ndarray, np.ndarray]:
         T = self.side.operator(motion.n) @ np.eye(motion.n * self.side.reference(motion).shape[1])

@@ -30,7 +30,7 @@ def matrix(name: str, value: float | np.ndarray) -> np.ndarray:
         raise InputError(f"{name} holds nan or inf; every entry must be a finite number")
     if given.ndim < 2:
         given = np.diag(np.concatenate([given, given]) if given.shape == (3,) else np.broadcast_to(given, 6))
-    least = float(np.linalg.eigvalsh((given + given.T) / 2)[0])
+    least = _least(given)
     if name == "mass" and not (least > 0 and np.allclose(given, given.T)):
         raise InputError(f"mass must be symmetric and positive definite; its least eigenvalue is {least:.3g}")
     if name == "damping" and least < 0:
@@ -105,4 +105,5 @@ def _below(what: str, gain: float, s: LeadThroughSettings, stiffness: float, c: 
 
 
 def _least(matrix: np.ndarray) -> float:
+    """Return the least eigenvalue of a matrix' symmetric part."""
     return float(np.linalg.eigvalsh((matrix + matrix.T) / 2)[0])

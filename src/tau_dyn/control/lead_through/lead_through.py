@@ -27,7 +27,7 @@ _CALM = 0.4  # of the stability limit that the gain is lowered to where the cont
 
 
 class Pose(Protocol):
-    """Where the tool is: a `Pose` of one sample, or a `pinocchio.SE3`'s two parts."""
+    """Where the tool is: anything that holds a place and a rotation."""
 
     @property
     def position(self) -> np.ndarray:

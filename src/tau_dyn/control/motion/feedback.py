@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.control.motion.limits import MotionLimits, PerJoint
+from tau_dyn.control.motion.limits import MotionLimits
+from tau_dyn.control.per_joint import PerJoint
 from tau_dyn.exceptions import InputError
 from tau_dyn.simulate import CascadeLaw
 

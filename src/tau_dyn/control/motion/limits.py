@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tau_dyn.control.per_joint import PerJoint, limit_of
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.simulate.limits import condition_bound
-
-PerJoint = float | np.ndarray | list[float] | tuple[float, ...]
-"""A number for all joints, or one a joint (na,)."""
 
 _NONE = 1e8  # acceleration [m/s^2 or rad/s^2] above which a drive is as good as unlimited
 
@@ -94,15 +92,7 @@ class MotionLimits:
         return replace(self, **less)
 
 
-def _limit(robot: Robot, name: str, given: PerJoint | None, default: np.ndarray | float) -> np.ndarray:
-    """Return one limit a joint (na,)."""
-    values = np.asarray(default if given is None else given, float)
-    if values.shape not in ((), (1,), (robot.na,)):
-        joints = ", ".join(robot.actuated)
-        raise InputError(
-            f"the {name} limit must be one number or {robot.na}, one a joint ({joints}), not {values.size}"
-        )
-    values = np.broadcast_to(values, (robot.na,)).copy()
-    if not np.all(values > 0):
-        raise InputError(f"a {name} limit must be above zero, not {values.min():g}")
+def _limit(robot: Robot, name: str, given: PerJoint | None, default: PerJoint) -> np.ndarray:
+    """Return one limit a joint (na,), those that no drive reaches as none."""
+    values = limit_of(robot, name, given, default)
     return np.where(values < _NONE, values, np.inf)

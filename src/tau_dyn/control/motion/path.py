@@ -65,8 +65,8 @@ def tool_path(model: Model, start: np.ndarray, end: np.ndarray, shape: PathShape
     s = np.linspace(0, 1, len(poses.position))
     found = follow(model.robot, poses, start=start)
     if found.until < len(s):
-        at = ", ".join(f"{x:.4g}" for x in poses.position[min(found.until, len(s) - 1)])
-        raise InputError(f"the path cannot be followed beyond {100 * s[found.until]:.0f} % at ({at}) m: {found.reason}")
+        at = _at(poses.position[found.until])
+        raise InputError(f"the path cannot be followed beyond {100 * s[found.until]:.0f} % at {at}: {found.reason}")
     _check_range(model, found.q, poses, limits)
     spline = make_interp_spline(s, found.q, k=5)
     if np.abs(found.q[-1] - end).max() > 1e-6:
@@ -118,19 +118,17 @@ def _check_range(model: Model, q: np.ndarray, poses: Poses, limits: MotionLimits
     robot = model.robot
     outside = np.maximum(limits.lower - q, q - limits.upper)
     k, j = np.unravel_index(int(np.argmax(outside)), outside.shape)
-    at = ", ".join(f"{x:.4g}" for x in poses.position[k])
     if outside[k, j] > 1e-9:
         allowed = f"{limits.lower[j]:g} to {limits.upper[j]:g} {robot.position_units[j]}"
         raise InputError(
-            f"at ({at}) m the path asks {q[k, j]:.4g} of joint {robot.actuated[j]}, whose range is {allowed}"
+            f"at {_at(poses.position[k])} the path asks {q[k, j]:.4g} of joint {robot.actuated[j]}, whose range is {allowed}"
         )
     condition = model.mechanism.condition(q)
     worst = int(np.argmax(condition))
     if condition[worst] > limits.condition:
-        at = ", ".join(f"{x:.4g}" for x in poses.position[worst])
         raise InputError(
-            f"at ({at}) m the path comes near a singularity of the loops: conditioning {condition[worst]:.3g}, the limit is "
-            f"{limits.condition:.3g}"
+            f"at {_at(poses.position[worst])} the path comes near a singularity of the loops: "
+            f"conditioning {condition[worst]:.3g}, the limit is {limits.condition:.3g}"
         )
 
 
@@ -143,5 +141,10 @@ def _check_spline(model: Model, spline: BSpline, poses: Poses, start: np.ndarray
     off = np.linalg.norm(place - straight, axis=1)
     worst = int(np.argmax(off))
     if not off[worst] < _OFF:
-        at = ", ".join(f"{x:.4g}" for x in straight[worst])
-        raise InputError(f"at ({at}) m the path asks joints to turn at once, as beside a singularity or a corner")
+        where = _at(straight[worst])
+        raise InputError(f"at {where} the path asks joints to turn at once, as beside a singularity or a corner")
+
+
+def _at(place: np.ndarray) -> str:
+    """Return a place (3,) [m] in words."""
+    return f"({', '.join(f'{x:.4g}' for x in place)}) m"

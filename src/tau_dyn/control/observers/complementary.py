@@ -23,6 +23,7 @@ import numpy as np
 from scipy.signal import bilinear, butter, freqz, lfilter
 
 from tau_dyn.control.iterative.lifted import Operator, on_signals
+from tau_dyn.control.observers.signals import checked_signals
 from tau_dyn.exceptions import InputError
 
 
@@ -60,7 +61,7 @@ class ComplementaryToolObserver:
             kinematic: Tool positions computed from the actuators (N, m) [m]; the robot is at rest at the first sample.
             acceleration: Of the tool, without gravity (N, m) [m/s^2].
         """
-        rest = _checked(kinematic, acceleration, self.axes)
+        rest = checked_signals(kinematic, acceleration, self.axes)[0]
         slow = [p.run(kinematic[:, k] - rest[k]) for k, (p, _) in enumerate(self.pairs())]
         fast = [p.run(acceleration[:, k]) for k, (_, p) in enumerate(self.pairs())]
         return rest + np.column_stack(slow) + np.column_stack(fast)
@@ -146,18 +147,6 @@ def _causal(cutoff: float, dt: float) -> tuple[Passes, Passes]:
     position = _arrays(bilinear(below[1:], below, fs=1 / dt))
     acceleration = _arrays(bilinear([1, 0], below, fs=1 / dt))
     return Passes(position, None, True), Passes(acceleration, None, False)
-
-
-def _checked(kinematic: np.ndarray, acceleration: np.ndarray, axes: int) -> np.ndarray:
-    """Return the first positions (m,); both signals must be (N, m)."""
-    if kinematic.shape != acceleration.shape or kinematic.shape[1:] != (axes,) or len(kinematic) < 2:
-        raise InputError(
-            f"an observer of {axes} axes takes positions and accelerations (N, {axes}), "
-            f"not {kinematic.shape} and {acceleration.shape}"
-        )
-    if not (np.isfinite(kinematic).all() and np.isfinite(acceleration).all()):
-        raise InputError("positions or accelerations hold a number that is not finite")
-    return kinematic[0]
 
 
 def _channelwise(matrices: Sequence[np.ndarray]) -> Operator:

@@ -73,6 +73,7 @@ def extended(model: StateSpace) -> Extended:
 
 
 def _without_direct_part(model: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, B, C of the model whose states hold the last input as well, `x' = (x, u)`, so that `z = C x'`."""
     n, m = model.B.shape
     A = np.block([[model.A, model.B], [np.zeros((m, n + m))]])
     return A, np.vstack([np.zeros((n, m)), np.eye(m)]), np.hstack([model.C, model.D])
@@ -81,9 +82,7 @@ def _without_direct_part(model: StateSpace) -> tuple[np.ndarray, np.ndarray, np.
 def _with_delay_as_states(model: StateSpace) -> StateSpace:
     """Return the same model with the past inputs among its states."""
     for _ in range(model.delay):
-        n, m = model.B.shape
-        A = np.block([[model.A, model.B], [np.zeros((m, n + m))]])
-        B, C = np.vstack([np.zeros((n, m)), np.eye(m)]), np.hstack([model.C, model.D])
-        K = np.zeros((n + m, len(C)))
+        A, B, C = _without_direct_part(model)
+        K = np.zeros((len(A), len(C)))
         model = StateSpace(A, B, C, np.zeros_like(model.D), K, model.dt, model.delay - 1, model.noise)
     return model

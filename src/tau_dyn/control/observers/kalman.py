@@ -25,6 +25,7 @@ from scipy.linalg import null_space, solve_discrete_are, solve_discrete_lyapunov
 
 from tau_dyn.control.iterative.lifted import Operator, convolution, pulse_response
 from tau_dyn.control.observers.extended import Extended, extended
+from tau_dyn.control.observers.signals import checked_signals
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.state_space import StateSpace
 
@@ -164,13 +165,7 @@ class KalmanToolObserver:
         return slow, fast
 
     def _inputs(self, kinematic: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if kinematic.shape != acceleration.shape or kinematic.shape[1:] != (self.axes,) or len(kinematic) < 2:
-            raise InputError(
-                f"an observer of {self.axes} axes takes positions and accelerations (N, {self.axes}), "
-                f"not {kinematic.shape} and {acceleration.shape}"
-            )
-        if not (np.isfinite(kinematic).all() and np.isfinite(acceleration).all()):
-            raise InputError("positions or accelerations hold a number that is not finite")
+        kinematic = checked_signals(kinematic, acceleration, self.axes)
         y = np.vstack([np.zeros((1, self.axes)), acceleration[:-1]]) if self.aligned else acceleration
         return kinematic - kinematic[0], y, kinematic[0]
 

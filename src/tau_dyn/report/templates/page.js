@@ -12,6 +12,10 @@
       return number === -32768 ? null : s.middle + s.scale * number;
     });
   };
+  const short = (v, most) => {
+    const text = most >= 2e-3 && most < 1e5 || v === 0 ? String(Number(v.toPrecision(6))) : Number(v.toPrecision(3)).toExponential();
+    return text.replace(/-/g, "−");
+  };
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const joints = [...new Set(panels.map((p) => p.joint))];
   const stretches = panels.filter((p) => p.joint === joints[0]);
@@ -48,7 +52,7 @@
     u.ctx.restore();
   });
   const chart = (panel, where, t, strip, last) => {
-    const axis = { stroke: colour("--muted"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, values: (_, at) => at.map((v) => (v === null ? "" : String(Number(v.toPrecision(6))).replace("-", "−"))), font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", labelSize: 18 };
+    const axis = { stroke: colour("--muted"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false }, values: (_, at) => at.map((v) => (v === null ? "" : short(v, Math.max(...at.map((x) => Math.abs(x ?? 0)))))), font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif", labelSize: 18 };
     const follow = (u) => plots.forEach((p) => {
       if (p !== u && (p.scales.x.min !== u.scales.x.min || p.scales.x.max !== u.scales.x.max)) p.setScale("x", { min: u.scales.x.min, max: u.scales.x.max });
     });

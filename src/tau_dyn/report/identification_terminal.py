@@ -1,25 +1,19 @@
-"""What the terminal shows: one sentence, error by joint, the parameters, what is uncertain, and where things are.
-
-Colour carries meaning only (weak values dim, the verdict's level), and disappears when the output is piped. Everything is
-plain text to the console, never markup, so that no name can style it. Tables fit 80 columns.
-"""
+"""What the terminal shows of an identification: one sentence, error by joint, the parameters, what is uncertain."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 
 from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.identify import Identification
-from tau_dyn.log import Log, LogCheck
+from tau_dyn.report.identification_words import headline, verdict
 from tau_dyn.report.rows import Row, parameter_rows
-from tau_dyn.report.terminal import LEVEL_STYLE, bare_table, meter, plain, put, room, say
+from tau_dyn.report.terminal import bare_table, meter, plain, put, room, say, say_opening, say_written
 from tau_dyn.report.trust import combinations, summary_words
-from tau_dyn.report.words import check_headline, headline, listed, number, percent, pretty_unit, verdict
+from tau_dyn.report.words import listed, number, percent, pretty_unit
 
-SEVERITY_STYLE = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 BAR = 24
 
 
@@ -39,45 +33,13 @@ def print_identification(
         truth: True values by name, where the data were made; they replace the nominal ones in the table.
     """
     judged = verdict(found, truth)
-    say(console, f"{found.model.robot.name} · {summary_words(found)}", "dim")
-    say(console, headline(found, truth), "bold")
-    say(console, judged.sentence, LEVEL_STYLE[judged.level])
+    about = f"{found.model.robot.name} · {summary_words(found)}"
+    say_opening(console, about, headline(found, truth), judged.level, judged.sentence)
     put(console, _error_table(found, room(console)))
     put(console, _parameter_table(parameter_rows(found), truth or {}))
     for title, sentences in _uncertain(found):
         say(console, f"{title}: {'; '.join(sentences)}.")
-    if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
-
-
-def print_check(console: Console, log: Log, checked: LogCheck) -> None:
-    """Print the check of a log for a person: the judgement, then what was found, worst first."""
-    joints = ", ".join(log.joints("q")) or "no joint"
-    say(console, f"{log.name} · {number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz · {joints}", "dim")
-    faults = sum(f.severity == "fault" for f in checked.findings)
-    doubts = sum(f.severity == "warning" for f in checked.findings)
-    style = SEVERITY_STYLE["fault" if faults else "warning" if doubts else "ok"]
-    say(console, check_headline(checked), f"bold {style}")
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
-    table.add_column(no_wrap=True)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    order = {"fault": 0, "warning": 1, "ok": 2}
-    fine = Counter(f.topic for f in checked.findings if f.severity == "ok")
-    shown: set[str] = set()
-    for finding in sorted(checked.findings, key=lambda f: order[f.severity]):
-        text = finding.sentence.removeprefix(f"{checked.name}: ")
-        if finding.severity == "ok":
-            if finding.topic in shown:
-                continue
-            shown.add(finding.topic)
-            text += f" ({fine[finding.topic] - 1} more alike)" if fine[finding.topic] > 1 else ""
-        elif finding.remedy:
-            text += f"\n→ {finding.remedy}"
-        table.add_row(
-            plain(finding.severity, SEVERITY_STYLE[finding.severity]), plain(finding.topic, "dim"), plain(text)
-        )
-    put(console, table)
+    say_written(console, written)
 
 
 def _error_table(found: Identification, columns: int) -> Table:

@@ -1,32 +1,21 @@
-"""One page that a person would rather look at than read: self-contained, offline, light and dark, on screen and on paper.
+"""The page of `tau-dyn identify`: error by joint, forces over time, friction, every parameter, and why to trust it.
 
-The page reads an `Identification` and computes nothing new. Its texts are escaped by Jinja; its content security policy
-allows no network and no script but the two inside, which it names by hash.
+The page reads an `Identification` and computes nothing new.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import groupby
-from pathlib import Path
 from typing import Any
 
-from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.files import write_whole
 from tau_dyn.identify import ForceErrors, Identification
 from tau_dyn.report import figures, trust, words
-from tau_dyn.report.diagnosis_page import diagnosis_page
+from tau_dyn.report.identification_words import headline, verdict
 from tau_dyn.report.residuals import residuals_of
-from tau_dyn.report.rows import bar_scale, parameter_rows
+from tau_dyn.report.rows import bar_scale, grouped, parameter_rows
 from tau_dyn.report.series import panels
 from tau_dyn.report.shell import Opening, logs_used, render
 from tau_dyn.report.time_view import force_view
-
-
-def write_report(path: str | Path, found: Identification | Diagnosis, **options: Any) -> None:
-    """Write the page; it appears whole or not at all. Options are those of `identification_page` or `diagnosis_page`."""
-    made = diagnosis_page(found, **options) if isinstance(found, Diagnosis) else identification_page(found, **options)
-    write_whole(path, made)
 
 
 def identification_page(
@@ -40,14 +29,13 @@ def identification_page(
         truth: True parameter values by name, where the logs were simulated; adds a column.
     """
     residuals, curves = residuals_of(found), figures.friction_curves(found)
-    rows, judged = parameter_rows(found, truth), words.verdict(found, truth)
+    rows, judged = parameter_rows(found, truth), verdict(found, truth)
     robot = found.model.robot
-    badge = {"good": "Ready to use", "care": "Use with care", "poor": "Not fit for use"}[judged.level]
     summary = trust.summary_words(found) + ("." if truth else ". “Known to ±” is the 95 % interval.")
     return render(
         "identification.html.j2",
         f"{robot.name}: identified dynamics",
-        Opening(words.headline(found, truth), judged.level, badge, judged.sentence, summary),
+        Opening(headline(found, truth), judged.level, words.badge(judged.level), judged.sentence, summary),
         [force_view(panel) for panel in panels(found)],
         robot=robot,
         provenance={"friction model": found.friction or "as the model file says", "seed": str(found.seed)},
@@ -58,7 +46,7 @@ def identification_page(
         friction=[figures.friction_chart(curve) for curve in curves],
         offsets=[text for text in map(figures.offset_words, curves) if text],
         equations=list(dict.fromkeys(effect.equation for effect in found.model.effects)),
-        groups=[(name, list(members)) for name, members in groupby(rows, lambda r: r.group)],
+        groups=grouped(rows),
         known=sum(r.state == "known" for r in rows),
         n_parameters=len(rows),
         scale=words.percent(100 * bar_scale(found.rows())),

@@ -1,0 +1,31 @@
+"""What a colleague would say about the check of a log: whether it may be used, what was found, worst first."""
+
+from __future__ import annotations
+
+from tau_dyn.log import Finding, LogCheck
+from tau_dyn.report.words import count
+
+_ORDER = ("fault", "warning", "ok")
+
+
+def worst_first(checked: LogCheck) -> list[Finding]:
+    """Return all findings, faults before warnings before what is fine."""
+    return sorted(checked.findings, key=lambda f: _ORDER.index(f.severity))
+
+
+def said_of(finding: Finding, name: str) -> str:
+    """Return a finding's sentence without the log's name in front."""
+    return finding.sentence.removeprefix(f"{name}: ")
+
+
+def check_headline(checked: LogCheck, name: str = "") -> str:
+    """Return whether a log may be used, in a sentence; with a name it is the sentence's subject."""
+    faults = sum(f.severity == "fault" for f in checked.findings)
+    doubts = sum(f.severity == "warning" for f in checked.findings)
+    start, fit, not_fit = (
+        (f"{name} is ", "fit for use", "not fit for use") if name else ("", "Fit for use", "Not fit for use")
+    )
+    if not checked.fit_for_use:
+        more = f", {count(doubts, 'warning')}" if doubts else ""
+        return f"{start}{not_fit} as it is: {count(faults, 'fault')}{more}."
+    return f"{start}{fit}, with {count(doubts, 'warning')}." if doubts else f"{start}{fit}."

@@ -1,0 +1,124 @@
+"""What a colleague would say about an identification: the headline, and how far it may be used.
+
+In the headline's `known to ±0.4 %` stands the 95 % interval, unlike `±` elsewhere, which is a standard error.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tau_dyn.identify import Identification
+from tau_dyn.report.residuals import residuals_of
+from tau_dyn.report.words import Z95, Verdict, count, listed, percent
+
+POOR_PERCENT = 20.0
+"""Held-out error above which a model is called unfit: one fifth of the force is missed."""
+_HOPELESS_PERCENT = 50.0
+"""Held-out error that no missing cause explains, while a column with a turned sign or in another unit does."""
+_LOOK = " Look first at signs, units, and whose column is whose: tau-dyn check LOG ROBOT."
+OVERFIT = 1.5
+"""Held-out error over training error above which the fit does not carry over to other data."""
+ROUGH_PERCENT = 15.0
+"""Half of a 95 % interval above which a mass is `only` known to it."""
+
+
+def headline(found: Identification, truth: Mapping[str, float] | None = None) -> str:
+    """Return the one sentence above everything; with the truth at hand it tells true errors, not only claimed ones."""
+    if found.holdout is not None:
+        start = f"The model predicts held-out force to {percent(found.holdout.relative_error_percent)}"
+    else:
+        start = f"The model fits the force to {percent(found.train.relative_error_percent)}; nothing was held out to judge it"
+    return "; ".join([start, *_clauses(found.rows(), truth or {})]) + "."
+
+
+def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Verdict:
+    """Return how far the result may be used; estimates that miss a known truth are not to be read as physics."""
+    judged = found.holdout or found.train
+    error, weak = judged.relative_error_percent, [r for r in found.rows() if not r["determined"]]
+    if error > POOR_PERCENT:
+        look = _LOOK if error > _HOPELESS_PERCENT else ""
+        return Verdict("poor", f"Do not use it yet: {percent(error)} of the force is unexplained.{look}")
+    if found.holdout is None:
+        return Verdict("care", "Judge it on another log before use: these errors are those of the fit itself.")
+    if error > OVERFIT * found.train.relative_error_percent:
+        own = percent(found.train.relative_error_percent)
+        return Verdict("care", f"It fits its own log to {own} but others less well; record a richer motion before use.")
+    off = _missed(found.rows(), truth or {})
+    if off:
+        return Verdict(
+            "care", f"Good for predicting force; {listed(off, 3)} missed the true value by more than 3 standard errors."
+        )
+    if weak:
+        few = count(len(weak), "single value")
+        return Verdict(
+            "care",
+            f"Good for predicting force on motion like this; do not read {few} of {len(found.rows())} as physics.",
+        )
+    if found.warnings:
+        return Verdict("care", f"Good for predicting force; {count(len(found.warnings), 'warning')} to read first.")
+    if not all(residual.white for residual in residuals_of(found)):
+        return Verdict(
+            "good", "Use it for feedforward and simulation; single values may carry force that the model leaves out."
+        )
+    return Verdict("good", "Use it for feedforward and simulation; each value also stands by itself.")
+
+
+def mass_group(name: str) -> str:
+    """Return what a mass is a mass of, without its number: `rod2a_link.mass` -> `rod`."""
+    owner = name.rsplit(".", 1)[0].removesuffix("_link")
+    return re.sub(r"_?\d+[a-z]?$", "", owner) or owner
+
+
+def _missed(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
+    """Return the names of estimates more than three standard errors away from the truth."""
+    compared = [r for r in rows if r["name"] in truth and r["stderr"]]
+    return [r["name"] for r in compared if abs(r["value"] - truth[r["name"]]) > 3 * r["stderr"]]
+
+
+def _clauses(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
+    masses = [r for r in rows if r["name"].endswith(".mass")]
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in masses:
+        groups.setdefault(mass_group(row["name"]), []).append(row)
+    if len(groups) > 3 or not masses:
+        known = sum(r["determined"] for r in rows)
+        return [f"{known} of {count(len(rows), 'parameter')} are known to better than 30 % each"]
+    clauses = [
+        _known(name, members, truth) for name, members in groups.items() if any(r["determined"] for r in members)
+    ]
+    weak = [n for n, g in groups.items() if not any(r["determined"] for r in g) and any(r["stderr"] for r in g)]
+    unseen = [n for n, g in groups.items() if all(r["stderr"] is None for r in g)]
+    if weak:
+        clauses.append(f"{_masses(weak, groups)} not determined by this motion")
+    if unseen:
+        apart = all(not r["identifiable"] for n in unseen for r in groups[n])
+        clauses.append(
+            f"{_masses(unseen, groups)} {'seen only in combination' if apart else 'not shown by this motion'}"
+        )
+    return clauses
+
+
+def _known(name: str, members: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> str:
+    known = [r for r in members if r["determined"]]
+    worst = max(100 * Z95 * r["stderr"] / abs(r["value"]) for r in known)
+    true = [truth.get(r["name"]) for r in known]
+    if all(true):
+        off = max(100 * abs(r["value"] / x - 1) for r, x in zip(known, true, strict=True) if x)
+        some = f"{len(known)} of {len(members)} " if len(known) < len(members) else ""
+        what = f"{some}{name} {'mass' if len(members) == 1 else 'masses'}"
+        if _missed(known, truth):
+            return f"{what} missed the truth by up to {percent(off)}, beyond the claimed ±{percent(worst)}"
+        return f"{what} came within {percent(off)} of the truth"
+    how = "known to" if worst < ROUGH_PERCENT else "only known to"
+    if len(members) == 1:
+        return f"{name} mass is {how} ±{percent(worst)}"
+    if len(known) == len(members):
+        return f"{name} masses are {how} ±{percent(worst)}"
+    return f"{len(known)} of {len(members)} {name} masses {'is' if len(known) == 1 else 'are'} {how} ±{percent(worst)}"
+
+
+def _masses(names: Sequence[str], groups: dict[str, list[dict[str, Any]]]) -> str:
+    several = len(names) > 1 or len(groups[names[0]]) > 1
+    return f"{listed(names)} {'masses are' if several else 'mass is'}"

@@ -1,0 +1,18 @@
+"""A result's page as a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.files import write_whole
+from tau_dyn.identify import Identification
+from tau_dyn.report.diagnosis_page import diagnosis_page
+from tau_dyn.report.identification_page import identification_page
+
+
+def write_report(path: str | Path, found: Identification | Diagnosis, **options: Any) -> None:
+    """Write the page; it appears whole or not at all. Options are those of `identification_page` or `diagnosis_page`."""
+    made = diagnosis_page(found, **options) if isinstance(found, Diagnosis) else identification_page(found, **options)
+    write_whole(path, made)
