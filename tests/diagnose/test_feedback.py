@@ -15,9 +15,12 @@ from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.encoders import noise_only
 from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.force import thinned_log
+from tau_dyn.diagnose.stages import told_from_zero
 from tau_dyn.effects import friction_model
+from tau_dyn.effects.cyclic_ripple import CyclicRipple
 from tau_dyn.log import Log
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Sensors, named_motion, simulate
 
@@ -56,8 +59,15 @@ def test_a_controller_that_sees_the_truth_has_no_taps():
     rng = np.random.default_rng(2)
     q, noise = moved(rng)
     assert len(feedback_taps(logged(q + noise, 0.5 * rng.standard_normal(q.shape)), JOINTS, 20.0)) == 0
-    answer = logged(q + noise, answered(PD, noise))
-    assert len(feedback_taps(answer, JOINTS, 200.0)) == 0  # nothing is left above the band
+
+
+def test_motion_that_fills_the_band_leaves_its_upper_part():
+    """Positions hold motion up to 0.4 of the rate: a drive's plain gain is still seen above it, to 10 %."""
+    rng = np.random.default_rng(6)
+    q, noise = moved(rng)
+    gain = np.array([[[-5e4, 0.0], [0.0, -3e4]]])
+    found = feedback_taps(logged(q + noise, answered(gain, noise) + 0.1 * rng.standard_normal(q.shape)), JOINTS, 200.0)
+    assert_allclose(found, gain, atol=5e3)
 
 
 def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
@@ -123,3 +133,34 @@ def test_rests_at_reversals_are_no_cause():
     sensors = Sensors(encoder_noise=2e-5, force_noise=1.0, log_rate_hz=RATE_HZ)
     log = simulate(model, named_motion("prbs", model, 60.0, 1), sensors=sensors, seed=1, feedback="ideal")
     assert [f.cause for f in diagnose(axis, [log]).findings if f.status == "confirmed"] == []
+
+
+def test_noise_too_small_to_bound_the_motion_ends_no_diagnosis():
+    """Encoders of 0.1 um show motion up to half the rate; 8 N of ripple are still named beside a whole motion."""
+    axis = load_robot("linear_axis")
+    effects = [*friction_model("asymmetric", axis.actuated, axis.force_units)]
+    effects += [CyclicRipple(axis.actuated, axis.force_units, period=0.02)]
+    model = Model.of(axis, effects).with_values(
+        {"axis.coulomb_pos": 60.0, "axis.coulomb_neg": 65.0, "axis.ripple_sin": 8.0}
+    )
+    sensors = Sensors(encoder_noise=1e-7, force_noise=1.0, log_rate_hz=250.0)
+    log = simulate(model, named_motion("fourier", model, 30.0, 2), sensors=sensors, seed=2)
+    assert "cyclic_ripple" in [f.cause for f in diagnose(axis, [log]).findings if f.status == "confirmed"]
+
+
+def test_a_cause_that_the_whole_fit_puts_at_zero_is_not_claimed():
+    """Amplitudes of -0.05 +- 0.06 and 0.01 +- 0.006 tell nothing from zero; one of 1 +- 0.1 beside 0 +- 0.1 does."""
+
+    def found(*names: str) -> Any:
+        effect = SimpleNamespace(parameters=SimpleNamespace(names=names))
+        return SimpleNamespace(candidate=SimpleNamespace(effects=[effect]))
+
+    values = Parameters(
+        [
+            Parameter(n, v, "", stderr=s)
+            for n, v, s in (("a", -0.05, 0.06), ("b", 0.01, 0.006), ("c", 1.0, 0.1), ("d", 0.0, 0.1))
+        ]
+    )
+    fit = cast(Any, SimpleNamespace(estimate=SimpleNamespace(parameters=values)))
+    one, other = found("a", "b"), found("c", "d")
+    assert told_from_zero([one, other], fit) == [other]

@@ -42,6 +42,7 @@ from tau_dyn.diagnose.stages import (
     effects_of,
     estimated,
     findings_of,
+    told_from_zero,
     unexplained_of,
     waterfall,
 )
@@ -255,6 +256,9 @@ def _diagnose(case: _Case, seed: int, progress: Progress, warnings: list[str]) -
     progress("measuring the gain")
     nominal = case.nominal.parameters
     bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
+    if len(sure := told_from_zero(kept, bars.judgements[-1])) < len(kept):
+        kept = sure
+        bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, tests.causes, kept, bars, rng)]
     findings += parameter_findings(case.nominal, nominal, estimated(after))

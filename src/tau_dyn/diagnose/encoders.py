@@ -25,6 +25,8 @@ from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
 from tau_dyn.model import Model
 
 MARGIN = 2.0
+_WIDEST = 0.45
+"""Low-pass of a motion that fills the whole band, as a share of the rate."""
 
 
 def noise_only(
@@ -42,9 +44,11 @@ def noise_only(
     found, joints = [], channel.outputs
     for piece, log, smooth in zip(channel.prepared, logs, smooth_hz, strict=True):
         m, cutoff = piece.motion, piece.preparation.position_cutoff_hz
-        force = model.columns(model.motion(m.q, m.v, m.a, m.sign, t=m.t, signals=m.signals)) @ model.parameters.values
+        whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # the made motion's own reversals
+        force = model.columns(whole) @ model.parameters.values
         seen = thinned_log(_noise(log, joints, min(smooth, cutoff), smooth, rng), cutoff)
-        smooth_q = m.q if smooth < cutoff else lowpass(piece.log.joint("q", joints), smooth, piece.log.rate_hz)
+        rate = piece.log.rate_hz
+        smooth_q = m.q if smooth < cutoff else lowpass(piece.log.joint("q", joints), min(smooth, _WIDEST * rate), rate)
         q, force = smooth_q + seen.joint("q", joints), force + seen.joint("tau", joints)
         channels = dict(piece.log.channels)
         for k, joint in enumerate(joints):
@@ -92,8 +96,12 @@ def chance_with_encoders(
 def noncentrality(
     blank: Ground, ground: Ground, columns: list[np.ndarray], sided: np.ndarray, absorbed: float = ABSORBED
 ) -> float:
-    """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise."""
+    """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise.
+
+    More than the measured noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of what the
+    made logs have, in power, and so is what columns find in it.
+    """
     C = blank.rows(columns)
     s, G = C.T @ blank.e, blank.gram(C)
     T = gains(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], np.zeros_like(sided), absorbed)
-    return float(T[0, 0]) * (blank.scale / ground.scale) ** 2
+    return float(T[0, 0]) * min(1.0, blank.scale / ground.scale) ** 2

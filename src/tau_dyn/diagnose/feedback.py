@@ -7,7 +7,7 @@ least squares on high-passed signals; how many lags there are, or none, is chose
 has them, are the same below that band, at the log's own rate: thinned, the same cascade has an answer of many taps, of which
 the low frequencies, where motion is, show nothing.
 
-The forces move the robot, too: a loop follows slow noise, so that less of it is read. This is not counted on. A log may hold
+The forces move the robot, too: a loop follows slow noise, so that less of it is read. This is not computed. A log may hold
 every fourth of the samples that the drive saw; what it read in between is aliased into the log, and nothing follows that.
 """
 
@@ -22,7 +22,7 @@ from tau_dyn.log import Log, lowpass
 REACHES = (0, 1, 2, 4)
 """How many samples before and after the noise its answers are looked for in."""
 _WIDEST = 0.35
-"""Cutoff above which too little is left to fit to, as a share of the rate."""
+"""Cutoff above which too little is left to fit to, as a share of the rate; motion that reaches beyond is small there."""
 
 
 def feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) -> np.ndarray:
@@ -34,18 +34,16 @@ def feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) -> np.ndarr
         cutoff_hz: Up to here positions hold motion [Hz].
     """
     q, rate_hz = log.joint("q", joints), log.rate_hz
-    na = q.shape[1]
-    none = np.zeros((0, na, na))
-    if cutoff_hz > _WIDEST * rate_hz:
-        return none
-    noise, answer = (x - lowpass(x, cutoff_hz, rate_hz) for x in (q, log.joint("tau", joints)))
+    na, above = q.shape[1], min(cutoff_hz, _WIDEST * rate_hz)
+    noise, answer = (x - lowpass(x, above, rate_hz) for x in (q, log.joint("tau", joints)))
     inner = slice(max(REACHES), -max(REACHES))
     answer = answer[inner]
-    best, chosen = _bic(answer, 0), none
+    free = len(answer) * (1 - 2 * above / rate_hz)  # so many samples are free of each other in the band that is left
+    best, chosen = _bic(answer, 0, free), np.zeros((0, na, na))
     for reach in REACHES:
         rows = np.concatenate([x[inner] for x in _lagged(noise, reach)], axis=1)
         found = np.linalg.lstsq(rows, answer, rcond=None)[0]
-        value = _bic(answer - rows @ found, rows.shape[1])
+        value = _bic(answer - rows @ found, rows.shape[1], free)
         if value < best:
             best, chosen = value, found.reshape(-1, na, na)
     return chosen
@@ -64,7 +62,7 @@ def _lagged(noise: np.ndarray, reach: int) -> list[np.ndarray]:
     return [padded[reach - lag : reach - lag + len(noise)] for lag in range(-reach, reach + 1)]
 
 
-def _bic(e: np.ndarray, freedom: int) -> float:
-    """Return the criterion of all outputs together, each with `freedom` coefficients."""
+def _bic(e: np.ndarray, freedom: int, samples: float) -> float:
+    """Return the criterion of all outputs together, each with `freedom` coefficients and so many free samples."""
     power = np.maximum(np.mean(e**2, axis=0), 1e-300)
-    return float(len(e) * np.sum(np.log(power)) + e.shape[1] * freedom * np.log(len(e)))
+    return float(samples * np.sum(np.log(power)) + e.shape[1] * freedom * np.log(samples))

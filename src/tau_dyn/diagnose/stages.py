@@ -37,6 +37,8 @@ from tau_dyn.estimate import Physics
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 
+SURE = 2.0
+"""Standard errors that an amplitude of the extended model must be off zero for its cause to be claimed."""
 WORSE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
 HELD_OUT = "held-out {what}, blocks in turn: one half confirms, the other measures the gain"
@@ -125,6 +127,20 @@ def waterfall(
         steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
         gains.append(gain_of(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng))
     return Bars(steps, judgements, gains)
+
+
+def told_from_zero(kept: Sequence[Found], fit: Judged) -> list[Found]:
+    """Return the causes of which the fit of everything tells an amplitude from zero, by `SURE` standard errors.
+
+    A cause may be significant in white rows and yet, weighed against all that scatters over seconds, be nothing.
+    """
+    values = estimated(fit)
+
+    def told(one: Found) -> bool:
+        own = [values[n] for e in one.candidate.effects for n in e.parameters.names]
+        return any(p.stderr is None or abs(p.value) > SURE * p.stderr for p in own)
+
+    return [one for one in kept if told(one)]
 
 
 def findings_of(
