@@ -1,6 +1,8 @@
 """What would have been seen, and what could not: detection limits held against draws, and absorbed causes said to be so."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -151,3 +153,20 @@ def test_a_limit_of_half_of_what_was_measured_is_none(make):
         channel = make.bench(rng, n=n, noise=noise, causes=(Stribeck,))
         limits, untestable = limits_of(channel, searched(make, channel, rng), ())
         assert bool(limits) == known and bool(untestable) != known
+
+
+def test_a_grid_whose_laws_have_settings_of_their_own_has_a_middle():
+    """Plain modes at 5, 7 and 9 Hz before one proposed with a number of modes: the middle is 7 Hz."""
+
+    class Modes:
+        refined = ("frequency",)
+        joints = ("axis",)
+
+        @classmethod
+        def grid(cls, scene, joints):
+            return [{"frequency": 5.0}, {"frequency": 7.0}, {"frequency": 9.0}, {"frequency": 6.0, "modes": 2.0}]
+
+        def with_settings(self, **settings):
+            return settings
+
+    assert middle(cast(Any, SimpleNamespace(scene=None)), cast(Any, Modes())) == {"frequency": 7.0}

@@ -119,5 +119,6 @@ def middle(channel: Channel, effect: Effect) -> Effect:
     """Return an effect with the middle one of its settings, the form of its law being the first."""
     grid = type(effect).grid(channel.scene, effect.joints)
     if effect.refined:
-        grid = [g for g in grid if all(g[key] == grid[0][key] for key in g if key not in effect.refined)]
+        first = grid[0]  # a proposed mode has settings that a plain one has not
+        grid = [g for g in grid if all(g.get(k) == first.get(k) for k in {*g, *first} if k not in effect.refined)]
     return effect.with_settings(**grid[len(grid) // 2])
