@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import csd, welch
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.encoders import noise_only
+from tau_dyn.diagnose.encoders import noise_only, noncentrality
 from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.force import thinned_log
 from tau_dyn.diagnose.stages import told_from_zero
@@ -164,3 +164,13 @@ def test_a_cause_that_the_whole_fit_puts_at_zero_is_not_claimed():
     fit = cast(Any, SimpleNamespace(estimate=SimpleNamespace(parameters=values)))
     one, other = found("a", "b"), found("c", "d")
     assert told_from_zero([one, other], fit) == [other]
+
+
+@pytest.mark.parametrize(("made", "counts"), [(0.5, 0.25), (1.0, 1.0), (4.0, 1.0)])
+def test_made_noise_counts_for_no_more_than_was_measured(made: float, counts: float):
+    """What a column finds in made noise counts by that noise's power over the measured one's, at most by one."""
+    rng = np.random.default_rng(7)
+    e, C = rng.standard_normal(50), rng.standard_normal((50, 1))
+    blank = SimpleNamespace(rows=lambda columns: C, e=e, gram=lambda rows: rows.T @ rows, scale=made)
+    found = noncentrality(cast(Any, blank), cast(Any, SimpleNamespace(scale=1.0)), [], np.array([False]))
+    assert found == pytest.approx(counts * float(C[:, 0] @ e) ** 2 / float(C[:, 0] @ C[:, 0]))

@@ -112,7 +112,7 @@ def _messages(path: Path, reader: Any) -> Iterator[Recorded]:
             return
         except InputError:
             raise
-        except Exception as fault:
+        except Exception as fault:  # as above: whatever a damaged bag breaks
             raise _damaged(path, fault) from None
         yield Recorded(connection.topic, connection.msgtype, log, len(data), _decoder(path, reader, connection, data))
 
