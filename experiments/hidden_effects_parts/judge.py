@@ -99,7 +99,7 @@ def judgement(one: HiddenSet, found: Diagnosis) -> dict[str, Any]:
         shapes = [np.stack([h for h in shapes_of(one, run)], axis=2) for run in runs]
         rows["gain_ratio"] = gain_ratio(found, (*one.logs, *one.held), runs, shapes)
     if len(one.hidden) == 1 and rows["first_right"]:
-        rows["parameter_error"] = parameter_error(one.hidden[0], pool[0])
+        rows |= parameter_error(one.hidden[0], pool[0])
     return rows
 
 
@@ -117,17 +117,25 @@ def shapes_of(one: HiddenSet, run: Recording) -> list[np.ndarray]:
     return [hidden_force(plain, h.form.act(plain, h.amplitude)) for h in one.hidden]
 
 
-def parameter_error(hidden: Hidden, finding: Finding) -> float:
-    """Return the relative error of the first parameter that form and finding share and that data can tell, or nan."""
-    found = {p.name.split(".")[-1]: p.value for p in finding.parameters if p.stderr is not None}
+def parameter_error(hidden: Hidden, finding: Finding) -> dict[str, float]:
+    """Return the relative error of the first parameter that form and finding share, and the error in standard errors.
+
+    Both are nan where there is none that data can tell. The size of a wave is that of its sine and cosine together.
+    """
+    found = {p.name.split(".")[-1]: (p.value, p.stderr) for p in finding.parameters if p.stderr is not None}
     for key, value in hidden.form.truth(hidden.amplitude).items():
         near = [x for name, x in found.items() if name == key or name.startswith(f"{key}_")]
-        parts = [x for name, x in found.items() if name.startswith((f"{key}_sin", f"{key}_cos")) and "_2" not in name]
-        if parts:
-            return float(abs(np.hypot.reduce(parts) - value) / abs(value))
+        waves = [x for name, x in found.items() if name in (f"{key}_sin", f"{key}_cos")]
+        if waves:
+            size = float(np.hypot.reduce([x for x, _ in waves]))
+            near = [(size, float(np.hypot.reduce([x * sd for x, sd in waves])) / size)]
         if near:
-            return float(abs(near[0] - value) / abs(value))
-    return np.nan
+            estimate, sd = near[0]
+            return {
+                "parameter_error": abs(estimate - value) / abs(value),
+                "parameter_z": (estimate - value) / sd if sd else np.nan,
+            }
+    return {}
 
 
 def named(variable: str, joints: tuple[str, ...]) -> str:

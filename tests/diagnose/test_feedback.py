@@ -14,7 +14,7 @@ from scipy.signal import csd, welch
 from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.encoders import noise_only, noncentrality
 from tau_dyn.diagnose.feedback import answered, feedback_taps
-from tau_dyn.diagnose.force import thinned_log
+from tau_dyn.diagnose.filters import thinned_log
 from tau_dyn.diagnose.stages import told_from_zero
 from tau_dyn.effects import friction_model
 from tau_dyn.effects.cyclic_ripple import CyclicRipple

@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 import structural_resonances as study
 
 from tau_dyn.diagnose import Diagnosis, diagnose
-from tau_dyn.diagnose.diagnose import _gather
 from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.force_diagnosis import gather
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.resonances import proposed, with_band, with_resonances
 from tau_dyn.effects import Motion, Scene, StructuralCompliance
@@ -37,7 +37,7 @@ def found() -> Diagnosis:
 def channel_of(seed: int, pendulums: tuple = TRUTH) -> ForceChannel:
     """Return the force channel of one such log."""
     model, log = study.axis_log(seed, pendulums=pendulums, duration=30.0)
-    case = _gather(build_model(model.robot, "symmetric"), [log], [], None, (), lambda step: None, [])
+    case = gather(build_model(model.robot, "symmetric"), [log], [], None, (), lambda step: None, [])
     assert isinstance(case.channel, ForceChannel)
     return case.channel
 

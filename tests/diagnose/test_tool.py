@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.aliases import alias_periods
-from tau_dyn.diagnose.force import diagnosis_preparation
+from tau_dyn.diagnose.filters import diagnosis_preparation
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.tool import tool_channel

@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.trials import DRAWS, Fit, Library, fit_group, groups, judge, try_all
+from tau_dyn.diagnose.fits import Fit, judge
+from tau_dyn.diagnose.trials import DRAWS, Library, fit_group, groups, try_all
 from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
 
 CLEAN = 300

@@ -15,12 +15,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
 from tau_dyn.effects import Effect, Scene, StructuralCompliance
 from tau_dyn.estimate import Run
+from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
 if TYPE_CHECKING:
     from tau_dyn.diagnose.ground import Ground
+
+_USES = {TRAIN: "train on", CONFIRM: "confirm on", GAIN: "measure the gain on"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,3 +103,21 @@ class Channel(ABC):
         for row, (k, p) in zip(rows, known, strict=True):
             row[k] = 1 / float(p.prior_stderr or 1.0)
         return rows, np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
+
+
+def refuse_scarce(channel: Channel, least: int, short: str, have: str, wanted: str) -> None:
+    """Refuse measurements that leave one of the three parts too little.
+
+    Args:
+        channel: The measurements.
+        least: Usable values that each part needs.
+        short: What is missing, such as `too little is left`; for what is added.
+        have: What there is.
+        wanted: What to record instead.
+
+    Raises:
+        CannotAnswer: A part has fewer.
+    """
+    for part, use in _USES.items():
+        if sum(int(mask.sum()) for mask in channel.masks(part)) < least:
+            raise CannotAnswer(f"{short} to {use}: {have}", wanted)

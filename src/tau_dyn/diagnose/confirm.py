@@ -19,10 +19,10 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
+from tau_dyn.diagnose.ground import ABSORBED, Ground, weigh
 from tau_dyn.diagnose.parts import CONFIRM, TRAIN
 from tau_dyn.diagnose.trials import PRIOR_BLOCKS
-from tau_dyn.estimate import Autoregression, Whitener
+from tau_dyn.estimate import Autoregression, Whitener, unit_columns
 
 LEVEL = 0.02
 _AUDIBLE = 4.0
@@ -71,9 +71,8 @@ def confirm(
     k = B_t.shape[1]
     prior = np.concatenate([prior_rows, np.zeros((len(prior_y), k - prior_rows.shape[1]))], axis=1)
     B_all = np.concatenate([B_t, prior])
-    norm = np.linalg.norm(B_all, axis=0)
-    norm[norm == 0] = 1.0
-    inverse = np.linalg.pinv(B_all / norm, rcond=1e-7) / norm[:, None]
+    unit, norm = unit_columns(B_all)
+    inverse = np.linalg.pinv(unit, rcond=1e-7) / norm[:, None]
     blank = np.zeros(len(prior_y))
     gamma_columns = C_t - B_t @ (inverse @ np.concatenate([C_t, np.zeros((len(prior_y), C_t.shape[1]))]))
     theta = inverse @ np.concatenate([y_t, prior_y])
@@ -98,9 +97,8 @@ def _regress(free: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held
     """Regress `r` (n,) on free columns (n, 2), of which the first is tested, and on `B` (n, k) with prior rows `R`."""
     rows = np.concatenate([np.column_stack([free, B]), np.column_stack([np.zeros((len(R), 2)), R])])
     y = np.concatenate([r, np.zeros(len(R))])
-    norm = np.linalg.norm(rows, axis=0)
-    norm[norm == 0] = 1.0
-    solution = np.linalg.lstsq(rows / norm, y, rcond=1e-9)[0] / norm
+    unit, norm = unit_columns(rows)
+    solution = np.linalg.lstsq(unit, y, rcond=1e-9)[0] / norm
     rest = (y - rows @ solution)[: len(r)]
     others = rows[:, 1:] / norm[1:]
     along = rows[:, 0] - others @ np.linalg.lstsq(others, rows[:, 0], rcond=1e-9)[0]
@@ -126,6 +124,5 @@ def present(
     """Test whether columns explain anything of the held-out part, with amplitudes of their own there."""
     ground = Ground.of(channel, (CONFIRM,), noise, other_columns)
     C = np.concatenate([ground.rows(c) for c in effect_columns], axis=1)
-    s, G = C.T @ ground.e, ground.gram(C)
-    T = float(gains(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], np.zeros(C.shape[1], bool), _LEFT)[0, 0])
+    T, _, _ = weigh(ground, C, np.zeros(C.shape[1], bool), _LEFT)
     return Confirmation(1.0, np.nan, float(stats.chi2.sf(T, C.shape[1])))

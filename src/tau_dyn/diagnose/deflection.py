@@ -15,27 +15,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.channel_diagnosis import diagnose_channel
 from tau_dyn.diagnose.deflection_clock import ClockOffset
 from tau_dyn.diagnose.deflection_pieces import Piece, joints_of, piece_of
-from tau_dyn.diagnose.force import diagnosis_preparation
+from tau_dyn.diagnose.filters import border_gap, diagnosis_preparation
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.parts import divide
-from tau_dyn.diagnose.periodogram import carried_back, explained_by_periods, of_force
+from tau_dyn.diagnose.periodogram import explained_by_periods, of_force, of_output
 from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.diagnose.scenes import scene_along, shared_signals
 from tau_dyn.effects import EFFECTS, Effect, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.exceptions import InputError
 from tau_dyn.identify.logs import each_once, without_trained
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import even_pieces
-from tau_dyn.log import Log, decimate, edge_samples
+from tau_dyn.log import Log, decimate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
-
-_FASTEST = 0.98
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +60,8 @@ class DeflectionChannel(Channel):
         if not effects[0].dense:
             return None
         joint = self.scene.index(effects[0].joints[0])
-        rows = np.flatnonzero(ground.whiten.index == joint)
-        matrices = ground.whiten.rows[joint :: ground.whiten.n_outputs]
-        u = np.concatenate(carried_back(matrices, both[rows]))
+        u, mask = of_output(ground.whiten, joint, both)
         q, v = (np.concatenate([run.signals[key][:, joint] for run in self.runs]) for key in ("q", "v"))
-        mask = np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in matrices])
         periods = np.array([effect.settings["period"] for effect in effects])
         return explained_by_periods(q, v, u, mask, periods, self.preparation.force_cutoff_hz, of_force(q))
 
@@ -111,7 +107,7 @@ def deflection_channel(
     lengths = tuple("m" if unit == "N" else "rad" for unit in units)
     parameters, columns = _zeros(pieces, joints, lengths)
     runs = tuple(piece.run(W) for piece, W in zip(pieces, columns, strict=True))
-    gap = 0.5 * edge_samples(preparation.force_cutoff_hz, pieces[0].log.rate_hz) / pieces[0].log.rate_hz
+    gap = border_gap(preparation.force_cutoff_hz, pieces[0].log.rate_hz)
     parts = divide(runs, [out for _, out in stretches], bool(held), gap)
     scene = _scene(joints, units, pieces, preparation)
     channel = DeflectionChannel(
@@ -126,12 +122,13 @@ def deflection_channel(
         pieces,
         preparation,
     )
-    for part, what in ((0, "train on"), (1, "confirm on"), (2, "measure the gain on")):
-        if sum(int(mask.sum()) for mask in channel.masks(part)) < 10 * len(parameters):
-            raise CannotAnswer(
-                f"too little is left to {what}: the logs hold {sum(p.log.duration for p in pieces):.3g} s",
-                "record a minute of motion in both directions, over several speeds and loads",
-            )
+    refuse_scarce(
+        channel,
+        10 * len(parameters),
+        "too little is left",
+        f"the logs hold {sum(p.log.duration for p in pieces):.3g} s",
+        "record a minute of motion in both directions, over several speeds and loads",
+    )
     return channel
 
 
@@ -188,15 +185,13 @@ def _zeros(
 
 
 def _scene(joints: tuple[str, ...], units: tuple[str, ...], pieces: Sequence[Piece], preparation: Preparation) -> Scene:
-    q, v = (np.concatenate([getattr(p.motion, key) for p in pieces]) for key in ("q", "v"))
-    return Scene(
+    motions = [p.motion for p in pieces]
+    return scene_along(
+        motions,
         joints,
         units,
-        q.min(axis=0),
-        q.max(axis=0),
-        preparation.speed_threshold,
-        np.quantile(np.abs(v), _FASTEST, axis=0),
-        preparation.force_cutoff_hz,
-        sum(p.log.duration for p in pieces),
-        frozenset.intersection(*(frozenset(p.motion.signals) for p in pieces)) | {"load_side"},
+        slow=preparation.speed_threshold,
+        cutoff_hz=preparation.force_cutoff_hz,
+        duration=sum(p.log.duration for p in pieces),
+        signals=shared_signals(motions) | {"load_side"},
     )

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.diagnose.deflection_clock import LOAD_SPEED
+from tau_dyn.diagnose.pieces import directions, without_ends
 from tau_dyn.effects import Motion
 from tau_dyn.estimate import Run
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import measured_signals
-from tau_dyn.log import Log, decimate, differentiate, edge_samples, lowpass
+from tau_dyn.log import Log, decimate, differentiate, lowpass
 from tau_dyn.robot import Robot
 
 
@@ -46,9 +47,7 @@ class Piece:
 
     def run(self, W: np.ndarray) -> Run:
         """Return the baseline's regression with these columns (n, m, p)."""
-        usable = self.usable[:: self.factor].copy()
-        edge = int(np.ceil(edge_samples(self.preparation.force_cutoff_hz, self.log.rate_hz) / self.factor))
-        usable[:edge] = usable[len(usable) - edge :] = False
+        usable = without_ends(self.usable, self.preparation.force_cutoff_hz, self.log.rate_hz, self.factor)
         y, t = self.passed(self.deflection), decimate(self.log.t, self.factor)
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
         return Run(self.log.name, t, W, y, usable, W, y, signals)
@@ -84,18 +83,8 @@ def piece_of(joints: tuple[str, ...], log: Log, preparation: Preparation) -> Pie
     v, load_speed = (differentiate(x, log.dt, accuracy=4) for x in (q, far))
     a = differentiate(v, log.dt, accuracy=4)
     threshold = preparation.speed_threshold
-    sides = [_side(v[:, k], threshold[k]) for k in range(len(joints))]
-    sign, usable = (np.column_stack([side[k] for side in sides]) for k in (0, 1))
+    sign, usable = directions(v, threshold)
     signals = measured_signals(log, joints, q, v, threshold) | {"force": force, LOAD_SPEED: load_speed}
     motion = Motion.of(joints, q, v, a, sign, t=log.t, signals=signals)
     deflection = read - load
     return Piece(log, motion, deflection - deflection.mean(axis=0), usable, preparation)
-
-
-def _side(v: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the direction (N,) of the last motion that was surely one, and where there was any (N,)."""
-    sure = np.flatnonzero(np.abs(v) >= threshold)
-    if not len(sure):
-        return np.zeros_like(v), np.zeros(len(v), bool)
-    last = np.searchsorted(sure, np.arange(len(v)), side="right") - 1
-    return np.sign(v[sure[np.maximum(last, 0)]]), last >= 0

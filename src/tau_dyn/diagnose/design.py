@@ -26,7 +26,7 @@ from tau_dyn.diagnose.result import Diagnosis, TimeTrace
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, Run, Whitener, fit_autoregression
 from tau_dyn.identify.regression import measured_signals
-from tau_dyn.log import Log, decimate, differentiate, lowpass
+from tau_dyn.log import Log, attenuation, decimate, differentiate, lowpass, unbroken
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.simulate import Trajectory
@@ -37,7 +37,6 @@ HIGHEST_HZ = 50.0
 """Highest frequency that a diagnosis looks at where the motion is quick and positions are clean enough [Hz], about."""
 _SLOWEST_HZ = 80.0
 """A residual kept at a lower rate than this gives the noise's density only."""
-_ROLL_OFF = 8
 _IN_BAND = 0.28
 """Share of the rate up to which neither low-pass weakens a residual."""
 _MOST_ORDER = 8
@@ -99,8 +98,7 @@ def noise_of(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple
             if factor > 1:
                 e = decimate(lowpass(np.where(usable, e, 0.0), 0.4 * rate / factor, rate), factor)
                 usable = decimate(usable, factor)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(int), [0]])))
-            stretches += [e[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+            stretches += [e[s] for s in unbroken(usable)]
         models.append(flattened(fit_autoregression(stretches, _MOST_ORDER)))
     if rate >= _SLOWEST_HZ:
         return rate / factor, tuple(models)
@@ -195,7 +193,7 @@ def seen(setting: Setting, effect: Effect) -> Thing:
         if not effect.dense:
             return made
         f = effect.local_frequency(motion)[:, :, None]  # type: ignore[attr-defined]
-        return made / (1 + (f / setting.highest_hz) ** _ROLL_OFF)
+        return made / attenuation(f, setting.highest_hz)
 
     return columns
 

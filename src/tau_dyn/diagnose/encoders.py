@@ -17,10 +17,12 @@ from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.feedback import answered, feedback_taps
-from tau_dyn.diagnose.force import ForceChannel, thinned_log
-from tau_dyn.diagnose.ground import ABSORBED, Ground, gains
+from tau_dyn.diagnose.filters import thinned_log
+from tau_dyn.diagnose.fits import Candidate
+from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.ground import ABSORBED, Ground, weigh
 from tau_dyn.diagnose.parts import TRAIN
-from tau_dyn.diagnose.trials import Candidate, Library, one_sided
+from tau_dyn.diagnose.trials import Library, one_sided
 from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
 from tau_dyn.model import Model
 
@@ -102,6 +104,5 @@ def noncentrality(
     made logs have, in power, and so is what columns find in it.
     """
     C = blank.rows(columns)
-    s, G = C.T @ blank.e, blank.gram(C)
-    T = gains(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], np.zeros_like(sided), absorbed)
-    return float(T[0, 0]) * min(1.0, blank.scale / ground.scale) ** 2
+    T, _, _ = weigh(blank, C, np.zeros_like(sided), absorbed)
+    return T * min(1.0, blank.scale / ground.scale) ** 2

@@ -9,11 +9,12 @@ import numpy as np
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.ground import ABSORBED, Ground
-from tau_dyn.diagnose.parts import CONFIRM, TRAIN
+from tau_dyn.diagnose.parts import CONFIRM, EVERY, TRAIN
 from tau_dyn.diagnose.result import Finding, Gain, Signature
 from tau_dyn.diagnose.search import Found, Search, columns_of, tangents
 from tau_dyn.effects import Effect
 from tau_dyn.effects.words import spelled
+from tau_dyn.estimate import unit_columns
 from tau_dyn.parameters import Parameter, Parameters
 
 _POINTS = 2000
@@ -51,8 +52,8 @@ def finding_of(
     """
     place = channel.scene.joints.index
     effects = tuple(sorted(found.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
-    others = [e for other in search.found if other is not found for e in other.candidate.effects]
-    ground = Ground.of(channel, (TRAIN, CONFIRM), search.noise, columns_of(search.library, others))
+    others = columns_of(search.library, search.others(found))
+    ground = Ground.of(channel, (TRAIN, CONFIRM), search.noise, others)
     inflation = max(fit.inflation for fit in found.candidate.fits)
     parameters = uncertain(search, ground, effects, values, inflation)
     joints = tuple(dict.fromkeys(j for effect in effects for j in effect.joints))
@@ -96,10 +97,8 @@ def uncertain(
     for effect in effects:
         amplitude = values.select(effect.parameters.names).values
         slopes += [ground.rows(x) for x in tangents(effect, amplitude, library)]
-    everything = np.concatenate([*columns, *slopes], axis=1)
-    norm = np.linalg.norm(everything, axis=0)
-    norm[norm == 0] = 1.0
-    variance = _variances(ground.gram(everything / norm)) / norm**2
+    everything, norm = unit_columns(np.concatenate([*columns, *slopes], axis=1))
+    variance = _variances(ground.gram(everything)) / norm**2
     stderr = iter(None if np.isnan(x) else float(np.sqrt(inflation * x)) for x in variance)
     for effect in effects:
         for p in values.select(effect.parameters.names):
@@ -143,7 +142,7 @@ def signature_of(
         np.sum([c[r] @ values.select(e.parameters.names).values for e, c in zip(effects, made, strict=True)], axis=0)
         for r in range(len(channel.runs))
     ]
-    masks = channel.masks(0, 1, 2)
+    masks = channel.masks(*EVERY)
     power = [sum(float(np.sum(np.where(m[:, k], s[:, k], 0) ** 2)) for s, m in zip(share, masks, strict=True))
              for k in range(len(channel.outputs))]  # fmt: skip
     k = int(np.argmax(power))

@@ -10,12 +10,14 @@ import numpy as np
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.extend import Judged, errors_of
 from tau_dyn.diagnose.noise import rich_columns
+from tau_dyn.diagnose.parts import EVERY
 from tau_dyn.diagnose.result import Errors
+from tau_dyn.estimate import unit_columns
 
 
 def noise_floor(channel: Channel, extended: Judged, rng: np.random.Generator) -> Errors:
     """Return the floor on the part used for nothing else."""
-    masks, variables = channel.masks(0, 1, 2), channel.variables()
+    masks, variables = channel.masks(*EVERY), channel.variables()
     left = [e.copy() for e in extended.residuals]
     for k, output in enumerate(channel.outputs):
         basis = [
@@ -24,9 +26,8 @@ def noise_floor(channel: Channel, extended: Judged, rng: np.random.Generator) ->
         ]
         rows = np.concatenate([b[m[:, k]] for b, m in zip(basis, masks, strict=True)])
         y = np.concatenate([e[m[:, k], k] for e, m in zip(left, masks, strict=True)])
-        norm = np.linalg.norm(rows, axis=0)
-        norm[norm == 0] = 1.0
-        theta, _, rank, _ = np.linalg.lstsq(rows / norm, y, rcond=1e-7)
+        unit, norm = unit_columns(rows)
+        theta, _, rank, _ = np.linalg.lstsq(unit, y, rcond=1e-7)
         given_back = np.sqrt(len(y) / max(1, len(y) - rank))
         for e, b in zip(left, basis, strict=True):
             e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back

@@ -96,6 +96,14 @@ class Ground:
         """Return white rows (R, k) with everything accounted for projected out."""
         return C - self.Q @ (self.Q.T @ C)
 
+    def explained(self, C: np.ndarray, both: np.ndarray, nonnegative: np.ndarray) -> np.ndarray:
+        """Return `T` (g, d) of white rows (R, g, k) of g settings at once for residuals (R, d); see `gains`."""
+        R, g, k = C.shape
+        flat = C.reshape(R, g * k)
+        s, A = (flat.T @ both).reshape(g, k, -1), (self.Q.T @ flat).reshape(-1, g, k)
+        G = np.einsum("rgk,rgl->gkl", C, C) - np.einsum("rgk,rgl->gkl", A, A)
+        return gains(s, G, np.einsum("rgk,rgk->gk", C, C), nonnegative)
+
 
 def orthonormal(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     """Return an orthonormal basis (R, r) of columns (R, p), dependent ones left out."""
@@ -106,6 +114,15 @@ def orthonormal(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     Q, R, _ = cast(Any, linalg.qr(B, mode="economic", pivoting=True))
     diagonal = np.abs(np.diag(R))
     return Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
+
+
+def weigh(
+    ground: Ground, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = ABSORBED
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return `T` of one setting's white rows (R, k), their scores `s` (k,) and `G` (k, k); see `gains`."""
+    s, G = C.T @ ground.e, ground.gram(C)
+    T = gains(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], nonnegative, absorbed)
+    return float(T[0, 0]), s, G
 
 
 def gains(

@@ -12,10 +12,12 @@ import numpy as np
 from scipy import optimize, stats
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.fits import Candidate, Fit
 from tau_dyn.diagnose.ground import ABSORBED, Ground
+from tau_dyn.diagnose.parts import EVERY
 from tau_dyn.diagnose.result import Limit, Untestable
 from tau_dyn.diagnose.search import FAMILY_LEVEL, Search
-from tau_dyn.diagnose.trials import Candidate, Fit, Library
+from tau_dyn.diagnose.trials import Library
 from tau_dyn.effects import Effect
 from tau_dyn.effects.words import quantity
 
@@ -109,7 +111,7 @@ def _one_way(channel: Channel, joint: str) -> bool:
     speed, mine = f"v_{joint}", channel.outputs.index(joint) if joint in channel.outputs else None
     v = [
         row[speed][mask[:, mine]]
-        for row, mask in zip(channel.variables(), channel.masks(0, 1, 2), strict=True)
+        for row, mask in zip(channel.variables(), channel.masks(*EVERY), strict=True)
         if speed in row and mine is not None
     ]
     return bool(v) and len(np.unique(np.sign(np.concatenate(v)))) < 2

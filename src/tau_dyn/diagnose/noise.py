@@ -13,7 +13,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.estimate import Autoregression, fit_autoregression
+from tau_dyn.estimate import Autoregression, fit_autoregression, solve_scaled
+from tau_dyn.log import unbroken
 
 _DEGREE = 4
 _MAX_ORDER = 8
@@ -36,13 +37,11 @@ def noise_models(
         ]
         rows = np.concatenate([x[m[:, k]] for x, m in zip(columns, masks, strict=True)])
         y = np.concatenate([x[m[:, k], k] for x, m in zip(channel.target, masks, strict=True)])
-        norm = np.linalg.norm(rows, axis=0)
-        norm[norm == 0] = 1.0
-        theta = np.linalg.lstsq(rows / norm, y, rcond=1e-7)[0] / norm
+        theta = solve_scaled(rows, y, 1e-7)
         stretches = []
         for x, y_run, mask in zip(columns, channel.target, masks, strict=True):
             e = y_run[:, k] - x @ theta
-            stretches += [e[s] for s in _stretches(mask[:, k])]
+            stretches += [e[s] for s in unbroken(mask[:, k])]
         still = Autoregression(np.zeros(0), 1.0)  # an output without a usable sample has no rows to whiten
         models.append(fit_autoregression(stretches, _MAX_ORDER) if stretches else still)
     return tuple(models)
@@ -78,8 +77,3 @@ def smooth(x: np.ndarray, degree: int = _DEGREE) -> list[np.ndarray]:
         return []
     scaled = 2 * (x - low) / (high - low) - 1
     return list(legendre.legvander(scaled, degree).T[1:])
-
-
-def _stretches(mask: np.ndarray) -> list[slice]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from tau_dyn.estimate import Run
 
-TRAIN, CONFIRM, GAIN = 0, 1, 2
+TRAIN, CONFIRM, GAIN = EVERY = (0, 1, 2)
 _SHARED = (TRAIN, CONFIRM, TRAIN, GAIN, TRAIN)
 _HELD_OUT = (CONFIRM, GAIN)
 _WITHIN = (TRAIN, CONFIRM, TRAIN, TRAIN)
@@ -23,7 +23,7 @@ _FEWEST = 15
 
 
 def divide(runs: Sequence[Run], held: Sequence[bool], any_held: bool, gap_s: float) -> list[np.ndarray]:
-    """Return the part of each sample (n,) of each run: 0, 1, 2, or -1 beside a border.
+    """Return the part of each sample (n,) of each run: `TRAIN`, `CONFIRM`, `GAIN`, or -1 beside a border.
 
     Args:
         runs: Stretches of logs.

@@ -15,6 +15,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import fft, ndimage, sparse
 
+from tau_dyn.estimate import Whitener
+from tau_dyn.log import attenuation
+
 _CLASSES = 8
 _PER_PERIOD = 12
 _SMOOTHED = 9
@@ -62,7 +65,7 @@ def explained_by_periods(
         mine = np.flatnonzero((number == c) & mask)
         if mine.size:
             place = sparse.csr_matrix((np.ones(len(mine)), (bins[mine], np.arange(len(mine)))), shape=(size, len(mine)))
-            passed = 1 / (1 + (float(np.median(speed[mine])) * lines / cutoff_hz) ** 8)
+            passed = 1 / attenuation(float(np.median(speed[mine])) * lines, cutoff_hz)
             for factor, size_of in terms:
                 spectrum = np.asarray(fft.rfft(np.ascontiguousarray((place @ (factor[mine, None] * u[mine])).T)))
                 S += passed * size_of(2 * np.pi * lines) * np.conj(spectrum[:, index])
@@ -79,6 +82,13 @@ def of_force(q: np.ndarray) -> list[Term]:
 def of_displacement(v: np.ndarray, a: np.ndarray) -> list[Term]:
     """Return the terms of a displacement's acceleration along speeds and accelerations (n,)."""
     return [(a, lambda w: 1j * w), (v**2, lambda w: -(w**2))]
+
+
+def of_output(whiten: Whitener, output: int, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return white rows (R, d) of all outputs as samples (n, d) of one of them, and which samples (n,) are in a row of it."""
+    rows = whiten.rows[output :: whiten.n_outputs]
+    u = np.concatenate(carried_back(rows, white[np.flatnonzero(whiten.index == output)]))
+    return u, np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in rows])
 
 
 def carried_back(rows: Sequence[sparse.csr_matrix], white: np.ndarray) -> list[np.ndarray]:

@@ -11,10 +11,10 @@ from tau_dyn.diagnose.design import Setting, Thing, force, gram, refitted, seen
 from tau_dyn.diagnose.ground import ABSORBED
 from tau_dyn.diagnose.question import Question, Suspect
 from tau_dyn.diagnose.rivals import Rival, Schur, amplitudes
+from tau_dyn.diagnose.scenes import scene_along
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 
 _MOST_SETTINGS = 60
-_FASTEST = 0.98
 _NEAR = 0.3
 """Settings of a fine grid that lie this near the true cause's own are tried as a rival's."""
 _WEAK = 1e-12
@@ -117,19 +117,14 @@ def needs_of(question: Question) -> frozenset[str]:
 def scene_of(setting: Setting, motions: Sequence[Motion], signals: frozenset[str]) -> Scene:
     """Return what motions offer together."""
     robot = setting.model.robot
-    q, v = (np.concatenate([getattr(m, key) for m in motions]) for key in ("q", "v"))
-    duration = len(q) / setting.rate_hz
-    fast = np.quantile(np.abs(v), _FASTEST, axis=0)
-    return Scene(
+    return scene_along(
+        motions,
         robot.actuated,
         robot.force_units,
-        q.min(axis=0),
-        q.max(axis=0),
-        setting.threshold,
-        fast,
-        setting.highest_hz,
-        duration,
-        signals,
+        slow=setting.threshold,
+        cutoff_hz=setting.highest_hz,
+        duration=sum(len(motion.q) for motion in motions) / setting.rate_hz,
+        signals=signals,
     )
 
 

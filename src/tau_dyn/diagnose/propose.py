@@ -18,7 +18,7 @@ import numpy as np
 
 from tau_dyn.diagnose.candidates import candidate_pieces
 from tau_dyn.diagnose.design import Setting, completed, gram, measured, planned
-from tau_dyn.diagnose.force import smooth_cutoff
+from tau_dyn.diagnose.filters import smooth_cutoff
 from tau_dyn.diagnose.plan import Plan, Prepared, needs_of, pair_plan, scene_of, sight_plan, with_mirrored
 from tau_dyn.diagnose.proposal_words import notes_of
 from tau_dyn.diagnose.question import Question, beyond_motion, other_experiment, question_of

@@ -24,7 +24,9 @@ from tau_dyn.diagnose.parts import TRAIN
 from tau_dyn.diagnose.result import Finding
 from tau_dyn.diagnose.tool import ToolChannel, on_group
 from tau_dyn.effects import StructuralCompliance
+from tau_dyn.estimate import solve_scaled, unit_columns
 from tau_dyn.exceptions import TauDynError
+from tau_dyn.log import unbroken
 from tau_dyn.modes.leftover import criteria, free_count, loss_of
 from tau_dyn.modes.methods import stabilised
 from tau_dyn.modes.modal import Mode
@@ -101,9 +103,8 @@ def _missed(channel: Channel, effects: Sequence[StructuralCompliance | None]) ->
     y, W, found = rows(channel.target), rows(channel.free_columns), []
     for effect in effects:
         C = W if effect is None else np.concatenate([W, rows(channel.columns(effect))], axis=1)
-        norm = np.linalg.norm(C, axis=0)
-        norm[norm == 0] = 1.0
-        left = y - (C / norm) @ np.linalg.lstsq(C / norm, y, rcond=1e-9)[0]
+        unit, _ = unit_columns(C)
+        left = y - unit @ np.linalg.lstsq(unit, y, rcond=1e-9)[0]
         found.append(float(left @ left))
     return found
 
@@ -196,19 +197,15 @@ def _baseline(channel: Channel) -> np.ndarray:
     masks = channel.masks(TRAIN)
     W = np.concatenate([c[m] for c, m in zip(channel.free_columns, masks, strict=True)])
     y = np.concatenate([x[m] for x, m in zip(channel.target, masks, strict=True)])
-    norm = np.linalg.norm(W, axis=0)
-    norm[norm == 0] = 1.0
     theta = np.array(channel.parameters.values)
-    theta[channel.parameters.free] = np.linalg.lstsq(W / norm, y, rcond=1e-9)[0] / norm
+    theta[channel.parameters.free] = solve_scaled(W, y, 1e-9)
     return theta
 
 
 def _stretches(channel: Channel, u: np.ndarray, e: np.ndarray, mask: np.ndarray, dt: float) -> Iterator[Record]:
     """Return unbroken stretches of samples (n,) that are long enough, as deviations from their means."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        if (end - start) * dt >= SHORTEST_S:
-            part = slice(start, end)
+    for part in unbroken(mask):
+        if (part.stop - part.start) * dt >= SHORTEST_S:
             one, other = u[part] - u[part].mean(axis=0), e[part] - e[part].mean(axis=0)
             yield Record(one, other, dt, channel.scene.joints, channel.outputs)
 

@@ -1,9 +1,10 @@
 """Causes found one after the other, then judged together.
 
 Each round tries every cause against what is accounted for, takes the one that explains most for its freedom among those
-that noise does not explain at the family-wise level, refines its settings, and goes on. Afterwards each one has to hold its
-ground beside all others, and what each could be mistaken for is written down: a rival that explains nearly as much alone and
-nothing any more beside it.
+that noise does not explain at the family-wise level, refines its settings, and goes on. Whether noise explains a cause is judged
+by its own scatter over time, which cause explains most under one scatter for all: two laws that explain the same are told apart
+by their freedom alone. Afterwards each one has to hold its ground beside all others, and what each could be mistaken for is
+written down: a rival that explains nearly as much alone and nothing any more beside it.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.fits import Candidate, Fit, judge
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.parts import TRAIN
-from tau_dyn.diagnose.trials import DRAWS, Candidate, Fit, Library, judge, try_all, weighed
+from tau_dyn.diagnose.trials import DRAWS, Library, try_all, weighed
 from tau_dyn.diagnose.unknown import Structure, find_structure
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import Autoregression
+from tau_dyn.estimate import Autoregression, unit_columns
 
 FAMILY_LEVEL = 0.05
 """Chance of any cause on clean data on the training part; confirmation on other data multiplies it by its own level."""
@@ -74,6 +76,15 @@ class Search:
     library: Library
     n_causes: int
 
+    def others(self, one: Found) -> list[Effect]:
+        """Return the effects of all causes found but one."""
+        return effects_of([other for other in self.found if other is not one])
+
+
+def effects_of(found: Sequence[Found]) -> list[Effect]:
+    """Return the effects of several causes."""
+    return [effect for one in found for effect in one.candidate.effects]
+
 
 def search(
     channel: Channel, rng: np.random.Generator, progress: Callable[[str], None], level: float = FAMILY_LEVEL
@@ -81,9 +92,7 @@ def search(
     """Look for causes on the training part."""
     library = Library(channel)
     found: list[Found] = []
-    pending: list[
-        tuple[str, ...]
-    ] = []  # rivals of each, until the next round shows whether they still explain anything
+    pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
     while True:
         noise, ground, candidates = _round(channel, library, [f.candidate for f in found], rng)
         significant = [c for c in candidates if family(c, candidates) < level]
@@ -92,11 +101,11 @@ def search(
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
         if not significant or len(found) >= MOST or len(pending) >= 2 * MOST:
             break
-        best = pruned(max(significant, key=lambda c: c.merit), library, ground)
+        scatter = max(significant, key=lambda c: c.merit).fits[0].inflation
+        best = pruned(max(significant, key=lambda c: c.merit_under(scatter)), library, ground)
         progress(f"found {best.cause}")
-        pending.append(
-            tuple(c.cause for c in significant if c.cause != best.cause and c.merit > best.merit - TWIN_MARGIN)
-        )
+        least = best.merit_under(scatter) - TWIN_MARGIN
+        pending.append(tuple(c.cause for c in significant if c.cause != best.cause and c.merit_under(scatter) > least))
         found.append(Found(refined(best, library, ground), family(best, candidates), ()))
         found = _merged(found)
     kept = _eliminated(channel, library, found, noise, level)
@@ -184,10 +193,8 @@ def _step(effect: Effect, library: Library, ground: Ground, limits: Sequence[dic
     if not np.any(amplitude):
         return None
     D = np.concatenate([ground.rows(x) for x in tangents(effect, amplitude, library)], axis=1)
-    both = np.concatenate([C, D], axis=1)
-    norm = np.linalg.norm(both, axis=0)
-    norm[norm == 0] = 1.0
-    solution = np.linalg.lstsq(ground.gram(both / norm), (both / norm).T @ ground.e, rcond=1e-8)[0] / norm
+    both, norm = unit_columns(np.concatenate([C, D], axis=1))
+    solution = np.linalg.lstsq(ground.gram(both), both.T @ ground.e, rcond=1e-8)[0] / norm
     changed = {}
     for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
         values = [n[key] for n in limits] + [effect.settings[key]]
@@ -217,7 +224,7 @@ def _eliminated(
     while len(kept) > 1:
         judged = []
         for k, one in enumerate(kept):
-            others = [effect for j, other in enumerate(kept) if j != k for effect in other.candidate.effects]
+            others = effects_of([*kept[:k], *kept[k + 1 :]])
             ground = Ground.of(channel, (TRAIN,), noise, columns_of(library, others))
             fits = [weighed(fit, library, ground) for fit in one.candidate.fits]
             beside = judge(one.candidate.cause, fits)
@@ -242,7 +249,7 @@ def _adequate(
     """
     kept = []
     for one in found:
-        others = [e for other in found if other is not one for e in other.candidate.effects]
+        others = effects_of([other for other in found if other is not one])
         ground = Ground.of(channel, (TRAIN,), noise, columns_of(library, others))
         fits = [weighed(fit, library, ground) for fit in one.candidate.fits]
         structure = find_structure(channel, ground, draws, level=1.0)

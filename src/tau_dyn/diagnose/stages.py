@@ -17,7 +17,7 @@ from tau_dyn.diagnose.confirm import Confirmation, confirm, present
 from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged, masked, solved
 from tau_dyn.diagnose.findings import finding_of, signature_of
 from tau_dyn.diagnose.floor import noise_floor
-from tau_dyn.diagnose.parts import CONFIRM, TRAIN
+from tau_dyn.diagnose.parts import CONFIRM, EVERY, TRAIN
 from tau_dyn.diagnose.result import (
     Diagnosis,
     Finding,
@@ -29,7 +29,7 @@ from tau_dyn.diagnose.result import (
     Untestable,
     Verdict,
 )
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of
+from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of, effects_of
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import Structure
 from tau_dyn.effects import EFFECTS, Effect
@@ -53,17 +53,10 @@ class Bars(NamedTuple):
     gains: list[Gain]
 
 
-def effects_of(found: Sequence[Found]) -> list[Effect]:
-    """Return the effects of several causes."""
-    return [effect for one in found for effect in one.candidate.effects]
-
-
 def confirmation(channel: Channel, hunt: Search, one: Found) -> Confirmation:
     """Test one cause on the confirmation part, the others accounted for."""
-    others = effects_of([other for other in hunt.found if other is not one])
-    return confirm(
-        channel, hunt.noise, columns_of(hunt.library, one.candidate.effects), columns_of(hunt.library, others)
-    )
+    effects, others = (columns_of(hunt.library, x) for x in (one.candidate.effects, hunt.others(one)))
+    return confirm(channel, hunt.noise, effects, others)
 
 
 def confirmed(
@@ -221,8 +214,7 @@ def seconds(channel: Channel) -> tuple[float, float, float]:
     """Return how long each part is [s]."""
     steps = [float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0 for run in channel.runs]
     one, two, three = (
-        sum(dt * int(np.sum(part == number)) for dt, part in zip(steps, channel.parts, strict=True))
-        for number in range(3)
+        sum(dt * int(np.sum(part == which)) for dt, part in zip(steps, channel.parts, strict=True)) for which in EVERY
     )
     return one, two, three
 

@@ -15,25 +15,24 @@ from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.force import diagnosis_preparation
-from tau_dyn.diagnose.ground import Ground, gains
+from tau_dyn.diagnose.channel import Channel, refuse_scarce
+from tau_dyn.diagnose.filters import border_gap, diagnosis_preparation
+from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.parts import divide
+from tau_dyn.diagnose.scenes import scene_along, shared_signals
 from tau_dyn.diagnose.tool_pieces import OUTPUTS, POSE_S, Piece, aligned, cut, held_still, piece_of
 from tau_dyn.diagnose.trials import one_sided
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.estimate import Run
-from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.log import Log, edge_samples
+from tau_dyn.log import Log, attenuation
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 
 _DEPENDENT = 1e-6
-_FASTEST = 0.98
 _CHUNK = 32
-_ROLL_OFF = 8  # power of the two-way low-pass of fourth order
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +58,7 @@ class ToolChannel(Channel):
 
     def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
         """Scan thousands of periods on decimated motion, each sample weakened as the low-pass weakens its local frequency."""
-        if not getattr(effects[0], "dense", False):
+        if not effects[0].dense:
             return None
         found = []
         for start in range(0, len(effects), _CHUNK):
@@ -69,11 +68,8 @@ class ToolChannel(Channel):
                 for piece, motion in zip(self.pieces, self.thinned, strict=True)
             ]
             C = ground.rows(made)
-            shape = len(part), C.shape[1] // len(part)
-            A = (ground.Q.T @ C).reshape(-1, *shape)
-            s, C = (C.T @ both).reshape(*shape, both.shape[1]), C.reshape(-1, *shape)
-            G = np.einsum("rgk,rgl->gkl", C, C) - np.einsum("rgk,rgl->gkl", A, A)
-            found.append(gains(s, G, np.einsum("rgk,rgk->gk", C, C), one_sided(part[0])))
+            rows = C.reshape(len(C), len(part), C.shape[1] // len(part))
+            found.append(ground.explained(rows, both, one_sided(part[0])))
         return np.concatenate(found)
 
     @cached_property
@@ -92,7 +88,7 @@ class ToolChannel(Channel):
         if piece.cutoff_hz is None:
             return columns
         f = effect.local_frequency(motion)[:, :1, None]  # type: ignore[attr-defined]
-        return columns / (1 + (f / piece.cutoff_hz) ** _ROLL_OFF)
+        return columns / attenuation(f, piece.cutoff_hz)
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds (of poses: the way from the one before), accelerations and time of each run."""
@@ -131,19 +127,19 @@ def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -
     parameters, columns = _baseline(scene, pieces)
     runs = tuple(_run(piece, W) for piece, W in zip(pieces, columns, strict=True))
     out = [out for _, out in stretches]
-    cutoff = preparation.force_cutoff_hz if preparation else None
-    gap = 0.0 if cutoff is None else 0.5 * edge_samples(cutoff, moving[0].rate_hz) / moving[0].rate_hz
+    gap = border_gap(preparation.force_cutoff_hz, moving[0].rate_hz) if preparation else 0.0
     parts = tuple(divide(runs, out, any(out), gap))
     displacing = [cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, DisplacementEffect)]
     causes = tuple(on_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
     units = ("m",) * len(OUTPUTS)
     channel = ToolChannel("tool", OUTPUTS, units, parameters, runs, parts, scene, causes, tuple(pieces))
-    for part, what in ((0, "train on"), (1, "confirm on"), (2, "measure the gain on")):
-        if sum(int(mask.sum()) for mask in channel.masks(part)) < 3 * len(parameters):
-            raise CannotAnswer(
-                f"too few tool positions are left to {what}: {sum(len(run.t) for run in runs)} in all",
-                "measure a hundred poses or more, spread over the workspace and approached from both directions",
-            )
+    refuse_scarce(
+        channel,
+        3 * len(parameters),
+        "too few tool positions are left",
+        f"{sum(len(run.t) for run in runs)} in all",
+        "measure a hundred poses or more, spread over the workspace and approached from both directions",
+    )
     return channel
 
 
@@ -191,17 +187,13 @@ def _run(piece: Piece, W: np.ndarray) -> Run:
 
 
 def _scene(model: Model, pieces: Sequence[Piece], preparation: Preparation | None) -> Scene:
-    q, v = (np.concatenate([getattr(p.motion, key) for p in pieces]) for key in ("q", "v"))
-    signals = frozenset.intersection(*(frozenset(p.motion.signals) for p in pieces))
-    slow = preparation.speed_threshold if preparation else np.zeros(model.robot.na)
-    return Scene(
+    motions = [p.motion for p in pieces]
+    return scene_along(
+        motions,
         model.robot.actuated,
         model.robot.force_units,
-        q.min(axis=0),
-        q.max(axis=0),
-        slow,
-        np.quantile(np.abs(v), _FASTEST, axis=0),
-        preparation.force_cutoff_hz if preparation else np.inf,
-        sum(float(p.t[-1] - p.t[0]) for p in pieces),
-        signals | {"tool"},
+        slow=preparation.speed_threshold if preparation else np.zeros(model.robot.na),
+        cutoff_hz=preparation.force_cutoff_hz if preparation else np.inf,
+        duration=sum(float(p.t[-1] - p.t[0]) for p in pieces),
+        signals=shared_signals(motions) | {"tool"},
     )

@@ -98,8 +98,7 @@ def _periods(channel: ToolChannel, hunt: Search, one: Found) -> tuple[float, ...
     effect = one.candidate.effects[0]
     if not (channel.poses and effect.dense and "period" in effect.settings):
         return ()
-    others = [e for other in hunt.found if other is not one for e in other.candidate.effects]
-    ground = Ground.of(channel, (TRAIN,), hunt.noise, columns_of(hunt.library, others))
+    ground = Ground.of(channel, (TRAIN,), hunt.noise, columns_of(hunt.library, hunt.others(one)))
     return alias_periods(channel, ground, effect)
 
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tau_dyn.diagnose.pieces import directions, without_ends
 from tau_dyn.effects import Motion
 from tau_dyn.effects.cart_shift import SENSITIVITY
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import SLOWEST_HZ, Preparation
 from tau_dyn.identify.regression import even_pieces, measured_signals
-from tau_dyn.log import Log, decimate, differentiate, edge_samples, lowpass
+from tau_dyn.log import Log, decimate, differentiate, lowpass
 from tau_dyn.model import Model
 
 OUTPUTS = ("x_tool", "y_tool", "z_tool")
@@ -66,11 +67,9 @@ class Piece:
     @property
     def seen(self) -> np.ndarray:
         """Which of the fit's samples count (n,)."""
-        mask = self.usable[:: self.factor].copy()
-        if self.cutoff_hz is not None:
-            edge = int(np.ceil(edge_samples(self.cutoff_hz, self.log.rate_hz) / self.factor))
-            mask[:edge] = mask[len(mask) - edge :] = False
-        return mask
+        if self.cutoff_hz is None:
+            return self.usable
+        return without_ends(self.usable, self.cutoff_hz, self.log.rate_hz, self.factor)
 
     @property
     def t(self) -> np.ndarray:
@@ -112,7 +111,7 @@ def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:
         v = differentiate(q, log.dt, accuracy=4)
         a = differentiate(v, log.dt, accuracy=4)
         signals = measured_signals(log, joints, q, v, preparation.speed_threshold)
-        sign = np.column_stack([_kept(v[:, k], preparation.speed_threshold[k]) for k in range(len(joints))])
+        sign, _ = directions(v, np.maximum(preparation.speed_threshold, _STILL))
         turned = np.any(np.diff(sign, axis=0, prepend=sign[:1]) != 0, axis=1)
         half = int(np.ceil(preparation.window_s * log.rate_hz))
         usable = np.convolve(turned, np.ones(2 * half + 1), mode="same") < 0.5
@@ -133,15 +132,6 @@ def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         onward = np.where((goes == 0) | (goes == sign[k - 1]), travel[k - 1], 0.0)
         travel[k] = onward + np.abs(way[k])
     return sign, travel
-
-
-def _kept(v: np.ndarray, threshold: float) -> np.ndarray:
-    """Return the direction (N,) of the last motion that was surely one; before the first, that of the first."""
-    sure = np.flatnonzero(np.abs(v) >= max(threshold, _STILL))
-    if not len(sure):
-        return np.zeros_like(v)
-    last = np.searchsorted(sure, np.arange(len(v)), side="right") - 1
-    return np.sign(v[sure[np.maximum(last, 0)]])
 
 
 def aligned(pieces: Sequence[Piece]) -> list[Piece]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -58,11 +59,49 @@ class Structure:
     formula: str
 
 
+class _Shape(NamedTuple):
+    """The variables that one output's residual is tried against, and what smooth functions of them explain."""
+
+    merit: float
+    output: str
+    variables: tuple[str, ...]
+    signed: bool
+    T: float
+    dof: int
+
+
 def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: float) -> Structure | None:
     """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
+    found = _strongest(channel, ground, draws)
+    if found is None:
+        return None
+    best, tries = found
+    bases = _bases(channel.variables(), best.variables, best.signed, best.output)
+    inflation = _inflation(channel, ground, best.output, bases)
+    p_value = float(-np.expm1(tries * np.log1p(-min(float(stats.chi2.sf(best.T / inflation, best.dof)), 1 - 1e-16))))
+    if p_value >= level and level < 1:
+        return None
+    k = channel.outputs.index(best.output)
+    rows = np.flatnonzero(ground.whiten.index == k)
+    return Structure(
+        best.output,
+        best.variables,
+        best.signed,
+        best.T / inflation,
+        p_value,
+        tries,
+        best.merit,
+        min(1.0, best.T / max(float(ground.e[rows] @ ground.e[rows]), 1e-300)),
+        [_placed(b, k, len(channel.outputs)) for b in bases],
+        _formula(channel, ground, best),
+    )
+
+
+def _strongest(channel: Channel, ground: Ground, draws: np.ndarray) -> tuple[_Shape, float] | None:
+    """Return the set of variables with the largest merit, and how many independent tries the search over sets amounts to."""
     values = channel.variables()
-    best: tuple[float, str, tuple[str, ...], bool, float, int] | None = None
-    chances, noise_chances = [], []
+    best: _Shape | None = None
+    noise_chances = []
     for k, output in enumerate(channel.outputs):
         rows = np.flatnonzero(ground.whiten.index == k)
         both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
@@ -74,22 +113,14 @@ def find_structure(channel: Channel, ground: Ground, draws: np.ndarray, level: f
             A = Q.T @ C
             G, raw = C.T @ C - A.T @ A, np.sum(C**2, axis=0)
             T = gains((C.T @ both)[None], G[None], raw[None], np.zeros(C.shape[1], bool), _LEFT)[0]
-            chance = stats.chi2.sf(T, C.shape[1])
-            chances.append(chance[0])
-            noise_chances.append(chance[1:])
+            noise_chances.append(stats.chi2.sf(T[1:], C.shape[1]))
             merit = T[0] - 2 * C.shape[1] - _PAIR_PRICE * (len(names) - 1)
-            if best is None or merit > best[0]:
-                best = (merit, output, names, signed, float(T[0]), C.shape[1])
+            if best is None or merit > best.merit:
+                best = _Shape(merit, output, names, signed, float(T[0]), C.shape[1])
     if best is None:
         return None
     smallest = np.min(noise_chances, axis=0)
-    tries = max(1.0, -len(smallest) / float(np.sum(np.log1p(-np.clip(smallest, 1e-12, 1 - 1e-12)))))
-    merit, output, names, signed, T, dof = best
-    inflation = _inflation(channel, ground, output, names, signed)
-    p_value = float(-np.expm1(tries * np.log1p(-min(float(stats.chi2.sf(T / inflation, dof)), 1 - 1e-16))))
-    if p_value >= level and level < 1:
-        return None
-    return _described(channel, ground, output, names, signed, T, inflation, p_value, tries, merit)
+    return best, max(1.0, -len(smallest) / float(np.sum(np.log1p(-np.clip(smallest, 1e-12, 1 - 1e-12)))))
 
 
 def structure_chance(clean: Channel, ground: Ground, structure: Structure, others: Sequence[list[np.ndarray]]) -> float:
@@ -135,11 +166,11 @@ def _rows(ground: Ground, output: int, basis: Sequence[np.ndarray]) -> np.ndarra
     return ground.whiten.one(output, basis) / ground.scale
 
 
-def _inflation(channel: Channel, ground: Ground, output: str, names: tuple[str, ...], signed: bool) -> float:
+def _inflation(channel: Channel, ground: Ground, output: str, bases: Sequence[np.ndarray]) -> float:
     """Return the scatter of blocks over what the noise model says, at least 1."""
     k = channel.outputs.index(output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    C = _rows(ground, k, _bases(channel.variables(), names, signed, output))
+    C = _rows(ground, k, bases)
     left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
     gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
     along = left @ gamma
@@ -151,33 +182,12 @@ def _inflation(channel: Channel, ground: Ground, output: str, names: tuple[str, 
     return max(1.0, (count * float(np.sum(scores**2)) / square + PRIOR_BLOCKS) / (count + PRIOR_BLOCKS))
 
 
-def _described(
-    channel: Channel,
-    ground: Ground,
-    output: str,
-    names: tuple[str, ...],
-    signed: bool,
-    T: float,
-    inflation: float,
-    p_value: float,
-    tries: float,
-    merit: float,
-) -> Structure:
-    k = channel.outputs.index(output)
-    values = channel.variables()
-    bases = _bases(values, names, signed, output)
-    columns = [_placed(b, k, len(channel.outputs)) for b in bases]
-    rows = np.flatnonzero(ground.whiten.index == k)
-    share = min(1.0, T / max(float(ground.e[rows] @ ground.e[rows]), 1e-300))
-    formula = _formula(channel, ground, k, names, output, T)
-    return Structure(output, names, signed, T / inflation, p_value, tries, merit, share, columns, formula)
-
-
-def _formula(channel: Channel, ground: Ground, k: int, names: tuple[str, ...], output: str, T: float) -> str:
+def _formula(channel: Channel, ground: Ground, shape: _Shape) -> str:
     """Return the one product of simple terms that explains nearly all, or an empty text."""
+    k = channel.outputs.index(shape.output)
     rows = np.flatnonzero(ground.whiten.index == k)
-    best, text = _SIMPLE * T, ""
-    for label, bases in _terms(channel.variables(), names, output).items():
+    best, text = _SIMPLE * shape.T, ""
+    for label, bases in _terms(channel.variables(), shape.variables, shape.output).items():
         C = _rows(ground, k, bases)
         A = ground.Q[rows].T @ C
         G = float(np.sum(C**2) - np.sum(A**2))

@@ -8,6 +8,7 @@ from tau_dyn.estimate.estimate import DETERMINED, Estimate
 from tau_dyn.estimate.least_squares import solve_least_squares
 from tau_dyn.estimate.physics import Body, Physics, pseudo_inertia
 from tau_dyn.estimate.regression import Everything, Regression, Rows, Run
+from tau_dyn.estimate.scaled import solve_scaled, unit_columns
 from tau_dyn.estimate.totals import Totals
 from tau_dyn.estimate.whitening import Whitener
 
@@ -31,4 +32,6 @@ __all__ = [
     "pseudo_inertia",
     "solve_consistent",
     "solve_least_squares",
+    "solve_scaled",
+    "unit_columns",
 ]

@@ -3,9 +3,10 @@
 from tau_dyn.log.band import MotionBand, motion_band
 from tau_dyn.log.check import check_log
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.filtering import decimate, differentiate, edge_samples, lowpass, reversals
+from tau_dyn.log.filtering import attenuation, decimate, differentiate, edge_samples, lowpass, reversals
 from tau_dyn.log.findings import Finding, LogCheck
 from tau_dyn.log.log import Log
+from tau_dyn.log.masks import unbroken
 from tau_dyn.log.motions import split_by_motion
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
 from tau_dyn.log.read import read_log
@@ -25,6 +26,7 @@ __all__ = [
     "Recording",
     "Stretch",
     "Table",
+    "attenuation",
     "check_log",
     "decimate",
     "differentiate",
@@ -43,6 +45,7 @@ __all__ = [
     "segments",
     "split_by_motion",
     "stretches",
+    "unbroken",
     "unit_warnings",
     "velocity_noise",
 ]

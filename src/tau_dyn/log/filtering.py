@@ -57,6 +57,11 @@ def _sections(order: int, cutoff_hz: float, rate_hz: float) -> NDArray[np.float6
     return np.asarray(signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
 
 
+def attenuation(f: NDArray[np.float64], cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
+    """Return how many times smaller `lowpass` makes sines of frequencies f (...) [Hz], far below half the sampling rate."""
+    return 1 + (f / cutoff_hz) ** (2 * order)
+
+
 def edge_samples(cutoff_hz: float, rate_hz: float, order: int = 4) -> int:
     """Return how many samples at each end of a log the low-pass of `lowpass` disturbs.
 

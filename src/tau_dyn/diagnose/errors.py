@@ -1,0 +1,63 @@
+"""How far models are from measurements that were used for nothing else, one by one and from each to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """How far a model is from measurements that were used for nothing else.
+
+    Attributes:
+        outputs: What was measured: joints' forces, joints' deflections, or the tool's axes.
+        rms: Residual rms of each output (m,) [unit of the output].
+        ci95: Its 95 % interval (m, 2), from blocks.
+        relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+        relative_ci95: Its 95 % interval, from blocks.
+    """
+
+    outputs: tuple[str, ...]
+    rms: np.ndarray
+    ci95: np.ndarray
+    relative_error_percent: float
+    relative_ci95: tuple[float, float] = (float("nan"), float("nan"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        return {
+            "rms_per_joint": dict(zip(self.outputs, map(float, self.rms), strict=True)),
+            "relative_error_percent": self.relative_error_percent,
+            "relative_ci95": list(self.relative_ci95),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One bar of the waterfall: `nominal`, `refitted`, a cause with its joints, or `noise_floor`."""
+
+    step: str
+    errors: Errors
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        ci95 = dict(zip(self.errors.outputs, self.errors.ci95.tolist(), strict=True))
+        return {"step": self.step, **self.errors.to_dict(), "ci95": ci95}
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a cause is worth on data used for nothing else: rms over its outputs before and after, and their ratio."""
+
+    rms_before: float
+    rms_after: float
+    reduction_percent: float
+    ci95: tuple[float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract's form."""
+        rows = {"rms_before": self.rms_before, "rms_after": self.rms_after}
+        return {**rows, "reduction_percent": self.reduction_percent, "ci95": list(self.ci95)}

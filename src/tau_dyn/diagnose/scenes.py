@@ -1,0 +1,50 @@
+"""What motions offer to the search for causes: their range, their speeds, and the signals that all of them have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tau_dyn.effects import Motion, Scene
+
+_FASTEST = 0.98
+
+
+def scene_along(
+    motions: Sequence[Motion],
+    joints: tuple[str, ...],
+    units: tuple[str, ...],
+    *,
+    slow: np.ndarray,
+    cutoff_hz: float,
+    duration: float,
+    signals: frozenset[str],
+    campaigns: int = 1,
+) -> Scene:
+    """Return what motions offer together.
+
+    Args:
+        motions: The motions.
+        joints: Their joints.
+        units: The joints' force units, 'N' or 'N m'.
+        slow: Slowest speed with a sure sign (na,) [m/s or rad/s].
+        cutoff_hz: Frequency above which nothing is seen [Hz].
+        duration: Length of all of them [s].
+        signals: What effects may feel; see `shared_signals`.
+        campaigns: Number of logs that are told apart.
+    """
+    q, v = (np.concatenate([getattr(motion, key) for motion in motions]) for key in ("q", "v"))
+    return Scene(
+        joints, units, q.min(axis=0), q.max(axis=0), slow, fast_speeds(v), cutoff_hz, duration, signals, campaigns
+    )
+
+
+def shared_signals(motions: Sequence[Motion]) -> frozenset[str]:
+    """Return the names of the signals that all motions give."""
+    return frozenset.intersection(*(frozenset(motion.signals) for motion in motions))
+
+
+def fast_speeds(v: np.ndarray) -> np.ndarray:
+    """Return the speed that each joint exceeds in 2 % of the samples (na,), of speeds (n, na)."""
+    return np.quantile(np.abs(v), _FASTEST, axis=0)

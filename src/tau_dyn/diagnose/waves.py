@@ -1,0 +1,60 @@
+"""Waves over the place that positions themselves show, above the band in which they stand out of the encoder's noise.
+
+Positions are smoothed before columns are made of them (`force.smooth_cutoff`): what lies above is noise to a spectrum in
+time. An encoder's periodic error, or a motion that cogging shakes, may lie there: a few micrometres spread over many
+frequencies by the changing speed, but at one line over the place. Such positions must not be smoothed: the error would be gone
+from speeds and accelerations before anybody looks for it, and the force of a true motion would pass for an error.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.periodogram import explained_by_periods, of_force
+from tau_dyn.effects import EFFECTS
+from tau_dyn.effects.periodic import PeriodicEffect
+from tau_dyn.log import decimate, lowpass
+
+_DRAWS = 8
+_CHANCE = 1e-6
+"""Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
+
+
+def periodic_causes() -> tuple[type[PeriodicEffect], ...]:
+    """Return the causes that are waves over the place."""
+    return tuple(cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, PeriodicEffect))
+
+
+def shows_waves(channel: ForceChannel, smooth_hz: float) -> bool:
+    """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at."""
+    rng = np.random.default_rng(0)
+    highest = channel.preparation.force_cutoff_hz
+    return smooth_hz < highest and any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
+
+
+def _wave(channel: ForceChannel, joint: str, smooth_hz: float, rng: np.random.Generator) -> bool:
+    j, fastest = channel.scene.index(joint), 0.0
+    pieces = []
+    for piece, motion in zip(channel.prepared, channel.thinned, strict=True):
+        read, rate = piece.log.joint("q", [joint])[:, 0], piece.log.rate_hz
+        made = rng.standard_normal((len(read), _DRAWS))
+        both = np.column_stack([read, made])
+        above = _between(both, smooth_hz, channel.preparation.force_cutoff_hz, rate)
+        size = np.std(above, axis=0)  # what is left of the motion counts as noise
+        pieces.append((motion.q[:, j], motion.v[:, j], decimate(above / np.where(size > 0, size, 1.0), piece.factor)))
+        fastest = max(fastest, float(np.max(np.abs(motion.v[:, j]))))
+    q, v, u = (np.concatenate(x) for x in zip(*pieces, strict=True))
+    grids = [cls.grid(channel.scene, (joint,)) for cls in periodic_causes()]
+    periods = np.array([setting["period"] for setting in max(grids, key=len)])
+    periods = periods[fastest / periods > smooth_hz]
+    if not periods.size:
+        return False
+    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, channel.preparation.force_cutoff_hz, of_force(q))
+    return bool(len(periods) * len(channel.scene.joints) * np.exp(-0.5 * T[:, 0].max()) < _CHANCE)
+
+
+def _between(x: np.ndarray, low_hz: float, high_hz: float, rate_hz: float) -> np.ndarray:
+    """Return what of columns (N, n) lies between two frequencies [Hz]."""
+    wide = lowpass(x, high_hz, rate_hz)
+    return wide - lowpass(wide, low_hz, rate_hz)
