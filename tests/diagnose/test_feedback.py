@@ -172,5 +172,23 @@ def test_made_noise_counts_for_no_more_than_was_measured(made: float, counts: fl
     rng = np.random.default_rng(7)
     e, C = rng.standard_normal(50), rng.standard_normal((50, 1))
     blank = SimpleNamespace(rows=lambda columns: C, e=e, gram=lambda rows: rows.T @ rows, scale=made)
-    found = noncentrality(cast(Any, blank), cast(Any, SimpleNamespace(scale=1.0)), [], np.array([False]))
+    found = noncentrality([cast(Any, blank)], cast(Any, SimpleNamespace(scale=1.0)), [[]], np.array([False]))
     assert found == pytest.approx(counts * float(C[:, 0] @ e) ** 2 / float(C[:, 0] @ C[:, 0]))
+
+
+def test_what_draws_of_encoder_noise_make_of_a_column_is_their_mean_without_their_own_chance():
+    """A bias of two standard errors in 400 draws: noncentrality 4, where the mean of squares is 5; without a bias, none."""
+    rng = np.random.default_rng(8)
+    C = rng.standard_normal((50, 1))
+    unit = C[:, 0] / np.linalg.norm(C)
+
+    def seen(bias: float) -> float:
+        blanks = []
+        for _ in range(400):
+            e = rng.standard_normal(50) + bias * unit
+            blanks.append(SimpleNamespace(rows=lambda columns: C, e=e, gram=lambda rows: rows.T @ rows, scale=1.0))
+        ground = cast(Any, SimpleNamespace(scale=1.0))
+        return noncentrality(cast(Any, blanks), ground, [[]] * len(blanks), np.array([False]))
+
+    assert seen(2.0) == pytest.approx(4.0, abs=0.6)
+    assert seen(0.0) < 0.25

@@ -3,8 +3,8 @@ r"""What encoder noise alone would make of a cause, found by making the same mis
 Encoder noise sits in the columns and, times a mass, in the residual; whitening cannot cure what both share. So the fitted
 baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs, its forces
 what the controller answers to that noise (`feedback.py`), and the whole preparation is repeated. What a cause explains of that
-misfit is the noncentrality that its score would have on a clean log: chance is then judged by a noncentral chi-square, with
-twice that noncentrality, as it is an estimate itself.
+misfit, in the mean of several draws, is the noncentrality that its score would have on a clean log: chance is then judged by a
+noncentral chi-square, with twice that noncentrality, as it is an estimate itself.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy import stats
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.filters import thinned_log
-from tau_dyn.diagnose.fits import Candidate
+from tau_dyn.diagnose.fits import GROUP_LEVEL, Candidate
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.ground import ABSORBED, Ground, weigh
 from tau_dyn.diagnose.parts import TRAIN
@@ -26,6 +26,8 @@ from tau_dyn.diagnose.trials import Library, one_sided
 from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
 from tau_dyn.model import Model
 
+DRAWN = 4
+"""Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
 MARGIN = 2.0
 _WIDEST = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
@@ -70,39 +72,54 @@ def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, 
     return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
 
 
-def chance_with_encoders(
-    clean: Channel, ground: Ground, candidate: Candidate, others: Sequence[list[np.ndarray]]
-) -> float:
-    """Return the chance of a candidate's strongest group when encoder noise does to it what it does to `clean`.
+def sifted(
+    cleans: Sequence[Channel],
+    ground: Ground,
+    candidate: Candidate,
+    others: Sequence[Sequence[list[np.ndarray]]],
+    n: int,
+) -> tuple[float, Candidate]:
+    """Return a candidate's chance when encoder noise does to it what it does to `cleans`, and what is left of it.
 
     Args:
-        clean: The channel of noise-only logs.
+        cleans: Channels of noise-only logs, draw by draw.
         ground: The training part of the measured channel, for its noise model and scale.
         candidate: The cause, on measured data.
-        others: Columns of the other causes on `clean`.
+        others: Columns of the other causes on each of `cleans`.
+        n: Number of causes tried.
+
+    Returns:
+        The chance of its strongest group, all groups and causes tried counted; and the candidate without the groups that encoder
+        noise could have made.
     """
-    library = Library(clean)
-    blank = Ground.of(clean, (TRAIN,), ground.noise, others)
+    libraries = [Library(clean) for clean in cleans]
+    blanks = [Ground.of(c, (TRAIN,), ground.noise, x) for c, x in zip(cleans, others, strict=True)]
     chances = []
     for fit in candidate.fits:
-        bias = MARGIN * noncentrality(blank, ground, library.columns(fit.effect), one_sided(fit.effect))
-        tail = (
-            float(stats.ncx2.sf(fit.T / fit.inflation, fit.dof, bias))
-            if bias > 0
-            else float(stats.chi2.sf(fit.T, fit.dof))
-        )
+        columns = [library.columns(fit.effect) for library in libraries]
+        bias = MARGIN * noncentrality(blanks, ground, columns, one_sided(fit.effect))
+        T = fit.T / fit.inflation
+        tail = float(stats.ncx2.sf(T, fit.dof, bias) if bias > 0 else stats.chi2.sf(T, fit.dof))
         chances.append(min(1.0, fit.tries * tail))
-    return float(min(chances) * len(candidate.tested))
+    least = min(chances)
+    kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
+    return least * len(candidate.tested) * n, replace(candidate, fits=kept)
 
 
 def noncentrality(
-    blank: Ground, ground: Ground, columns: list[np.ndarray], sided: np.ndarray, absorbed: float = ABSORBED
+    blanks: Sequence[Ground],
+    ground: Ground,
+    columns: Sequence[list[np.ndarray]],
+    sided: np.ndarray,
+    absorbed: float = ABSORBED,
 ) -> float:
     """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise.
 
-    More than the measured noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of what the
-    made logs have, in power, and so is what columns find in it.
+    It is the mean over draws of the noise, less what the draws' own chance adds to the mean of squares. More than the measured
+    noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of what the made logs have, in power,
+    and so is what columns find in it.
     """
-    C = blank.rows(columns)
-    T, _, _ = weigh(blank, C, np.zeros_like(sided), absorbed)
-    return T * min(1.0, blank.scale / ground.scale) ** 2
+    T = [weigh(b, b.rows(c), np.zeros_like(sided), absorbed)[0] for b, c in zip(blanks, columns, strict=True)]
+    share = [min(1.0, b.scale / ground.scale) ** 2 for b in blanks]
+    chance = len(sided) * (1 - 1 / len(T))
+    return max(0.0, float(np.mean(T)) - chance) * float(np.mean(share))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.encoders import chance_with_encoders, noise_only
+from tau_dyn.diagnose.encoders import DRAWN, noise_only, sifted
 from tau_dyn.diagnose.filters import border_gap, clear_cutoff, diagnosis_preparation, smooth_cutoffs, thinned_log
 from tau_dyn.diagnose.force import ForceChannel, force_channel, force_regression, prepared_pieces
 from tau_dyn.diagnose.limits import limits_of
@@ -161,7 +161,7 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
     if hunt.found or structure:
         progress("what encoder noise would do")
-        hunt, structure = _sifted(case.noise_only(rng), hunt, structure)
+        hunt, structure = _sifted([case.noise_only(rng) for _ in range(DRAWN)], hunt, structure)
     progress("confirming")
     rate = channel.prepared[0].log.rate_hz
     gap = border_gap(case.preparation.force_cutoff_hz, rate)
@@ -194,16 +194,17 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     return assembled(channel, hunt, kept, bars, case.nominal, answer, seed)
 
 
-def _sifted(clean: Channel, hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:
+def _sifted(cleans: Sequence[Channel], hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:
     """Leave out what encoder noise alone could have made."""
-    library, kept = Library(clean), []
+    libraries, kept = [Library(clean) for clean in cleans], []
     for one in hunt.found:
-        chance = chance_with_encoders(clean, hunt.ground, one.candidate, columns_of(library, hunt.others(one)))
-        if chance * hunt.n_causes < FAMILY_LEVEL:
-            kept.append(one)
+        others = [columns_of(library, hunt.others(one)) for library in libraries]
+        chance, left = sifted(cleans, hunt.ground, one.candidate, others, hunt.n_causes)
+        if chance < FAMILY_LEVEL:
+            kept.append(replace(one, candidate=left))
     if structure is not None:
-        found = columns_of(library, effects_of(hunt.found))
-        if structure_chance(clean, hunt.ground, structure, found) > FAMILY_LEVEL:
+        found = [columns_of(library, effects_of(hunt.found)) for library in libraries]
+        if structure_chance(cleans, hunt.ground, structure, found) > FAMILY_LEVEL:
             structure = None
     return replace(hunt, found=tuple(kept)), structure
 

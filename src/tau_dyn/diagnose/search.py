@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.fits import Candidate, Fit, judge
+from tau_dyn.diagnose.fits import Candidate, Fit, judge, merit_under
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.parts import TRAIN
@@ -263,7 +263,8 @@ def _adequate(
 
 
 def _beaten(fit: Fit, structure: Structure) -> bool:
-    return structure.merit > fit.merit + MIMIC_MARGIN and structure.T > MIMIC_RATIO * fit.T / fit.inflation
+    own = merit_under([fit], 1.0)  # as a structure's: which explains more is no matter of either's scatter over time
+    return structure.merit > own + MIMIC_MARGIN and structure.merit > MIMIC_RATIO * fit.T
 
 
 def _outshone(fit: Fit, library: Library, ground: Ground) -> bool:

@@ -41,7 +41,7 @@ class Structure:
         T: What it explains, in units of the noise.
         p_value: Chance on clean data, all sets tried taken into account.
         tries: Number of independent tries that the search over sets amounts to.
-        merit: `T` less the price of its freedom.
+        merit: What it explains less the price of its freedom, not divided by the scatter of blocks as `T` is.
         share: Its part of the output's residual variance.
         columns: Its columns (n, m, k) of each run.
         formula: A simple expression, or empty.
@@ -123,14 +123,17 @@ def _strongest(channel: Channel, ground: Ground, draws: np.ndarray) -> tuple[_Sh
     return best, max(1.0, -len(smallest) / float(np.sum(np.log1p(-np.clip(smallest, 1e-12, 1 - 1e-12)))))
 
 
-def structure_chance(clean: Channel, ground: Ground, structure: Structure, others: Sequence[list[np.ndarray]]) -> float:
+def structure_chance(
+    cleans: Sequence[Channel], ground: Ground, structure: Structure, others: Sequence[Sequence[list[np.ndarray]]]
+) -> float:
     """Return a structure's chance when encoder noise does to it what it does to noise-only logs (see `encoders.py`)."""
-    k = clean.outputs.index(structure.output)
-    bases = _bases(clean.variables(), structure.variables, structure.signed, structure.output)
-    blank = Ground.of(clean, (TRAIN,), ground.noise, others)
-    columns = [_placed(b, k, len(clean.outputs)) for b in bases]
-    bias = MARGIN * noncentrality(blank, ground, columns, np.zeros(bases[0].shape[1], bool), _LEFT)
-    dof = bases[0].shape[1]
+    blanks = [Ground.of(c, (TRAIN,), ground.noise, x) for c, x in zip(cleans, others, strict=True)]
+    columns = []
+    for clean in cleans:
+        bases = _bases(clean.variables(), structure.variables, structure.signed, structure.output)
+        columns.append([_placed(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
+    dof = columns[0][0].shape[-1]
+    bias = MARGIN * noncentrality(blanks, ground, columns, np.zeros(dof, bool), _LEFT)
     tail = stats.ncx2.sf(structure.T, dof, bias) if bias > 0 else stats.chi2.sf(structure.T, dof)
     return min(1.0, structure.tries * float(tail))
 
