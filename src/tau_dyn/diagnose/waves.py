@@ -1,6 +1,6 @@
 """Waves over the place that positions themselves show, above the band in which they stand out of the encoder's noise.
 
-Positions are smoothed before columns are made of them (`force.smooth_cutoff`): what lies above is noise to a spectrum in
+Positions are smoothed before columns are made of them (`filters.smooth_cutoff`): what lies above is noise to a spectrum in
 time. An encoder's periodic error, or a motion that cogging shakes, may lie there: a few micrometres spread over many
 frequencies by the changing speed, but at one line over the place. Such positions must not be smoothed: the error would be gone
 from speeds and accelerations before anybody looks for it, and the force of a true motion would pass for an error.
@@ -12,18 +12,12 @@ import numpy as np
 
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.periodogram import explained_by_periods, of_force
-from tau_dyn.effects import EFFECTS
-from tau_dyn.effects.periodic import PeriodicEffect
+from tau_dyn.effects import TransmissionError
 from tau_dyn.log import decimate, lowpass
 
 _DRAWS = 8
 _CHANCE = 1e-6
 """Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
-
-
-def periodic_causes() -> tuple[type[PeriodicEffect], ...]:
-    """Return the causes that are waves over the place."""
-    return tuple(cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, PeriodicEffect))
 
 
 def shows_waves(channel: ForceChannel, smooth_hz: float) -> bool:
@@ -45,8 +39,7 @@ def _wave(channel: ForceChannel, joint: str, smooth_hz: float, rng: np.random.Ge
         pieces.append((motion.q[:, j], motion.v[:, j], decimate(above / np.where(size > 0, size, 1.0), piece.factor)))
         fastest = max(fastest, float(np.max(np.abs(motion.v[:, j]))))
     q, v, u = (np.concatenate(x) for x in zip(*pieces, strict=True))
-    grids = [cls.grid(channel.scene, (joint,)) for cls in periodic_causes()]
-    periods = np.array([setting["period"] for setting in max(grids, key=len)])
+    periods = np.array([setting["period"] for setting in TransmissionError.grid(channel.scene, (joint,))])
     periods = periods[fastest / periods > smooth_hz]
     if not periods.size:
         return False
