@@ -16,15 +16,19 @@ from tau_dyn.effects import TransmissionError
 from tau_dyn.log import decimate, lowpass
 
 _DRAWS = 8
+_ROOM = 1.25
 _CHANCE = 1e-6
 """Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
 
 
 def shows_waves(channel: ForceChannel, smooth_hz: float) -> bool:
-    """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at."""
+    """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
+
+    Where these lie hardly above it, what little is between is in the columns anyway.
+    """
     rng = np.random.default_rng(0)
-    highest = channel.preparation.force_cutoff_hz
-    return smooth_hz < highest and any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
+    room = _ROOM * smooth_hz < channel.preparation.force_cutoff_hz
+    return room and any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
 
 
 def _wave(channel: ForceChannel, joint: str, smooth_hz: float, rng: np.random.Generator) -> bool:
