@@ -1,10 +1,10 @@
 """Causes found one after the other, then judged together.
 
 Each round tries every cause against what is accounted for, takes the one that explains most for its freedom among those
-that noise does not explain at the family-wise level, refines its settings, and goes on. Whether noise explains a cause is judged
-by its own scatter over time, which cause explains most under one scatter for all: two laws that explain the same are told apart
-by their freedom alone. Afterwards each one has to hold its ground beside all others, and what each could be mistaken for is
-written down: a rival that explains nearly as much alone and nothing any more beside it.
+that noise does not explain at the family-wise level, refines its settings, and goes on. What a cause explains is discounted by
+its own scatter over time, which a wrong law has more of; but two laws that explain the same are told apart by their freedom
+alone. Afterwards each one has to hold its ground beside all others, and what each could be mistaken for is written down: a
+rival that explains nearly as much alone and nothing any more beside it.
 """
 
 from __future__ import annotations
@@ -101,11 +101,10 @@ def search(
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
         if not significant or len(found) >= MOST or len(pending) >= 2 * MOST:
             break
-        scatter = max(significant, key=lambda c: c.merit).fits[0].inflation
-        best = pruned(max(significant, key=lambda c: c.merit_under(scatter)), library, ground)
+        strongest, twins = _strongest(significant)
+        best = pruned(strongest, library, ground)
         progress(f"found {best.cause}")
-        least = best.merit_under(scatter) - TWIN_MARGIN
-        pending.append(tuple(c.cause for c in significant if c.cause != best.cause and c.merit_under(scatter) > least))
+        pending.append(twins)
         found.append(Found(refined(best, library, ground), family(best, candidates), ()))
         found = _merged(found)
     kept = _eliminated(channel, library, found, noise, level)
@@ -113,6 +112,20 @@ def search(
     if kept != found:
         noise, ground, candidates = _round(channel, library, [f.candidate for f in kept], rng)
     return Search(tuple(kept), noise, ground, tuple(candidates), library, len(candidates))
+
+
+def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, ...]]:
+    """Return the cause that explains most, each by its own scatter, and its twins.
+
+    Among those that explain as much under one scatter the one with the least freedom is taken.
+    """
+    first = max(significant, key=lambda c: c.merit)
+    scatter = first.fits[0].inflation
+    alike = {c.cause: c.merit_under(scatter) - first.merit_under(scatter) for c in significant}
+    level = [c for c in significant if abs(alike[c.cause]) < TWIN_MARGIN]
+    best = max(level, key=lambda c: alike[c.cause])
+    near = (c for c in significant if c.merit > best.merit - TWIN_MARGIN or c in level)
+    return best, tuple(c.cause for c in near if c is not best)
 
 
 def _merged(found: list[Found]) -> list[Found]:
