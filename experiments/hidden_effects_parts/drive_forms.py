@@ -131,10 +131,10 @@ class ReducerCoupling(Added):
         return run.column(1, force) + run.column(2, force)
 
     def truth(self, amplitude: float) -> dict[str, float]:
-        """Return the motor's inertia, viscous and Coulomb friction."""
+        """Return the motor's inertia, viscous and Coulomb friction, the weightiest first."""
         i = self.inner
         parts = {"inertia": i["inertia"] / 5, "viscous": i["viscous"] / 2, "coulomb": i["coulomb"]}
-        return {key: amplitude * x for key, x in parts.items()}
+        return {key: amplitude * parts[key] for key in sorted(parts, key=lambda key: -i[key])}
 
 
 class Compliance(Form):

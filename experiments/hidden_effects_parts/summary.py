@@ -103,7 +103,9 @@ def _single(rows: pd.DataFrame) -> Iterator[str]:
         yield f"  first name right {rate(part['first_right'])}; right or twin {rate(part['twin_right'])}"
     strong = refit[strength >= 120]
     yield f"single, gain over the oracle's: median {strong['gain_ratio'].median():.3f}"
-    known = refit[(strength >= 100) & refit["parameter_error"].notna()]
+    by_name = refit["first"] == refit["names"].str.split("/").str[0]  # a twin's parameters mean something else
+    refit = refit.assign(parameter_z=refit["parameter_z"].where(by_name))
+    known = refit[(strength >= 100) & by_name & refit["parameter_error"].notna()]
     least = HALF / np.sqrt(known["lambda"].astype(float).to_numpy())  # one amplitude, all else known
     yield (
         f"single, parameters at lambda 100 and more: median error {100 * known['parameter_error'].median():.1f} % "
