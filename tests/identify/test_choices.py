@@ -137,3 +137,18 @@ def test_a_bound_holds_and_is_said(axis, axis_log):
     assert_allclose(
         known.parameters.values, fixed.parameters.values, rtol=1e-4
     )  # constrained least squares, not a projection
+
+
+def test_gains_count_wherever_they_stand_among_what_is_fixed():
+    """Before, after and between other requests, by pattern, the last word on a joint; its doubt relative to its factor."""
+    fix = (
+        "a_link.mass=3",
+        "x.drive_gain=0.5+-0.01",
+        "*.armature",
+        "[yz].drive_gain=2",
+        "b_link.mass",
+        "z.drive_gain=4+-1",
+    )
+    expected = {"x": (0.5, 0.02), "y": (2.0, 0.0), "z": (4.0, 0.25)}
+    assert Choices(fix=fix).gains("xyz") == expected
+    assert Choices(fix=fix[:3]).gains("xyz") == {"x": (0.5, 0.02)} and Choices(fix=fix[:1]).gains("xyz") == {}

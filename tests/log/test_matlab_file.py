@@ -61,3 +61,24 @@ def test_structs_in_a_row_are_told_by_their_places(tmp_path):
         many[:] = [{"values": T}] * count
         channels = read_log(saved(tmp_path, t=T, q_axis=T, axes=many)).channels
         assert sum(name.startswith("axes") for name in channels) == read
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_file_that_breaks_off_inside_any_variable_says_so(tmp_path, compressed: bool):
+    """Cut after each eighth byte: between variables those before are read, inside one nothing is guessed."""
+    rng = np.random.default_rng(0)
+    path = tmp_path / "run.mat"
+    savemat(path, {"t": T, "q_axis": rng.random(N), "tau_axis": rng.random(N)}, do_compression=compressed)
+    data, at, ends = path.read_bytes(), 128, [128]
+    while at < len(data):
+        at += 8 + struct.unpack_from("<I", data, at + 4)[0]
+        ends.append(at)
+    assert len(ends) == 4 and ends[-1] == len(data)
+    for cut in range(128, len(data), 8):
+        path.write_bytes(data[:cut])
+        whole = [k for k, end in enumerate(ends) if cut - 8 < end <= cut]
+        if whole:
+            assert list(read_variables(path)) == ["t", "q_axis", "tau_axis"][: whole[0]]
+        else:
+            with pytest.raises(InputError, match="run.mat breaks off inside a variable; copy or save it again"):
+                read_variables(path)

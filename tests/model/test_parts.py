@@ -107,3 +107,10 @@ def test_files_of_today_stay_readable(two_link, tmp_path) -> None:
     text = (tmp_path / "m.yaml").read_text()
     assert text.startswith("tau_dyn_model: 1\n")
     assert Model.load(tmp_path / "m.yaml").parameters.names == with_effects(two_link).parameters.names
+
+
+def test_damping_at_rest_is_viscous_friction_alone(two_link) -> None:
+    """Standing still friction grows with speed by its viscous coefficient; drag has no slope there."""
+    model = with_effects(two_link, "quadratic_drag", viscous=3.0, coulomb=7.0, quadratic_drag=0.5)
+    zero = np.zeros((3, 2))
+    assert_allclose(model.damping(model.motion(zero, zero, zero)), 3.0, rtol=1e-5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tau_dyn.effects import EFFECTS, Effect
+from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import Robot
 
@@ -20,12 +21,17 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
     units = dict(zip(robot.actuated, robot.force_units, strict=True))
     found = []
     for row in rows:
-        if not isinstance(row, dict) or str(row.get("effect")) not in EFFECTS:
-            name = row.get("effect") if isinstance(row, dict) else row
-            raise UnknownName("effect", str(name), EFFECTS, where)
+        if not isinstance(row, dict):
+            raise InputError(
+                f"{where}: an entry of 'effects' is written {{effect: NAME}}, with joints and settings, not {repr(row)[:60]}"
+            )
+        if str(row.get("effect")) not in EFFECTS:
+            raise UnknownName("effect", str(row.get("effect")), EFFECTS, where)
         joints = row.get("joints", list(robot.actuated))
         if not isinstance(joints, list):
             raise InputError(f"{where}: 'joints' of effect {row['effect']} must be a list of names, not {joints!r}")
+        if not joints and issubclass(EFFECTS[row["effect"]], JointwiseEffect):
+            raise InputError(f"{where}: 'joints' of effect {row['effect']} is empty; name one, or leave it out for all of them")
         joints = [str(joint) for joint in joints]
         for joint in joints:
             if joint not in units:
@@ -35,6 +41,9 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
             raise InputError(f"{where}: 'settings' of effect {row['effect']} must be a mapping from names to numbers")
         label = str(row.get("label") or "")
         settings = {str(key): value for key, value in settings.items()}
+        beside = next((key for key in ("label", "joints", "units", "self") if key in settings), None)
+        if beside is not None:
+            raise InputError(f"{where}: '{beside}' is no setting of effect {row['effect']}; it stands beside its settings")
         try:
             found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints], label=label, **settings))
         except InputError as fault:

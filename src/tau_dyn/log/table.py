@@ -142,20 +142,19 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
     """Return the columns of a Parquet file; no Python object is ever restored from it."""
     try:
         about = pq.read_metadata(pa.BufferReader(data))
+        names = Counter(about.schema.to_arrow_schema().names)
+        if twice := [column for column, times in names.items() if times > 1]:  # which pyarrow calls no Parquet
+            raise InputError(f"{name} names column {twice[0]} twice; every column needs a name of its own.")
         if 8 * about.num_rows * about.num_columns > FREE + MOST_INFLATED * len(data):
             raise InputError(
                 f"{name} says in {len(data)} bytes that it holds {about.num_rows} rows of {about.num_columns} columns, which no "
                 "recording does; write it again."
             )
         table = pq.read_table(pa.BufferReader(data))
-        names = Counter(table.column_names)
     except InputError:
         raise
     except (pa.ArrowException, OSError, ValueError):  # ValueError: a name that is no UTF-8
         raise InputError(f"{name} is not a Parquet file; give CSV another suffix than .parquet.") from None
-    twice = [column for column, times in names.items() if times > 1]
-    if twice:
-        raise InputError(f"{name} names column {twice[0]} twice; every column needs a name of its own.")
     if table.num_rows == 0:
         raise InputError(f"{name} has columns but no rows; a log needs one row a sample.")
     if len(names) > MOST_COLUMNS:

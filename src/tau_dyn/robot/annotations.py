@@ -14,7 +14,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.numbers import check_numbers, check_tree, numbers_in
+from tau_dyn.robot.numbers import check_numbers, check_parents, check_tree, numbers_in
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"
@@ -96,6 +96,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         raise InputError(f"{where}: the root element is <{root.tag}>, a robot file's is <robot>")
     check_tree(root, where)
     check_numbers(root, where)
+    check_parents(root, where)
     reader = _Reader(root, where)
     mechanism = reader.ours("mechanism")
     return Annotations(

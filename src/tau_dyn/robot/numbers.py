@@ -55,6 +55,38 @@ def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str
     raise InputError(f"{where}: elements stand more than {DEEPEST} deep inside each other; a robot file has few levels")
 
 
+def check_parents(root: Element, where: str) -> None:
+    """Refuse links with two parents, and links that hang on themselves.
+
+    The parser builds a joint twice for the one and forgets the other, mass and all, in silence.
+
+    Raises:
+        InputError: It names the link and its joints.
+    """
+    above: dict[str, tuple[str, str]] = {}  # link -> its joint, and that joint's parent
+    for joint in root.findall("joint"):
+        ends = [
+            element.get("link", "") if (element := joint.find(tag)) is not None else "" for tag in ("parent", "child")
+        ]
+        name, (parent, child) = joint.get("name", ""), ends
+        if child in above:
+            raise InputError(
+                f"{where}: link '{child}' is the child of joints '{above[child][0]}' and '{name}'; a link has one, and loops are "
+                "closed by <drake:ball_constraint>"
+            )
+        if child:
+            above[child] = name, parent
+    rooted: set[str] = set()
+    for link in above:
+        path: dict[str, str] = {}  # link -> its joint, on the way up
+        while link in above and link not in rooted:
+            if link in path:
+                ring = list(path)[list(path).index(link) :]
+                raise InputError(f"{where}: link '{link}' hangs on itself, by {', '.join(path[x] for x in ring)}")
+            path[link], link = above[link]
+        rooted.update(path)
+
+
 def check_numbers(root: Element, where: str) -> None:
     """Refuse masses, inertias, origins, axes and limits that are missing or not finite numbers.
 
