@@ -31,7 +31,9 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
         if not isinstance(joints, list):
             raise InputError(f"{where}: 'joints' of effect {row['effect']} must be a list of names, not {joints!r}")
         if not joints and issubclass(EFFECTS[row["effect"]], JointwiseEffect):
-            raise InputError(f"{where}: 'joints' of effect {row['effect']} is empty; name one, or leave it out for all of them")
+            raise InputError(
+                f"{where}: 'joints' of effect {row['effect']} is empty; name one, or leave it out for all of them"
+            )
         joints = [str(joint) for joint in joints]
         for joint in joints:
             if joint not in units:
@@ -43,7 +45,9 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
         settings = {str(key): value for key, value in settings.items()}
         beside = next((key for key in ("label", "joints", "units", "self") if key in settings), None)
         if beside is not None:
-            raise InputError(f"{where}: '{beside}' is no setting of effect {row['effect']}; it stands beside its settings")
+            raise InputError(
+                f"{where}: '{beside}' is no setting of effect {row['effect']}; it stands beside its settings"
+            )
         try:
             found.append(EFFECTS[row["effect"]](joints, [units[j] for j in joints], label=label, **settings))
         except InputError as fault:
