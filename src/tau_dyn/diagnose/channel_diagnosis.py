@@ -21,8 +21,8 @@ from tau_dyn.diagnose.stages import (
     assembled,
     confirmed,
     findings_of,
+    supported,
     unexplained_of,
-    waterfall,
 )
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import find_structure
@@ -59,7 +59,7 @@ def diagnose_channel(
     kept = confirmed(channel, hunt, tests.causes)
     unexplained = unexplained_of(structure, tests.structure)
     progress("measuring the gain")
-    bars = waterfall(channel, kept, rng)
+    kept, bars = supported(channel, kept, rng)
     findings = findings_of(channel, hunt, tests.causes, kept, bars, rng)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     named = [f for f in findings if f.status == "confirmed"]

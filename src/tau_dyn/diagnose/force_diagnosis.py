@@ -28,9 +28,8 @@ from tau_dyn.diagnose.stages import (
     confirmed,
     estimated,
     findings_of,
-    told_from_zero,
+    supported,
     unexplained_of,
-    waterfall,
 )
 from tau_dyn.diagnose.trials import DRAWS, Library
 from tau_dyn.diagnose.unknown import Structure, find_structure, structure_chance
@@ -169,10 +168,7 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     kept = confirmed(channel, hunt, tests.causes, physics=case.physics)
     progress("measuring the gain")
     nominal = case.nominal.parameters
-    bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
-    if len(sure := told_from_zero(kept, bars.judgements[-1])) < len(kept):
-        kept = sure
-        bars = waterfall(channel, kept, rng, nominal=nominal.values, physics=case.physics)
+    kept, bars = supported(channel, kept, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, tests.causes, kept, bars, rng)]
     findings += parameter_findings(case.nominal, nominal, estimated(after))

@@ -122,6 +122,29 @@ def waterfall(
     return Bars(steps, judgements, gains)
 
 
+def supported(
+    channel: Channel,
+    kept: Sequence[Found],
+    rng: np.random.Generator,
+    *,
+    nominal: np.ndarray | None = None,
+    physics: Physics | None = None,
+) -> tuple[list[Found], Bars]:
+    """Return the confirmed causes that the fit of everything tells from zero and that predict the last part better; their bars.
+
+    The last part has a veto and no vote: a cause that it does not bear out is suspected only, and of what stands nothing is
+    chosen by it.
+    """
+    kept = list(kept)
+    while True:
+        bars = waterfall(channel, kept, rng, nominal=nominal, physics=physics)
+        told = told_from_zero(kept, bars.judgements[-1])
+        sure = [one for one, gain in zip(kept, bars.gains, strict=True) if one in told and gain.reduction_percent > 0]
+        if len(sure) == len(kept):
+            return kept, bars
+        kept = sure
+
+
 def told_from_zero(kept: Sequence[Found], fit: Judged) -> list[Found]:
     """Return the causes of which the fit of everything tells an amplitude from zero, by `SURE` standard errors.
 

@@ -26,7 +26,7 @@ from tau_dyn.diagnose.stages import (
     confirmation,
     confirmed,
     findings_of,
-    waterfall,
+    supported,
 )
 from tau_dyn.diagnose.tool import ToolChannel, tool_channel
 from tau_dyn.effects.words import quantity
@@ -72,7 +72,7 @@ def diagnose_tool(
     told = {id(one) for one, open_to in zip(hunt.found, periods, strict=True) if len(open_to) < 2}
     kept = [one for one in confirmed(channel, hunt, tests) if id(one) in told]
     progress("measuring the gain")
-    bars = waterfall(channel, kept, rng)
+    kept, bars = supported(channel, kept, rng)
     said = findings_of(channel, hunt, tests, kept, bars, rng)
     findings = [
         _open(channel, one, finding, open_to) if len(open_to) > 1 else finding
