@@ -2,7 +2,8 @@
 
     baseline refitted -> causes searched on the training part -> confirmed on the next -> gain measured on the last
 
-No part of the data serves two purposes: what was searched is not what confirms, and neither measures the gain.
+No part of the data serves two purposes: what was searched is not what confirms, and neither measures the gain, which has a
+veto: what does not predict its part better does not stand.
 """
 
 from __future__ import annotations
