@@ -19,6 +19,7 @@ TO_BEGIN = 600.0
 """[s] What a child may take to read the valid files on a busy machine."""
 
 _MODULES = (
+    "calibrate",
     "calibrate.compensation_file",
     "calibrate.poses.device_file",
     "calibrate.poses.progress_file",
@@ -27,11 +28,15 @@ _MODULES = (
     "cli.run_folder",
     "compare",
     "control",
+    "control.motion",
     "dynamics",
+    "exchange",
+    "identify",
     "log.matlab_log",
     "log.mcap_log",
     "log.rosbag_log",
     "report.comparison",
+    "kinematics.workspace.study",
     "scale.journal",
     "kinematics.accuracy.errors",
     "modes.model_file",
@@ -46,7 +51,7 @@ def load() -> None:
     """Import what readers need; nothing is run, so that no thread is there to be forked."""
     for name in _MODULES:
         import_module(f"tau_dyn.{name}")
-    for name in ("mcap.writer", "mcap_ros2.decoder", "rosbags.highlevel", "scipy.io"):
+    for name in ("casadi", "mcap.writer", "mcap_ros2.decoder", "rosbags.highlevel", "scipy.io"):
         if find_spec(name.partition(".")[0]):
             import_module(name)
 
@@ -59,6 +64,7 @@ class Child:
         self._pipe, write = os.pipe()
         self._process, self._ended = os.fork(), False
         if self._process == 0:
+            os.close(self._pipe)  # or a child outlives a parent that was killed, waiting for somebody to read
             os.dup2(write, 1)
             try:
                 work(*arguments)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from tau_dyn.exceptions import TauDynError
 
-LONGEST_SENTENCE = 2000
+LONGEST_SENTENCE = 1000
 """Characters of a refusal; what is longer is no sentence."""
 
 
@@ -63,7 +63,7 @@ def _refusal(fault: TauDynError) -> Verdict:
     said = str(fault)
     if fault.exit_status not in (2, 3):
         return Verdict("crash", f"{type(fault).__name__} at {_where(fault)}", said[:300])
-    if not said.strip() or len(said) > LONGEST_SENTENCE:
+    if not said.strip() or len(said) > LONGEST_SENTENCE or not said.isprintable():
         return Verdict("no sentence", _where(fault), f"{len(said)} characters: {said[:300]}")
     return Verdict("refused", "", said)
 

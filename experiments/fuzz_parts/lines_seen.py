@@ -13,7 +13,7 @@ class LinesSeen:
     def __init__(self, part: str = "/tau_dyn/") -> None:
         """Watch files whose path has this part."""
         self.part, self.seen, self.new = part, set[tuple[CodeType, int]](), False
-        self._ours: dict[CodeType, bool] = {}
+        self._left: dict[CodeType, set[int]] = {}
 
     def __enter__(self) -> LinesSeen:
         """Begin to watch."""
@@ -26,15 +26,18 @@ class LinesSeen:
         sys.settrace(None)
 
     def _call(self, frame: FrameType, event: str, argument: Any) -> Any:
+        """Watch a call of ours that has lines left which never ran; the others run at their own speed."""
         code = frame.f_code
-        ours = self._ours.get(code)
-        if ours is None:
-            ours = self._ours[code] = self.part in code.co_filename
-        return self._line if ours else None
+        left = self._left.get(code)
+        if left is None:
+            ours = self.part in code.co_filename
+            left = self._left[code] = {line for _, _, line in code.co_lines() if line is not None} if ours else set()
+        return self._line if left else None
 
     def _line(self, frame: FrameType, event: str, argument: Any) -> Any:
         place = (frame.f_code, frame.f_lineno)
         if place not in self.seen:
             self.seen.add(place)
+            self._left[frame.f_code].discard(frame.f_lineno)
             self.new = True
         return self._line

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import islice
 from random import Random
 from typing import Any
 
@@ -49,11 +50,23 @@ def _places(node: Any) -> Iterator[tuple[Any, Any]]:
         yield from _places(child)
 
 
+_MOST_PLACES = 20_000
+"""Places of a tree that is still changed; aliases written out make millions of them of a few lines."""
+
+
+def _listed(root: list) -> list[tuple[Any, Any]]:
+    """Return containers and keys of everything in a tree; of one that is too large none."""
+    places = list(islice(_places(root), _MOST_PLACES + 1))
+    if len(places) > _MOST_PLACES:
+        raise ValueError("too large to be changed")
+    return places
+
+
 def change(tree: Any, rng: Random) -> Any:
     """Return the tree with one or some nodes changed."""
     root = [tree]
     for _ in range(rng.choice((1, 1, 1, 2, 5))):
-        places = list(_places(root))
+        places = _listed(root)
         if not places:
             return _copy(rng.choice(_ODD))
         holder, key = rng.choice(places if rng.random() < 0.9 else places[:1])
@@ -80,6 +93,29 @@ def change(tree: Any, rng: Random) -> Any:
     return root[0]
 
 
+def leaves(tree: Any, rng: Random) -> Any:
+    """Return the tree with some leaves replaced by others of their kind, which gets past checks of kinds."""
+    root = [tree]
+    places = [(holder, key) for holder, key in _listed(root) if not isinstance(holder[key], dict | list)]
+    for holder, key in rng.sample(places, min(len(places), rng.choice((1, 1, 2, 4)))):
+        old = holder[key]
+        same = [there[k] for there, k in places if type(there[k]) is type(old)]
+        if isinstance(old, bool):
+            holder[key] = not old
+        elif isinstance(old, int):
+            holder[key] = rng.choice((-1, 0, 1, 2, 3, 7, 100, 10**6, 2**31, 2**63, old + 1, -old, rng.choice(same)))
+        elif isinstance(old, float):
+            size = rng.choice((-1, 1)) * 10 ** rng.uniform(-9, 9)
+            holder[key] = rng.choice((0.0, -old, old * 1.1, 1e-300, 1e300, size, size * old, rng.choice(same)))
+        else:
+            holder[key] = word(rng) if rng.random() < 0.5 else rng.choice(same)
+    return root[0]
+
+
+def _changed(tree: Any, rng: Random) -> Any:
+    return (change if rng.random() < 0.7 else leaves)(tree, rng)
+
+
 def _copy(node: Any) -> Any:
     if isinstance(node, dict):
         return {k: _copy(v) for k, v in node.items()}
@@ -95,6 +131,7 @@ def _scalar(rng: Random) -> Any:
 
 
 _DEEPEST = 500
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def yaml_tree(data: bytes, rng: Random) -> bytes:
@@ -103,7 +140,8 @@ def yaml_tree(data: bytes, rng: Random) -> bytes:
         return data  # PyYAML's parser in C goes down a call a level, and the process with it
     try:
         tree = yaml.load(data, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        return yaml.safe_dump(change(tree, rng), sort_keys=False, allow_unicode=True).encode("utf-8", "replace")
+        text = yaml.dump(_changed(tree, rng), Dumper=_DUMPER, sort_keys=False, allow_unicode=True)
+        return text.encode("utf-8", "replace")
     except Exception:  # the base is no YAML any more
         return data
 
@@ -175,7 +213,7 @@ YAML = (yaml_tree, yaml_tree, yaml_tree, yaml_tricks)
 def json_tree(data: bytes, rng: Random) -> bytes:
     """Change nodes of a JSON file; what is not finite is written as Python does."""
     try:
-        return json.dumps(change(json.loads(data), rng), ensure_ascii=rng.random() < 0.5).encode("utf-8", "replace")
+        return json.dumps(_changed(json.loads(data), rng), ensure_ascii=rng.random() < 0.5).encode("utf-8", "replace")
     except (ValueError, RecursionError):
         return data
 

@@ -90,25 +90,31 @@ def _cdr_mcap() -> bytes:
 
 
 @cache
-def bags(ros: int) -> tuple[bytes, ...]:
-    """Return files of ROS bags: of ROS 1, a file as it is and one compressed; of ROS 2, the database and its metadata."""
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
+def bags1() -> tuple[bytes, ...]:
+    """Return ROS 1 bags: one as it is, and one of each compression."""
+    from rosbags.rosbag1 import Writer
 
+    found = []
     with TemporaryDirectory() as name:
-        if ros == 2:
-            folder = Path(name) / "run"
-            _write(Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3), ros)
-            return (folder / "run.db3").read_bytes(), (folder / "metadata.yaml").read_bytes()
-        found = []
-        for kind in (None, Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4):
-            writer = Writer1(Path(name) / f"{kind}.bag")
+        for kind in (None, Writer.CompressionFormat.BZ2, Writer.CompressionFormat.LZ4):
+            writer = Writer(Path(name) / f"{kind}.bag")
             if kind is not None:
                 writer.set_compression(kind)
-            _write(writer, ros)
+            _write(writer, 1)
             found.append((Path(name) / f"{kind}.bag").read_bytes())
-        return tuple(found)
+    return tuple(found)
+
+
+@cache
+def bags2(storage: str) -> tuple[bytes, ...]:
+    """Return the recording of a ROS 2 bag, in `sqlite3` or `mcap`, and its metadata."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with TemporaryDirectory() as name:
+        folder = Path(name) / "run"
+        _write(Writer(folder, version=9, storage_plugin=StoragePlugin[storage.upper()]), 2)
+        recording = next(p for p in folder.iterdir() if p.name != "metadata.yaml")
+        return recording.read_bytes(), (folder / "metadata.yaml").read_bytes()
 
 
 def _write(writer, ros: int) -> None:

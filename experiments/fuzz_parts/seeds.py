@@ -87,14 +87,14 @@ def parquet_of(table: dict[str, np.ndarray]) -> bytes:
 
 @cache
 def poses() -> dict[str, np.ndarray]:
-    """Return measured poses of the pendulum."""
+    """Return measured poses of the pendulum's tool."""
     q = np.linspace(-1, 1, 14)
     turned = {"qx_tool": 0 * q, "qy_tool": np.sin(q / 2), "qz_tool": 0 * q, "qw_tool": np.cos(q / 2)}
     return {
         "q_axis": q,
-        "x_tool": -np.sin(q),
+        "x_tool": -0.5 * np.sin(q),
         "y_tool": 0 * q,
-        "z_tool": -np.cos(q),
+        "z_tool": 1 - 0.5 * np.cos(q),
         **turned,
         "campaign": np.repeat([1.0, 2.0], 7),
     }
@@ -107,6 +107,25 @@ v_axis: speed
 temp_room: {column: temperature}
 couplings: {q: [[1.0]], q_offset: [0.0]}
 """
+
+COLUMN_MAPS = (
+    COLUMN_MAP,
+    b"""files: {axes: foreign_log.csv, drives: second_log.csv}
+t: {column: time_ms, scale: 0.001, file: axes}
+q_axis: {column: position, scale: 0.0174532925, file: axes}
+q_other: {column: speed, file: drives}
+tau_axis: {column: current, offset: -0.2, file: drives}
+tau_other: {column: temperature, file: drives}
+couplings:
+  q: [[1.0, 0.0], [-0.5, 1.0]]
+  tau: [[1.0, 0.5], [0.0, 1.0]]
+  q_offset: [0.0, 0.1]
+""",
+    b"""t: {rate_hz: 100}
+q_axis: position
+v_axis: {column: speed, offset: 1}
+""",
+)
 
 
 def foreign_log() -> bytes:
@@ -291,21 +310,3 @@ def journal(folder: Path) -> bytes:
 
     list(run_journaled(float, range(3), folder / "seed.jsonl"))
     return (folder / "seed.jsonl").read_bytes()
-
-
-def reference() -> dict[str, np.ndarray]:
-    """Return the columns of a reference file, a row every 10 ms."""
-    t = np.arange(30) * 0.01
-    return {"t": t, "q_ref_axis": 0.1 * np.sin(t), "v_ref_axis": 0.1 * np.cos(t), "a_ref_axis": -0.1 * np.sin(t)}
-
-
-def correction() -> bytes:
-    """Return a correction file of the pendulum."""
-    from tau_dyn.control.interface.correction import Correction, correction_text
-
-    return correction_text(Correction(("axis",), 0.01, np.zeros((30, 1)) + 1e-4, "0123456789abcdef")).encode()
-
-
-def positions() -> bytes:
-    """Return robot positions, each with the image taken there."""
-    return b"image,q_axis\n" + b"".join(b"img_%03d.png,%.3f\n" % (k, 0.1 * k) for k in range(12))

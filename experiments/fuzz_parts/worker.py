@@ -29,6 +29,9 @@ WATCHED = 6
 MOST_KEPT = 200
 """Cases of the corpus."""
 
+LARGEST_KEPT, SLOWEST_KEPT = 2**15, 0.3
+"""[bytes, s] A case beyond these is tried, but does not join the corpus: mutated again, such cases would take all the time."""
+
 
 def work(name: str, folder: Path, scratch: Path, seed: int, first: int, count: int, seconds: float) -> None:
     """Try cases `first` to `first + count - 1`."""
@@ -48,13 +51,18 @@ def work(name: str, folder: Path, scratch: Path, seed: int, first: int, count: i
     for n in range(first, first + count):
         data = reader.mutated([*valid, *kept], Random(f"{seed} {name} {n}"))
         (scratch / "at").write_text(str(n))
+        begun = time.process_time()
         verdict = _watched(reader, path, data, lines if n % WATCHED == 0 else None, seconds)
         if verdict.fault:
             _keep_crash(folder, n, data, verdict, reader.suffix)
-        elif n % WATCHED == 0 and lines.new and len(kept) < MOST_KEPT:
+        elif n % WATCHED == 0 and lines.new and len(kept) < MOST_KEPT and _light(data, begun):
             kept.append(data)
             (folder / "corpus" / f"{n:08d}").write_bytes(data)
         _say(n, verdict.kind, lines)
+
+
+def _light(data: bytes, begun: float) -> bool:
+    return len(data) <= LARGEST_KEPT and time.process_time() - begun <= SLOWEST_KEPT
 
 
 def _say(n: int, kind: str, lines: LinesSeen) -> None:

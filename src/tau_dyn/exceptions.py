@@ -52,12 +52,12 @@ class InputError(TauDynError, ValueError):
 class UnknownName(InputError, KeyError):
     """A name that does not exist; the message lists those that do."""
 
-    def __init__(self, kind: str, name: str, known: object, where: str = "") -> None:
+    def __init__(self, kind: str, name: object, known: object, where: str = "") -> None:
         """Build the sentence from the kind of thing, the name asked for, and the names that exist."""
         names = [str(k) for k in known]  # type: ignore[attr-defined]
         listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
         there_are = f"there are {listed}" if names else "there are none"
-        near = did_you_mean(name, names)
+        near = did_you_mean(str(name), names)  # in a file a name may be a number
         super().__init__(f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}")
 
 

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import re
 import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import cast
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
-from fuzz_parts import seeds
+from fuzz_parts import seed_motions, seeds
 from fuzz_parts.judge import judge
 from fuzz_parts.readers import READERS
+
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.log import read_log
+from tau_dyn.log.copies import copy_groups
+from tau_dyn.modes.delay import First, choose_delay
+from tau_dyn.modes.methods import first_look
+from tau_dyn.modes.record import Record, records_of
 
 
 def parquet(**columns: object) -> bytes:
@@ -37,7 +49,19 @@ NOT_UTF8 = parquet(q_axis=[0.0] * 20).replace(b"q_axis", b"q_\xe0xis")
 DEEP_CHAIN = seeds.PENDULUM.replace(
     "</robot>", "".join(f'<link name="k{k}_link"/>' for k in range(3000)) + "</robot>"
 ).encode()
+
+
+def chain(n: int) -> bytes:
+    """Return a robot on whose tool hangs a chain of so many joints that move."""
+    names = ["tool", *(f"k{k}_link" for k in range(n))]
+    joint = """<link name="{1}"/><joint name="of_{1}" type="revolute"><parent link="{0}"/><child link="{1}"/><axis xyz="0 0 1"/>
+      <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
+    rows = [joint.format(*pair) for pair in itertools.pairwise(names)]
+    return seeds.PENDULUM.replace("</robot>", "".join(rows) + "</robot>").encode()
+
+
 with TemporaryDirectory() as made:
+    MODEL = seeds.model_file(Path(made))
     COMPENSATION = seeds.compensation_file(Path(made))
     CALIBRATED = seeds.calibrated(Path(made))
 FOUND = {
@@ -77,6 +101,18 @@ FOUND = {
         "calibrated_robot", CALIBRATED.replace(b"backlash:\n- 0.0", b"backlash:\n- .nan")),
     "a calibrated robot whose device is nowhere": ("calibrated_robot", CALIBRATED.replace(
         b"frames:\n  device:\n  - translation:\n    - ", b"frames:\n  device:\n  - translation:\n    - .nan\n    - ")),
+    "a model whose actuated joint is a number": ("model", re.sub(rb"actuated:\n +- axis", b"actuated: [1.5]", MODEL)),
+    "an effect on no joint": ("tau-dyn simulate --effects", b"effects: [{effect: cyclic_ripple, joints: []}]\n"),
+    "a label among the settings": (
+        "effects", b"effects: [{effect: stribeck, settings: {speed: 0.02, label: a}, label: a}]\n"),
+    "joints among the settings": ("effects", b"effects: [{effect: stribeck, settings: {joints: [axis]}}]\n"),
+    "an effect of two thousand million terms": ("model", MODEL.replace(b"harmonics: 1\n", b"harmonics: 2147483648\n")),
+    "a chain of 900 joints": ("urdf", chain(900)),
+    "a cloud of 175000 columns of few names": ("cloud", b",".join([b"c1", b"c2"] * 87_500) + b"\n"),
+    "a calibrated robot without frames": (
+        "calibrated_robot", re.sub(rb"(?s)frames:.*?noise:", b"frames: {device: [], tool: []}\nnoise:", CALIBRATED)),
+    "points of a path that are text": ("path_points", seed_motions.way().replace(b"0.1,", b"~,")),
+    "points of a path beyond the universe": ("path_points", seed_motions.way().replace(b"0.1,", b"1e308,")),
     "elements 20000 deep": ("xacro", seeds.XACRO.replace("</robot>", "<a>" * 20_000 + "</a>" * 20_000 + "</robot>").encode()),
 }  # fmt: skip
 
@@ -113,3 +149,60 @@ def test_a_result_with_numbers_beyond_a_float_is_refused(tmp_path: Path) -> None
     row = {"name": "a", "value": 10**400, "unit": ""}
     path.write_text(json.dumps({**seeds.IDENTIFY, "parameters": [row]}))
     assert judge(READERS["result"].read, path, 5.0).kind == "refused"
+
+
+def test_standard_errors_near_the_largest_number_are_shown(tmp_path: Path) -> None:
+    """The terminal asked for ten to the power of 309 to learn how many decimals such an error has."""
+    path = tmp_path / "r.json"
+    row = {"name": "a.mass", "value": 1.0, "unit": "kg", "stderr": 1e308, "ci95": [0, 2], "identifiable": True}
+    path.write_text(json.dumps({**seeds.IDENTIFY, "parameters": [row]}))
+    assert judge(READERS["tau-dyn compare"].read, path, 20.0).kind == "answer"
+
+
+def test_a_damaged_row_group_that_is_copied_is_refused(tmp_path: Path) -> None:
+    """Parquet too large to be read at once is copied in pieces; a dictionary that lacks an entry shows only then."""
+
+    class Damaged:
+        schema_arrow = pa.schema({"t": pa.float64()})
+
+        def iter_batches(self, batch_size: int):
+            yield pa.record_batch({"t": [0.0] * batch_size})
+            raise pa.ArrowInvalid("Index not in dictionary bounds")
+
+    with pytest.raises(InputError, match="log.parquet is damaged: Index not in dictionary bounds"):
+        copy_groups("log.parquet", [(tmp_path / "log.parquet", cast(pq.ParquetFile, Damaged()))], 16)
+
+
+def test_a_chain_of_hundreds_of_joints_is_read_soon(tmp_path: Path) -> None:
+    """The axis of each joint was asked of preparations for the whole chain: a second a joint."""
+    (tmp_path / "r.urdf").write_bytes(chain(160))
+    begun = time.process_time()
+    assert judge(READERS["urdf"].read, tmp_path / "r.urdf", 5.0).kind == "answer"
+    assert time.process_time() - begun < 10.0
+
+
+def test_a_link_without_mass_whose_inertia_is_negative_is_read_as_one_with_mass_is(tmp_path: Path) -> None:
+    """Pinocchio builds no such inertia where the mass is nothing, and said so in a traceback."""
+    for mass in (b"0", b"2"):
+        (tmp_path / "r.urdf").write_bytes(
+            seeds.PENDULUM.encode()
+            .replace(b'<origin xyz="0 0 -0.5" rpy="0 0 0"/><mass value="2"/>', b'<mass value="%s"/>' % mass)
+            .replace(b'izz="0.01"', b'izz="-2.5"')
+        )
+        assert judge(READERS["urdf"].read, tmp_path / "r.urdf", 5.0).kind == "answer"
+
+
+def test_delays_without_a_model_are_tried_once(tmp_path: Path) -> None:
+    """A vibration log of giant numbers gave no model at some delays, and `modes` tried those again for ever."""
+    (tmp_path / "log.csv").write_bytes(seed_motions.shaken())
+    records, asked = records_of(read_log(tmp_path / "log.csv"), ["tau_axis"], ["q_axis"]), Counter[int]()
+
+    def first(some: Sequence[Record], delay: int) -> First:
+        asked[delay] += 1
+        assert asked[delay] == 1, f"delay {delay} was tried before"
+        if delay in (1, 2):
+            raise CannotAnswer("no model follows", "a longer log")
+        return first_look("n4sid", some, delay=delay)
+
+    assert choose_delay(records, first, orders=(2,), most=4).delay in (0, 3, 4)
+    assert {1, 2} <= asked.keys()

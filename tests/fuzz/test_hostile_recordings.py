@@ -57,7 +57,7 @@ def mcap(path: Path, messages: list[bytes], encoding: str = "json", definition: 
 def database(path: Path, *statements: tuple) -> Path:
     """Write the database of a bag after some changes."""
     with closing(sqlite3.connect(":memory:")) as base:
-        base.deserialize(recordings.bags(2)[0])
+        base.deserialize(recordings.bags2("sqlite3")[0])
         for words, *values in statements:
             base.execute(words, values)
         base.commit()
@@ -190,8 +190,8 @@ def test_settings_of_a_topic_without_end_are_refused(tmp_path: Path, profiles: s
     refused(database(tmp_path / "x.db3", ("UPDATE topics SET offered_qos_profiles = ?", profiles)), "no plain YAML")
     folder = tmp_path / "bag"
     folder.mkdir()
-    (folder / "run.db3").write_bytes(recordings.bags(2)[0])
-    text = recordings.bags(2)[1].decode()
+    (folder / "run.db3").write_bytes(recordings.bags2("sqlite3")[0])
+    text = recordings.bags2("sqlite3")[1].decode()
     assert "offered_qos_profiles: []" in text
     (folder / "metadata.yaml").write_text(
         text.replace("offered_qos_profiles: []", f"offered_qos_profiles: '{profiles}'")
@@ -203,7 +203,7 @@ def test_settings_of_a_topic_without_end_are_refused(tmp_path: Path, profiles: s
 def test_a_time_that_is_none_is_refused(tmp_path: Path, value: object) -> None:
     """A column of such a database holds any kind of value."""
     with closing(sqlite3.connect(":memory:")) as base:
-        base.deserialize(recordings.bags(2)[0])
+        base.deserialize(recordings.bags2("sqlite3")[0])
         rows = base.execute("SELECT id, topic_id, data FROM messages").fetchall()
     fill = [("INSERT INTO messages VALUES (?, ?, ?, ?)", n, topic, value, data) for n, topic, data in rows]
     plain = [("DROP TABLE messages",), ("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)",)]
@@ -257,15 +257,15 @@ def test_other_files_than_those_checked_are_not_opened(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()
     for name in ("run.db3?x=.db3", "x%2e%2e%2frun.db3", "run.db3#.db3"):
-        (folder / name).write_bytes(recordings.bags(2)[0])
-        (folder / "metadata.yaml").write_text(recordings.bags(2)[1].decode().replace("run.db3", name))
+        (folder / name).write_bytes(recordings.bags2("sqlite3")[0])
+        (folder / "metadata.yaml").write_text(recordings.bags2("sqlite3")[1].decode().replace("run.db3", name))
         refused(folder, "? % #")
 
 
 def test_mcap_under_another_suffix_is_read_within_the_same_bounds(tmp_path: Path) -> None:
     """A folder's metadata say that its files are MCAP; a bag's own reader would inflate them without end."""
     (tmp_path / "run.data").write_bytes(recordings.mcaps()[2])
-    text = recordings.bags(2)[1].decode().replace("run.db3", "run.data").replace("sqlite3", "mcap")
+    text = recordings.bags2("sqlite3")[1].decode().replace("run.db3", "run.data").replace("sqlite3", "mcap")
     (tmp_path / "metadata.yaml").write_text(text)
     assert read_log(tmp_path).n_samples == recordings.N
     data = bytearray(recordings.mcaps()[2])

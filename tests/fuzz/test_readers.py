@@ -19,6 +19,8 @@ from fuzz_parts.readers import READERS, Reader
 QUICK = settings(
     derandomize=True, database=None, deadline=None, max_examples=15, suppress_health_check=list(HealthCheck)
 )
+COMMANDS = settings(QUICK, max_examples=5)
+"""A command takes ten times as long as a reader."""
 YAML_READERS = [name for name, reader in READERS.items() if reader.suffix == ".yaml"]
 SCALARS = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8), st.dates(), st.binary(max_size=4),
@@ -40,13 +42,17 @@ def _installed(name: str) -> Reader:
     return READERS[name]
 
 
+def _settings(name: str) -> settings:
+    return COMMANDS if name.startswith("tau-dyn") else QUICK
+
+
 @pytest.mark.parametrize("name", READERS)
 def test_mutated_files_are_answered_or_refused(name: str, folder: Path) -> None:
     """Valid files after some mutations: no traceback, no silence, no hang."""
     reader = _installed(name)
     bases, path = list(reader.valid(folder)), folder / f"{name}{reader.suffix}"
 
-    @QUICK
+    @_settings(name)
     @given(st.integers(0, 2**32))
     def case(number: int) -> None:
         path.write_bytes(reader.mutated(bases, Random(number)))
@@ -72,7 +78,7 @@ def test_any_yaml_under_any_key_is_answered_or_refused(name: str, folder: Path) 
     reader, path = _installed(name), folder / f"tree_{name}.yaml"
     valid = yaml.safe_load(reader.valid(folder)[0])
 
-    @QUICK
+    @_settings(name)
     @given(st.sampled_from(sorted(valid)), TREES)
     def case(key: str, tree: object) -> None:
         path.write_text(yaml.safe_dump({**valid, key: tree}, sort_keys=False, allow_unicode=True), encoding="utf-8")

@@ -155,6 +155,8 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     if not np.isfinite(theta).all():
         raise InputError("a parameter is not a number")
     frames = Frames(*(tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool")))
+    if not frames.device or not frames.tool:
+        raise InputError("frames needs a device and a tool at least")
     slack = np.array(content["backlash"], float)
     if slack.shape != (robot.na,) or not np.isfinite(slack).all():
         raise InputError("backlash needs a number for each actuated joint")

@@ -118,7 +118,7 @@ def _ends(args: argparse.Namespace):
 
 def _path(args: argparse.Namespace):
     """Return None, 'line', or the points of a table (n, 3)."""
-    import numpy as np
+    from tau_dyn.kinematics.pose_table import picked
 
     if args.path in (None, "line"):
         return args.path
@@ -128,7 +128,7 @@ def _path(args: argparse.Namespace):
     missing = [name for name in _COLUMNS if name not in table]
     if missing:
         raise InputError(f"{args.path}: there is no column {missing[0]}; a path has {', '.join(_COLUMNS)} [m]")
-    return np.column_stack([table[name] for name in _COLUMNS])
+    return picked(table, list(_COLUMNS), str(args.path))
 
 
 def _model(args: argparse.Namespace):

@@ -133,15 +133,15 @@ def inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = Fals
 
 def read_positions(columns: dict[str, np.ndarray], robot: Robot, where: str) -> np.ndarray:
     """Return actuated positions (N, na) from a table's columns `q_<joint>`."""
-    return _picked(columns, [f"q_{joint}" for joint in robot.actuated], where)
+    return picked(columns, [f"q_{joint}" for joint in robot.actuated], where)
 
 
 def read_poses(columns: dict[str, np.ndarray], robot: Robot, where: str) -> Poses:
     """Return tool poses from a table's columns `x_tool`..; without a quaternion the orientation is home's."""
-    position = _picked(columns, list(TOOL[:3]), where)
+    position = picked(columns, list(TOOL[:3]), where)
     if not any(name in columns for name in TOOL[3:]):
         return poses_at(robot, position)
-    return from_quaternions(position, _picked(columns, list(TOOL[3:]), where))
+    return from_quaternions(position, picked(columns, list(TOOL[3:]), where))
 
 
 def poses_at(robot: Robot, position: np.ndarray) -> Poses:
@@ -192,7 +192,12 @@ def _table(
     return PoseTable(robot, inverse, numbers + 1, q, position, quaternion, reason, names, tuple(warnings))
 
 
-def _picked(columns: dict[str, np.ndarray], names: list[str], where: str) -> np.ndarray:
+def picked(columns: dict[str, np.ndarray], names: list[str], where: str) -> np.ndarray:
+    """Return columns of a table, side by side (N, n), as numbers.
+
+    Raises:
+        InputError: A column is missing, or holds text.
+    """
     for name in names:
         if name not in columns:
             raise InputError(f"{where}: no column '{name}'; there are {', '.join(columns)}")

@@ -77,9 +77,10 @@ def joints_of(model: pin.Model) -> list[Joint] | None:
 
 def subspace(model: pin.Model, joint: int) -> np.ndarray:
     """Return the twist (6,) of a joint of one degree of freedom in its own frame, linear first."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    return np.asarray(data.joints[joint].S).reshape(6, -1)[:, 0]
+    item = model.joints[joint]
+    data = item.createData()  # of the joint alone: that of a chain of hundreds takes a second
+    item.calc(data, pin.neutral(model))
+    return np.asarray(data.S).reshape(6, -1)[:, 0]
 
 
 def without_rounding(x: np.ndarray) -> np.ndarray:

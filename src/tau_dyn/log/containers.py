@@ -34,7 +34,7 @@ def read_any(path: str | Path, wanted: Mapping[str, str] | None = None) -> Table
     if not has_topics(path):
         return read_table(path)
     _check_there(path)
-    suffix = path.suffix.lower()
+    suffix = "" if path.is_dir() else path.suffix.lower()  # a bag's folder may be called anything, `run.mcap` too
     if suffix == ".mcap":
         from tau_dyn.log.mcap_log import read_mcap
 

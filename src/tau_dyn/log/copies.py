@@ -95,7 +95,7 @@ def copy_groups(name: str, files: Iterable[tuple[Path, pq.ParquetFile]], most_ro
     """Copy Parquet files whose row groups are too large to files whose row groups have at most so many rows.
 
     Raises:
-        InputError: The copy does not fit on the disk.
+        InputError: A file is damaged, or the copy does not fit on the disk.
     """
     folder = TemporaryFolder()
     copies = []
@@ -103,10 +103,18 @@ def copy_groups(name: str, files: Iterable[tuple[Path, pq.ParquetFile]], most_ro
         for number, (path, file) in enumerate(files):
             target = folder.path / f"{number:06d}_{path.name}"
             with pq.ParquetWriter(target, file.schema_arrow, compression="snappy") as writer:
-                for batch in file.iter_batches(batch_size=min(_ROWS, most_rows)):
+                for batch in _batches(path, file, min(_ROWS, most_rows)):
                     writer.write_batch(batch)
             copies.append(target)
     return Copy(tuple(copies), folder)
+
+
+def _batches(path: Path, file: pq.ParquetFile, rows: int) -> Iterator[pa.RecordBatch]:
+    """Yield a file's rows, so many at a time."""
+    try:
+        yield from file.iter_batches(batch_size=rows)
+    except (pa.ArrowException, OSError) as fault:
+        raise InputError(f"{path.name} is damaged: {str(fault).splitlines()[0]}") from None
 
 
 @contextmanager

@@ -93,8 +93,9 @@ def choose_delay(
     most = min(most, min(r.n_samples for r in few) // 20)
     found: dict[int, tuple[float, int]] = {}
     firsts: dict[int, First] = {}
-    wanted = list(range(0, most + 1, COARSE))
+    wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
     while wanted:  # a coarse look first, then the neighbours of the best until it stays the best
+        tried.update(wanted)  # those that give no model, too, or they would be tried for ever
         for d in wanted:
             if progress is not None:
                 progress(f"delay {d}")
@@ -104,7 +105,7 @@ def choose_delay(
                 continue
             _scan(few, firsts[d], d, orders, most, found)
         best = min(found, key=lambda d: found[d], default=0)
-        wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in found and found]
+        wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in tried and found]
     if not found:
         raise CannotAnswer("no model follows from these data", "a longer log, with more excitation against the noise")
     lowest = min(bic for bic, _ in found.values())

@@ -10,6 +10,8 @@ from math import floor, isfinite, log10
 from typing import Literal, NamedTuple
 
 Z95 = 1.959964
+_MOST_STDERR = 1e300
+"""A standard error beyond this has no decimals that a float could say."""
 Level = Literal["good", "care", "poor"]
 
 
@@ -50,7 +52,7 @@ def percent(value: float) -> str:
 
 def decimals_for(stderr: float) -> int:
     """Return how many decimals show two significant digits of an uncertainty; negative above 100."""
-    if not stderr > 0 or not isfinite(stderr):
+    if not 0 < stderr < _MOST_STDERR:
         return 3
     decimals = 1 - floor(log10(stderr))
     return decimals - 1 if round(stderr, decimals) >= 10.0 ** (2 - decimals) else decimals

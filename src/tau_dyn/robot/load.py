@@ -22,6 +22,9 @@ from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotati
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.robot import LinkInertia, Loop, Robot, inertial_parameters
 
+MOST_FREEDOMS = 300
+"""Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
+
 
 def load_robot(
     robot: str | Path, /, *, actuated: Iterable[str] | None = None, xacro: bool = True, **arguments: object
@@ -108,6 +111,8 @@ def _build_model(urdf: str, where: str) -> pin.Model:
         raise InputError(f"{where}: Pinocchio cannot build the tree: {' '.join(words.split()) or reason}")
     if model.nv == 0:
         raise InputError(f"{where}: the robot has no movable joint")
+    if model.nv > MOST_FREEDOMS:
+        raise InputError(f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MOST_FREEDOMS} at most")
     return model
 
 

@@ -219,7 +219,9 @@ def inertia_matrix(pi: np.ndarray) -> np.ndarray:
 def _inertia(pi: np.ndarray) -> pin.Inertia:
     """Return a body of ten inertial numbers; Pinocchio divides by the mass, which an estimate may find to be nothing."""
     if pi[0] == 0 and not pi[1:4].any():
-        return pin.Inertia(0.0, np.zeros(3), inertia_matrix(pi))
+        found = pin.Inertia.Zero()
+        found.inertia = inertia_matrix(pi)  # its constructor takes no negative ones, which an estimate may find, too
+        return found
     return pin.Inertia.FromDynamicParameters(pi)
 
 

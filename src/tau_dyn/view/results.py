@@ -21,6 +21,8 @@ _MOST_POINTS = 100_000
 _LARGEST = 64 * 1024 * 1024
 """Largest file that is read [bytes]."""
 _LARGEST_CLOUD = 2**30
+_MOST_COLUMNS = 1000
+"""Columns of a cloud; pandas takes minutes over a header of 100 000 equal names."""
 
 
 def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Content]:
@@ -59,7 +61,9 @@ def read_cloud(path: Path) -> Cloud:
     import pandas as pd
 
     try:
-        table = pd.read_csv(BytesIO(read_bytes(path, _LARGEST_CLOUD)), comment="#")
+        data = read_bytes(path, _LARGEST_CLOUD)
+        _check_columns(path, data)
+        table = pd.read_csv(BytesIO(data), comment="#")
     except InputError:
         raise
     except (OSError, ValueError) as fault:
@@ -78,6 +82,14 @@ def read_cloud(path: Path) -> Cloud:
     values = {str(c): table[c].to_numpy(float)[good] for c in further}
     quality = {k: v for k, v in values.items() if not k.startswith("q_")}
     return Cloud(path.name, points[good], quality | {k: v for k, v in values.items() if k not in quality})
+
+
+def _check_columns(path: Path, data: bytes) -> None:
+    """Refuse a header of more names than a cloud has."""
+    lines = (line for line in BytesIO(data) if line.strip() and not line.lstrip().startswith(b"#"))
+    names = next(lines, b"").replace(b"\r", b"\n").partition(b"\n")[0].count(b",") + 1
+    if names > _MOST_COLUMNS:
+        raise InputError(f"{path}: its header names {names} columns; a cloud has {_MOST_COLUMNS} at most")
 
 
 def _content(path: Path) -> dict[str, Any]:

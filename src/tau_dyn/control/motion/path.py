@@ -26,6 +26,7 @@ PathShape = Literal["line"] | np.ndarray
 SAMPLES = 241
 _FINE = 20  # samples of a spline between two points, to measure its way
 _OFF = 1e-6  # [m or rad] error of the spline between samples beyond which it is not the path
+_FAR = 1e6  # [m] nothing that a robot reaches is as far
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +93,10 @@ def _points(shape: PathShape, ends: np.ndarray) -> np.ndarray:
         points = ends
     else:
         between = np.asarray(shape, float)
-        if between.ndim != 2 or between.shape[1] != 3 or not np.isfinite(between).all():
-            raise InputError(f"the points of a path are finite numbers (n, 3) [m], not an array of {between.shape}")
+        if between.ndim != 2 or between.shape[1] != 3:
+            raise InputError(f"the points of a path are numbers (n, 3) [m], not an array of {between.shape}")
+        if not (np.abs(between) < _FAR).all():
+            raise InputError(f"the points of a path are finite numbers of less than {_FAR:g} m")
         points = np.concatenate([ends[:1], between, ends[1:]])
     new = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
     points = points[np.concatenate([[True], new])]

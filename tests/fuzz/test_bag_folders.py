@@ -1,0 +1,30 @@
+"""A ROS 2 bag is a folder, whatever it is called."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from fuzz_parts import recordings
+
+from tau_dyn.log import ColumnMap, read_log
+
+pytest.importorskip("rosbags")
+pytest.importorskip("mcap_ros2")
+FILES = {"sqlite3": "run.db3", "mcap": "run.mcap"}
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run.mat", "run.db3"])
+@pytest.mark.parametrize("storage", FILES)
+def test_a_bags_folder_may_be_called_as_a_file(tmp_path: Path, name: str, storage: str) -> None:
+    """By its suffix the folder was opened as a file, which ended in a traceback; all its messages are read."""
+    (tmp_path / name).mkdir()
+    recording, about = recordings.bags2(storage)
+    (tmp_path / name / FILES[storage]).write_bytes(recording)
+    (tmp_path / name / "metadata.yaml").write_bytes(about)
+    log = read_log(tmp_path / name, ColumnMap.from_dict(yaml.safe_load(recordings.MAP)))
+    assert log.n_samples == recordings.N
