@@ -14,9 +14,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import cast
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from numpy.testing import assert_allclose
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from fuzz_parts import seed_motions, seeds
@@ -24,6 +26,7 @@ from fuzz_parts.judge import judge
 from fuzz_parts.readers import READERS
 
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.kinematics.poses import from_quaternions
 from tau_dyn.log import read_log
 from tau_dyn.log.copies import copy_groups
 from tau_dyn.modes.delay import First, choose_delay
@@ -206,3 +209,19 @@ def test_delays_without_a_model_are_tried_once(tmp_path: Path) -> None:
 
     assert choose_delay(records, first, orders=(2,), most=4).delay in (0, 3, 4)
     assert {1, 2} <= asked.keys()
+
+
+def test_a_quaternion_whose_square_is_beyond_a_float_has_a_direction() -> None:
+    """1e308 overflowed on the way to the quaternion's length; it points where 1 does."""
+    poses = from_quaternions(np.zeros((2, 3)), np.array([[-1e308, 0, 0, 0], [-1, 0, 0, 0]]))
+    assert_allclose(poses.rotation[0], poses.rotation[1], atol=1e-15)
+
+
+def test_pictures_that_do_not_tell_the_patterns_pose_are_refused(tmp_path: Path) -> None:
+    """Pixels noisier than the picture is wide led the pattern's pose to where all corners fall together."""
+    text = seeds.CAMERA.replace(b"0.8], look", b"-1.191312826514406e-09], look").replace(
+        b"0.2}", b"1263.7822947078432}"
+    )
+    (tmp_path / "camera.yaml").write_bytes(text)
+    verdict = judge(READERS["tau-dyn plan-poses --camera"].read, tmp_path / "camera.yaml", 60.0)
+    assert verdict.kind == "refused", verdict

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.exceptions import InputError
 
 _ROTATION = 1e-6
+_GIANT = 1e100
 """What `R'R` may differ from one, entry by entry, in a rotation that a user gives."""
 
 
@@ -66,15 +67,14 @@ def from_quaternions(position: np.ndarray, quaternion: np.ndarray) -> Poses:
             "a pose is a position x y z and a quaternion x y z w; "
             f"the arrays have shapes {position.shape} and {quaternion.shape}"
         )
-    length = np.linalg.norm(quaternion, axis=1)
-    if np.any(length < 1e-9):
-        raise InputError(
-            f"the quaternion of pose {int(np.argmax(length < 1e-9)) + 1} is zero; it must have a direction"
-        )
+    size = np.max(np.abs(quaternion), axis=1, initial=0.0)
+    if np.any(size < 1e-9):
+        raise InputError(f"the quaternion of pose {int(np.argmax(size < 1e-9)) + 1} is zero; it must have a direction")
     rotation = np.full((len(position), 3, 3), np.nan)
-    sound = np.isfinite(length)
+    sound = np.isfinite(size)
     if sound.any():
-        rotation[sound] = Rotation.from_quat(quaternion[sound]).as_matrix()
+        units = np.where(size > _GIANT, size, 1.0)  # of numbers whose squares are beyond a float
+        rotation[sound] = Rotation.from_quat((quaternion / units[:, None])[sound]).as_matrix()
     return Poses(position, rotation)
 
 

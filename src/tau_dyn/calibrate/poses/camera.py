@@ -157,6 +157,9 @@ class Camera:
 
         A pattern seen squarely from afar has a second, mirrored pose that fits almost as well; `start` decides.
         Without `turns` the orientation stays.
+
+        Raises:
+            InputError: The corners do not tell the pose.
         """
         position, rotation = start.position.copy(), start.rotation.copy()
         for _ in range(_STEPS):
@@ -164,7 +167,12 @@ class Camera:
             gap = (pixels - self.project(_points(here, self.pattern.corners))).reshape(len(pixels), -1, 1)
             slope = self._slope(here)[:, :, : 6 if turns else 3]
             turned = np.swapaxes(slope, 1, 2)
-            step = np.linalg.solve(turned @ slope, turned @ gap)[:, :, 0]
+            try:
+                step = np.linalg.solve(turned @ slope, turned @ gap)[:, :, 0]
+            except np.linalg.LinAlgError:
+                raise InputError(
+                    "the pattern's corners in the pictures do not tell its pose; check its size, the focal length, the distance"
+                ) from None
             position = position + step[:, :3]
             if turns:
                 rotation = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
