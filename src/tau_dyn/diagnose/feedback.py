@@ -2,10 +2,10 @@ r"""What a controller makes of encoder noise, seen where nothing else is to be s
 
 A drive that closes its loop through a noisy encoder answers the noise with force: `tau = ... + sum_l H_l n(t - l dt)`. That
 noise is in the columns as well, so force and columns agree about something that the robot never did, and a delay or a spring is
-found in it. Above the motion's band the measured position is noise and the force is the answer to it, so `H` is fitted there, by
-least squares on high-passed signals; how many lags there are, or none, is chosen by BIC. A few taps, as a discrete cascade
-has them, are the same below that band, at the log's own rate: thinned, the same cascade has an answer of many taps, of which
-the low frequencies, where motion is, show nothing.
+found in it. Far above the motion's band the measured position is noise and the force is the answer to it, so `H` is fitted
+there, by least squares on high-passed signals; how many lags there are, or none, is chosen by BIC. A few taps, as a discrete
+cascade has them, are the same below that band, at the log's own rate: thinned, the same cascade has an answer of many taps, of
+which the low frequencies, where motion is, show nothing.
 
 The forces move the robot, too: a loop follows slow noise, so that less of it is read. This is not computed. A log may hold
 every fourth of the samples that the drive saw; what it read in between is aliased into the log, and nothing follows that.
@@ -21,6 +21,9 @@ from tau_dyn.log import Log, lowpass
 
 REACHES = (0, 1, 2, 4)
 """How many samples before and after the noise its answers are looked for in."""
+_NARROWEST = 0.25
+"""Cutoff that is used at least, as a share of the rate: above it motion through a mass has died out (`log/band.py`). Just above
+the motion's band a tenth of the noise still is motion, which answers by its mass, and many taps followed that."""
 _WIDEST = 0.35
 """Cutoff above which too little is left to fit to, as a share of the rate; motion that reaches beyond is small there."""
 
@@ -34,7 +37,7 @@ def feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) -> np.ndarr
         cutoff_hz: Up to here positions hold motion [Hz].
     """
     q, rate_hz = log.joint("q", joints), log.rate_hz
-    na, above = q.shape[1], min(cutoff_hz, _WIDEST * rate_hz)
+    na, above = q.shape[1], min(max(cutoff_hz, _NARROWEST * rate_hz), _WIDEST * rate_hz)
     noise, answer = (x - lowpass(x, above, rate_hz) for x in (q, log.joint("tau", joints)))
     inner = slice(max(REACHES), -max(REACHES))
     answer = answer[inner]
