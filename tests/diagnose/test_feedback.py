@@ -18,7 +18,7 @@ from tau_dyn.diagnose.filters import thinned_log
 from tau_dyn.diagnose.stages import told_from_zero
 from tau_dyn.effects import friction_model
 from tau_dyn.effects.cyclic_ripple import CyclicRipple
-from tau_dyn.log import Log
+from tau_dyn.log import Log, lowpass
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
@@ -192,3 +192,14 @@ def test_what_draws_of_encoder_noise_make_of_a_column_is_their_mean_without_thei
 
     assert seen(2.0) == pytest.approx(4.0, abs=0.6)
     assert seen(0.0) < 0.25
+
+
+def test_motion_that_fades_into_the_noise_is_not_taken_for_an_answer():
+    """Just above its band motion is some of what is read, and answers by its mass; the one tap of a thinned loop comes back alone."""
+    rng, rate, mass, gain = np.random.default_rng(9), 250.0, 90.0, -7e6
+    shaken = lowpass(lowpass(rng.standard_normal((25_000, 1)), 6.0, rate, order=1), 6.0, rate, order=1)
+    q = 0.002 * shaken / np.std(shaken)
+    noise = 2e-5 * rng.standard_normal(q.shape)
+    force = mass * np.gradient(np.gradient(q, 1 / rate, axis=0), 1 / rate, axis=0)
+    log = logged(q + noise, force + gain * noise + 2.0 * rng.standard_normal(q.shape), ("one",), rate)
+    assert_allclose(feedback_taps(log, ("one",), 22.5), [[[gain]]], rtol=0.1)
