@@ -195,7 +195,7 @@ def test_what_draws_of_encoder_noise_make_of_a_column_is_their_mean_without_thei
 
 
 def test_motion_that_fades_into_the_noise_is_not_taken_for_an_answer():
-    """Just above its band motion is some of what is read, and answers by its mass; the one tap of a thinned loop comes back alone."""
+    """Just above its band some of what is read is motion, which answers by its mass: the one tap of a loop comes back alone."""
     rng, rate, mass, gain = np.random.default_rng(9), 250.0, 90.0, -7e6
     shaken = lowpass(lowpass(rng.standard_normal((25_000, 1)), 6.0, rate, order=1), 6.0, rate, order=1)
     q = 0.002 * shaken / np.std(shaken)
