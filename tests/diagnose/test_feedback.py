@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,6 +16,7 @@ from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.encoders import noise_only, noncentrality
 from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.filters import thinned_log
+from tau_dyn.diagnose.fits import Candidate, Fit
 from tau_dyn.diagnose.stages import told_from_zero
 from tau_dyn.effects import friction_model
 from tau_dyn.effects.cyclic_ripple import CyclicRipple
@@ -203,3 +205,21 @@ def test_motion_that_fades_into_the_noise_is_not_taken_for_an_answer():
     force = mass * np.gradient(np.gradient(q, 1 / rate, axis=0), 1 / rate, axis=0)
     log = logged(q + noise, force + gain * noise + 2.0 * rng.standard_normal(q.shape), ("one",), rate)
     assert_allclose(feedback_taps(log, ("one",), 22.5), [[[gain]]], rtol=0.1)
+
+
+def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch):
+    """Noise makes 50 of 22 on one joint and 1 of 60 on the other: the cause stands on the other; the first is chance."""
+    encoders = importlib.import_module("tau_dyn.diagnose.encoders")
+    made = {("a",): 50.0, ("b",): 1.0}
+    monkeypatch.setattr(encoders, "Library", lambda clean: SimpleNamespace(columns=lambda effect: effect.joints))
+    monkeypatch.setattr(encoders, "Ground", SimpleNamespace(of=lambda *parts: None))
+    monkeypatch.setattr(encoders, "noncentrality", lambda blanks, ground, columns, sided: made[columns[0]])
+
+    def fit(joint: str, T: float) -> Fit:
+        return Fit(cast(Any, SimpleNamespace(joints=(joint,), parameters=[])), T, 1.0, 1, False, 1.0, np.zeros(1))
+
+    a, b, ground = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=()))
+    chance, left = encoders.sifted([None], ground, Candidate("spring", (b, a), 0.0, (a, b)), [[]], 20)
+    assert left.fits == (b,) and chance < 1e-6
+    chance, left = encoders.sifted([None], ground, Candidate("spring", (a,), 0.0, (a,)), [[]], 20)
+    assert left.fits == (a,) and chance > 1
