@@ -93,7 +93,7 @@ def judgement(one: HiddenSet, found: Diagnosis) -> dict[str, Any]:
         near = [u for u in unexplained if u.joint == joints[truth.joints[0]]]
         rows["joint_right"] = bool(near)
         rows["variables_right"] = any(wanted == set(u.depends_on) for u in near)
-        rows["variables_included"] = any(wanted <= set(u.depends_on) for u in near)
+        rows["variables_among"] = any(wanted in map(set, (u.depends_on, *u.indistinguishable_from)) for u in near)
     if one.hidden and one.runs and confirmed:
         runs = (*one.runs, *one.held_runs)
         shapes = [np.stack([h for h in shapes_of(one, run)], axis=2) for run in runs]

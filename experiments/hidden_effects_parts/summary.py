@@ -20,7 +20,7 @@ OPTIONAL = (
     "parameter_z",
     "joint_right",
     "variables_right",
-    "variables_included",
+    "variables_among",
     "fault",
 )
 """Columns that only some rows have."""
@@ -128,4 +128,4 @@ def _unknown(rows: pd.DataFrame) -> Iterator[str]:
     strong = rows[rows["lambda"].astype(float) >= 60]
     yield f"unknown, lambda from 60: detected {rate(strong['detected'])}; a false name {rate(rows['first'].fillna('') != '')}"
     yield f"  joint right {rate(strong['joint_right'])}; variables right {rate(strong['variables_right'])}"
-    yield f"  variables among those named {rate(strong['variables_included'])}"
+    yield f"  the very variables, or listed as explaining it as well {rate(strong['variables_among'])}"

@@ -9,8 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
+from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.limits import limits_of, middle, noncentrality
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Search, family
+from tau_dyn.diagnose.search import Search, family
 from tau_dyn.diagnose.trials import DRAWS, Library, try_all
 from tau_dyn.effects import (
     CoulombAsymmetry,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.search import FAMILY_LEVEL, search
+from tau_dyn.diagnose.fits import FAMILY_LEVEL
+from tau_dyn.diagnose.search import search
 from tau_dyn.diagnose.trials import DRAWS
 from tau_dyn.diagnose.unknown import find_structure
 from tau_dyn.effects import PositionFriction
@@ -35,7 +36,8 @@ def structure(make, seed, hidden=None, level=FAMILY_LEVEL, **more):
 def test_a_product_of_two_speeds_is_named_on_its_joint(make, seed):
     """`80 v_one v_two` on joint three: the joint, both variables, and the formula with its number within 15 %."""
     found = structure(make, seed, at("three", lambda m: 80 * m.v[:, 0] * m.v[:, 1]))
-    assert found.output == "three" and set(found.variables) == {"v_one", "v_two"} and not found.signed
+    assert found.output == "three" and found.on.names in (("v_one", "v_two"), ("v_two", "v_one"))
+    assert not found.on.turns
     number, formula = found.formula.split(" * ", 1)
     assert formula == "v_one * v_two"
     assert_allclose(float(number), 80, rtol=0.15)
@@ -52,7 +54,7 @@ def test_a_force_of_one_variable_depends_on_it_alone(make):
 def test_friction_of_another_joints_place_follows_the_direction(make):
     """`sign(v_two) q_one`: the direction of motion is part of what is said."""
     found = structure(make, 2, at("two", lambda m: 15 * m.sign[:, 1] * m.q[:, 0]))
-    assert found.output == "two" and found.variables == ("q_one",) and found.signed
+    assert found.output == "two" and found.variables == ("q_one", "v_two") and found.on.turns == "two"
     assert found.formula.endswith("sign(v_two) * q_one")
 
 
@@ -110,4 +112,5 @@ def test_friction_along_the_way_is_named_only_where_it_is_coulomb_friction(make,
     hidden = at("two", lambda m: m.q[:, 1] / 0.2 * (coulomb * m.sign[:, 1] + viscous * m.v[:, 1]))
     rng = np.random.default_rng(seed)
     found = search(make.bench(rng, hidden, joints=JOINTS, causes=(PositionFriction,)), rng, lambda step: None).found
-    assert [one.candidate.cause for one in found] == (["position_friction"] if named else [])
+    there = [one.candidate.cause for one in found for effect in one.candidate.effects if "two" in effect.joints]
+    assert there == (["position_friction"] if named else [])  # elsewhere chance may find it, one time in twenty

@@ -11,9 +11,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.result import Diagnosis, Errors, Finding, Unexplained
-from tau_dyn.diagnose.search import FAMILY_LEVEL, search
+from tau_dyn.diagnose.search import search
 from tau_dyn.diagnose.stages import (
     HELD_OUT,
     SHARED,
@@ -22,9 +23,9 @@ from tau_dyn.diagnose.stages import (
     confirmed,
     findings_of,
     supported,
-    unexplained_of,
 )
 from tau_dyn.diagnose.trials import DRAWS
+from tau_dyn.diagnose.unexplained import unexplained_of
 from tau_dyn.diagnose.unknown import find_structure
 from tau_dyn.diagnose.within import tests_of
 from tau_dyn.effects.words import quantity
@@ -57,7 +58,7 @@ def diagnose_channel(
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
     tests = tests_of(channel, hunt, structure)
     kept = confirmed(channel, hunt, tests.causes)
-    unexplained = unexplained_of(structure, tests.structure)
+    unexplained = unexplained_of(channel, hunt, tests.structure)
     progress("measuring the gain")
     kept, bars = supported(channel, kept, rng)
     findings = findings_of(channel, hunt, tests.causes, kept, bars, rng)

@@ -8,6 +8,11 @@ what the baseline's training refit leaves of it. The held-out residual of the ba
 `B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by what the effect
 shifted it: were the effect in the training part alone, that shift would stand in the residual and look like some of `x`. The
 coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test with one degree of freedom.
+
+A law of many amplitudes may be known badly just where the held-out part goes: its `x` would be mostly error. With information
+`G` on `gamma` in the training part and `H` in the held-out one, the two estimates of a direction agree as far as both know it,
+with the weight `1 / (1/g + 1/h)`; so the residual is regressed on `x~`, made of `(G + H)^-1 G gamma`, and the share is that of
+`x` still (`x~` as its instrument).
 """
 
 from __future__ import annotations
@@ -59,9 +64,10 @@ def confirm(
     noise: Sequence[Autoregression],
     effect_columns: Sequence[list[np.ndarray]],
     other_columns: Sequence[list[np.ndarray]],
+    part: int = CONFIRM,
 ) -> Confirmation:
-    """Test one cause's columns (lists over runs of (n, m, k)) beside those of the other causes."""
-    train, held = (Whitener.of(channel.runs, channel.masks(part), noise) for part in (TRAIN, CONFIRM))
+    """Test one cause's columns (lists over runs of (n, m, k)) beside those of the other causes, on a part of the data."""
+    train, held = (Whitener.of(channel.runs, channel.masks(which), noise) for which in (TRAIN, part))
     prior_rows, prior_y = channel.prior
     B_t, B_c = (
         np.concatenate([w(channel.free_columns), *(w(c) for c in other_columns)], axis=1) for w in (train, held)
@@ -73,28 +79,42 @@ def confirm(
     B_all = np.concatenate([B_t, prior])
     unit, norm = unit_columns(B_all)
     inverse = np.linalg.pinv(unit, rcond=1e-7) / norm[:, None]
-    blank = np.zeros(len(prior_y))
-    gamma_columns = C_t - B_t @ (inverse @ np.concatenate([C_t, np.zeros((len(prior_y), C_t.shape[1]))]))
+    moved = inverse @ np.concatenate([C_t, np.zeros((len(prior_y), C_t.shape[1]))])
     theta = inverse @ np.concatenate([y_t, prior_y])
-    gamma = _amplitudes(gamma_columns, y_t - B_t @ theta, np.linalg.norm(C_t, axis=0))
-    shift = inverse @ np.concatenate([C_t @ gamma, blank])
-    x, r = C_c @ gamma - B_c @ shift, y_c - B_c @ theta
-    return _regress(np.column_stack([x, B_c @ shift]), r, B_c, np.asarray(np.linalg.qr(B_all, mode="r")), held)
+    left = B_c, np.asarray(np.linalg.qr(B_all, mode="r"))
+    H = _information(C_c, B_c @ moved, *left)
+    whole, shrunk = _amplitudes(C_t - B_t @ moved, y_t - B_t @ theta, np.linalg.norm(C_t, axis=0), H)
+    shift = moved @ shrunk
+    x, predicted = C_c @ shrunk - B_c @ shift, C_c @ whole - B_c @ (moved @ whole)
+    return _regress(np.column_stack([x, B_c @ shift]), predicted, y_c - B_c @ theta, *left, held)
 
 
-def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return amplitudes (k,) of columns of which the baseline leaves `left` (n, k), in the directions that it does not absorb.
+def _information(C: np.ndarray, shifts: np.ndarray, B: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Return what columns (n, k) leave beside free `shifts` (n, k) and `B` (n, p) with prior `R`: their Gram matrix (k, k)."""
+    rows = np.concatenate([np.column_stack([shifts, B]), np.column_stack([np.zeros((len(R), shifts.shape[1])), R])])
+    own, (unit, _) = np.concatenate([C, np.zeros((len(R), C.shape[1]))]), unit_columns(rows)
+    rest = own - unit @ np.linalg.lstsq(unit, own, rcond=1e-9)[0]
+    return rest.T @ rest
 
-    Gains of all drives, say, are the masses; a sum that only the encoders' noise keeps apart would be fitted to that noise.
+
+def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray, H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return amplitudes (k,) of columns of which the baseline leaves `left` (n, k), and those weighed by what `H` knows.
+
+    Only in the directions that the baseline does not absorb: gains of all drives, say, are the masses; a sum that only the
+    encoders' noise keeps apart would be fitted to that noise.
     """
     scale = np.where(own > 0, own, 1.0)
     values, vectors = np.linalg.eigh((left / scale).T @ (left / scale))
-    inverse = np.where(values > ABSORBED, 1 / np.maximum(values, ABSORBED), 0.0)
-    return vectors @ (inverse * (vectors.T @ ((left / scale).T @ r))) / scale
+    values, vectors = values[values > ABSORBED], vectors[:, values > ABSORBED]
+    s = vectors.T @ ((left / scale).T @ r)
+    both = np.diag(values) + vectors.T @ (H / np.outer(scale, scale)) @ vectors
+    return vectors @ (s / values) / scale, vectors @ np.linalg.solve(both, s) / scale
 
 
-def _regress(free: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener) -> Confirmation:
-    """Regress `r` (n,) on free columns (n, 2), of which the first is tested, and on `B` (n, k) with prior rows `R`."""
+def _regress(
+    free: np.ndarray, predicted: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held: Whitener
+) -> Confirmation:
+    """Regress `r` (n,) on free columns (n, 2), the first an instrument for `predicted` (n,), and on `B` (n, k) with prior `R`."""
     rows = np.concatenate([np.column_stack([free, B]), np.column_stack([np.zeros((len(R), 2)), R])])
     y = np.concatenate([r, np.zeros(len(R))])
     unit, norm = unit_columns(rows)
@@ -102,17 +122,17 @@ def _regress(free: np.ndarray, r: np.ndarray, B: np.ndarray, R: np.ndarray, held
     rest = (y - rows @ solution)[: len(r)]
     others = rows[:, 1:] / norm[1:]
     along = rows[:, 0] - others @ np.linalg.lstsq(others, rows[:, 0], rcond=1e-9)[0]
-    square = float(along @ along)
-    if square <= 0:
+    square, seen = float(along @ along), float(along[: len(r)] @ predicted)
+    if square <= 0 or seen <= 0:
         return Confirmation(0.0, np.inf, 1.0)
     variance = max(float(rest @ rest) / max(1, len(r) - 1), 1e-300)
     blocks = np.bincount(held.block, along[: len(r)] * rest)
     count = len(np.unique(held.block))
     ratio = float(np.sum(blocks**2)) / (variance * square)
     inflation = max(1.0, (count * ratio + PRIOR_BLOCKS) / (count + PRIOR_BLOCKS))
-    stderr = float(np.sqrt(inflation * variance / square))
+    share, stderr = float(solution[0]) * square / seen, float(np.sqrt(inflation * variance * square)) / seen
     dof = max(2.0, count + PRIOR_BLOCKS - 1)
-    return Confirmation(float(solution[0]), stderr, float(stats.t.sf(solution[0] / stderr, dof)))
+    return Confirmation(share, stderr, float(stats.t.sf(share / stderr, dof)))
 
 
 def present(

@@ -9,8 +9,9 @@ noncentral chi-square, with twice that noncentrality, as it is an estimate itsel
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
@@ -18,11 +19,12 @@ from scipy import stats
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.filters import thinned_log
-from tau_dyn.diagnose.fits import GROUP_LEVEL, Candidate
+from tau_dyn.diagnose.fits import FAMILY_LEVEL, GROUP_LEVEL, Candidate
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.ground import ABSORBED, Ground, weigh
 from tau_dyn.diagnose.parts import TRAIN
 from tau_dyn.diagnose.trials import Library, one_sided
+from tau_dyn.effects import Effect
 from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
 from tau_dyn.model import Model
 
@@ -72,38 +74,56 @@ def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, 
     return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
 
 
-def sifted(
-    cleans: Sequence[Channel],
-    ground: Ground,
-    candidate: Candidate,
-    others: Sequence[Sequence[list[np.ndarray]]],
-    n: int,
-) -> tuple[float, Candidate]:
-    """Return a candidate's chance when encoder noise does to it what it does to `cleans`, and what is left of it.
+class NoiseOnly:
+    """Channels of logs that hold nothing but the baseline and encoder noise, made when first needed."""
 
-    Args:
-        cleans: Channels of noise-only logs, draw by draw.
-        ground: The training part of the measured channel, for its noise model and scale.
-        candidate: The cause, on measured data.
-        others: Columns of the other causes on each of `cleans`.
-        n: Number of causes tried.
+    def __init__(self, make: Callable[[], Sequence[Channel]]) -> None:
+        """`make` returns the channels, a draw of noise each."""
+        self._make = make
 
-    Returns:
-        The chance of its strongest group, all groups and causes tried counted; and the candidate without the groups that encoder
-        noise could have made.
-    """
-    libraries = [Library(clean) for clean in cleans]
-    blanks = [Ground.of(c, (TRAIN,), ground.noise, x) for c, x in zip(cleans, others, strict=True)]
-    chances = []
-    for fit in candidate.fits:
-        columns = [library.columns(fit.effect) for library in libraries]
-        bias = MARGIN * noncentrality(blanks, ground, columns, one_sided(fit.effect))
-        T = fit.T / fit.inflation
-        tail = float(stats.ncx2.sf(T, fit.dof, bias) if bias > 0 else stats.chi2.sf(T, fit.dof))
-        chances.append(min(1.0, fit.tries * tail))
-    least = min(chances)
-    kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
-    return least * len(candidate.tested) * n, replace(candidate, fits=kept)
+    @cached_property
+    def channels(self) -> Sequence[Channel]:
+        """The channels, draw by draw."""
+        return self._make()
+
+    @cached_property
+    def libraries(self) -> list[Library]:
+        """Columns of effects on each."""
+        return [Library(channel) for channel in self.channels]
+
+    def within(self, parts: tuple[np.ndarray, ...]) -> NoiseOnly:
+        """Return the same channels divided otherwise."""
+        return NoiseOnly(lambda: [replace(channel, parts=parts) for channel in self.channels])
+
+    def blanks(self, ground: Ground, effects: Sequence[Effect]) -> list[Ground]:
+        """Return the training part of each channel with effects accounted for, white as `ground` is."""
+        return [
+            Ground.of(channel, (TRAIN,), ground.noise, [library.columns(effect) for effect in effects])
+            for channel, library in zip(self.channels, self.libraries, strict=True)
+        ]
+
+    def sift(self, ground: Ground, candidate: Candidate, others: Sequence[Effect], n: int) -> Candidate | None:
+        """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
+
+        Args:
+            ground: The training part of the measured channel, for its noise model and scale.
+            candidate: The cause, on measured data.
+            others: The other causes.
+            n: Number of causes tried, which count in the chance as the candidate's groups and settings do.
+        """
+        blanks = self.blanks(ground, others)
+        chances = []
+        for fit in candidate.fits:
+            columns = [library.columns(fit.effect) for library in self.libraries]
+            bias = MARGIN * noncentrality(blanks, ground, columns, one_sided(fit.effect))
+            T = fit.T / fit.inflation
+            tail = float(stats.ncx2.sf(T, fit.dof, bias) if bias > 0 else stats.chi2.sf(T, fit.dof))
+            chances.append(min(1.0, fit.tries * tail))
+        least = min(chances)
+        if least * len(candidate.tested) * n >= FAMILY_LEVEL:
+            return None
+        kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
+        return replace(candidate, fits=kept)
 
 
 def noncentrality(

@@ -13,6 +13,8 @@ from scipy import stats
 
 from tau_dyn.effects import Effect
 
+FAMILY_LEVEL = 0.05
+"""Chance of any cause on clean data on the training part; confirmation on other data multiplies it by its own level."""
 GROUP_LEVEL = 0.01
 """Level at which a further joint joins a cause."""
 WEAK = 0.1

@@ -11,7 +11,8 @@ from scipy.interpolate import CubicSpline
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.filters import border_gap
 from tau_dyn.diagnose.ground import Ground
-from tau_dyn.diagnose.parts import divide
+from tau_dyn.diagnose.noise import WHOLE_TIME
+from tau_dyn.diagnose.parts import TRAIN, divide
 from tau_dyn.diagnose.periodogram import LONG, explained_by_periods, of_displacement, of_force, of_output
 from tau_dyn.diagnose.scenes import scene_along, shared_signals
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
@@ -66,17 +67,27 @@ class ForceChannel(Channel):
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds, accelerations, time and temperature of each run."""
-        found = []
-        for motion in self.thinned:
+        found, begin = [], self._begins()
+        for motion, start in zip(self.thinned, begin, strict=True):
             row = {
                 f"{key}_{j}": getattr(motion, key)[:, k] for key in ("q", "v", "a") for k, j in enumerate(motion.joints)
             }
             row["t"] = np.asarray(motion.t)
+            if max(begin) > 0:
+                row[WHOLE_TIME] = row["t"] + start
             for k, j in enumerate(motion.joints):
                 if "temperature" in motion.signals:
                     row[f"temp_{j}"] = motion.signals["temperature"][:, k]
             found.append(row)
         return found
+
+    def _begins(self) -> list[float]:
+        """Return when each run's log begins [s] if the logs follow one another."""
+        ends: dict[str, float] = {}
+        for piece in self.prepared:
+            ends[piece.log.name] = max(ends.get(piece.log.name, 0.0), float(piece.log.t[-1]))
+        begin = dict(zip(ends, np.cumsum([0.0, *ends.values()]), strict=False))
+        return [float(begin[piece.log.name]) for piece in self.prepared]
 
 
 def prepared_pieces(
@@ -130,7 +141,7 @@ def force_channel(
         model.parameters,
         regression.runs,
         tuple(parts),
-        _scene(model, thinned, regression.runs, preparation, campaigns),
+        _scene(model, thinned, regression.runs, parts, preparation, campaigns),
         tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
@@ -177,7 +188,12 @@ def _thinned(piece: Prepared) -> Motion:
 
 
 def _scene(
-    model: Model, motions: Sequence[Motion], runs: Sequence[Run], preparation: Preparation, campaigns: int
+    model: Model,
+    motions: Sequence[Motion],
+    runs: Sequence[Run],
+    parts: Sequence[np.ndarray],
+    preparation: Preparation,
+    campaigns: int,
 ) -> Scene:
     signals = shared_signals(motions)
     if "temperature" in signals and max(float(np.ptp(m.signals["temperature"])) for m in motions) < 0.5:
@@ -191,4 +207,5 @@ def _scene(
         duration=sum(float(run.t[-1] - run.t[0]) for run in runs),
         signals=signals,
         campaigns=campaigns,
+        trained=[part == TRAIN for part in parts],
     )

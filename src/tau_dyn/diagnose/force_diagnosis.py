@@ -12,14 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.encoders import DRAWN, noise_only, sifted
+from tau_dyn.diagnose.encoders import DRAWN, NoiseOnly, noise_only
 from tau_dyn.diagnose.filters import border_gap, clear_cutoff, diagnosis_preparation, smooth_cutoffs, thinned_log
+from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.force import ForceChannel, force_channel, force_regression, prepared_pieces
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.nominal import parameter_findings
 from tau_dyn.diagnose.resonances import with_band, with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Search, columns_of, effects_of, search
+from tau_dyn.diagnose.search import Search, effects_of, search
 from tau_dyn.diagnose.stages import (
     HELD_OUT,
     SHARED,
@@ -29,9 +30,9 @@ from tau_dyn.diagnose.stages import (
     estimated,
     findings_of,
     supported,
-    unexplained_of,
 )
-from tau_dyn.diagnose.trials import DRAWS, Library
+from tau_dyn.diagnose.trials import DRAWS
+from tau_dyn.diagnose.unexplained import unexplained_of
 from tau_dyn.diagnose.unknown import Structure, find_structure, structure_chance
 from tau_dyn.diagnose.waves import shows_waves
 from tau_dyn.diagnose.within import heard, tests_of
@@ -156,15 +157,14 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     channel, rng = with_resonances(case.channel), np.random.default_rng(seed)
     assert isinstance(channel, ForceChannel)
     progress("looking for causes")
-    hunt = search(channel, rng, progress)
+    noise = NoiseOnly(lambda: [case.noise_only(rng) for _ in range(DRAWN)])
+    hunt = search(channel, rng, progress, sift=noise.sift)
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
-    if hunt.found or structure:
-        progress("what encoder noise would do")
-        hunt, structure = _sifted([case.noise_only(rng) for _ in range(DRAWN)], hunt, structure)
+    hunt, structure = _sifted(noise, hunt, structure)
     progress("confirming")
     rate = channel.prepared[0].log.rate_hz
     gap = border_gap(case.preparation.force_cutoff_hz, rate)
-    tests = heard(channel, hunt, structure, tests_of(channel, hunt, structure), gap, rng)
+    tests = heard(channel, hunt, tests_of(channel, hunt, structure), gap, rng, noise)
     kept = confirmed(channel, hunt, tests.causes, physics=case.physics)
     progress("measuring the gain")
     nominal = case.nominal.parameters
@@ -172,7 +172,7 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     before, after = bars.judgements[0], bars.judgements[-1]
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, tests.causes, kept, bars, rng)]
     findings += parameter_findings(case.nominal, nominal, estimated(after))
-    unexplained = unexplained_of(structure, tests.structure)
+    unexplained = unexplained_of(channel, hunt, tests.structure)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     verdict = _verdict(findings, unexplained)
     answer = Answer(
@@ -190,18 +190,15 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     return assembled(channel, hunt, kept, bars, case.nominal, answer, seed)
 
 
-def _sifted(cleans: Sequence[Channel], hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:
-    """Leave out what encoder noise alone could have made."""
-    libraries, kept = [Library(clean) for clean in cleans], []
+def _sifted(noise: NoiseOnly, hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:
+    """Leave out what encoder noise alone could have made, beside all that was found."""
+    kept = []
     for one in hunt.found:
-        others = [columns_of(library, hunt.others(one)) for library in libraries]
-        chance, left = sifted(cleans, hunt.ground, one.candidate, others, hunt.n_causes)
-        if chance < FAMILY_LEVEL:
+        left = noise.sift(hunt.ground, one.candidate, hunt.others(one), hunt.n_causes)
+        if left is not None:
             kept.append(replace(one, candidate=left))
-    if structure is not None:
-        found = [columns_of(library, effects_of(hunt.found)) for library in libraries]
-        if structure_chance(cleans, hunt.ground, structure, found) > FAMILY_LEVEL:
-            structure = None
+    if structure is not None and structure_chance(noise, hunt.ground, structure, effects_of(hunt.found)) > FAMILY_LEVEL:
+        structure = None
     return replace(hunt, found=tuple(kept)), structure
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from scipy import optimize, stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.fits import Candidate, Fit
+from tau_dyn.diagnose.fits import FAMILY_LEVEL, Candidate, Fit
 from tau_dyn.diagnose.ground import ABSORBED, Ground
 from tau_dyn.diagnose.parts import EVERY
 from tau_dyn.diagnose.result import Limit, Untestable
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Search
+from tau_dyn.diagnose.search import Search
 from tau_dyn.diagnose.trials import Library
 from tau_dyn.effects import Effect
 from tau_dyn.effects.words import quantity

@@ -16,6 +16,8 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.estimate import Autoregression, fit_autoregression, solve_scaled
 from tau_dyn.log import unbroken
 
+WHOLE_TIME = "t_whole"
+"""Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
 _DEGREE = 4
 _MAX_ORDER = 8
 
@@ -63,7 +65,7 @@ def over_runs(
 
 
 def _rich(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
-    own = [x for name, x in variables.items() if name.split("_", 1)[-1] == output or name == "t"]
+    own = [x for name, x in variables.items() if name.split("_", 1)[-1] == output or name in ("t", WHOLE_TIME)]
     sign = np.sign(variables.get(f"v_{output}", np.zeros(1)))
     basis = [c for x in own for c in smooth(x)]
     basis += [sign * c for c in basis] if np.any(sign) else []

@@ -111,6 +111,7 @@ class Unexplained:
         p_value: Chance of it on clean data.
         signature: Its plot.
         status: `confirmed` on held-out data or `suspected`.
+        indistinguishable_from: Other sets of variables that explain it as well.
     """
 
     joint: str
@@ -120,12 +121,14 @@ class Unexplained:
     p_value: float
     status: Status
     signature: Signature | None = None
+    indistinguishable_from: tuple[tuple[str, ...], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
         return {
             "joint": self.joint,
             "depends_on": list(self.depends_on),
+            "indistinguishable_from": [list(variables) for variables in self.indistinguishable_from],
             "share_of_residual_variance": self.share_of_residual_variance,
             "suggested_formula": self.suggested_formula or None,
             "p_value": self.p_value,

@@ -9,6 +9,8 @@ import numpy as np
 from tau_dyn.effects import Motion, Scene
 
 _FASTEST = 0.98
+_RARE = 0.01
+"""Share of the training beyond either end of the range that a joint visits often."""
 
 
 def scene_along(
@@ -21,6 +23,7 @@ def scene_along(
     duration: float,
     signals: frozenset[str],
     campaigns: int = 1,
+    trained: Sequence[np.ndarray] | None = None,
 ) -> Scene:
     """Return what motions offer together.
 
@@ -33,11 +36,13 @@ def scene_along(
         duration: Length of all of them [s].
         signals: What effects may feel; see `shared_signals`.
         campaigns: Number of logs that are told apart.
+        trained: Which samples of each motion causes are fitted to (n,); by default all.
     """
     q, v = (np.concatenate([getattr(motion, key) for motion in motions]) for key in ("q", "v"))
-    return Scene(
-        joints, units, q.min(axis=0), q.max(axis=0), slow, fast_speeds(v), cutoff_hz, duration, signals, campaigns
-    )
+    seen = q if trained is None else q[np.concatenate(trained)]
+    often = np.quantile(seen, (_RARE, 1 - _RARE), axis=0)
+    ends = q.min(axis=0), q.max(axis=0)
+    return Scene(joints, units, *ends, slow, fast_speeds(v), cutoff_hz, duration, signals, campaigns, often=often)
 
 
 def shared_signals(motions: Sequence[Motion]) -> frozenset[str]:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.fits import Candidate, Fit, judge, merit_under
+from tau_dyn.diagnose.fits import FAMILY_LEVEL, Candidate, Fit, judge, merit_under
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.parts import TRAIN
@@ -25,16 +25,17 @@ from tau_dyn.diagnose.unknown import Structure, find_structure
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import Autoregression, unit_columns
 
-FAMILY_LEVEL = 0.05
-"""Chance of any cause on clean data on the training part; confirmation on other data multiplies it by its own level."""
 MOST = 5
 """Causes looked for at most."""
 TWIN_MARGIN = 8.0
 """Difference of merit (twice the log-likelihood) below which two causes are not told apart: odds of 50 to 1."""
+OWN_MARGIN = 4.0
+"""Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
 MIMIC_MARGIN = 12.0
 """Merit by which an unnamed structure must beat a cause to unseat it: chance alone, over all sets of variables, gives 12."""
 MIMIC_RATIO = 1.5
-"""And how many times more it must explain; a cause that is most of the truth keeps its name, what is left gets none."""
+"""And how many times more it must explain, unless it needs less freedom; a cause that is most of the truth keeps its name, and
+what is left gets none."""
 _STEPS = 3
 _TERM_LEVEL = 1e-4
 """Chance at which noise alone adds a term to a law."""
@@ -86,10 +87,23 @@ def effects_of(found: Sequence[Found]) -> list[Effect]:
     return [effect for one in found for effect in one.candidate.effects]
 
 
+Sift = Callable[[Ground, Candidate, Sequence[Effect], int], Candidate | None]
+"""Return what of a candidate is no artefact, or None: judged on a ground, beside the effects in it, as one of so many causes."""
+
+
 def search(
-    channel: Channel, rng: np.random.Generator, progress: Callable[[str], None], level: float = FAMILY_LEVEL
+    channel: Channel,
+    rng: np.random.Generator,
+    progress: Callable[[str], None],
+    *,
+    level: float = FAMILY_LEVEL,
+    sift: Sift | None = None,
 ) -> Search:
-    """Look for causes on the training part."""
+    """Look for causes on the training part.
+
+    What `sift` rejects is passed over at once: beside an artefact, which resembles all sorts of things, a true cause would be
+    judged by what little is left of it.
+    """
     library = Library(channel)
     found: list[Found] = []
     pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
@@ -101,23 +115,47 @@ def search(
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
         if not significant or len(found) >= MOST or len(pending) >= 2 * MOST:
             break
-        strongest, twins = _strongest(significant)
-        best = pruned(strongest, library, ground)
+        pool = [pruned(c, library, ground) for c in significant]
+        chosen = _chosen(pool, library, ground, effects_of(found), len(candidates), sift)
+        if chosen is None:
+            break
+        best, twins = chosen
         progress(f"found {best.cause}")
         pending.append(twins)
-        found.append(Found(refined(best, library, ground), family(best, candidates), ()))
+        found.append(Found(best, family(best, candidates), ()))
         found = _merged(found)
     kept = _eliminated(channel, library, found, noise, level)
     kept = _adequate(channel, library, kept, noise, ground.draws(DRAWS, rng))
     if kept != found:
+        kept = _anew(channel, library, kept, noise)
         noise, ground, candidates = _round(channel, library, [f.candidate for f in kept], rng)
     return Search(tuple(kept), noise, ground, tuple(candidates), library, len(candidates))
+
+
+def _chosen(
+    pool: Sequence[Candidate], library: Library, ground: Ground, others: Sequence[Effect], n: int, sift: Sift | None
+) -> tuple[Candidate, tuple[str, ...]] | None:
+    """Return the strongest cause that is no artefact, its settings refined, and its twins; None if there is none."""
+    left = list(pool)
+    while left:
+        strongest, twins = _strongest(left)
+        best = refined(strongest, library, ground)
+        genuine = sift(ground, best, others, n) if sift else best
+        if genuine is not None and _believable(genuine, library, ground):
+            return genuine, twins
+        left = [c for c in left if c.cause != strongest.cause]
+    return None
+
+
+def _believable(candidate: Candidate, library: Library, ground: Ground) -> bool:
+    return all(fit.effect.believable(amplitudes(fit.effect, library, ground)) for fit in candidate.fits)
 
 
 def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, ...]]:
     """Return the cause that explains most, each by its own scatter, and its twins.
 
-    Among those that explain as much under one scatter the one with the least freedom is taken.
+    Among those that explain as much under one scatter the one with the least freedom is taken. A joint at which another cause
+    explains more is left to that one.
     """
     first = max(significant, key=lambda c: c.merit)
     scatter = first.fits[0].inflation
@@ -125,7 +163,21 @@ def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, 
     level = [c for c in significant if abs(alike[c.cause]) < TWIN_MARGIN]
     best = max(level, key=lambda c: alike[c.cause])
     near = (c for c in significant if c.merit > best.merit - TWIN_MARGIN or c in level)
-    return best, tuple(c.cause for c in near if c is not best)
+    return _own(best, significant), tuple(c.cause for c in near if c is not best)
+
+
+def _own(best: Candidate, others: Sequence[Candidate]) -> Candidate:
+    """Return a cause without the joints at which another one explains more; all that it explains made it the strongest."""
+    scatter = best.fits[0].inflation
+    alone = [fit for c in others if c is not best for fit in c.tested]
+
+    def lost(fit: Fit) -> bool:
+        same = (other for other in alone if set(other.effect.joints) == set(fit.effect.joints))
+        own = merit_under([next(f for f in best.tested if f.effect.joints == fit.effect.joints)], scatter)
+        return any(merit_under([other], scatter) > own + OWN_MARGIN for other in same)
+
+    left = tuple(fit for fit in best.fits if not lost(fit))
+    return replace(best, fits=left or best.fits[:1])
 
 
 def _merged(found: list[Found]) -> list[Found]:
@@ -178,7 +230,7 @@ def _grown(fit: Fit, library: Library, ground: Ground) -> Fit:
 
 
 def pruned(candidate: Candidate, library: Library, ground: Ground) -> Candidate:
-    """Return a candidate with the groups that explain something beside its stronger ones.
+    """Return a candidate with the groups that explain something beside its stronger ones, and what each explains there.
 
     What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
     """
@@ -186,7 +238,7 @@ def pruned(candidate: Candidate, library: Library, ground: Ground) -> Candidate:
     for fit in candidate.fits[1:]:
         beside = weighed(fit, library, ground.beside(columns_of(library, [one.effect for one in kept])))
         if beside.T > beside.threshold:
-            kept.append(fit)
+            kept.append(beside)
     return replace(candidate, fits=tuple(kept))
 
 
@@ -200,9 +252,15 @@ def tangents(effect: Effect, amplitude: np.ndarray, library: Library) -> list[li
     return found
 
 
+def amplitudes(effect: Effect, library: Library, ground: Ground) -> np.ndarray:
+    """Return an effect's amplitudes (k,) beside what the ground accounts for."""
+    C = ground.rows(library.columns(effect))
+    return np.linalg.lstsq(ground.gram(C), C.T @ ground.e, rcond=1e-9)[0]
+
+
 def _step(effect: Effect, library: Library, ground: Ground, limits: Sequence[dict[str, float]]) -> Effect | None:
     C = ground.rows(library.columns(effect))
-    amplitude = np.linalg.lstsq(ground.gram(C), C.T @ ground.e, rcond=1e-9)[0]
+    amplitude = amplitudes(effect, library, ground)
     if not np.any(amplitude):
         return None
     D = np.concatenate([ground.rows(x) for x in tangents(effect, amplitude, library)], axis=1)
@@ -252,6 +310,17 @@ def _eliminated(
     return kept
 
 
+def _anew(channel: Channel, library: Library, kept: Sequence[Found], noise: Sequence[Autoregression]) -> list[Found]:
+    """Return what was kept, weighed and refined beside the others that were: what was dropped had explained a part of it."""
+    found = list(kept)
+    for k, one in enumerate(found):
+        others = effects_of([other for other in found if other is not one])
+        ground = Ground.of(channel, (TRAIN,), noise, columns_of(library, others))
+        fits = tuple(weighed(fit, library, ground) for fit in one.candidate.fits)
+        found[k] = replace(one, candidate=refined(replace(one.candidate, fits=fits), library, ground))
+    return found
+
+
 def _adequate(
     channel: Channel, library: Library, found: list[Found], noise: Sequence[Autoregression], draws: np.ndarray
 ) -> list[Found]:
@@ -277,10 +346,11 @@ def _adequate(
 
 def _beaten(fit: Fit, structure: Structure) -> bool:
     own = merit_under([fit], 1.0)  # as a structure's: which explains more is no matter of either's scatter over time
-    return structure.merit > own + MIMIC_MARGIN and structure.merit > MIMIC_RATIO * fit.T
+    explains_more = structure.merit > MIMIC_RATIO * fit.T or structure.dof < fit.dof
+    return structure.merit > own + MIMIC_MARGIN and explains_more
 
 
 def _outshone(fit: Fit, library: Library, ground: Ground) -> bool:
     """Tell whether a law without a name, as free as this one, is more likely."""
     others = [weighed(replace(fit, effect=effect), library, ground) for effect in fit.effect.lookalikes()]
-    return any(other.T > fit.T for other in others)
+    return any((other.T - fit.T) / fit.inflation > TWIN_MARGIN for other in others)

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.confirm import Confirmation, confirm, present
+from tau_dyn.diagnose.confirm import Confirmation, confirm
 from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of, judged, masked, solved
 from tau_dyn.diagnose.findings import finding_of, signature_of
+from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.floor import noise_floor
 from tau_dyn.diagnose.parts import CONFIRM, EVERY, TRAIN
 from tau_dyn.diagnose.result import (
@@ -29,9 +30,8 @@ from tau_dyn.diagnose.result import (
     Untestable,
     Verdict,
 )
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, columns_of, effects_of
+from tau_dyn.diagnose.search import Found, Search, columns_of, effects_of
 from tau_dyn.diagnose.trials import DRAWS
-from tau_dyn.diagnose.unknown import Structure
 from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.estimate import Physics
 from tau_dyn.model import Model
@@ -180,25 +180,6 @@ def findings_of(
         signature = signature_of(channel, effects, fit.residuals, values)
         found.append(finding_of(channel, hunt, one, test, values, gain, signature, kept=one in kept))
     return found
-
-
-def structure_confirmation(channel: Channel, hunt: Search, structure: Structure) -> Confirmation:
-    """Test the structure without a name on the confirmation part, all causes found accounted for.
-
-    A drift in time is another one in another log; there it only has to be present, not to be the same.
-    """
-    others = columns_of(hunt.library, effects_of(hunt.found))
-    test = present if "t" in structure.variables else confirm
-    return test(channel, hunt.noise, [structure.columns], others)
-
-
-def unexplained_of(structure: Structure | None, test: Confirmation | None) -> tuple[Unexplained, ...]:
-    """Return the structure without a name, confirmed or not."""
-    if structure is None or test is None:
-        return ()
-    s = structure
-    status = "confirmed" if test.holds else "suspected"
-    return (Unexplained(s.output, s.variables, s.share, s.formula, s.p_value, status),)
 
 
 def extended_model(model: Model, fit: Judged, effects: Sequence[Effect]) -> Model:

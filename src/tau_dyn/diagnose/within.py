@@ -14,10 +14,13 @@ import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.parts import divide_training
-from tau_dyn.diagnose.search import FAMILY_LEVEL, Found, Search, search
-from tau_dyn.diagnose.stages import confirmation, structure_confirmation
+from tau_dyn.diagnose.encoders import NoiseOnly
+from tau_dyn.diagnose.fits import FAMILY_LEVEL
+from tau_dyn.diagnose.parts import TRAIN, divide_training
+from tau_dyn.diagnose.search import Found, Search, search
+from tau_dyn.diagnose.stages import confirmation
 from tau_dyn.diagnose.trials import DRAWS
+from tau_dyn.diagnose.unexplained import Told, structure_confirmation, told_apart
 from tau_dyn.diagnose.unknown import Structure, find_structure
 
 
@@ -26,48 +29,49 @@ class Tests:
     """What held-out data say of each cause found, and of the structure without a name."""
 
     causes: tuple[Confirmation, ...]
-    structure: Confirmation | None
+    structure: Told | None
 
 
 def tests_of(channel: Channel, hunt: Search, structure: Structure | None) -> Tests:
     """Test everything found on the confirmation part."""
     causes = tuple(confirmation(channel, hunt, one) for one in hunt.found)
-    return Tests(causes, structure and structure_confirmation(channel, hunt, structure))
+    return Tests(causes, structure and told_apart(channel, hunt, structure))
 
 
 def heard(
     channel: Channel,
     hunt: Search,
-    structure: Structure | None,
     tests: Tests,
     gap_s: float,
     rng: np.random.Generator,
+    noise: NoiseOnly,
 ) -> Tests:
     """Return the tests, those on which the confirmation part is silent repeated within the training logs.
 
     Args:
         channel: The data.
         hunt: The search on all of the training part.
-        structure: The structure without a name, or None.
         tests: What the confirmation part says.
         gap_s: Memory of the filters, left out beside a block's border [s].
         rng: For noise draws.
+        noise: What encoder noise alone makes.
     """
-    every = [*tests.causes, *([tests.structure] if tests.structure else [])]
-    if not any(test.silent for test in every):
+    every = [*tests.causes, *([tests.structure.test] if tests.structure else [])]
+    whole = any(np.all(part == TRAIN) for part in channel.parts)
+    if not whole or not any(test.silent for test in every):
         return tests
     inner = replace(channel, parts=tuple(divide_training(channel.runs, channel.parts, gap_s)))
-    again = search(inner, rng, lambda step: None)
+    again = search(inner, rng, lambda step: None, sift=noise.within(inner.parts).sift)
     causes = tuple(
         _better(test, inner, again, _alike(again, one)) if test.silent else test
         for one, test in zip(hunt.found, tests.causes, strict=True)
     )
     left = tests.structure
-    if structure is not None and left is not None and left.silent:
+    if left is not None and left.test.silent:
         found = find_structure(inner, again.ground, again.ground.draws(DRAWS, rng), FAMILY_LEVEL)
-        if found and found.output == structure.output and set(found.variables) & set(structure.variables):
+        if found and found.output == left.structure.output and set(found.variables) & set(left.structure.variables):
             test = structure_confirmation(inner, again, found)
-            left = replace(test, within=True) if test.holds else left
+            left = replace(left, test=replace(test, within=True)) if test.holds else left
     return Tests(causes, left)
 
 

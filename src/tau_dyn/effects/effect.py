@@ -116,6 +116,10 @@ class Effect(ABC):
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
 
+    def believable(self, amplitudes: np.ndarray) -> bool:
+        """Tell whether amplitudes (k,) could be this cause at all; far beyond `plausible` a law only mimics something else."""
+        return True
+
     def lookalikes(self) -> list[Effect]:
         """Return laws without a name, with as many terms, that must explain less for this one to be named."""
         return []

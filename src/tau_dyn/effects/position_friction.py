@@ -73,9 +73,11 @@ class PositionFriction(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return laws from a parabola to one with three waves over the range travelled."""
-        k = scene.index(joints[0])
-        low, high = float(scene.low[k]), float(scene.high[k])
+        """Return laws from a parabola to one with three waves over the range that is often travelled.
+
+        Where the joint hardly ever was, a polynomial of its own would say anything.
+        """
+        low, high = scene.range_of(joints[0])
         if not low < high:
             return []
         degrees = [n for n in _DEGREES if n == _DEGREES[0] or n * _SECONDS <= scene.duration]

@@ -25,6 +25,7 @@ class Scene:
         campaigns: Number of logs, which `campaign` counts from zero.
         resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
         structure: Whether these modes are the structure's as a whole, and no single joint's.
+        often: Positions below and above which the joints are rarely trained on (2, na); None where all of it counts.
     """
 
     joints: tuple[str, ...]
@@ -39,10 +40,17 @@ class Scene:
     campaigns: int = 1
     resonances: tuple[tuple[float, float], ...] = ()
     structure: bool = False
+    often: np.ndarray | None = None
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""
         return self.joints.index(joint)
+
+    def range_of(self, joint: str) -> tuple[float, float]:
+        """Return the range of positions in which a joint is trained on often."""
+        k = self.index(joint)
+        low, high = (self.low, self.high) if self.often is None else self.often
+        return float(low[k]), float(high[k])
 
 
 def pairs(scene: Scene) -> list[tuple[str, ...]]:

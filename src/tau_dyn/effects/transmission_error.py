@@ -24,6 +24,10 @@ _FEWEST = 1.5
 """Periods in the range: a force that goes with the speed squared and the acceleration is like no other, however long its wave."""
 
 
+_MOST = {"N": 5e-4, "N m": 1e-2}
+"""Errors ten times larger than those of drives [m or rad], from which on it is another law that resembles this one."""
+
+
 class TransmissionError(PeriodicEffect, JointwiseDisplacement):
     """A periodic difference between encoder and load."""
 
@@ -52,6 +56,11 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
             only[:, :, index] = d, slope * joint.v[:, None], acceleration
             out[:, :, n * place : n * (place + 1)] = of_load(motion, *only)
         return out
+
+    def believable(self, amplitudes: np.ndarray) -> bool:
+        """Tell whether the error of each joint is below ten times what is plausible."""
+        each = np.linalg.norm(amplitudes.reshape(len(self.joints), -1), axis=1)
+        return all(size < _MOST[self.units[joint]] for size, joint in zip(each, self.joints, strict=True))
 
     def local_frequency(self, motion: Motion) -> np.ndarray:
         """Return at which frequency each sample feels the first harmonic (N, na) [Hz], also where other joints move."""

@@ -115,10 +115,12 @@ def confirmation_words(confirmation: tuple[float, float] | None) -> str:
 def unexplained_words(item: Unexplained) -> str:
     """Return what is left and what it depends on, in a sentence."""
     share = percent(100 * item.share_of_residual_variance)
-    text = f"{share} of what is left on {item.joint}"
+    text, on = f"{share} of what is left on {item.joint}", listed(item.depends_on)
+    if item.indistinguishable_from:
+        on += f" (or as well on {'; or '.join(listed(others) for others in item.indistinguishable_from)})"
     if item.status == "suspected":
-        return f"{text} seems to depend on {listed(item.depends_on)}; a second part of the data did not confirm it."
-    return f"{text} depends on {listed(item.depends_on)}, and no cause known here does that."
+        return f"{text} seems to depend on {on}; a second part of the data did not confirm it."
+    return f"{text} depends on {on}, and no cause known here does that."
 
 
 def limits_words(limits: Sequence[Limit]) -> list[str]:

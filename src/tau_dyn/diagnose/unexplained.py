@@ -1,0 +1,78 @@
+"""What is said of a structure without a name: which variables it depends on, and whether other data bear it out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.confirm import Confirmation, confirm, present
+from tau_dyn.diagnose.parts import GAIN
+from tau_dyn.diagnose.result import Unexplained
+from tau_dyn.diagnose.search import Search, columns_of, effects_of
+from tau_dyn.diagnose.unknown import ALIKE, Structure, others_alike
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """A structure and its test.
+
+    Attributes:
+        structure: The structure.
+        test: Its test on the confirmation part.
+        alike: Other sets of variables that both parts together do not tell apart from it.
+    """
+
+    structure: Structure
+    test: Confirmation
+    alike: tuple[tuple[str, ...], ...] = ()
+
+
+def told_apart(channel: Channel, hunt: Search, structure: Structure) -> Told:
+    """Return which of the sets of variables that explain as much on the training part it is by the confirmation part as well.
+
+    As many of them as are tried count in its chance.
+    """
+    several = [structure, *others_alike(channel, hunt.ground, structure)]
+    tests = [structure_confirmation(channel, hunt, one) for one in several]
+    worth = [one.merit + _evidence(test) for one, test in zip(several, tests, strict=True)]
+    k = int(np.argmax(worth))
+    near = (one.variables for one, x in zip(several, worth, strict=True) if x > worth[k] - ALIKE)
+    alike = dict.fromkeys(v for v in near if set(v) != set(several[k].variables))
+    return Told(several[k], replace(tests[k], p_value=min(1.0, len(several) * tests[k].p_value)), tuple(alike))
+
+
+def _evidence(test: Confirmation) -> float:
+    """Return what a test says for a structure, in twice the log-likelihood."""
+    return max(0.0, float(stats.norm.isf(max(test.p_value, 1e-300)))) ** 2
+
+
+def structure_confirmation(channel: Channel, hunt: Search, structure: Structure) -> Confirmation:
+    """Test a structure on the confirmation part, all causes found accounted for.
+
+    A drift in time is another one in another log; there it only has to be present, not to be the same.
+    """
+    others = columns_of(hunt.library, effects_of(hunt.found))
+    test = present if "t" in structure.variables else confirm
+    return test(channel, hunt.noise, [structure.columns], others)
+
+
+def unexplained_of(channel: Channel, hunt: Search, told: Told | None) -> tuple[Unexplained, ...]:
+    """Return the structure, confirmed or not."""
+    if told is None:
+        return ()
+    s = told.structure
+    status = "confirmed" if told.test.holds and _borne_out(channel, hunt, told) else "suspected"
+    return (
+        Unexplained(s.output, s.variables, s.share, s.formula, s.p_value, status, indistinguishable_from=told.alike),
+    )
+
+
+def _borne_out(channel: Channel, hunt: Search, told: Told) -> bool:
+    """Tell whether the last part shows some of it too, as it has to of a cause; unless it could not be heard there."""
+    if "t" in told.structure.variables or told.test.within:
+        return True
+    others = columns_of(hunt.library, effects_of(hunt.found))
+    return confirm(channel, hunt.noise, [told.structure.columns], others, GAIN).share > 0
