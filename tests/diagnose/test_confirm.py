@@ -7,7 +7,7 @@ from scipy import stats
 
 from tau_dyn.diagnose.confirm import confirm
 from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
-from tau_dyn.effects import Stribeck, ViscousAsymmetry
+from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
 
@@ -110,3 +110,32 @@ def test_noise_that_is_larger_than_stated_makes_the_error_larger(make):
         for x in (1.0, 3.0)
     )
     assert_allclose(loud.stderr / plain.stderr, 3.0, rtol=0.2)
+
+
+PLACES = PositionFriction(("x",), ("N",), middle=0.0, half=0.3, degree=10)
+
+
+def elsewhere(make, rng, hidden=lambda motion: np.zeros_like(motion.v)):
+    """Return a bench that is trained on one side of the way and confirmed on all of it."""
+    motion = make.moving(rng, ("x",), 9000)
+    part = np.where(motion.q[:, 0] > 0.1, np.where(make.turns(9000) == TRAIN, -1, make.turns(9000)), make.turns(9000))
+    return make.bench(rng, hidden, motions=(motion,), parts=lambda n: part)
+
+
+def test_a_law_is_confirmed_by_what_the_training_part_knows_of_it(make):
+    """Friction along the way, confirmed also where it never was trained: ten amplitudes err there, yet all is seen."""
+    law = 4 * np.array([1.0, -1, 0.5, 0, 0, 0, 0, 0, 0, 0])
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        found = confirmed(make, elsewhere(make, rng, lambda m: PLACES.columns(m) @ law), PLACES)
+        assert found.holds and found.stderr < 0.3
+        assert_allclose(found.share, 1.0, atol=4 * found.stderr)
+
+
+def test_p_is_uniform_for_a_law_of_many_amplitudes(make):
+    """On clean logs the p-value of ten amplitudes, known badly where they are confirmed, is uniform, too."""
+    rng = np.random.default_rng(4)
+    channel = elsewhere(make, rng)
+    theta, noise = channel.runs[0].W @ channel.parameters.values, make.coloured
+    p = [confirmed(make, make.measuring(channel, theta + noise(rng, 9000, 1)), PLACES).p_value for _ in range(120)]
+    assert stats.kstest(p, "uniform").pvalue > 0.01

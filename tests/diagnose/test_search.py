@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tau_dyn.diagnose.scenes import scene_along
 from tau_dyn.diagnose.search import search
-from tau_dyn.effects import QuadraticDrag, Stribeck
+from tau_dyn.effects import CyclicRipple, Motion, PositionFriction, QuadraticDrag, Stribeck, TransmissionError
 
 
 @pytest.mark.parametrize("seed", [1, 6])
@@ -23,3 +27,97 @@ def test_laws_that_explain_the_same_are_told_by_their_freedom(make, seed):
     (found,) = search(channel, np.random.default_rng(1), lambda step: None).found
     assert found.candidate.cause == "quadratic_drag"
     assert found.rivals == ("stribeck",)
+
+
+def causes(found):
+    """Return what was found, and on which joints."""
+    return {(one.candidate.cause, *effect.joints) for one in found for effect in one.candidate.effects}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_joint_goes_to_the_law_that_explains_it(make, seed):
+    """Drag on one joint beside a Stribeck peak on the other: a wide Stribeck peak would explain both, and is not given both."""
+    rng = np.random.default_rng(seed)
+    peak = Stribeck(("one",), ("N",), speed=0.08)
+
+    def hidden(motion):
+        drag = np.stack([np.zeros(len(motion.t)), 80 * motion.v[:, 1] * np.abs(motion.v[:, 1])], axis=1)
+        return 20 * peak.columns(motion)[:, :, 0] + drag
+
+    channel = make.bench(rng, hidden, joints=("one", "two"), n=6000, causes=(Stribeck, QuadraticDrag))
+    found = search(channel, np.random.default_rng(1), lambda step: None).found
+    assert causes(found) == {("stribeck", "one"), ("quadratic_drag", "two")}
+
+
+def test_an_artefact_is_passed_over_while_the_search_goes_on(make, rng):
+    """What the sieve rejects does not stand beside the true cause, which would be found in what little it leaves."""
+    channel = make.bench(rng, lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(Stribeck, QuadraticDrag))
+    asked = []
+
+    def sift(ground, candidate, others, n):
+        asked.append(candidate.cause)
+        return None if candidate.cause == "quadratic_drag" else candidate
+
+    found = search(channel, np.random.default_rng(1), lambda step: None, sift=sift).found
+    assert asked[0] == "quadratic_drag" and [one.candidate.cause for one in found] == ["stribeck"]
+
+
+def test_what_stays_is_weighed_again_when_another_cause_is_dropped(make, monkeypatch):
+    """A cause that a mimic had left little to explain shows all that it explains once the mimic is dropped."""
+    module = importlib.import_module("tau_dyn.diagnose.search")
+    channel = make.bench(np.random.default_rng(2), lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(QuadraticDrag,))
+    (plain,) = search(channel, np.random.default_rng(1), lambda step: None).found
+
+    def dropped(channel, library, found, noise, level):
+        (one,) = found
+        (fit,) = one.candidate.fits
+        return [replace(one, candidate=replace(one.candidate, fits=(replace(fit, T=9.0),)))]
+
+    monkeypatch.setattr(module, "_eliminated", dropped)
+    (again,) = search(channel, np.random.default_rng(1), lambda step: None).found
+    assert again.candidate.T == pytest.approx(plain.candidate.T, rel=1e-6) and plain.candidate.T > 100
+
+
+def test_an_error_of_millimetres_is_no_transmission_error(make):
+    """A force along the way that a periodic error would need a millimetre for gets no such name; 50 um keeps it."""
+    effect = TransmissionError(("x",), ("N",), period=0.1)
+    assert effect.believable(np.array([3e-5, -4e-5])) and not effect.believable(np.array([1e-3, 0.0]))
+    turning = TransmissionError(("x",), ("N m",), period=0.1)
+    assert turning.believable(np.array([1e-3, 1e-3])) and not turning.believable(np.array([0.0, 0.02]))
+    assert CyclicRipple(("x",), ("N",), period=0.1).believable(np.array([1e3, 0.0]))
+
+
+def test_a_law_of_twelve_terms_is_no_name_where_four_explain_as_much(make):
+    """Friction that another joint's place makes, which nearly follows the joint's own: no friction along the own way."""
+    rng = np.random.default_rng(4)
+    m = make.moving(rng, ("one", "two"), 9000)
+    q, v, a = (np.array(getattr(m, key)) for key in "qva")
+    for x in (q, v, a):
+        x[:, 1] = x[:, 0] + 0.2 * x[:, 1]
+    motion = Motion.of(m.joints, q, v, a, t=m.t)
+
+    def hidden(m):
+        return np.stack([6 * m.sign[:, 0] * np.cos(2 * np.pi * m.q[:, 1] / 0.5), 0 * m.t], axis=1)
+
+    channel = make.bench(rng, hidden, motions=(motion,), causes=(PositionFriction,))
+    assert causes(search(channel, np.random.default_rng(1), lambda step: None).found) == set()
+
+
+def test_friction_along_the_way_ends_where_the_training_ends(make):
+    """Places that a joint saw in one sample of a hundred, or in held-out data alone, are not part of the polynomials' range."""
+    m = make.moving(np.random.default_rng(1), ("x",), 5000)
+    trained = np.abs(m.q[:, 0]) < 0.1
+    scene = scene_along(
+        [m],
+        ("x",),
+        ("N",),
+        slow=np.array([0.01]),
+        cutoff_hz=20.0,
+        duration=60.0,
+        signals=frozenset(),
+        trained=[trained],
+    )
+    low, high = scene.range_of("x")
+    assert -0.1 < low < -0.095 and 0.095 < high < 0.1 and scene.high[0] > 0.15
+    for setting in PositionFriction.grid(scene, ("x",)):
+        assert setting["middle"] + setting["half"] == pytest.approx(high)

@@ -1,0 +1,106 @@
+"""Of several sets of variables that explain a force as well, which one is said; and that all parts have to bear it out."""
+
+from __future__ import annotations
+
+import importlib
+
+import numpy as np
+import pytest
+
+from tau_dyn.diagnose.confirm import Confirmation
+from tau_dyn.diagnose.dependence import Dependence, dependences
+from tau_dyn.diagnose.noise import WHOLE_TIME
+from tau_dyn.diagnose.parts import CONFIRM, GAIN
+from tau_dyn.diagnose.search import Search
+from tau_dyn.diagnose.trials import DRAWS, Library
+from tau_dyn.diagnose.unexplained import told_apart, unexplained_of
+from tau_dyn.diagnose.unknown import find_structure
+from tau_dyn.effects import Motion
+
+JOINTS = ("one", "two", "three")
+
+
+def together(make, rng, apart_in):
+    """Return a motion whose third joint moves as the second does, but for some parts of the data; and these parts."""
+    m, part = make.moving(rng, JOINTS, 9000), make.turns(9000)
+    own = np.isin(part, apart_in)
+    q, v, a = (np.array(getattr(m, key)) for key in "qva")
+    for x in (q, v, a):
+        x[:, 2] = np.where(own, x[:, 2], x[:, 1])
+    return Motion.of(JOINTS, q, v, a, t=m.t)
+
+
+def told(make, rng, motion, hidden):
+    """Return the structure that a bench with a hidden force shows, and what is said of it."""
+    channel = make.bench(rng, hidden, motions=(motion,))
+    ground = make.ground(channel)
+    found = find_structure(channel, ground, ground.draws(DRAWS, rng), 0.05)
+    hunt = Search((), (make.noise,) * 3, ground, (), Library(channel), 1)
+    said = told_apart(channel, hunt, found)
+    return found, said, unexplained_of(channel, hunt, said)[0]
+
+
+def by_third(m):
+    """Return a force on joint one of the third joint's speed squared."""
+    return np.stack([60 * m.v[:, 2] ** 2, 0 * m.v[:, 0], 0 * m.v[:, 0]], axis=1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_joints_that_move_as_one_in_training_are_told_apart_where_they_do_not(make, seed):
+    """Joints two and three train together and confirm apart: the force of joint three's speed is said to be joint three's."""
+    rng = np.random.default_rng(seed)
+    found, said, item = told(make, rng, together(make, rng, (CONFIRM, GAIN)), by_third)
+    assert {on.on.variables for on in found.alike} | {found.variables} >= {("v_two",), ("v_three",)}
+    assert item.depends_on == ("v_three",) and item.status == "confirmed"
+    assert ("v_two",) not in item.indistinguishable_from
+
+
+def test_joints_that_always_move_as_one_are_both_named(make):
+    """Where no part tells two joints apart, one is said and the other listed as explaining it as well."""
+    rng = np.random.default_rng(5)
+    _, _, item = told(make, rng, together(make, rng, ()), by_third)
+    assert {item.depends_on, *item.indistinguishable_from} >= {("v_two",), ("v_three",)}
+    assert item.to_dict()["indistinguishable_from"] == [list(x) for x in item.indistinguishable_from]
+
+
+@pytest.mark.parametrize(("last", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])
+def test_the_last_part_has_a_veto_on_what_has_no_name(make, last, status):
+    """A force that turns round where nothing is learnt and nothing confirmed is only suspected."""
+    rng = np.random.default_rng(6)
+
+    def hidden(m):
+        return np.where(make.turns(len(m.t)) == GAIN, last, 1.0)[:, None] * by_third(m)
+
+    _, said, item = told(make, rng, make.moving(rng, JOINTS, 9000), hidden)
+    assert said.test.holds and item.status == status
+
+
+def test_as_many_sets_as_are_tried_count_in_the_chance(make, monkeypatch):
+    """Confirming the best of k sets of variables is k times as likely by chance as confirming one."""
+    module = importlib.import_module("tau_dyn.diagnose.unexplained")
+    monkeypatch.setattr(module, "structure_confirmation", lambda *parts: Confirmation(1.0, 0.3, 1e-3))
+    rng = np.random.default_rng(7)
+    found, said, _ = told(make, rng, together(make, rng, (CONFIRM,)), by_third)
+    assert found.alike and said.test.p_value == pytest.approx(1e-3 * (1 + len(found.alike)))
+
+
+def test_what_settles_on_through_a_second_log_is_one_drift():
+    """A decay that goes on in a second log, whose clock starts anew, is a smooth function of time: 99.9 % of it."""
+    t = np.linspace(0, 40, 400)
+    runs = [{"t": t, WHOLE_TIME: t}, {"t": t, WHOLE_TIME: t + 40}]
+    C = np.concatenate(Dependence("x", ("t",)).bases(runs))
+    y = np.exp(-np.linspace(0, 80, 800) / 30)
+    y = y - y.mean()
+    left = y - C @ np.linalg.lstsq(C, y, rcond=None)[0]
+    assert np.sum(left**2) < 1e-3 * np.sum(y**2)
+
+
+def test_a_direction_of_motion_is_a_speed_that_it_depends_on():
+    """What follows the sign of a joint's speed is said to depend on that speed, once."""
+    assert Dependence("x", ("q_y",), "x").variables == ("q_y", "v_x")
+    assert Dependence("x", ("v_x",), "x").variables == ("v_x",)
+    moved = {key: np.linspace(-1, 1, 9) for key in ("q_x", "v_x", "q_y", "v_y", "t")}
+    tried = dependences([moved | {WHOLE_TIME: np.linspace(0, 1, 9)}], "x")
+    assert {d.turns for d in tried if d.names == ("q_y",)} == {"", "x", "y"}
+    assert {d.turns for d in tried if len(d.names) == 2} == {"", "x"}
+    assert not any(WHOLE_TIME in d.names for d in tried) and not any("t" in d.names for d in tried if len(d.names) == 2)
