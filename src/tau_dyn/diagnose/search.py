@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.fits import FAMILY_LEVEL, Candidate, Fit, judge, merit_under
+from tau_dyn.diagnose.fits import FAMILY_LEVEL, WEAK, Candidate, Fit, judge, merit_under
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.parts import TRAIN
@@ -139,7 +139,7 @@ def _chosen(
     left = list(pool)
     while left:
         strongest, twins = _strongest(left)
-        best = refined(strongest, library, ground)
+        best = refined(_own(strongest, left, library, ground), library, ground)
         genuine = sift(ground, best, others, n) if sift else best
         if genuine is not None and _believable(genuine, library, ground):
             return genuine, twins
@@ -154,8 +154,7 @@ def _believable(candidate: Candidate, library: Library, ground: Ground) -> bool:
 def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, ...]]:
     """Return the cause that explains most, each by its own scatter, and its twins.
 
-    Among those that explain as much under one scatter the one with the least freedom is taken. A joint at which another cause
-    explains more is left to that one.
+    Among those that explain as much under one scatter the one with the least freedom is taken.
     """
     first = max(significant, key=lambda c: c.merit)
     scatter = first.fits[0].inflation
@@ -163,18 +162,24 @@ def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, 
     level = [c for c in significant if abs(alike[c.cause]) < TWIN_MARGIN]
     best = max(level, key=lambda c: alike[c.cause])
     near = (c for c in significant if c.merit > best.merit - TWIN_MARGIN or c in level)
-    return _own(best, significant), tuple(c.cause for c in near if c is not best)
+    return best, tuple(c.cause for c in near if c is not best)
 
 
-def _own(best: Candidate, others: Sequence[Candidate]) -> Candidate:
-    """Return a cause without the joints at which another one explains more; all that it explains made it the strongest."""
+def _own(best: Candidate, significant: Sequence[Candidate], library: Library, ground: Ground) -> Candidate:
+    """Return a cause without the joints at which it is the shadow of another one, which explains more.
+
+    A shadow explains hardly a tenth of its own beside the other. What explains more than that is a thing of its own.
+    """
     scatter = best.fits[0].inflation
-    alone = [fit for c in others if c is not best for fit in c.tested]
+    alone = [fit for c in significant if c is not best for fit in c.tested]
 
     def lost(fit: Fit) -> bool:
+        own = next(f for f in best.tested if f.effect.joints == fit.effect.joints)
+        least = merit_under([own], scatter) + OWN_MARGIN
         same = (other for other in alone if set(other.effect.joints) == set(fit.effect.joints))
-        own = merit_under([next(f for f in best.tested if f.effect.joints == fit.effect.joints)], scatter)
-        return any(merit_under([other], scatter) > own + OWN_MARGIN for other in same)
+        stronger = [library.columns(other.effect) for other in same if merit_under([other], scatter) > least]
+        beside = (weighed(own, library, ground.beside([columns])) for columns in stronger)
+        return any(left.T <= max(left.threshold, WEAK * own.T) for left in beside)
 
     left = tuple(fit for fit in best.fits if not lost(fit))
     return replace(best, fits=left or best.fits[:1])
