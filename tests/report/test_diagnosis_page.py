@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.report import diagnosis_page, print_diagnosis, write_report
-from tau_dyn.report.diagnosis_words import chance, confirmation_words, value_words
+from tau_dyn.report.diagnosis_words import chance, confirmation_words, unexplained_words, value_words
 from tau_dyn.report.quantities import estimate, quantity
 from tau_dyn.report.signature import signature_charts
 from tau_dyn.report.waterfall import finding_of, ladder, ladders
@@ -218,3 +219,9 @@ def test_odds_and_shares_in_words():
         (0.9, 0.1)
     )
     assert [value_words(v) for v in (True, 3, 0.25, None, [1, 2])] == ["yes", "3", "0.25", "none", "1 and 2"]
+
+
+def test_sets_of_variables_that_explain_it_as_well_are_listed():
+    """What may depend on one pair of variables or as well on another says both."""
+    item = Unexplained("b", ("q_a", "v_b"), 0.1, "", 1e-4, "confirmed", indistinguishable_from=(("v_c",), ("q_c", "v_b")))
+    assert "depends on q_a and v_b (or as well on v_c; or on q_c and v_b), and" in unexplained_words(item)

@@ -117,7 +117,7 @@ def unexplained_words(item: Unexplained) -> str:
     share = percent(100 * item.share_of_residual_variance)
     text, on = f"{share} of what is left on {item.joint}", listed(item.depends_on)
     if item.indistinguishable_from:
-        on += f" (or as well on {'; or '.join(listed(others) for others in item.indistinguishable_from)})"
+        on += f" (or as well on {'; or on '.join(listed(others) for others in item.indistinguishable_from)})"
     if item.status == "suspected":
         return f"{text} seems to depend on {on}; a second part of the data did not confirm it."
     return f"{text} depends on {on}, and no cause known here does that."
