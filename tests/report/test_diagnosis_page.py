@@ -223,5 +223,7 @@ def test_odds_and_shares_in_words():
 
 def test_sets_of_variables_that_explain_it_as_well_are_listed():
     """What may depend on one pair of variables or as well on another says both."""
-    item = Unexplained("b", ("q_a", "v_b"), 0.1, "", 1e-4, "confirmed", indistinguishable_from=(("v_c",), ("q_c", "v_b")))
+    item = Unexplained(
+        "b", ("q_a", "v_b"), 0.1, "", 1e-4, "confirmed", indistinguishable_from=(("v_c",), ("q_c", "v_b"))
+    )
     assert "depends on q_a and v_b (or as well on v_c; or on q_c and v_b), and" in unexplained_words(item)
