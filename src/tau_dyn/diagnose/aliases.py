@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.choice import TWIN_MARGIN
 from tau_dyn.diagnose.ground import Ground
-from tau_dyn.diagnose.search import TWIN_MARGIN
 from tau_dyn.effects import Effect
 from tau_dyn.exceptions import InputError
 

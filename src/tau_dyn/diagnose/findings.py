@@ -10,8 +10,10 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.ground import ABSORBED, Ground
 from tau_dyn.diagnose.parts import CONFIRM, EVERY, TRAIN
+from tau_dyn.diagnose.refine import tangents
 from tau_dyn.diagnose.result import Finding, Gain, Signature
-from tau_dyn.diagnose.search import Found, Search, columns_of, tangents
+from tau_dyn.diagnose.search import Found, Search
+from tau_dyn.diagnose.trials import columns_of
 from tau_dyn.effects import Effect
 from tau_dyn.effects.words import spelled
 from tau_dyn.estimate import unit_columns

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from tau_dyn.diagnose.choice import TWIN_MARGIN
 from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.plan import Line, Plan
 from tau_dyn.diagnose.question import Question, other_experiment
-from tau_dyn.diagnose.search import TWIN_MARGIN
 
 TRAINED = 0.6
 """Share of a log that is searched for causes; the rest confirms and measures."""

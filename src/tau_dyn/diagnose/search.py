@@ -16,30 +16,24 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.fits import FAMILY_LEVEL, WEAK, Candidate, Fit, judge, merit_under
+from tau_dyn.diagnose.choice import TWIN_MARGIN, Sift, chosen
+from tau_dyn.diagnose.fits import FAMILY_LEVEL, Candidate, Fit, judge, merit_under
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.parts import TRAIN
-from tau_dyn.diagnose.trials import DRAWS, Library, try_all, weighed
+from tau_dyn.diagnose.refine import refined
+from tau_dyn.diagnose.trials import DRAWS, Library, columns_of, try_all, weighed
 from tau_dyn.diagnose.unknown import Structure, find_structure
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import Autoregression, unit_columns
+from tau_dyn.estimate import Autoregression
 
 MOST = 5
 """Causes looked for at most."""
-TWIN_MARGIN = 8.0
-"""Difference of merit (twice the log-likelihood) below which two causes are not told apart: odds of 50 to 1."""
-OWN_MARGIN = 4.0
-"""Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
 MIMIC_MARGIN = 12.0
 """Merit by which an unnamed structure must beat a cause to unseat it: chance alone, over all sets of variables, gives 12."""
 MIMIC_RATIO = 1.5
 """And how many times more it must explain, unless it needs less freedom; a cause that is most of the truth keeps its name, and
 what is left gets none."""
-_STEPS = 3
-_TERM_LEVEL = 1e-4
-"""Chance at which noise alone adds a term to a law."""
-_WIDE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +81,6 @@ def effects_of(found: Sequence[Found]) -> list[Effect]:
     return [effect for one in found for effect in one.candidate.effects]
 
 
-Sift = Callable[[Ground, Candidate, Sequence[Effect], int], Candidate | None]
-"""Return what of a candidate is no artefact, or None: judged on a ground, beside the effects in it, as one of so many causes."""
-
-
 def search(
     channel: Channel,
     rng: np.random.Generator,
@@ -115,11 +105,10 @@ def search(
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
         if not significant or len(found) >= MOST or len(pending) >= 2 * MOST:
             break
-        pool = [pruned(c, library, ground) for c in significant]
-        chosen = _chosen(pool, library, ground, effects_of(found), len(candidates), sift)
-        if chosen is None:
+        taken = chosen(significant, library, ground, effects_of(found), len(candidates), sift)
+        if taken is None:
             break
-        best, twins = chosen
+        best, twins = taken
         progress(f"found {best.cause}")
         pending.append(twins)
         found.append(Found(best, family(best, candidates), ()))
@@ -130,59 +119,6 @@ def search(
         kept = _anew(channel, library, kept, noise)
         noise, ground, candidates = _round(channel, library, [f.candidate for f in kept], rng)
     return Search(tuple(kept), noise, ground, tuple(candidates), library, len(candidates))
-
-
-def _chosen(
-    pool: Sequence[Candidate], library: Library, ground: Ground, others: Sequence[Effect], n: int, sift: Sift | None
-) -> tuple[Candidate, tuple[str, ...]] | None:
-    """Return the strongest cause that is no artefact, its settings refined, and its twins; None if there is none."""
-    left = list(pool)
-    while left:
-        strongest, twins = _strongest(left)
-        best = refined(_own(strongest, left, library, ground), library, ground)
-        genuine = sift(ground, best, others, n) if sift else best
-        if genuine is not None and _believable(genuine, library, ground):
-            return genuine, twins
-        left = [c for c in left if c.cause != strongest.cause]
-    return None
-
-
-def _believable(candidate: Candidate, library: Library, ground: Ground) -> bool:
-    return all(fit.effect.believable(amplitudes(fit.effect, library, ground)) for fit in candidate.fits)
-
-
-def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, ...]]:
-    """Return the cause that explains most, each by its own scatter, and its twins.
-
-    Among those that explain as much under one scatter the one with the least freedom is taken.
-    """
-    first = max(significant, key=lambda c: c.merit)
-    scatter = first.fits[0].inflation
-    alike = {c.cause: c.merit_under(scatter) - first.merit_under(scatter) for c in significant}
-    level = [c for c in significant if abs(alike[c.cause]) < TWIN_MARGIN]
-    best = max(level, key=lambda c: alike[c.cause])
-    near = (c for c in significant if c.merit > best.merit - TWIN_MARGIN or c in level)
-    return best, tuple(c.cause for c in near if c is not best)
-
-
-def _own(best: Candidate, significant: Sequence[Candidate], library: Library, ground: Ground) -> Candidate:
-    """Return a cause without the joints at which it is the shadow of another one, which explains more.
-
-    A shadow explains hardly a tenth of its own beside the other. What explains more than that is a thing of its own.
-    """
-    scatter = best.fits[0].inflation
-    alone = [fit for c in significant if c is not best for fit in c.tested]
-
-    def lost(fit: Fit) -> bool:
-        own = next(f for f in best.tested if f.effect.joints == fit.effect.joints)
-        least = merit_under([own], scatter) + OWN_MARGIN
-        same = (other for other in alone if set(other.effect.joints) == set(fit.effect.joints))
-        stronger = [library.columns(other.effect) for other in same if merit_under([other], scatter) > least]
-        beside = (weighed(own, library, ground.beside([columns])) for columns in stronger)
-        return any(left.T <= max(left.threshold, WEAK * own.T) for left in beside)
-
-    left = tuple(fit for fit in best.fits if not lost(fit))
-    return replace(best, fits=left or best.fits[:1])
 
 
 def _merged(found: list[Found]) -> list[Found]:
@@ -199,86 +135,6 @@ def _merged(found: list[Found]) -> list[Found]:
 def family(candidate: Candidate, candidates: Sequence[Candidate]) -> float:
     """Return a cause's p-value with all causes tried taken into account (Bonferroni)."""
     return min(1.0, candidate.p_value * len(candidates))
-
-
-def columns_of(library: Library, effects: Sequence[Effect]) -> list[list[np.ndarray]]:
-    """Return the columns (n, m, k) of several effects."""
-    return [library.columns(effect) for effect in effects]
-
-
-def refined(candidate: Candidate, library: Library, ground: Ground) -> Candidate:
-    """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points."""
-    fits = []
-    for fit in candidate.fits:
-        for _ in range(_STEPS if fit.effect.refined else 0):
-            moved = _step(fit.effect, library, ground, fit.neighbours)
-            if moved is None:
-                break
-            better = weighed(replace(fit, effect=moved), library, ground)
-            if not better.T > fit.T + 0.01:
-                break
-            fit = better
-        fits.append(_grown(fit, library, ground))
-    return replace(candidate, fits=tuple(fits))
-
-
-def _grown(fit: Fit, library: Library, ground: Ground) -> Fit:
-    """Return a fit with as many terms of its law as earn their freedom."""
-    key = fit.effect.grows
-    while key:
-        more = fit.effect.with_settings(**{key: fit.effect.settings[key] + 1})
-        better = weighed(replace(fit, effect=more, dof=len(more.parameters)), library, ground)
-        if not (better.T - fit.T) / better.inflation > stats.chi2.isf(_TERM_LEVEL, better.dof - fit.dof):
-            break
-        fit = better
-    return fit
-
-
-def pruned(candidate: Candidate, library: Library, ground: Ground) -> Candidate:
-    """Return a candidate with the groups that explain something beside its stronger ones, and what each explains there.
-
-    What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
-    """
-    kept = [candidate.fits[0]]
-    for fit in candidate.fits[1:]:
-        beside = weighed(fit, library, ground.beside(columns_of(library, [one.effect for one in kept])))
-        if beside.T > beside.threshold:
-            kept.append(beside)
-    return replace(candidate, fits=tuple(kept))
-
-
-def tangents(effect: Effect, amplitude: np.ndarray, library: Library) -> list[list[np.ndarray]]:
-    """Return, for each refined setting, the change of the effect's force per unit of it (n, m, 1) of each run."""
-    found = []
-    for key in effect.refined:
-        step = 1e-3 * abs(effect.settings[key]) or 1e-6
-        ends = [library.channel.columns(effect.with_settings(**{key: effect.settings[key] + x})) for x in (step, -step)]
-        found.append([((a - b) @ amplitude / (2 * step))[:, :, None] for a, b in zip(*ends, strict=True)])
-    return found
-
-
-def amplitudes(effect: Effect, library: Library, ground: Ground) -> np.ndarray:
-    """Return an effect's amplitudes (k,) beside what the ground accounts for."""
-    C = ground.rows(library.columns(effect))
-    return np.linalg.lstsq(ground.gram(C), C.T @ ground.e, rcond=1e-9)[0]
-
-
-def _step(effect: Effect, library: Library, ground: Ground, limits: Sequence[dict[str, float]]) -> Effect | None:
-    C = ground.rows(library.columns(effect))
-    amplitude = amplitudes(effect, library, ground)
-    if not np.any(amplitude):
-        return None
-    D = np.concatenate([ground.rows(x) for x in tangents(effect, amplitude, library)], axis=1)
-    both, norm = unit_columns(np.concatenate([C, D], axis=1))
-    solution = np.linalg.lstsq(ground.gram(both), both.T @ ground.e, rcond=1e-8)[0] / norm
-    changed = {}
-    for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
-        values = [n[key] for n in limits] + [effect.settings[key]]
-        low, high = min(values), max(values)
-        if low == high and key in effect.positive:  # the grid has few values of it, not next to each other
-            low, high = low / _WIDE, high * _WIDE
-        changed[key] = float(np.clip(effect.settings[key] + change, low, high))
-    return effect.with_settings(**changed) if changed != {k: effect.settings[k] for k in changed} else None
 
 
 def _round(

@@ -30,8 +30,8 @@ from tau_dyn.diagnose.result import (
     Untestable,
     Verdict,
 )
-from tau_dyn.diagnose.search import Found, Search, columns_of, effects_of
-from tau_dyn.diagnose.trials import DRAWS
+from tau_dyn.diagnose.search import Found, Search, effects_of
+from tau_dyn.diagnose.trials import DRAWS, columns_of
 from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.estimate import Physics
 from tau_dyn.model import Model

@@ -17,7 +17,7 @@ from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.parts import TRAIN
 from tau_dyn.diagnose.resonances import with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Errors, Finding
-from tau_dyn.diagnose.search import Found, Search, columns_of, search
+from tau_dyn.diagnose.search import Found, Search, search
 from tau_dyn.diagnose.stages import (
     HELD_OUT,
     SHARED,
@@ -29,6 +29,7 @@ from tau_dyn.diagnose.stages import (
     supported,
 )
 from tau_dyn.diagnose.tool import ToolChannel, tool_channel
+from tau_dyn.diagnose.trials import columns_of
 from tau_dyn.effects.words import quantity
 from tau_dyn.log import Log
 from tau_dyn.model import Model

@@ -45,6 +45,11 @@ class Library:
         return self._made[key]
 
 
+def columns_of(library: Library, effects: Sequence[Effect]) -> list[list[np.ndarray]]:
+    """Return the columns (n, m, k) of several effects."""
+    return [library.columns(effect) for effect in effects]
+
+
 def key_of(effect: Effect) -> tuple:
     """Return what tells two effects apart."""
     return (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)

@@ -11,7 +11,8 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation, confirm, present
 from tau_dyn.diagnose.parts import GAIN
 from tau_dyn.diagnose.result import Unexplained
-from tau_dyn.diagnose.search import Search, columns_of, effects_of
+from tau_dyn.diagnose.search import Search, effects_of
+from tau_dyn.diagnose.trials import columns_of
 from tau_dyn.diagnose.unknown import ALIKE, Structure, others_alike
 
 

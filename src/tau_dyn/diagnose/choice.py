@@ -1,0 +1,78 @@
+"""Which of several significant causes is taken in next: the strongest that is no artefact, on the joints that are its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from tau_dyn.diagnose.fits import WEAK, Candidate, Fit, merit_under
+from tau_dyn.diagnose.ground import Ground
+from tau_dyn.diagnose.refine import amplitudes, pruned, refined
+from tau_dyn.diagnose.trials import Library, weighed
+from tau_dyn.effects import Effect
+
+TWIN_MARGIN = 8.0
+"""Difference of merit (twice the log-likelihood) below which two causes are not told apart: odds of 50 to 1."""
+OWN_MARGIN = 4.0
+"""Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
+
+Sift = Callable[[Ground, Candidate, Sequence[Effect], int], Candidate | None]
+"""Return what of a candidate is no artefact, or None: judged on a ground, beside the effects in it, as one of so many causes."""
+
+
+def chosen(
+    significant: Sequence[Candidate],
+    library: Library,
+    ground: Ground,
+    others: Sequence[Effect],
+    n: int,
+    sift: Sift | None,
+) -> tuple[Candidate, tuple[str, ...]] | None:
+    """Return the strongest cause that is no artefact, its settings refined, and its twins; None if there is none."""
+    left = [pruned(c, library, ground) for c in significant]
+    while left:
+        strongest, twins = _strongest(left)
+        best = refined(_own(strongest, left, library, ground), library, ground)
+        genuine = sift(ground, best, others, n) if sift else best
+        if genuine is not None and _believable(genuine, library, ground):
+            return genuine, twins
+        left = [c for c in left if c.cause != strongest.cause]
+    return None
+
+
+def _believable(candidate: Candidate, library: Library, ground: Ground) -> bool:
+    return all(fit.effect.believable(amplitudes(fit.effect, library, ground)) for fit in candidate.fits)
+
+
+def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, ...]]:
+    """Return the cause that explains most, each by its own scatter, and its twins.
+
+    Among those that explain as much under one scatter the one with the least freedom is taken.
+    """
+    first = max(significant, key=lambda c: c.merit)
+    scatter = first.fits[0].inflation
+    alike = {c.cause: c.merit_under(scatter) - first.merit_under(scatter) for c in significant}
+    level = [c for c in significant if abs(alike[c.cause]) < TWIN_MARGIN]
+    best = max(level, key=lambda c: alike[c.cause])
+    near = (c for c in significant if c.merit > best.merit - TWIN_MARGIN or c in level)
+    return best, tuple(c.cause for c in near if c is not best)
+
+
+def _own(best: Candidate, significant: Sequence[Candidate], library: Library, ground: Ground) -> Candidate:
+    """Return a cause without the joints at which it is the shadow of another one, which explains more.
+
+    A shadow explains hardly a tenth of its own beside the other. What explains more than that is a thing of its own.
+    """
+    scatter = best.fits[0].inflation
+    alone = [fit for c in significant if c is not best for fit in c.tested]
+
+    def lost(fit: Fit) -> bool:
+        own = next(f for f in best.tested if f.effect.joints == fit.effect.joints)
+        least = merit_under([own], scatter) + OWN_MARGIN
+        same = (other for other in alone if set(other.effect.joints) == set(fit.effect.joints))
+        stronger = [library.columns(other.effect) for other in same if merit_under([other], scatter) > least]
+        beside = (weighed(own, library, ground.beside([columns])) for columns in stronger)
+        return any(left.T <= max(left.threshold, WEAK * own.T) for left in beside)
+
+    left = tuple(fit for fit in best.fits if not lost(fit))
+    return replace(best, fits=left or best.fits[:1])
