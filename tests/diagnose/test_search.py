@@ -49,6 +49,23 @@ def test_each_joint_goes_to_the_law_that_explains_it(make, seed):
     assert causes(found) == {("stribeck", "one"), ("quadratic_drag", "two")}
 
 
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_a_twin_on_one_of_two_joints_is_listed(make, seed):
+    """Stribeck friction on one joint, and on the other what drag explains as well: one cause takes both, and says so."""
+    rng = np.random.default_rng(seed)
+    peaks = Stribeck(("one",), ("N",), speed=0.08), Stribeck(("two",), ("N",), speed=0.12)
+    channel = make.bench(
+        rng,
+        lambda m: 20 * peaks[0].columns(m)[:, :, 0] + 10 * peaks[1].columns(m)[:, :, 0],
+        joints=("one", "two"),
+        n=6000,
+        causes=(Stribeck, QuadraticDrag),
+    )
+    (found,) = search(channel, np.random.default_rng(1), lambda step: None).found
+    assert causes([found]) == {("stribeck", "one"), ("stribeck", "two")}
+    assert found.rivals == ("quadratic_drag",)
+
+
 def test_an_artefact_is_passed_over_while_the_search_goes_on(make, rng):
     """What the sieve rejects does not stand beside the true cause, which would be found in what little it leaves."""
     channel = make.bench(rng, lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(Stribeck, QuadraticDrag))

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tau_dyn.diagnose import within
+from tau_dyn.diagnose.confirm import Confirmation
+from tau_dyn.diagnose.encoders import NoiseOnly
 from tau_dyn.diagnose.parts import GAIN
 from tau_dyn.diagnose.search import search
 from tau_dyn.diagnose.stages import confirmation, confirmed, supported
@@ -27,3 +30,22 @@ def test_the_last_part_has_a_veto(make, last: float, stands: bool):
     stood, bars = supported(channel, kept, rng)
     assert stood == (kept if stands else [])
     assert len(bars.gains) == len(stood)
+
+
+def test_without_held_out_logs_there_is_no_second_search(make, rng):
+    """Blocks that take turns have heard all that the logs can say: what is silent there stays as it is, and nothing is made."""
+    channel = make.bench(rng, causes=(QuadraticDrag,))
+    hunt = search(channel, rng, lambda step: None)
+    tests = within.Tests((Confirmation(0.1, 0.9, 0.4),), None)
+    assert tests.causes[0].silent
+    never = NoiseOnly(lambda: pytest.fail("noise was made for a search that cannot say anything"))
+    assert within.heard(channel, hunt, tests, 0.1, rng, never) is tests
+
+
+def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):
+    """The second search looks at the same noise-only logs, in its own blocks."""
+    channel, made = make.bench(rng), []
+    noise = NoiseOnly(lambda: made.append(1) or [channel])
+    inner = noise.within((np.full(len(channel.runs[0].t), -1),))
+    assert np.all(inner.channels[0].parts[0] == -1) and noise.channels == [channel]
+    assert len(made) == 1 and np.any(channel.parts[0] != -1)

@@ -32,10 +32,11 @@ def chosen(
     left = [pruned(c, library, ground) for c in significant]
     while left:
         strongest, twins = _strongest(left)
-        best = refined(_own(strongest, left, library, ground), library, ground)
+        own, more = _own(strongest, left, library, ground)
+        best = refined(own, library, ground)
         genuine = sift(ground, best, others, n) if sift else best
         if genuine is not None and _believable(genuine, library, ground):
-            return genuine, twins
+            return genuine, tuple(dict.fromkeys((*twins, *more)))
         left = [c for c in left if c.cause != strongest.cause]
     return None
 
@@ -58,21 +59,30 @@ def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, 
     return best, tuple(c.cause for c in near if c is not best)
 
 
-def _own(best: Candidate, significant: Sequence[Candidate], library: Library, ground: Ground) -> Candidate:
-    """Return a cause without the joints at which it is the shadow of another one, which explains more.
+def _own(
+    best: Candidate, significant: Sequence[Candidate], library: Library, ground: Ground
+) -> tuple[Candidate, tuple[str, ...]]:
+    """Return a cause without the joints at which it is the shadow of another one that explains more, and its twins elsewhere.
 
-    A shadow explains hardly a tenth of its own beside the other. What explains more than that is a thing of its own.
+    A shadow explains hardly a tenth of its own beside the other; what explains more than that is a thing of its own. Where
+    neither explains more than the other, by far, they are twins at this joint.
     """
     scatter = best.fits[0].inflation
-    alone = [fit for c in significant if c is not best for fit in c.tested]
-
-    def lost(fit: Fit) -> bool:
+    alone = [(c.cause, fit) for c in significant if c is not best for fit in c.tested]
+    kept, twins = [], []
+    for fit in best.fits:
         own = next(f for f in best.tested if f.effect.joints == fit.effect.joints)
-        least = merit_under([own], scatter) + OWN_MARGIN
-        same = (other for other in alone if set(other.effect.joints) == set(fit.effect.joints))
-        stronger = [library.columns(other.effect) for other in same if merit_under([other], scatter) > least]
-        beside = (weighed(own, library, ground.beside([columns])) for columns in stronger)
-        return any(left.T <= max(left.threshold, WEAK * own.T) for left in beside)
+        merit = merit_under([own], scatter)
+        same = [(cause, other) for cause, other in alone if set(other.effect.joints) == set(fit.effect.joints)]
+        near = [x for x in same if merit_under([x[1]], scatter) > merit - TWIN_MARGIN]
+        over = [(cause, other) for cause, other in near if _is_shadow(own, other, library, ground)]
+        if any(merit_under([other], scatter) > merit + OWN_MARGIN for _, other in over):
+            continue
+        kept.append(fit)
+        twins += [cause for cause, _ in over]
+    return replace(best, fits=tuple(kept) or best.fits[:1]), tuple(twins)
 
-    left = tuple(fit for fit in best.fits if not lost(fit))
-    return replace(best, fits=left or best.fits[:1])
+
+def _is_shadow(fit: Fit, other: Fit, library: Library, ground: Ground) -> bool:
+    left = weighed(fit, library, ground.beside([library.columns(other.effect)]))
+    return left.T <= max(left.threshold, WEAK * fit.T)
