@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from tau_dyn.diagnose import Diagnosis, diagnose
+from tau_dyn.diagnose.waves import shows_waves
 from tau_dyn.effects import friction_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -58,3 +61,13 @@ def test_an_encoder_error_that_only_positions_show_is_found():
 def test_a_true_motion_with_waves_is_no_error(kind):
     """The axis truly moves in waves, and its forces say so: with smoothed positions they would pass for an error."""
     assert [f.cause for f in answer(kind).findings if f.status == "confirmed"] == []
+
+
+def test_a_sharper_held_out_log_hides_no_wave(monkeypatch):
+    """Each piece is looked through above its own smoothed band; one whose band is as wide as the forces' is passed over."""
+    module, seen = importlib.import_module("tau_dyn.diagnose.force_diagnosis"), []
+    monkeypatch.setattr(module, "shows_waves", lambda *given: seen.append(given) or False)
+    diagnose(load_robot("linear_axis"), shown(1.0, "encoder"))
+    ((channel, (smooth,)),) = seen
+    twice = replace(channel, prepared=channel.prepared * 2, thinned=channel.thinned * 2)
+    assert shows_waves(twice, (smooth, 1e3)) and not shows_waves(twice, (1e3, 1e3))

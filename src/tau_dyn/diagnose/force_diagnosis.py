@@ -120,7 +120,7 @@ def gather(
     smooth_hz, clear_hz = smooth_cutoffs(model.robot, train, held), clear_cutoff(model.robot, train)
     case = _fitted(model, pieces, is_held, preparation, smooth_hz, clear_hz, how, progress)
     assert isinstance(case.channel, ForceChannel)
-    if shows_waves(case.channel, max(smooth_hz)):
+    if shows_waves(case.channel, smooth_hz):
         smooth_hz = (preparation.position_cutoff_hz,) * len(pieces)  # as they are
         case = _fitted(model, pieces, is_held, preparation, smooth_hz, clear_hz, how, progress)
     return case

@@ -8,6 +8,8 @@ from speeds and accelerations before anybody looks for it, and the force of a tr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tau_dyn.diagnose.force import ForceChannel
@@ -21,33 +23,36 @@ _CHANCE = 1e-6
 """Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
 
 
-def shows_waves(channel: ForceChannel, smooth_hz: float) -> bool:
+def shows_waves(channel: ForceChannel, smooth_hz: Sequence[float]) -> bool:
     """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
 
-    Where these lie hardly above it, what little is between is in the columns anyway.
+    Pieces in which these lie hardly above it are passed over: what little is between is in the columns anyway.
     """
     rng = np.random.default_rng(0)
-    room = _ROOM * smooth_hz < channel.preparation.force_cutoff_hz
-    return room and any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
+    return any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
 
 
-def _wave(channel: ForceChannel, joint: str, smooth_hz: float, rng: np.random.Generator) -> bool:
-    j, fastest = channel.scene.index(joint), 0.0
-    pieces = []
-    for piece, motion in zip(channel.prepared, channel.thinned, strict=True):
+def _wave(channel: ForceChannel, joint: str, smooth_hz: Sequence[float], rng: np.random.Generator) -> bool:
+    j, fastest, top = channel.scene.index(joint), 0.0, channel.preparation.force_cutoff_hz
+    pieces, lowest = [], top
+    for piece, motion, smooth in zip(channel.prepared, channel.thinned, smooth_hz, strict=True):
+        if _ROOM * smooth >= top:
+            continue
         read, rate = piece.log.joint("q", [joint])[:, 0], piece.log.rate_hz
         made = rng.standard_normal((len(read), _DRAWS))
         both = np.column_stack([read, made])
-        above = _between(both, smooth_hz, channel.preparation.force_cutoff_hz, rate)
+        above = _between(both, smooth, top, rate)
         size = np.std(above, axis=0)  # what is left of the motion counts as noise
         pieces.append((motion.q[:, j], motion.v[:, j], decimate(above / np.where(size > 0, size, 1.0), piece.factor)))
-        fastest = max(fastest, float(np.max(np.abs(motion.v[:, j]))))
+        fastest, lowest = max(fastest, float(np.max(np.abs(motion.v[:, j])))), min(lowest, smooth)
+    if not pieces:
+        return False
     q, v, u = (np.concatenate(x) for x in zip(*pieces, strict=True))
     periods = np.array([setting["period"] for setting in TransmissionError.grid(channel.scene, (joint,))])
-    periods = periods[fastest / periods > smooth_hz]
+    periods = periods[fastest / periods > lowest]
     if not periods.size:
         return False
-    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, channel.preparation.force_cutoff_hz, of_force(q))
+    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, top, of_force(q))
     return bool(len(periods) * len(channel.scene.joints) * np.exp(-0.5 * T[:, 0].max()) < _CHANCE)
 
 
