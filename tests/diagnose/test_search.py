@@ -10,7 +10,15 @@ import pytest
 
 from tau_dyn.diagnose.scenes import scene_along
 from tau_dyn.diagnose.search import search
-from tau_dyn.effects import CyclicRipple, Motion, PositionFriction, QuadraticDrag, Stribeck, TransmissionError
+from tau_dyn.effects import (
+    CyclicRipple,
+    Motion,
+    PositionFriction,
+    QuadraticDrag,
+    Stribeck,
+    TransmissionError,
+    ViscousAsymmetry,
+)
 
 
 @pytest.mark.parametrize("seed", [1, 6])
@@ -118,6 +126,25 @@ def test_a_law_of_twelve_terms_is_no_name_where_four_explain_as_much(make):
 
     channel = make.bench(rng, hidden, motions=(motion,), causes=(PositionFriction,))
     assert causes(search(channel, np.random.default_rng(1), lambda step: None).found) == set()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_law_that_explains_by_fits_and_starts_is_no_name(make, seed):
+    """Speed of another joint, which goes faster and slower with the own one: an asymmetry explains two thirds of it, unsteadily."""
+    rng = np.random.default_rng(seed)
+    m = make.moving(rng, ("one", "two"), 9000)
+    faster = 1 + 0.5 * np.sin(2 * np.pi * m.t / 23)
+    q, v, a = (np.array(getattr(m, key)) for key in "qva")
+    for x in (q, v, a):
+        x[:, 1] = faster * x[:, 0]
+    motion = Motion.of(m.joints, q, v, a, t=m.t)
+
+    def hidden(m):
+        return np.stack([30 * np.abs(m.v[:, 1]), 0 * m.t], axis=1)
+
+    channel = make.bench(rng, hidden, motions=(motion,), causes=(ViscousAsymmetry,))
+    found = search(channel, np.random.default_rng(1), lambda step: None).found
+    assert ("viscous_asymmetry", "one") not in causes(found)
 
 
 def test_friction_along_the_way_ends_where_the_training_ends(make):

@@ -34,6 +34,8 @@ MIMIC_MARGIN = 12.0
 MIMIC_RATIO = 1.5
 """And how many times more it must explain, unless it needs less freedom; a cause that is most of the truth keeps its name, and
 what is left gets none."""
+STEADIER_RATIO = 1.15
+"""The same where the cause explains by fits and starts, as a wrong law does, and the structure alike at all times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +209,10 @@ def _adequate(
 
 def _beaten(fit: Fit, structure: Structure) -> bool:
     own = merit_under([fit], 1.0)  # as a structure's: which explains more is no matter of either's scatter over time
-    explains_more = structure.merit > MIMIC_RATIO * fit.T or structure.dof < fit.dof
-    return structure.merit > own + MIMIC_MARGIN and explains_more
+    if structure.merit <= own + MIMIC_MARGIN:
+        return False
+    steadier = structure.merit > STEADIER_RATIO * fit.T and structure.T > MIMIC_RATIO * fit.T / fit.inflation
+    return structure.merit > MIMIC_RATIO * fit.T or structure.dof < fit.dof or steadier
 
 
 def _outshone(fit: Fit, library: Library, ground: Ground) -> bool:
