@@ -130,7 +130,7 @@ def test_a_law_of_twelve_terms_is_no_name_where_four_explain_as_much(make):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_law_that_explains_by_fits_and_starts_is_no_name(make, seed):
-    """Speed of another joint, which goes faster and slower with the own one: an asymmetry explains two thirds of it, unsteadily."""
+    """Speed of another joint, faster and slower than the own one in turn: an asymmetry explains two thirds of it, unsteadily."""
     rng = np.random.default_rng(seed)
     m = make.moving(rng, ("one", "two"), 9000)
     faster = 1 + 0.5 * np.sin(2 * np.pi * m.t / 23)
