@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tau_dyn.diagnose.fits import Fit
 from tau_dyn.diagnose.scenes import scene_along
 from tau_dyn.diagnose.search import search
 from tau_dyn.effects import (
@@ -145,6 +146,24 @@ def test_a_law_that_explains_by_fits_and_starts_is_no_name(make, seed):
     channel = make.bench(rng, hidden, motions=(motion,), causes=(ViscousAsymmetry,))
     found = search(channel, np.random.default_rng(1), lambda step: None).found
     assert ("viscous_asymmetry", "one") not in causes(found)
+
+
+def test_what_no_drive_has_is_passed_over(make, rng, monkeypatch):
+    """A law whose amplitudes could not be that cause is not found, however much it explains."""
+    channel = make.bench(rng, lambda m: 80 * m.v * np.abs(m.v), n=6000, causes=(QuadraticDrag,))
+    seen = []
+    monkeypatch.setattr(QuadraticDrag, "believable", lambda self, amplitudes: seen.append(amplitudes) or False)
+    assert search(channel, np.random.default_rng(1), lambda step: None).found == ()
+    assert seen[0] == pytest.approx([80], rel=0.2)
+
+
+@pytest.mark.parametrize(("other", "inflation", "outshone"), [(145, 1, False), (155, 1, True), (155, 2, False)])
+def test_a_look_alike_takes_a_name_only_by_far(monkeypatch, other, inflation, outshone):
+    """Explaining 12 more in twice the log-likelihood, of rows that scatter as they should, a law without a name is likelier."""
+    module = importlib.import_module("tau_dyn.diagnose.search")
+    fit = Fit(PositionFriction(("x",), ("N",)), 143.0, 1.0, 2, False, inflation, np.zeros(1))
+    monkeypatch.setattr(module, "weighed", lambda fit, library, ground: replace(fit, T=float(other)))
+    assert module._outshone(fit, None, None) is outshone
 
 
 def test_friction_along_the_way_ends_where_the_training_ends(make):

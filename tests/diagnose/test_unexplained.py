@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.dependence import Dependence, dependences
+from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.noise import WHOLE_TIME
 from tau_dyn.diagnose.parts import CONFIRM, GAIN
 from tau_dyn.diagnose.search import Search
@@ -104,3 +106,23 @@ def test_a_direction_of_motion_is_a_speed_that_it_depends_on():
     assert {d.turns for d in tried if d.names == ("q_y",)} == {"", "x", "y"}
     assert {d.turns for d in tried if len(d.names) == 2} == {"", "x"}
     assert not any(WHOLE_TIME in d.names for d in tried) and not any("t" in d.names for d in tried if len(d.names) == 2)
+
+
+def test_a_second_variable_and_another_joints_direction_cost_alike():
+    """One variable with the own direction is the simplest; what needs more has to explain more."""
+    simple = Dependence("x", ("q_y",)), Dependence("x", ("q_y",), "x")
+    more = Dependence("x", ("q_y",), "y"), Dependence("x", ("q_y", "v_x")), Dependence("x", ("q_y", "v_x"), "x")
+    assert [d.further for d in (*simple, *more)] == [0, 0, 1, 1, 1]
+
+
+def test_logs_follow_one_another_and_pieces_of_one_log_do_not():
+    """The time through all logs goes on in the second log; both pieces of the first begin with that log."""
+    logs = [SimpleNamespace(name=name, t=np.array(t)) for name, t in (("a", (0, 10)), ("a", (15, 40)), ("b", (0, 30)))]
+    channel = SimpleNamespace(prepared=[SimpleNamespace(log=log) for log in logs])
+    assert ForceChannel._begins(channel) == [0.0, 0.0, 40.0]
+    still = np.zeros((2, 1))
+    channel.thinned = [Motion.of(("x",), still, still, still, t=log.t.astype(float)) for log in logs]
+    channel._begins = lambda: [0.0, 0.0, 40.0]
+    assert [list(row[WHOLE_TIME]) for row in ForceChannel.variables(channel)] == [[0, 10], [15, 40], [40, 70]]
+    channel._begins = lambda: [0.0, 0.0, 0.0]
+    assert not any(WHOLE_TIME in row for row in ForceChannel.variables(channel))

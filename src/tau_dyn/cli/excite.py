@@ -49,7 +49,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--method", choices=("optimal", "random"), default="optimal",
         help="search for the best motion (default), or keep the best conditioned of random ones",
     )  # fmt: skip
-    design = parser.add_argument_group("design (--method optimal)")
+    _add_design(parser.add_argument_group("design (--method optimal)"))
+    _add_noise(parser.add_argument_group("noise, for the predicted standard errors"))
+    add_common(parser)
+
+
+def _add_design(design: argparse._ArgumentGroup) -> None:
     design.add_argument(
         "--criterion", choices=("worst", "d", "condition"), help="worst: the largest relative standard error (default); "
         "d: the volume of the confidence ellipsoid; condition: of the regressor"
@@ -80,7 +85,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     design.add_argument("--condition", metavar="C", type=positive, help="largest conditioning of the loops")
     design.add_argument("--time", metavar="S", type=positive, help="longest time for the search (default 90 s)")
-    noise = parser.add_argument_group("noise, for the predicted standard errors")
+
+
+def _add_noise(noise: argparse._ArgumentGroup) -> None:
     noise.add_argument("--force-noise", metavar="N", type=positive, nargs="+", help="standard deviation [N or N m]")
     noise.add_argument(
         "--encoder-noise", metavar="M", type=not_negative, nargs="+", help="standard deviation [m or rad]"
@@ -89,7 +96,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     noise.add_argument(
         "--rate", metavar="HZ", type=positive, default=1000.0, help="rate of the log to come (default 1000)"
     )
-    add_common(parser)
 
 
 def run(args: argparse.Namespace) -> Outcome:
