@@ -25,9 +25,10 @@ def test_the_last_part_has_a_veto(make, last: float, stands: bool):
 
     channel = make.bench(rng, hidden, n=8000, causes=(QuadraticDrag,))
     hunt = search(channel, rng, lambda step: None)
-    kept = confirmed(channel, hunt, [confirmation(channel, hunt, one) for one in hunt.found])
+    tests = [confirmation(channel, hunt, one) for one in hunt.found]
+    kept = confirmed(channel, hunt, tests)
     assert [one.candidate.cause for one in kept] == ["quadratic_drag"]
-    stood, bars = supported(channel, kept, rng)
+    stood, bars = supported(channel, hunt, tests, kept, rng)
     assert stood == (kept if stands else [])
     assert len(bars.gains) == len(stood)
 

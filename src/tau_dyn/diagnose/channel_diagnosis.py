@@ -60,7 +60,7 @@ def diagnose_channel(
     kept = confirmed(channel, hunt, tests.causes)
     unexplained = unexplained_of(channel, hunt, tests.structure)
     progress("measuring the gain")
-    kept, bars = supported(channel, kept, rng)
+    kept, bars = supported(channel, hunt, tests.causes, kept, rng)
     findings = findings_of(channel, hunt, tests.causes, kept, bars, rng)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     named = [f for f in findings if f.status == "confirmed"]

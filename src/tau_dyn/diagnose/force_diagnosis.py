@@ -168,7 +168,7 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     kept = confirmed(channel, hunt, tests.causes, physics=case.physics)
     progress("measuring the gain")
     nominal = case.nominal.parameters
-    kept, bars = supported(channel, kept, rng, nominal=nominal.values, physics=case.physics)
+    kept, bars = supported(channel, hunt, tests.causes, kept, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, tests.causes, kept, bars, rng)]
     findings += parameter_findings(case.nominal, nominal, estimated(after))

@@ -18,7 +18,7 @@ from tau_dyn.diagnose.extend import Judged, extended_regression, fitted, gain_of
 from tau_dyn.diagnose.findings import finding_of, signature_of
 from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.floor import noise_floor
-from tau_dyn.diagnose.parts import CONFIRM, EVERY, TRAIN
+from tau_dyn.diagnose.parts import CONFIRM, EVERY, GAIN, TRAIN
 from tau_dyn.diagnose.result import (
     Diagnosis,
     Finding,
@@ -124,25 +124,37 @@ def waterfall(
 
 def supported(
     channel: Channel,
+    hunt: Search,
+    tests: Sequence[Confirmation],
     kept: Sequence[Found],
     rng: np.random.Generator,
     *,
     nominal: np.ndarray | None = None,
     physics: Physics | None = None,
 ) -> tuple[list[Found], Bars]:
-    """Return the confirmed causes that the fit of everything tells from zero and that predict the last part better; their bars.
+    """Return the confirmed causes that the fit of everything tells from zero and that the last part bears out; their bars.
 
-    The last part has a veto and no vote: a cause that it does not bear out is suspected only, and of what stands nothing is
-    chosen by it.
+    The last part has a veto and no vote: a cause of which it shows nothing, or the opposite, is suspected only, and of what
+    stands nothing is chosen by it. White rows say so: raw force scatters by more than a weak cause takes off it.
     """
     kept = list(kept)
     while True:
         bars = waterfall(channel, kept, rng, nominal=nominal, physics=physics)
         told = told_from_zero(kept, bars.judgements[-1])
-        sure = [one for one, gain in zip(kept, bars.gains, strict=True) if one in told and gain.reduction_percent > 0]
+        sure = [one for one in told if _borne_out(channel, hunt, tests, kept, one)]
         if len(sure) == len(kept):
             return kept, bars
         kept = sure
+
+
+def _borne_out(
+    channel: Channel, hunt: Search, tests: Sequence[Confirmation], kept: Sequence[Found], one: Found
+) -> bool:
+    """Tell whether the last part shows some of a cause, beside the others kept; unless held-out logs cannot show it."""
+    test = next(test for other, test in zip(hunt.found, tests, strict=True) if other is one)
+    effects, others = one.candidate.effects, effects_of([other for other in kept if other is not one])
+    columns = (columns_of(hunt.library, x) for x in (effects, others))
+    return test.within or confirm(channel, hunt.noise, *columns, GAIN).share > 0
 
 
 def told_from_zero(kept: Sequence[Found], fit: Judged) -> list[Found]:

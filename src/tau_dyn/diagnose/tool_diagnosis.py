@@ -73,7 +73,7 @@ def diagnose_tool(
     told = {id(one) for one, open_to in zip(hunt.found, periods, strict=True) if len(open_to) < 2}
     kept = [one for one in confirmed(channel, hunt, tests) if id(one) in told]
     progress("measuring the gain")
-    kept, bars = supported(channel, kept, rng)
+    kept, bars = supported(channel, hunt, tests, kept, rng)
     said = findings_of(channel, hunt, tests, kept, bars, rng)
     findings = [
         _open(channel, one, finding, open_to) if len(open_to) > 1 else finding
