@@ -34,9 +34,9 @@ class Bench(Channel):
 
     motions: tuple[Motion, ...]
 
-    def columns(self, effect: Effect) -> list[np.ndarray]:
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return the effect's own columns."""
-        return [effect.columns(motion) for motion in self.motions]
+        return effect.columns(self.motions[run])
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return what `ForceChannel` would."""

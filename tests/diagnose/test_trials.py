@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from tau_dyn.diagnose.fits import Fit, judge
+from tau_dyn.diagnose.parts import CONFIRM, TRAIN
 from tau_dyn.diagnose.trials import DRAWS, Library, fit_group, groups, try_all
 from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
 
@@ -87,6 +88,21 @@ def test_the_best_setting_is_the_hidden_one(make, rng):
     assert fit.p_value < 1e-6
     grid = make.ManyBumps.grid(channel.scene, ("x",))
     assert fit.neighbours == (grid[10], grid[12])
+
+
+def test_held_out_logs_are_not_looked_at_while_causes_are_tried(make, rng, monkeypatch):
+    """Columns of the second log, which holds no training sample, are made for none of 40 places; asked for, they are there."""
+    motions = [make.moving(rng, ("x",), n) for n in (4000, 2000)]
+    channel = make.bench(rng, motions=motions, parts=lambda n: np.full(n, TRAIN if n == 4000 else CONFIRM))
+    plain, made = type(channel).run_columns, []
+    monkeypatch.setattr(
+        type(channel), "run_columns", lambda self, effect, run: made.append(run) or plain(self, effect, run)
+    )
+    ground, library = make.ground(channel), Library(channel)
+    fit = fit_group(library, ground, ground.draws(DRAWS, rng), make.ManyBumps, ("x",))
+    assert set(made) == {0} and len(made) == 40
+    assert [len(c) for c in library.columns(fit.effect)] == [4000, 2000]
+    assert made.count(1) == 1
 
 
 def test_scatter_that_the_noise_model_misses_inflates(make, rng):

@@ -33,6 +33,15 @@ def test_a_sine_comes_out_smaller_as_attenuation_says():
         assert_allclose(left, 1 / attenuation(np.array(frequency), 60.0), atol=0.02)
 
 
+def test_silence_does_not_fade_into_denormal_numbers():
+    """A minute of zeros after one kick: nothing below the smallest normal number is left, which takes long."""
+    kick = np.zeros(60_000)
+    kick[5] = 1.0
+    y = np.abs(lowpass(kick, 100.0, 1000.0))
+    assert not np.any((y > 0) & (y < np.finfo(float).tiny))
+    assert np.all(y[1000:] < 1e-25)
+
+
 def test_a_ramp_keeps_its_slope_at_both_ends():
     """Point-symmetric continuation keeps a straight line: 2 um of 8 m are left of the start-up at its far end."""
     assert_allclose(lowpass(3 + 2 * T, 20, RATE), 3 + 2 * T, atol=2e-6)

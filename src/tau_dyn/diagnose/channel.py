@@ -52,8 +52,12 @@ class Channel(ABC):
     causes: tuple[type[Effect], ...]
 
     @abstractmethod
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
+        """Return an effect's columns (n, m, k) of one run, filtered and masked as the measurements are."""
+
     def columns(self, effect: Effect) -> list[np.ndarray]:
-        """Return an effect's columns (n, m, k) of each run, filtered and masked as the measurements are."""
+        """Return an effect's columns (n, m, k) of each run."""
+        return [self.run_columns(effect, k) for k in range(len(self.runs))]
 
     def whole_columns(self, effect: Effect) -> list[np.ndarray]:
         """Return the columns without any sample left out, for drawing."""

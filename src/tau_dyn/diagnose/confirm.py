@@ -62,8 +62,8 @@ class Confirmation:
 def confirm(
     channel: Channel,
     noise: Sequence[Autoregression],
-    effect_columns: Sequence[list[np.ndarray]],
-    other_columns: Sequence[list[np.ndarray]],
+    effect_columns: Sequence[Sequence[np.ndarray]],
+    other_columns: Sequence[Sequence[np.ndarray]],
     part: int = CONFIRM,
 ) -> Confirmation:
     """Test one cause's columns (lists over runs of (n, m, k)) beside those of the other causes, on a part of the data."""
@@ -138,8 +138,8 @@ def _regress(
 def present(
     channel: Channel,
     noise: Sequence[Autoregression],
-    effect_columns: Sequence[list[np.ndarray]],
-    other_columns: Sequence[list[np.ndarray]],
+    effect_columns: Sequence[Sequence[np.ndarray]],
+    other_columns: Sequence[Sequence[np.ndarray]],
 ) -> Confirmation:
     """Test whether columns explain anything of the held-out part, with amplitudes of their own there."""
     ground = Ground.of(channel, (CONFIRM,), noise, other_columns)

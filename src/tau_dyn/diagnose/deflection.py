@@ -49,11 +49,11 @@ class DeflectionChannel(Channel):
     pieces: tuple[Piece, ...]
     preparation: Preparation
 
-    def columns(self, effect: Effect) -> list[np.ndarray]:
-        """Return an effect's columns (n, m, k) of each run; see `Channel.columns`."""
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
+        """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
         if not isinstance(effect, JointwiseDisplacement):
             raise InputError(f"effect {effect.name} does not come between two encoders of a joint")
-        return [piece.passed(effect.displacement(piece.motion)) for piece in self.pieces]
+        return self.pieces[run].passed(effect.displacement(self.pieces[run].motion))
 
     def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
         """Scan periods by Fourier transforms over the position; see `periodogram.py`."""

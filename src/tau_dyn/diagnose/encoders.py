@@ -129,7 +129,7 @@ class NoiseOnly:
 def noncentrality(
     blanks: Sequence[Ground],
     ground: Ground,
-    columns: Sequence[list[np.ndarray]],
+    columns: Sequence[Sequence[np.ndarray]],
     sided: np.ndarray,
     absorbed: float = ABSORBED,
 ) -> float:

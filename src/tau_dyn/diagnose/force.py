@@ -40,9 +40,10 @@ class ForceChannel(Channel):
     thinned: tuple[Motion, ...]
     preparation: Preparation
 
-    def columns(self, effect: Effect) -> list[np.ndarray]:
-        """Return an effect's columns (n, m, k) of each run; see `Channel.columns`."""
-        return [piece.columns(effect.columns(piece.motion)) for piece in self.prepared]
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
+        """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
+        piece = self.prepared[run]
+        return piece.columns(effect.columns(piece.motion))
 
     def whole_columns(self, effect: Effect) -> list[np.ndarray]:
         """Return the columns without any sample left out, for drawing."""

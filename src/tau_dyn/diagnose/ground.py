@@ -52,7 +52,7 @@ class Ground:
         channel: Channel,
         parts: Sequence[int],
         noise: Sequence[Autoregression],
-        extra: Sequence[list[np.ndarray]] = (),
+        extra: Sequence[Sequence[np.ndarray]] = (),
     ) -> Ground:
         """Project out the baseline's free columns and further columns (lists over runs of (n, m, k))."""
         whiten = Whitener.of(channel.runs, channel.masks(*parts), noise)
@@ -73,7 +73,7 @@ class Ground:
         """Number of white rows R."""
         return len(self.e)
 
-    def rows(self, columns: list[np.ndarray]) -> np.ndarray:
+    def rows(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Return white rows (R, k) of columns over the runs, scaled like the residual."""
         return self.whiten(columns) / self.scale
 
@@ -82,7 +82,7 @@ class Ground:
         noise = rng.standard_normal((self.n_rows, count))
         return noise - self.Q @ (self.Q.T @ noise)
 
-    def beside(self, extra: Sequence[list[np.ndarray]]) -> Ground:
+    def beside(self, extra: Sequence[Sequence[np.ndarray]]) -> Ground:
         """Return what is left with further columns (lists over runs of (n, m, k)) accounted for too."""
         more = orthonormal(self.left(np.concatenate([self.rows(c) for c in extra], axis=1)))
         return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))

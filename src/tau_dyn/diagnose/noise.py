@@ -23,7 +23,7 @@ _MAX_ORDER = 8
 
 
 def noise_models(
-    channel: Channel, parts: Sequence[int], extra: Sequence[list[np.ndarray]] = ()
+    channel: Channel, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
 ) -> tuple[Autoregression, ...]:
     """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
     masks = channel.masks(*parts)

@@ -153,8 +153,8 @@ def _borne_out(
     """Tell whether the last part shows some of a cause, beside the others kept; unless held-out logs cannot show it."""
     test = next(test for other, test in zip(hunt.found, tests, strict=True) if other is one)
     effects, others = one.candidate.effects, effects_of([other for other in kept if other is not one])
-    columns = (columns_of(hunt.library, x) for x in (effects, others))
-    return test.within or confirm(channel, hunt.noise, *columns, GAIN).share > 0
+    own, beside = (columns_of(hunt.library, x) for x in (effects, others))
+    return test.within or confirm(channel, hunt.noise, own, beside, GAIN).share > 0
 
 
 def told_from_zero(kept: Sequence[Found], fit: Judged) -> list[Found]:

@@ -50,11 +50,12 @@ class ToolChannel(Channel):
         """Whether some of the logs are poses held still."""
         return any(piece.cutoff_hz is None for piece in self.pieces)
 
-    def columns(self, effect: Effect) -> list[np.ndarray]:
-        """Return an effect's columns (n, 3, k) of each run; see `Channel.columns`."""
+    def run_columns(self, effect: Effect, run: int) -> np.ndarray:
+        """Return an effect's columns (n, 3, k) of one run; see `Channel.run_columns`."""
         if not isinstance(effect, DisplacementEffect):
             raise InputError(f"effect {effect.name} does not displace the tool")
-        return [piece.passed(effect.tool_columns(piece.motion, piece.jacobian)) for piece in self.pieces]
+        piece = self.pieces[run]
+        return piece.passed(effect.tool_columns(piece.motion, piece.jacobian))
 
     def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
         """Scan thousands of periods on decimated motion, each sample weakened as the low-pass weakens its local frequency."""

@@ -29,23 +29,41 @@ PRIOR_BLOCKS = 10.0
 """Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
 
 
+class Columns(Sequence[np.ndarray]):
+    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
+
+    def __init__(self, channel: Channel, effect: Effect) -> None:
+        """Make nothing yet."""
+        self._channel, self._effect = channel, effect
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self._channel.runs)
+
+    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
+        """Return the columns of one run."""
+        if run >= len(self):
+            raise IndexError(run)
+        if run not in self._made:
+            self._made[run] = self._channel.run_columns(self._effect, run)
+        return self._made[run]
+
+
 class Library:
     """Columns of effects on one channel, made once."""
 
     def __init__(self, channel: Channel) -> None:
         """Start empty."""
         self.channel = channel
-        self._made: dict[tuple, list[np.ndarray]] = {}
+        self._made: dict[tuple, Columns] = {}
 
-    def columns(self, effect: Effect) -> list[np.ndarray]:
-        """Return an effect's exact columns (n, m, k) of each run."""
-        key = key_of(effect)
-        if key not in self._made:
-            self._made[key] = self.channel.columns(effect)
-        return self._made[key]
+    def columns(self, effect: Effect) -> Columns:
+        """Return an effect's exact columns."""
+        return self._made.setdefault(key_of(effect), Columns(self.channel, effect))
 
 
-def columns_of(library: Library, effects: Sequence[Effect]) -> list[list[np.ndarray]]:
+def columns_of(library: Library, effects: Sequence[Effect]) -> list[Columns]:
     """Return the columns (n, m, k) of several effects."""
     return [library.columns(effect) for effect in effects]
 

@@ -13,6 +13,7 @@ simulator step, poses held still) there is no force.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -36,7 +37,9 @@ class DisplacementEffect(Effect):
         """Return force per unit parameter (N, na, p); none without a clock."""
         made = self.displacement(motion)
         speed = derivative(made, motion.t)
-        return of_load(motion, made, speed, derivative(speed, motion.t)) if speed.any() else speed
+        return (
+            of_load(motion, self._indices(motion), made, speed, derivative(speed, motion.t)) if speed.any() else speed
+        )
 
     def tool_columns(self, motion: Motion, tool_jacobian: np.ndarray) -> np.ndarray:
         """Return the tool's displacement per unit parameter (N, 3, p) [m], in base axes.
@@ -52,11 +55,18 @@ class DisplacementEffect(Effect):
         return out
 
 
-def of_load(motion: Motion, displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-    """Return the force (N, na, p) that a load's displacement, its speed and acceleration (N, na, p) take off the actuators."""
-    inertia, gradient = motion.signal("inertia"), motion.signal("weight_gradient")
-    force = -motion.signal("damping")[:, :, None] * speed
-    for k in np.flatnonzero(np.any(displacement, axis=(0, 2))):
+def of_load(
+    motion: Motion, joints: Sequence[int], displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
+    """Return the force (N, na, p) that loads' displacement, its speed and acceleration (N, na, p) take off the actuators.
+
+    Only the columns of `joints`, by their places among the actuated ones, are looked at.
+    """
+    inertia, gradient, damping = (motion.signal(name) for name in ("inertia", "weight_gradient", "damping"))
+    force = np.zeros(displacement.shape)
+    for k in joints:
+        force[:, k] -= damping[:, k, None] * speed[:, k]
+    for k in joints:
         force -= inertia[:, :, k, None] * acceleration[:, None, k] + gradient[:, :, k, None] * displacement[:, None, k]
     return force
 

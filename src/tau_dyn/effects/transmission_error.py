@@ -54,7 +54,7 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
             acceleration = slope * joint.a[:, None] - w**2 * d * joint.v[:, None] ** 2
             only = np.zeros((3, *motion.v.shape, n))
             only[:, :, index] = d, slope * joint.v[:, None], acceleration
-            out[:, :, n * place : n * (place + 1)] = of_load(motion, *only)
+            out[:, :, n * place : n * (place + 1)] = of_load(motion, [index], *only)
         return out
 
     def believable(self, amplitudes: np.ndarray) -> bool:

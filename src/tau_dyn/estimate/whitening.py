@@ -63,9 +63,10 @@ class Whitener:
         return len(self.index)
 
     def __call__(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return white rows (R, ...) of arrays over the runs (n, m, ...)."""
-        parts = [L @ arrays[k // self.n_outputs][:, k % self.n_outputs] for k, L in enumerate(self.rows)]
-        return np.concatenate(parts)
+        """Return white rows (R, ...) of arrays over the runs (n, m, ...); runs without any row are not looked at."""
+        m = self.n_outputs
+        parts = [L @ arrays[k // m][:, k % m] for k, L in enumerate(self.rows) if L.nnz]
+        return np.concatenate(parts) if parts else np.zeros((0, *np.shape(arrays[0])[2:]))
 
     def one(self, output: int, arrays: Sequence[np.ndarray]) -> np.ndarray:
         """Return the white rows of one output alone, of arrays over the runs (n, ...)."""

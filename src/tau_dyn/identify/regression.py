@@ -120,12 +120,11 @@ class Prepared:
         N, na, p = Y.shape
         out = np.zeros((na, p, -(-N // self.factor)))
         for k in range(na):
-            rows = Y[:, k].T
-            touching = np.flatnonzero(rows.any(axis=1))
+            rows = np.ascontiguousarray(Y[:, k].T)
+            touching = np.flatnonzero((rows.max(axis=1, initial=0) != 0) | (rows.min(axis=1, initial=0) != 0))
             if touching.size:
                 x = rows[touching]
-                x = self.gate[:, k] * x if gated else np.ascontiguousarray(x)
-                out[k, touching] = self.passed(x.T).T
+                out[k, touching] = self.passed((self.gate[:, k] * x if gated else x).T).T
         if gated:
             out /= self.weight.T[:, None]
         return out.transpose(2, 0, 1)
