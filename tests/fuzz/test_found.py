@@ -84,6 +84,7 @@ FOUND = {
     "aliases of 10^9 entries": ("surroundings", b"a: &a [x, x, x, x, x, x, x, x, x]\n" + b"".join(
         b"%c: &%c [%s]\n" % (98 + k, 98 + k, b", ".join([b"*%c" % (97 + k)] * 9)) for k in range(9))),
     "a map of thousands of equal keys": ("column_map", b"q_axis: a\n" * 4_000),
+    "limits of whole numbers that no float holds": ("surroundings", b"limits: {x: [-1%s, 1%s]}\n" % (b"0" * 400, b"0" * 400)),
     "a coordinate axis called nothing": ("surroundings", b"limits: {null: [0, 1]}\n"),
     "a part of a camera called nothing": ("camera", seeds.CAMERA + b"null: 1\n"),
     "inputs that are no list": ("state_space", seeds.STATE_SPACE.replace(b"inputs: [u]", b"inputs: true")),

@@ -194,7 +194,7 @@ class _Reader:
 def _is_number(value: Any, *, endless: bool = False) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return not np.isnan(value) if endless else bool(abs(value) < 1e9)
+    return abs(value) < 1e9 or (endless and (abs(value) < 1e300 or abs(value) == float("inf")))
 
 
 def _turn_z_to(direction: np.ndarray) -> np.ndarray:
