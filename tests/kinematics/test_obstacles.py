@@ -86,7 +86,8 @@ def test_file_is_read_safely(tmp_path: Path) -> None:
         read_surroundings(bad)
     good = tmp_path / "good.yaml"
     good.write_text(
-        "limits: {x: [-100000000000000000000, 2], z: [0.2, .inf]}\nobstacles:\n  - name: lamp\n    sphere: {centre: [1, 0, 2], radius: 0.1}\n"
+        "limits: {x: [-100000000000000000000, 2], z: [0.2, .inf]}\n"
+        "obstacles:\n  - name: lamp\n    sphere: {centre: [1, 0, 2], radius: 0.1}\n"
     )
     around = read_surroundings(good)
     assert around.lower[2] == 0.2 and around.upper[2] == np.inf and around.lower[0] == -1e20
