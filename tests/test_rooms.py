@@ -12,7 +12,7 @@ TABLE = re.findall(r"^\| `(\w+)(?:/|\.py)` \|", (ROOT / "docs" / "architecture.m
 ROOMS = sorted(
     p.name.removesuffix(".py") for p in SOURCE.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()
 )
-ASIDE = {"__init__", "version"}  # the face gathers names and computes nothing; the version is read by all
+ASIDE = {"__init__", "__main__", "version"}  # they gather names or call the command line; the version is read by all
 
 
 def imported(path: Path) -> set[str]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
+import sys
+
 import pytest
 
 from tau_dyn.cli import main
@@ -37,3 +40,11 @@ def test_a_slip_is_answered_in_words(tmp_path, monkeypatch, capsys, argv, says):
     assert not any(word in error for word in ("invalid", "argument -", "unrecognized", "_value"))
     assert f"see {' '.join(['tau-dyn', *[w for w in argv.split()[:1] if w != 'identfy']])} --help" in error
     assert not list(tmp_path.iterdir())
+
+
+def test_the_module_is_the_command_line(monkeypatch, capsys):
+    """`python -m tau_dyn` says what `tau-dyn` says, and ends as it ends."""
+    monkeypatch.setattr(sys, "argv", ["tau_dyn", "identfy"])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_module("tau_dyn", run_name="__main__")
+    assert "did you mean identify?" in capsys.readouterr().err

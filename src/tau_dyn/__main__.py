@@ -1,0 +1,7 @@
+"""`python -m tau_dyn`: the command line, also where its script is not on the path."""
+
+import sys
+
+from tau_dyn.cli import main
+
+sys.exit(main())
