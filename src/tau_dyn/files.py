@@ -116,27 +116,20 @@ class PlainLoader(yaml.SafeLoader):
             raise yaml.YAMLError(f"brackets stand more than {_DEEPEST} deep inside each other")
         super().fetch_flow_collection_start(TokenClass)
 
-    def number(self, node: Any) -> int | float:
-        """Read a number; one of thousands of digits takes long to read and cannot be printed.
-
-        A whole number beyond all floats is infinite, as one written with an exponent is: nobody has to expect one that is not.
-        """
-        if len(text := str(self.construct_scalar(node))) > _LONGEST_NUMBER:
-            raise yaml.YAMLError(f"a number of {len(text)} characters")
-        if node.tag.endswith(":float"):
-            return self.construct_yaml_float(node)
+    def whole_number(self, node: Any) -> int | float:
+        """Read a whole number; beyond all floats it is infinite, as one with an exponent is, for nobody expects others."""
         whole = int(self.construct_yaml_int(node))
         return whole if abs(whole) <= float_info.max else (inf if whole > 0 else -inf)
 
     def get_single_node(self) -> Any:
-        """Compose the document; refuse aliases that hold themselves or grow beyond bounds."""
+        """Compose the document; refuse aliases that hold themselves or grow beyond bounds, and endless numbers."""
         node = super().get_single_node()
         _written_out(node, {}, set())
         return node
 
 
-PlainLoader.add_constructor("tag:yaml.org,2002:int", PlainLoader.number)
-PlainLoader.add_constructor("tag:yaml.org,2002:float", PlainLoader.number)
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+PlainLoader.add_constructor(_NUMBERS[0], PlainLoader.whole_number)
 
 
 def _written_out(node: Any, known: dict[int, int], above: set[int]) -> int:
@@ -144,6 +137,10 @@ def _written_out(node: Any, known: dict[int, int], above: set[int]) -> int:
     if id(node) in above:
         raise yaml.YAMLError("an alias stands inside what it names")
     if id(node) not in known:
+        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and len(node.value) > _LONGEST_NUMBER:
+            raise yaml.YAMLError(
+                f"a number of {len(node.value)} characters"
+            )  # takes long to read and cannot be printed
         above.add(id(node))
         inside: Any = node.value if isinstance(node, yaml.SequenceNode) else ()
         if isinstance(node, yaml.MappingNode):
@@ -161,8 +158,22 @@ YAML_FAULTS = (yaml.YAMLError, ValueError, ArithmeticError, LookupError, TypeErr
 
 def read_yaml(path: str | Path) -> Any:
     """Read YAML with a safe loader; faults become sentences."""
+    with _yaml_of(path) as text:
+        return yaml.load(text, Loader=PlainLoader)  # noqa: S506
+
+
+def yaml_text(path: str | Path) -> str:
+    """Return the text of a YAML file that somebody else's loader may read: nothing in it takes long or grows without end."""
+    with _yaml_of(path) as text:
+        yaml.compose(text, Loader=PlainLoader)
+        return text
+
+
+@contextmanager
+def _yaml_of(path: str | Path) -> Iterator[str]:
+    """Give a YAML file's text; faults of it become sentences."""
     try:
-        return yaml.load(read_bytes(path, LARGEST_YAML).decode("utf-8"), Loader=PlainLoader)  # noqa: S506
+        yield read_bytes(path, LARGEST_YAML).decode("utf-8")
     except InputError:
         raise
     except FileNotFoundError as fault:

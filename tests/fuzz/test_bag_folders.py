@@ -11,6 +11,7 @@ import yaml
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from fuzz_parts import recordings
 
+from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, read_log
 
 pytest.importorskip("rosbags")
@@ -28,3 +29,13 @@ def test_a_bags_folder_may_be_called_as_a_file(tmp_path: Path, name: str, storag
     (tmp_path / name / "metadata.yaml").write_bytes(about)
     log = read_log(tmp_path / name, ColumnMap.from_dict(yaml.safe_load(recordings.MAP)))
     assert log.n_samples == recordings.N
+
+
+def test_a_folder_called_as_a_ros_1_bag_is_to_be_renamed(tmp_path: Path) -> None:
+    """The library below would open it as a file, and blame the folder's content."""
+    (tmp_path / "run.bag").mkdir()
+    recording, about = recordings.bags2("sqlite3")
+    (tmp_path / "run.bag" / "run.db3").write_bytes(recording)
+    (tmp_path / "run.bag" / "metadata.yaml").write_bytes(about)
+    with pytest.raises(InputError, match="does not end in .bag"):
+        read_log(tmp_path / "run.bag", ColumnMap.from_dict(yaml.safe_load(recordings.MAP)))

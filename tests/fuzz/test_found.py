@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import yaml
 from numpy.testing import assert_allclose
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
@@ -117,6 +118,10 @@ FOUND = {
         "calibrated_robot", re.sub(rb"(?s)frames:.*?noise:", b"frames: {device: [], tool: []}\nnoise:", CALIBRATED)),
     "points of a path that are text": ("path_points", seed_motions.way().replace(b"0.1,", b"~,")),
     "points of a path beyond the universe": ("path_points", seed_motions.way().replace(b"0.1,", b"1e308,")),
+    "a table of a xacro with 20000 open brackets": ("xacro_table", b"x: " + b"[" * 20_000),
+    "a table of a xacro with a sixty-based number": ("xacro_table", b"x: 1:" + b"1:" * 600 + b"1.5\n"),
+    "a bag's file of a name too long": (
+        "bag2_metadata", yaml.dump({"rosbag2_bagfile_information": {"relative_file_paths": ["x" * 300]}}).encode()),
     "elements 20000 deep": ("xacro", seeds.XACRO.replace("</robot>", "<a>" * 20_000 + "</a>" * 20_000 + "</robot>").encode()),
 }  # fmt: skip
 

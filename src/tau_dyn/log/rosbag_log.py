@@ -46,6 +46,10 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise InputError("reading ROS bags needs an extra: pip install 'tau_dyn[rosbag]'.") from None
+    if path.is_dir() and path.suffix == ".bag":  # by this name the library takes it for a ROS 1 file
+        raise InputError(
+            f"{path.name} is a ROS 2 folder called as a ROS 1 file; give it a name that does not end in .bag."
+        )
     with ExitStack() as stack:
         try:
             for file in files:
@@ -76,11 +80,18 @@ def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
             f"{path.name} is compressed as a whole, which is not read; 'ros2 bag convert' writes it plainly."
         )
     files = tuple(path / Path(n).name for n in names)
-    missing = next((f for f in files if not f.is_file()), None)
+    missing = next((f for f in files if not _there(f)), None)
     if missing is not None:
         raise InputError(f"{path.name} lacks {missing.name}, which its {METADATA} lists; give the whole folder.")
     _check_topics(path, about)
     return files, about.get("storage_identifier") == "mcap" or all(f.suffix.lower() == ".mcap" for f in files)
+
+
+def _there(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a NUL in it
+        return False
 
 
 def _check_topics(path: Path, about: Mapping[str, Any]) -> None:

@@ -9,8 +9,6 @@ neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
 from __future__ import annotations
 
 import io
-import os
-import stat
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr
@@ -25,7 +23,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.minidom import parseString
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.files import read_bytes
+from tau_dyn.files import read_bytes, yaml_text
 from tau_dyn.robot.expressions import checked_expressions
 from tau_dyn.robot.numbers import check_depth
 
@@ -156,7 +154,7 @@ def _prefix_hint(message: str) -> str:
 def _defused_xacro() -> Iterator[None]:
     """Let xacro, which parses included files and opens tables by itself, do so our way."""
     original, xacro.parse = xacro.parse, _parse
-    xacro.open = _open_file  # stands before the builtin
+    xacro.open = _open_table  # stands before the builtin
     try:
         yield
     finally:
@@ -164,9 +162,6 @@ def _defused_xacro() -> Iterator[None]:
         del xacro.open
 
 
-def _open_file(name: str, *more: Any) -> IO[Any]:
-    """Open a regular file; a pipe or a device would be waited for."""
-    about = os.stat(name)
-    if not stat.S_ISREG(about.st_mode) or about.st_size > LARGEST_ROBOT:
-        raise InputError(f"{name}: not a file, or larger than {LARGEST_ROBOT >> 20} MiB")
-    return open(name, *more)
+def _open_table(name: str) -> IO[str]:
+    """Open a table that a xacro loads, once it is known to hold nothing that takes long."""
+    return io.StringIO(yaml_text(name))
