@@ -21,6 +21,7 @@ from hidden_effects_parts.robots import DRAWS, Rig, draw_rig
 from hidden_effects_parts.slip_forms import SLIP_FORMS
 from hidden_effects_parts.strength import Ruler, base_columns
 from hidden_effects_parts.unknown_forms import UNKNOWN_FORMS
+from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, simulate
@@ -270,6 +271,11 @@ def _with_feedback(number: int, rng: np.random.Generator, seconds: float) -> Hid
         log_rate_hz=sensing.rate_hz,
         tool=False,
     )
-    motion = draw_motion(rig, seconds, rng)
-    log = simulate(rig.driven, motion, sensors=sensors, seed=int(rng.integers(2**31)), name="log1.csv")
-    return HiddenSet(number, "feedback", rig, sensing, (log,), (), (), (), (), nominal)
+    for _ in range(TRIES):
+        motion = draw_motion(rig, seconds, rng)
+        try:
+            log = simulate(rig.driven, motion, sensors=sensors, seed=int(rng.integers(2**31)), name="log1.csv")
+        except InputError:  # the motion asks for more force than the drives have
+            continue
+        return HiddenSet(number, "feedback", rig, sensing, (log,), (), (), (), (), nominal)
+    raise RuntimeError(f"no feedback set {number} after {TRIES} tries")

@@ -12,7 +12,7 @@ from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.dependence import Dependence, dependences
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.noise import WHOLE_TIME
-from tau_dyn.diagnose.parts import CONFIRM, GAIN
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
 from tau_dyn.diagnose.search import Search
 from tau_dyn.diagnose.trials import DRAWS, Library
 from tau_dyn.diagnose.unexplained import told_apart, unexplained_of
@@ -75,6 +75,50 @@ def test_the_last_part_has_a_veto_on_what_has_no_name(make, last, status):
 
     _, said, item = told(make, rng, make.moving(rng, JOINTS, 9000), hidden)
     assert said.test.holds and item.status == status
+
+
+def drifting(make, rng, motions, drift, parts):
+    """Return whether a drift is confirmed, and its status: a force by time and part, in logs divided as `parts` says."""
+
+    def hidden(m):
+        return np.repeat(drift(np.asarray(m.t), parts(len(m.t)))[:, None], 3, axis=1)
+
+    channel = make.bench(rng, hidden, motions=motions, parts=parts)
+    ground = make.ground(channel)
+    found = find_structure(channel, ground, ground.draws(DRAWS, rng), 0.05)
+    assert found is not None and found.variables == ("t",)
+    hunt = Search((), (make.noise,) * 3, ground, (), Library(channel), 1)
+    said = told_apart(channel, hunt, found)
+    return said.test.holds, unexplained_of(channel, hunt, said)[0].status
+
+
+@pytest.mark.parametrize(("elsewhere", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])
+def test_a_drift_is_the_same_wherever_one_log_is_looked_at(make, elsewhere, status):
+    """What rises over a log where it trains, and falls where it confirms, is no drift: slow noise, or a motion in sections."""
+    rng = np.random.default_rng(8)
+
+    def drift(t, part):
+        return np.where(part == CONFIRM, elsewhere, 1.0) * 3 * t / t[-1]
+
+    motions = (make.moving(rng, JOINTS, 9000),)
+    assert drifting(make, rng, motions, drift, make.turns) == (status == "confirmed", status)
+
+
+@pytest.mark.parametrize(("last", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])
+def test_another_log_drifts_its_own_way_in_all_its_parts(make, last, status):
+    """It may rise in one log and fall in the next; there, what confirms it and what measures the gain have to agree."""
+    rng = np.random.default_rng(9)
+    motions = (make.moving(rng, JOINTS, 9000), make.moving(rng, JOINTS, 9001))
+
+    def parts(n):
+        turns = make.turns(n)
+        return np.full(n, TRAIN) if n == 9000 else np.where(turns == TRAIN, -1, turns)
+
+    def drift(t, part):
+        rise = 3 * t / t[-1] if len(t) == 9000 else 3 - 6 * t / t[-1]
+        return np.where(part == GAIN, last, 1.0) * rise
+
+    assert drifting(make, rng, motions, drift, parts) == (True, status)
 
 
 def test_as_many_sets_as_are_tried_count_in_the_chance(make, monkeypatch):

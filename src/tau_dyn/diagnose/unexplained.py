@@ -9,7 +9,7 @@ from scipy import stats
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation, confirm, present
-from tau_dyn.diagnose.parts import GAIN
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.search import Search, effects_of
 from tau_dyn.diagnose.trials import columns_of
@@ -56,8 +56,14 @@ def structure_confirmation(channel: Channel, hunt: Search, structure: Structure)
     A drift in time is another one in another log; there it only has to be present, not to be the same.
     """
     others = columns_of(hunt.library, effects_of(hunt.found))
-    test = present if "t" in structure.variables else confirm
+    test = present if _drifts_anew(channel, structure) else confirm
     return test(channel, hunt.noise, [structure.columns], others)
+
+
+def _drifts_anew(channel: Channel, structure: Structure) -> bool:
+    """Tell whether a structure drifts in time, and the confirmation part lies in logs of its own."""
+    shared = any(np.any(part == TRAIN) and np.any(part == CONFIRM) for part in channel.parts)
+    return "t" in structure.variables and not shared
 
 
 def unexplained_of(channel: Channel, hunt: Search, told: Told | None) -> tuple[Unexplained, ...]:
@@ -72,8 +78,12 @@ def unexplained_of(channel: Channel, hunt: Search, told: Told | None) -> tuple[U
 
 
 def _borne_out(channel: Channel, hunt: Search, told: Told) -> bool:
-    """Tell whether the last part shows some of it too, as it has to of a cause; unless it could not be heard there."""
-    if "t" in told.structure.variables or told.test.within:
+    """Tell whether the last part shows some of it too, as it has to of a cause; unless it could not be heard there.
+
+    Of another log's drift, it has to show what the confirmation part of that log says.
+    """
+    if told.test.within:
         return True
     others = columns_of(hunt.library, effects_of(hunt.found))
-    return confirm(channel, hunt.noise, [told.structure.columns], others, GAIN).share > 0
+    known = CONFIRM if _drifts_anew(channel, told.structure) else TRAIN
+    return confirm(channel, hunt.noise, [told.structure.columns], others, GAIN, fitted_on=known).share > 0
