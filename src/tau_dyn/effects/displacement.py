@@ -63,12 +63,15 @@ def of_load(
     Only the columns of `joints`, by their places among the actuated ones, are looked at.
     """
     inertia, gradient, damping = (motion.signal(name) for name in ("inertia", "weight_gradient", "damping"))
-    force = np.zeros(displacement.shape)
+    N, na, p = displacement.shape
+    force = np.zeros((na, p, N))  # samples last: sums over them are long, and filters like it
     for k in joints:
-        force[:, k] -= damping[:, k, None] * speed[:, k]
+        force[k] -= damping[:, k] * speed[:, k].T
     for k in joints:
-        force -= inertia[:, :, k, None] * acceleration[:, None, k] + gradient[:, :, k, None] * displacement[:, None, k]
-    return force
+        made, moved = (np.ascontiguousarray(x[:, k].T) for x in (displacement, acceleration))
+        for i in range(na):
+            force[i] -= inertia[:, i, k] * moved + gradient[:, i, k] * made
+    return force.transpose(2, 0, 1)
 
 
 def derivative(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
