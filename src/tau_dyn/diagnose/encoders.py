@@ -67,9 +67,14 @@ def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, 
     """Return a log of nothing but fresh encoder noise, rounded as positions are, and what forces answer to it."""
     read = log.joint("q", joints)
     smooth = lowpass(read, smooth_hz, log.rate_hz)
-    q = smooth + encoder_noise(read) * rng.standard_normal(read.shape)
     step = quantisation_step(read)
-    noise = np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q) - smooth
+    before = np.sqrt(np.maximum(encoder_noise(read) ** 2 - step**2 / 12, 0))  # what rounding adds follows the place
+    q = smooth + before * rng.standard_normal(read.shape)
+    grid, phase = (
+        np.where(step > 0, step, 1.0),
+        rng.uniform(size=len(step)),
+    )  # on the logs' own grid a rest would be exact
+    noise = np.where(step > 0, (np.round(q / grid + phase) - phase) * grid, q) - smooth
     signals = {"q": noise, "tau": answered(feedback_taps(log, joints, signal_hz), noise)}
     return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
 
