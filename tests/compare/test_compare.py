@@ -135,6 +135,16 @@ def test_the_command_compares_models(tmp_path, capsys):
     assert "<b>a.yaml" not in page and "&lt;b&gt;a.yaml" in page
 
 
+def test_half_a_character_in_a_result_becomes_a_question_mark(tmp_path):
+    """JSON may hold one half of a pair, which no file can: found by fuzzing, where the page was not written."""
+    row = {"name": "m\ud800", "value": 1.0, "stderr": 0.1, "unit": "kg", "identifiable": True}
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"command": "identify", "status": "ok", "parameters": [row]}))
+    argv = ["compare", str(path), str(path), "--json", str(tmp_path / "r.json"), "--report", str(tmp_path / "r.html")]
+    assert main(argv) == 0
+    assert "m?" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [

@@ -122,6 +122,11 @@ FOUND = {
     "a table of a xacro with a sixty-based number": ("xacro_table", b"x: 1:" + b"1:" * 600 + b"1.5\n"),
     "a bag's file of a name too long": (
         "bag2_metadata", yaml.dump({"rosbag2_bagfile_information": {"relative_file_paths": ["x" * 300]}}).encode()),
+    "a cloud of giant whole numbers": ("cloud", b"x,y,z\n" + b"1%s,1,1\n" % (b"0" * 400) + b"0,0,0\n"),
+    "a workspace in a box without an end": ("view_computed", json.dumps(
+        {"command": "workspace", "status": "ok", "inputs": [], "warnings": [], "resolution_m": 1e-7,
+         "size": {"name": "area", "value": 1.0, "unit": "m2", "low": 0.9, "high": 1.1},
+         "bounding_box": {"lower": [-0.5, 0, 0], "upper": [0.5, 0, float("nan")]}}).encode()),
     "elements 20000 deep": ("xacro", seeds.XACRO.replace("</robot>", "<a>" * 20_000 + "</a>" * 20_000 + "</robot>").encode()),
 }  # fmt: skip
 

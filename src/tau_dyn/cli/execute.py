@@ -189,7 +189,7 @@ def _write(call: _Call, outcome: Outcome) -> None:
             inside = room is not None and folder is not None and folder.holds(path)
             temporary = room / path.name if inside and room else staged.enter_context(writing_whole(path))
             if isinstance(content, str):
-                temporary.write_text(content, encoding="utf-8")
+                temporary.write_text(content, encoding="utf-8", errors="replace")  # halves of characters, from JSON
             else:
                 content(temporary)
         if room is not None and folder is not None:

@@ -76,7 +76,10 @@ def read_cloud(path: Path) -> Cloud:
     if "inside" in table.columns and set(table["inside"].unique()) <= {0, 1}:
         table = table[table["inside"] == 1].drop(columns="inside")
     table = table.iloc[:: max(1, len(table) // _MOST_POINTS)]
-    points = table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    try:
+        points = table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    except OverflowError:
+        raise InputError(f"{path}: it holds whole numbers beyond all floats") from None
     good = np.isfinite(points).all(axis=1)
     further = [c for c in table.columns if c not in names and pd.api.types.is_numeric_dtype(table[c])]
     values = {str(c): table[c].to_numpy(float)[good] for c in further}
@@ -140,6 +143,8 @@ def _workspace(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
     unit = {"m3": "m³", "m2": "m²"}.get(str(size["unit"]), str(size["unit"]))
     note = f"{size['name']} {float(size['value']):.3g} {unit} ({low:.3g} to {high:.3g})"
     corners = np.array([box["lower"], box["upper"]], float)
+    if not np.all(np.isfinite(corners)):
+        raise InputError(f"{path}: its bounding_box must hold finite numbers")
     if content.get("cloud"):
         points = np.array(content["cloud"]["points"], float).reshape(-1, 3)
         values = {str(k): np.array(v, float) for k, v in content["cloud"].get("values", {}).items()}
