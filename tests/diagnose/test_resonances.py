@@ -94,6 +94,11 @@ def test_what_lies_above_the_encoders_band_says_which_data_would_tell(found) -> 
     assert with_band(first, 15.0) is first
     said = with_band(first, 9.0)
     assert "above the 9 Hz" in said.sentence and "accelerometer at the tool" in said.experiment
+    values = {p.name.removeprefix("axis."): p for p in said.parameters}
+    for end in ("", "_2"):
+        guessed = values[f"frequency{end}"].value > 9.0
+        assert all((values[key + end].stderr is None) == guessed for key in ("frequency", "damping"))
+    assert {values["frequency"].value > 9.0, values["frequency_2"].value > 9.0} == {True, False}
     assert with_band(replace(first, cause="delay"), 9.0).cause == "delay"
     vague = replace(first, parameters=(Parameter("axis.frequency", 20.0, "Hz", stderr=10.0),))
     assert with_band(vague, 9.0) is vague
