@@ -39,3 +39,13 @@ def test_a_folder_called_as_a_ros_1_bag_is_to_be_renamed(tmp_path: Path) -> None
     (tmp_path / "run.bag" / "metadata.yaml").write_bytes(about)
     with pytest.raises(InputError, match="does not end in .bag"):
         read_log(tmp_path / "run.bag", ColumnMap.from_dict(yaml.safe_load(recordings.MAP)))
+
+
+def test_what_nobody_reads_in_a_bags_metadata_may_be_anything(tmp_path: Path) -> None:
+    """A text for the list of files made the library fail when it closed the bag, with all messages read."""
+    recording, about = recordings.bags2("sqlite3")
+    content = yaml.safe_load(about)
+    content["rosbag2_bagfile_information"]["files"] = "4294967296"
+    (tmp_path / "run.db3").write_bytes(recording)
+    (tmp_path / "metadata.yaml").write_text(yaml.safe_dump(content))
+    assert read_log(tmp_path, ColumnMap.from_dict(yaml.safe_load(recordings.MAP))).n_samples == recordings.N

@@ -7,7 +7,7 @@ A `.bag` file is ROS 1; a folder with `metadata.yaml`, or one `.db3` file, is RO
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,9 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
                 if path.is_dir() or file.suffix != ".bag":
                     check_database(file)
             types = get_typestore(Stores.LATEST)
-            reader = stack.enter_context(AnyReader([path], default_typestore=types))
+            reader = AnyReader([path], default_typestore=types)
+            stack.callback(_close, reader)
+            reader.open()
             check_definitions(reader.typestore.fielddefs)
             _bound(path, reader)
             kinds = _kinds(reader)
@@ -85,6 +87,11 @@ def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
         raise InputError(f"{path.name} lacks {missing.name}, which its {METADATA} lists; give the whole folder.")
     _check_topics(path, about)
     return files, about.get("storage_identifier") == "mcap" or all(f.suffix.lower() == ".mcap" for f in files)
+
+
+def _close(reader: Any) -> None:
+    with suppress(Exception):  # damaged metadata may leave anything in it
+        reader.close()
 
 
 def _there(path: Path) -> bool:
