@@ -45,7 +45,7 @@ class Campaign:
 
 def hidden(kind: str, sets: int) -> str:
     """Return the command of a hidden-effect study."""
-    return f"hidden_effects.py --what {kind} --sets {sets} --seed 15 --jobs {{jobs}} --out {{out}}"
+    return f"hidden_effects.py --what {kind} --sets {sets} --seed 17 --jobs {{jobs}} --out {{out}}"
 
 
 CAMPAIGNS: dict[str, Campaign] = {
