@@ -70,10 +70,8 @@ def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, 
     step = quantisation_step(read)
     before = np.sqrt(np.maximum(encoder_noise(read) ** 2 - step**2 / 12, 0))  # what rounding adds follows the place
     q = smooth + before * rng.standard_normal(read.shape)
-    grid, phase = (
-        np.where(step > 0, step, 1.0),
-        rng.uniform(size=len(step)),
-    )  # on the logs' own grid a rest would be exact
+    grid = np.where(step > 0, step, 1.0)
+    phase = rng.uniform(size=len(step))  # on the logs' own grid a rest would be exact
     noise = np.where(step > 0, (np.round(q / grid + phase) - phase) * grid, q) - smooth
     signals = {"q": noise, "tau": answered(feedback_taps(log, joints, signal_hz), noise)}
     return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
