@@ -131,11 +131,11 @@ def sentence_of(effects: Sequence[Effect], parameters: Parameters, gain: Gain | 
         said.append(f"{where}: {effect.describe(parameters)}")
     text = "; ".join(said)
     if gain is not None:
-        text += f"; with it the model predicts held-out data {_better(gain.reduction_percent)}"
+        text += f"; with it the model predicts held-out data {better_words(gain.reduction_percent)}"
     return text[0].upper() + text[1:] + "."
 
 
-def _better(percent: float) -> str:
+def better_words(percent: float) -> str:
     """Return a gain in words; a weak cause may be sure by other frequencies than those that make up the raw error."""
     return f"{percent:.{0 if percent >= 1 else 1}f} % better" if percent >= 0.05 else "no better"
 
