@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tau_dyn.cli.ending import ASKED, machine_fault, unwinding
+from tau_dyn.cli.ending import ASKED, Ended, Interrupted, machine_fault, unwinding
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
@@ -56,6 +56,63 @@ def test_what_others_do_with_signals_stays_theirs() -> None:
         for number, handler in before.items():
             signal.signal(number, handler)
     assert {s: signal.getsignal(s) for s in before} == before
+
+
+SPOILS = """
+import os, signal
+class Wraps:
+    def __set_name__(self, owner, name):
+        os.kill(os.getpid(), signal.SIGTERM)
+class Owner:
+    part = Wraps()
+try:
+    os.kill(os.getpid(), signal.SIGTERM)
+except BaseException:
+    pass
+WHOLE = True
+"""
+
+
+def test_a_request_waits_for_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An import that would wrap the request in another error, or swallow it, ends first; then the request is heard."""
+    (tmp_path / "spoils_requests.py").write_text(SPOILS)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(Ended) as told, unwinding():
+        import spoils_requests  # pyright: ignore[reportMissingImports]
+
+        assert spoils_requests.WHOLE
+        time.sleep(10)
+    assert told.value.code == 143
+
+
+def test_a_request_comes_again_where_a_destructor_swallowed_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python can only report what a destructor raises; Ctrl-C at that moment still ends the command, and nothing is reported."""
+
+    class Swallows:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
+    gone = Swallows()
+    with pytest.raises(Interrupted), unwinding():
+        del gone
+        time.sleep(10)
+    assert sys.unraisablehook is sys.__unraisablehook__
+
+
+def test_an_interruption_in_executed_text_leaves_with_its_status(tmp_path: Path) -> None:
+    """Ctrl-C within an `exec` of text (a dataclass being made): `python -m` still leaves with the status, not by the signal."""
+    (tmp_path / "executes.py").write_text(
+        "import sys\n"
+        "from tau_dyn.cli.ending import unwinding\n"
+        "try:\n"
+        "    with unwinding():\n"
+        "        exec('import os; os.kill(os.getpid(), 2); import time; time.sleep(10)')\n"
+        "except KeyboardInterrupt:\n"
+        "    sys.exit(130)\n"
+    )
+    ended = subprocess.run([sys.executable, "-m", "executes"], cwd=tmp_path, timeout=60, preexec_fn=heeded, check=False)
+    assert ended.returncode == 130
 
 
 def test_what_a_machine_lacks_is_no_defect() -> None:

@@ -2,17 +2,24 @@
 
 SIGTERM and SIGHUP unwind like Ctrl-C, so that temporary files go away (a batch system's time limit sends SIGTERM). SIGKILL
 cannot be answered; what it leaves is removed by the next run that writes to the same place (`files.sweep`).
+
+An exception raised by a signal may be lost or changed on its way: an import wraps it (`__set_name__` in CPython 3.11) or prints
+it (extensions that load NumPy), a destructor swallows it. So a signal waits while something is imported, and comes again where it
+was swallowed.
 """
 
 from __future__ import annotations
 
 import errno
+import os
 import signal
+import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 ASKED = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -32,6 +39,17 @@ _MACHINE = {
 """What a machine may lack, and what helps; no defect of ours."""
 
 
+_AGAIN_S = 0.05
+"""After how long a signal is sent again that came at a bad time."""
+
+_PATIENCE_S = 30.0
+"""For how long a signal waits for imports, longer than any of ours takes."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C; where a `KeyboardInterrupt` itself left an `exec` of text, `python -m` ends by the signal, though it was caught."""
+
+
 class Ended(SystemExit):
     """A signal asked this process to end; its status is 128 and the signal's number, as shells count."""
 
@@ -41,21 +59,61 @@ class Ended(SystemExit):
         self.name = signal.Signals(number).name
 
 
-def _end(number: int, _frame: FrameType | None) -> NoReturn:
-    raise Ended(number)
+class _Listener:
+    """Turns signals into exceptions, where these can travel."""
+
+    def __init__(self) -> None:
+        """Nothing was heard yet."""
+        self._first: float | None = None
+        self._again: threading.Timer | None = None
+
+    def heard(self, number: int, frame: FrameType | None) -> None:
+        """Raise, or wait for an import to end."""
+        self._first = self._first or time.monotonic()
+        if _importing(frame) and time.monotonic() - self._first < _PATIENCE_S:
+            self._later(number)
+            return
+        self._first = None
+        raise Interrupted if number == signal.SIGINT else Ended(number)
+
+    def lost(self, what: Any) -> None:
+        """Send a signal again whose exception nobody could pass on; show any other as before (`sys.unraisablehook`)."""
+        if isinstance(what.exc_value, Interrupted):
+            self._later(signal.SIGINT)
+        elif isinstance(what.exc_value, Ended):
+            self._later(int(what.exc_value.code or 0) - 128)
+        else:
+            sys.__unraisablehook__(what)
+
+    def over(self) -> None:
+        """Send nothing any more."""
+        if self._again is not None:
+            self._again.cancel()
+
+    def _later(self, number: int) -> None:
+        self.over()
+        self._again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number))
+        self._again.daemon = True
+        self._again.start()
 
 
 @contextmanager
 def unwinding() -> Iterator[None]:
-    """Let a request to end unwind the block; what somebody else handles or ignores (nohup) stays theirs."""
-    mine = [s for s in ASKED if signal.getsignal(s) is signal.SIG_DFL] if _in_main_thread() else []
+    """Let Ctrl-C or a request to end unwind the block; what somebody else handles or ignores (nohup) stays theirs."""
+    usual = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ASKED, signal.SIG_DFL)}
+    mine = [number for number in usual if signal.getsignal(number) is usual[number]] if _in_main_thread() else []
+    listener, hook = _Listener(), sys.unraisablehook
     for number in mine:
-        signal.signal(number, _end)
+        signal.signal(number, listener.heard)
+    if hook is sys.__unraisablehook__:
+        sys.unraisablehook = listener.lost
     try:
         yield
     finally:
+        listener.over()
+        sys.unraisablehook = hook
         for number in mine:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, usual[number])
 
 
 def machine_fault(fault: OSError | MemoryError) -> str | None:
@@ -81,6 +139,14 @@ class QuietStart:
         """Return to Python's own answer to Ctrl-C."""
         if self._before is not None:
             signal.signal(signal.SIGINT, self._before)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _in_main_thread() -> bool:
