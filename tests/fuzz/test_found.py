@@ -114,6 +114,7 @@ FOUND = {
     "an effect of two thousand million terms": ("model", MODEL.replace(b"harmonics: 1\n", b"harmonics: 2147483648\n")),
     "a chain of 900 joints": ("urdf", chain(900)),
     "a cloud of 175000 columns of few names": ("cloud", b",".join([b"c1", b"c2"] * 87_500) + b"\n"),
+    "a cloud of 40000 columns below a quoted line end": ("cloud", b'"x\n",' + b",".join([b"c1", b"c2"] * 20_000) + b"\n1,2\n"),
     "a calibrated robot without frames": (
         "calibrated_robot", re.sub(rb"(?s)frames:.*?noise:", b"frames: {device: [], tool: []}\nnoise:", CALIBRATED)),
     "points of a path that are text": ("path_points", seed_motions.way().replace(b"0.1,", b"~,")),

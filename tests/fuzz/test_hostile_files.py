@@ -266,7 +266,7 @@ def test_no_reader_waits_at_a_pipe_or_reads_a_device_without_end(tmp_path: Path,
 def test_a_packed_cloud_is_not_inflated(tmp_path: Path) -> None:
     """By its name `.gz`, pandas opened it, and 0.5 MB became 300; clouds are read as they stand."""
     (tmp_path / "c.csv.gz").write_bytes(gzip.compress(b"x,y,z\n" + b"0,0,0\n" * 1000))
-    with pytest.raises(InputError, match="cannot be read as CSV"):
+    with pytest.raises(InputError, match="packed|gzip"):
         _readers()["cloud"](tmp_path / "c.csv.gz")
 
 

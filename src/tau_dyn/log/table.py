@@ -96,7 +96,7 @@ class Table:
         return Table(self.name, self.path, self.sha256, cells, self.places[:n], self.place, (*self.warnings, warning))
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, *, most: int | None = None) -> Table:
     """Read a CSV or Parquet file as a table of columns, without asking what they mean.
 
     A comma, a semicolon or a tab separates the cells; the header line decides which. `#` lines before the header are
@@ -104,13 +104,14 @@ def read_table(path: str | Path) -> Table:
 
     Args:
         path: The file; `.parquet` and `.pq` are read as Parquet, everything else as text.
+        most: Largest size [bytes]; None for any.
 
     Raises:
-        InputError: The file cannot be read, is empty, is not UTF-8, has no rows, names a column twice or has a row of
+        InputError: The file cannot be read, is larger, empty, not UTF-8, has no rows, names a column twice or has a row of
             another length.
     """
     path = Path(path)
-    data = _read_bytes(path)
+    data = _read_bytes(path, most)
     digest = hashlib.sha256(data).hexdigest()
     if path.suffix.lower() in PARQUET_SUFFIXES:
         cells = _parquet_columns(path.name, data)
@@ -122,9 +123,9 @@ def read_table(path: str | Path) -> Table:
     return Table(path.name, path, digest, cells, lines, warnings=warnings)
 
 
-def _read_bytes(path: Path) -> bytes:
+def _read_bytes(path: Path, most: int | None) -> bytes:
     try:
-        data = read_bytes(path)
+        data = read_bytes(path, most)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; give the path of a CSV or Parquet log.") from None
     except IsADirectoryError:

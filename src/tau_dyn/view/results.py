@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
+from tau_dyn.log.table import LARGEST, read_table
 from tau_dyn.robot import Robot
 from tau_dyn.view import recompute
 from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Finding, Findings, Uncertainty
@@ -21,8 +21,6 @@ _MOST_POINTS = 100_000
 _LARGEST = 64 * 1024 * 1024
 """Largest file that is read [bytes]."""
 _LARGEST_CLOUD = 2**30
-_MOST_COLUMNS = 1000
-"""Columns of a cloud; pandas takes minutes over a header of 100 000 equal names."""
 
 
 def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Content]:
@@ -51,48 +49,32 @@ def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Cont
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Return the points of a CSV with x y z or x_tool y_tool z_tool, coloured by its further numeric columns.
+    """Return the points of a table with x y z or x_tool y_tool z_tool, coloured by its further columns of numbers.
 
-    A column `inside` of 0 and 1, as `workspace --out` writes it, leaves out the points outside.
+    A column `inside` of 0 and 1, as `workspace --out` writes it, leaves out the points outside; so does an empty coordinate.
 
     Raises:
         InputError: The file is not such a table.
     """
-    import pandas as pd
-
-    try:
-        data = read_bytes(path, _LARGEST_CLOUD)
-        _check_columns(path, data)
-        table = pd.read_csv(BytesIO(data), comment="#")
-    except InputError:
-        raise
-    except (OSError, ValueError) as fault:
-        raise InputError(f"{path}: cannot be read as CSV") from fault
+    table = read_table(path, most=_LARGEST_CLOUD)
     sets = (("x_tool", "y_tool", "z_tool"), ("x", "y", "z"))
-    names = next((n for n in sets if set(n) <= set(table.columns)), None)
+    names = next((n for n in sets if set(n) <= set(table.cells)), None)
     if names is None:
-        there = ", ".join(map(str, table.columns))
+        there = ", ".join(table.cells)
         raise InputError(f"{path}: a cloud needs columns x y z or x_tool y_tool z_tool; there are {there}")
-    if "inside" in table.columns and set(table["inside"].unique()) <= {0, 1}:
-        table = table[table["inside"] == 1].drop(columns="inside")
-    table = table.iloc[:: max(1, len(table) // _MOST_POINTS)]
-    try:
-        points = table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
-    except OverflowError:
-        raise InputError(f"{path}: it holds whole numbers beyond all floats") from None
-    good = np.isfinite(points).all(axis=1)
-    further = [c for c in table.columns if c not in names and pd.api.types.is_numeric_dtype(table[c])]
-    values = {str(c): table[c].to_numpy(float)[good] for c in further}
-    quality = {k: v for k, v in values.items() if not k.startswith("q_")}
-    return Cloud(path.name, points[good], quality | {k: v for k, v in values.items() if k not in quality})
-
-
-def _check_columns(path: Path, data: bytes) -> None:
-    """Refuse a header of more names than a cloud has."""
-    lines = (line for line in BytesIO(data) if line.strip() and not line.lstrip().startswith(b"#"))
-    names = next(lines, b"").replace(b"\r", b"\n").partition(b"\n")[0].count(b",") + 1
-    if names > _MOST_COLUMNS:
-        raise InputError(f"{path}: its header names {names} columns; a cloud has {_MOST_COLUMNS} at most")
+    columns = {column: table.numbers_or_none(column) for column in table.cells}
+    numbers = {column: values for column, values in columns.items() if values is not None}
+    for name in names:
+        if name not in numbers or np.any(np.abs(numbers[name]) >= LARGEST):
+            table.numbers(name)  # says where the text or the giant stands
+    shown = np.arange(len(table.places))
+    if "inside" in numbers and set(numbers["inside"]) <= {0, 1}:
+        shown = np.flatnonzero(numbers.pop("inside"))
+    shown = shown[:: max(1, len(shown) // _MOST_POINTS)]
+    shown = shown[np.isfinite([numbers[name][shown] for name in names]).all(axis=0)]
+    points = np.column_stack([numbers.pop(name)[shown] for name in names])
+    coloured = sorted(numbers, key=lambda column: column.startswith("q_"))  # what is asked for first, then the pose
+    return Cloud(path.name, points, {column: numbers[column][shown] for column in coloured})
 
 
 def _content(path: Path) -> dict[str, Any]:
