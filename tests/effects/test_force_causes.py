@@ -65,9 +65,9 @@ def test_stribeck_peak_of_the_second_power_is_flat_on_top_and_sooner_gone() -> N
 def test_position_friction_is_a_parabola_over_the_range() -> None:
     """P1 = x and P2 = (3 x^2 - 1) / 2 on 0.1 .. 0.5 m; beyond the end the friction stays as at the end."""
     effect = cause("position_friction", middle=0.3, half=0.2, degree=2)
-    motion = line(q=[0.1, 0.3, 0.4, 0.5, 0.9], v=[1, 1, -1, 1, 1])
+    motion = line(q=[-0.3, 0.1, 0.3, 0.4, 0.5, 0.9], v=[1, 1, 1, -1, 1, 1])
     found = force(effect, motion, position_friction_1=10, position_friction_2=4)
-    assert_allclose(found, [-10 + 4, -2, -(5 - 0.5), 10 + 4, 10 + 4])
+    assert_allclose(found, [-10 + 4, -10 + 4, -2, -(5 - 0.5), 10 + 4, 10 + 4])
     middle = [s["middle"] for s in EFFECTS["position_friction"].grid(scene(0.1, 0.5), ("x",))]
     assert_allclose(middle, 0.3)
 

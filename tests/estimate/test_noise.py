@@ -130,6 +130,18 @@ def test_blocks_see_noise_that_no_autoregression_has(rng):
     assert_allclose(e.stderr[0] ** 2, e.scatter[0, 0])
 
 
+def test_blocks_that_no_output_uses_do_not_count(rng):
+    """B blocks scatter by their scores' squares times `B / (B - 1)`; a block of unused samples is none of them."""
+    n, per = 240, 40  # 20 Hz: 2 s a block
+    columns = np.stack([np.ones((n, 1)), np.tile([[1.0], [-1.0]], (n // 2, 1))], axis=2)
+    usable = np.ones((n, 1), bool)
+    usable[per : 2 * per] = False
+    e = solve_least_squares(problem(rng, rng.normal(size=(n, 1)), usable, columns))
+    used, left = usable.sum(), np.where(usable, e.residuals()[0], 0.0)
+    scores = (left * columns[:, 0]).reshape(n // per, per, 2).sum(axis=1)  # columns are orthogonal: `used` times unity
+    assert_allclose(e.scatter, scores.T @ scores * 5 / 4 / used**2, rtol=1e-9)
+
+
 def test_a_sum_is_as_certain_as_the_data_make_it(rng):
     """Two columns that are nearly the same: each coefficient is vague, their sum is not, by whatever covariance.
 

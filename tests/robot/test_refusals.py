@@ -64,9 +64,18 @@ def test_entities_are_refused(refused) -> None:
     assert "may not declare a document type" in refused(BOMB)
 
 
-def test_entities_are_refused_in_an_included_file_too(refused, tmp_path: Path) -> None:
+def test_a_robot_takes_no_parameters_of_another(write) -> None:
+    """Values are put in by name; another robot's are refused, its own go in."""
+    one, other = robot_from_urdf(write.pendulum(), "one"), robot_from_urdf(write.two_link(), "other")
+    assert one.with_parameters(one.parameters).parameters.names == one.parameters.names
+    with pytest.raises(UnknownName, match="parameter"):
+        one.with_parameters(other.parameters)
+
+
+@pytest.mark.parametrize("inner", [BOMB, '<!DOCTYPE robot><robot name="r"/>'])
+def test_entities_are_refused_in_an_included_file_too(refused, tmp_path: Path, inner: str) -> None:
     """What xacro includes it parses by itself, but our way, and the message names that file."""
-    (tmp_path / "inner.xacro").write_text(BOMB)
+    (tmp_path / "inner.xacro").write_text(inner)
     sentence = refused(XACRO.format('<xacro:include filename="inner.xacro"/>'))
     assert "inner.xacro" in sentence and "document type" in sentence
 

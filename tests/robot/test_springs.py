@@ -32,6 +32,7 @@ def test_a_spring_can_be_left_free(write: SimpleNamespace) -> None:
     sprung = on_the_elbow(write, '<tau_dyn:spring joint="elbow" stiffness="50"/>')
     free = robot_from_urdf(sprung, "arm", actuated=["shoulder", "elbow"], lock_springs=False)
     assert free.actuated == ("shoulder", "elbow") and free.model.nv == 2
+    assert free.springs == (Spring("elbow", 50.0, 0.0),)  # without a word on damping there is none
     assert robot_from_urdf(write.two_link(), "arm").model.nv == 2
 
 
