@@ -45,9 +45,15 @@ class Descent:
         self.free = np.flatnonzero(self.unknowns.free)
         self.scales = self.unknowns.scales[self.free]
         n = self.unknowns.n_geometry
-        frame = (self.free >= n) & (self.free < n + self.unknowns.n_device + self.unknowns.n_tool)
+        tool = n + self.unknowns.n_device
+        frame = (self.free >= n) & (self.free < tool + self.unknowns.n_tool)
         self.trust = np.where(frame, 1 / _FREE_FRAMES, 1.0)  # of the prior, in units of 1 / scale
-        self.frame = frame
+        self.homeless = frame  # what has no nominal value, or none that counts
+        self._housed = ~frame | (self.free >= tool) & (
+            (self.free - tool) % 6 < 3
+        )  # the target sits where the file's tool is
+        self.nominal = np.array([p.value for p in self.unknowns.rows])
+        self.nominal[n : tool + self.unknowns.n_tool] = 0.0
         self.steps = 0
 
     def settle(self, state: State) -> tuple[State, tuple[float, ...], bool]:
@@ -72,19 +78,24 @@ class Descent:
         return find_identifiable(flat, names, self.scales, self.unknowns.priority[self.free])
 
     def nominal_where_blind(self, state: State, noise: tuple[float, ...], found: Identifiability) -> State:
-        """Return the state with parameters that cannot be told at their nominal values, the others making up for it."""
+        """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
+
+        The target's place among them: left adrift along what nobody sees, it would take dimensions with it.
+        """
         if not len(found.dropped):
             return state
-        own = found.dropped[~self.frame[found.dropped]]
+        own = found.dropped[self._housed[found.dropped]]
+        trust, homeless = self.trust.copy(), self.homeless.copy()
+        self.homeless[own] = False
         if not np.any(self._deviation(state)[own]):
+            self.homeless = homeless
             return state
-        trust = self.trust.copy()
         self.trust[own] = _CERTAIN
         everything = np.arange(len(self.free))
         state = self._full_steps(state, noise)
         state, _ = self.descend(state, noise, everything, 2 * _STEPS)
-        state = self._exactly_nominal(state, found.dropped)
-        self.trust = trust
+        state = self._exactly_nominal(state, own)
+        self.trust, self.homeless = trust, homeless
         return state
 
     def _full_steps(self, state: State, noise: tuple[float, ...]) -> State:
@@ -170,18 +181,24 @@ class Descent:
 
     def _deviation(self, state: State) -> np.ndarray:
         """Return how far free unknowns are from nominal (f,); frames count as at home, wherever they are."""
-        values = np.concatenate([state.theta, np.zeros(self.unknowns.n_device + self.unknowns.n_tool), state.slack])
-        nominal = np.array([p.value for p in self.unknowns.rows])
-        return np.where(self.frame, 0.0, (values - nominal)[self.free])
+        frames = [p.value for p in state.frames.parameters()]
+        values = np.concatenate([state.theta, frames, state.slack])
+        return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
 
     def _prior(self, state: State) -> np.ndarray:
         return self._deviation(state) / self.scales * self.trust
 
-    def _exactly_nominal(self, state: State, dropped: np.ndarray) -> State:
-        theta, own = state.theta.copy(), self.free[dropped]
+    def _exactly_nominal(self, state: State, own: np.ndarray) -> State:
+        """Return the state with these free unknowns at their nominal values, to the last bit or to rounding (the target)."""
+        step = np.zeros(len(self.unknowns.rows))
+        step[self.free[own]] = -self._deviation(state)[own]
+        _, device, tool, _ = self.unknowns.split(step)
+        theta, own = state.theta.copy(), self.free[own]
         own = own[own < self.unknowns.n_geometry]
-        theta[own] = self.problem.geometry.parameters.values[own]
-        return self.problem.place(theta, state.frames, state.slack, state.base if state.ok.all() else None)
+        theta[own] = self.nominal[own]
+        return self.problem.place(
+            theta, state.frames.moved(device, tool), state.slack, state.base if state.ok.all() else None
+        )
 
     def _first_noise(self, state: State) -> tuple[float, ...]:
         if self.given is not None:
