@@ -96,6 +96,14 @@ def test_a_held_out_recording_is_judged_in_blocks(tmp_path, made, large) -> None
     assert found.holdout_how == whole.holdout_how
 
 
+def test_a_jump_in_any_block_is_refused(tmp_path, made, large) -> None:
+    """One encoder is set anew late in the recording; the sentence is that of the log in memory."""
+    robot, log = made
+    q = log.channels["q_cart1"] + np.where(np.arange(log.n_samples) > 0.9 * log.n_samples, 0.05, 0.0)
+    with pytest.raises(InputError, match=r"q_cart1 jumps 1 time, first by 0.04\d+ m"):
+        identify(robot, open_log(stored(tmp_path, log.with_channels(q_cart1=q))))
+
+
 def test_what_blocks_cannot_do_is_said(tmp_path, made, large) -> None:
     """A missing joint, an estimator that needs all rows, an effect with a long memory: each one sentence."""
     robot, log = made

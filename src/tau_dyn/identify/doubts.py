@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.estimate import DETERMINED, Estimate
+from tau_dyn.identify.errors import ForceErrors
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
 
@@ -23,6 +24,21 @@ def doubts(estimate: Estimate) -> list[str]:
         *_undetermined(estimate),
         *_conditioning(estimate),
     ]
+
+
+def unjudged(train: ForceErrors, holdout: ForceErrors | None) -> list[str]:
+    """Return a sentence where the masks leave nothing of a joint, so that its errors of zero say nothing."""
+    why = "all are next to rests, reversals, gaps or forces at the drive's limit"
+    found = []
+    if train.unjudged:
+        found.append(
+            f"no sample of {', '.join(train.unjudged)} can be fitted ({why}); what is said of it comes from the others"
+        )
+    if holdout is not None and (rest := [joint for joint in holdout.unjudged if joint not in train.unjudged]):
+        found.append(
+            f"no held-out sample of {', '.join(rest)} can be used ({why}); its held-out error is unknown, not zero"
+        )
+    return found
 
 
 def unlike_the_file(estimate: Estimate, nominal: Parameters) -> list[str]:

@@ -20,6 +20,7 @@ class ForceErrors:
         relative_error_percent: `100 norm(residual) / norm(tau)` over the used samples of all joints.
         per_joint_percent: The same for each joint (na,).
         all_samples: The same three numbers without masks; None inside itself.
+        unjudged: Joints of which the masks leave no sample; their zeros say nothing.
         used_share: Share of the samples that the masks leave.
     """
 
@@ -29,6 +30,7 @@ class ForceErrors:
     per_joint_percent: np.ndarray
     used_share: float
     all_samples: ForceErrors | None
+    unjudged: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
@@ -59,6 +61,7 @@ def _errors(
         np.array([_percent(s, p) for s, p in zip(squares, power, strict=True)]),
         share,
         whole,
+        tuple(joint for joint, n in zip(joints, totals.count, strict=True) if not n),
     )
 
 

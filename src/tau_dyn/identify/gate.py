@@ -15,7 +15,12 @@ from tau_dyn.effects import Effect, Motion
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.log import Log
+from tau_dyn.log.jumps import jump_finding
 from tau_dyn.model import COMPUTED, Model
+from tau_dyn.robot import Robot
+
+AT_LIMIT = 0.999
+"""Share of a drive's limit from which a force counts as saturated."""
 
 
 def gate_of(log: Log, motion: Motion, model: Model, preparation: Preparation, rate: float) -> np.ndarray:
@@ -53,9 +58,24 @@ def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:
 
 def excluded(log: Log, joints: tuple[str, ...], effort_limit: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
     """Return saturated samples and those a column flags with anything but zero (N, na)."""
-    bad = np.abs(log.joint("tau", joints)) >= 0.999 * effort_limit
+    bad = np.abs(log.joint("tau", joints)) >= AT_LIMIT * effort_limit
     for column in columns:
         if column not in log.channels:
             raise InputError(f"{log.name} has no column {column} to exclude samples by")
         bad |= (log.channels[column] != 0)[:, None]
     return bad
+
+
+def refuse_jumps(log: Log, robot: Robot, columns: tuple[str, ...]) -> None:
+    """Refuse positions that no joint can follow, as filters would make motion of them; samples that a column flags may jump.
+
+    Raises:
+        InputError: A joint's position jumps.
+    """
+    left_out = np.zeros(log.n_samples, bool)
+    for column in columns:
+        left_out |= log.channels.get(column, left_out) != 0
+    for joint, kind, fastest in zip(robot.actuated, robot.joint_kinds, robot.velocity_limit, strict=True):
+        found = jump_finding(log, joint, revolute=kind != "prismatic", fastest=float(fastest), left_out=left_out)
+        if found is not None:
+            raise InputError(f"{found.sentence} {found.remedy}")

@@ -20,7 +20,7 @@ from tau_dyn.estimate import DETERMINED, BaseParameters, Estimate, Regression, s
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices
 from tau_dyn.identify.data import Data
-from tau_dyn.identify.doubts import doubts, equivalences, turned_signs, unlike_the_file
+from tau_dyn.identify.doubts import doubts, equivalences, turned_signs, unjudged, unlike_the_file
 from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.estimators import Estimator
 from tau_dyn.identify.logs import each_once, listed, without_trained
@@ -137,12 +137,14 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     else:
         held = _judge_last_part(data, training, solve, bool(ask.holdout), warnings)
     _refuse_if_nothing_determined(estimate)
+    train = force_errors(training, estimate.theta)
+    warnings += unjudged(train, held.errors)
     return Identification(
         model=replace(
             model.with_parameters(estimate.parameters), provenance=_provenance(data.logs, held_out.logs, ask.seed)
         ),
         estimate=estimate,
-        train=force_errors(training, estimate.theta),
+        train=train,
         holdout=held.errors,
         holdout_how=held.how,
         held=held.regression,

@@ -6,11 +6,20 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from tau_dyn.exceptions import InputError
+from tau_dyn.identify.gate import AT_LIMIT
+from tau_dyn.identify.preparation import FEWEST
 from tau_dyn.log import Log, Recording, unit_warnings
+from tau_dyn.log.check_motion import moving_mask
+from tau_dyn.log.check_signals import check_signals
 from tau_dyn.robot import Robot
 
 Kind = TypeVar("Kind", bound=Log | Recording)
+
+_CHANNEL_FAULTS = ("frozen", "clipping", "held")
+"""What a fit does not notice by itself."""
 
 _MOST = 4  # warnings about one log before they are counted instead of listed
 
@@ -40,9 +49,26 @@ def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
     found: list[str] = []
     for name in dict.fromkeys(log.name for log in logs):
         pieces = [log for log in logs if log.name == name]
-        said = list(dict.fromkeys(w for log in pieces for w in (*log.warnings, *unit_warnings(log, robot))))
+        of_logs = (w for log in pieces for w in (*log.warnings, *unit_warnings(log, robot)))
+        longest = max(pieces, key=lambda log: log.n_samples)
+        said = list(dict.fromkeys([*of_logs, *_channel_warnings(robot, longest)]))
         found += said if len(said) <= _MOST else [*said[:2], f"{name}: {len(said) - 2} more warnings like these"]
     return found
+
+
+def _channel_warnings(robot: Robot, log: Log) -> list[str]:
+    """Return what is wrong with the channels of a log, of those that the fit uses; forces at the drives' limits are gated out."""
+    if log.n_samples < FEWEST:
+        return []
+    columns = {f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.actuated}
+    limits = dict(zip((f"tau_{joint}" for joint in robot.actuated), robot.effort_limit, strict=True))
+    used = {
+        c: x for c, x in log.channels.items() if c in columns and np.abs(x).max() < AT_LIMIT * limits.get(c, np.inf)
+    }
+    channels = Log(log.t, used, log.name)
+    moving = {joint: moving_mask(channels, joint) for joint in channels.joints("q")}
+    found = check_signals(channels, moving)[0]
+    return [finding.sentence for finding in found if finding.topic in _CHANNEL_FAULTS and finding.severity != "ok"]
 
 
 def without_trained(train: Sequence[Log | Recording], held: Sequence[Kind], warnings: list[str]) -> list[Kind]:

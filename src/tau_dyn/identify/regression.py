@@ -22,7 +22,7 @@ from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion
 from tau_dyn.effects.effect import naming
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import excluded, gate_of
+from tau_dyn.identify.gate import excluded, gate_of, refuse_jumps
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.signals import measured_signals, refuse_missing_campaign, refuse_missing_temperature
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, segments
@@ -196,6 +196,7 @@ def prepare(
     """
     joints, rate = model.robot.actuated, rate_hz or log.rate_hz
     dt = 1 / rate
+    refuse_jumps(log, model.robot, preparation.exclude)
     q = lowpass(log.joint("q", joints), preparation.position_cutoff_hz, rate)
     force = log.joint("tau", joints)
     if smooth_hz is None:

@@ -11,6 +11,7 @@ from tau_dyn.log.check_clock import check_clock
 from tau_dyn.log.check_motion import check_motion, moving_mask
 from tau_dyn.log.check_signals import check_signals
 from tau_dyn.log.findings import Finding, LogCheck, Severity
+from tau_dyn.log.jumps import jump_finding
 from tau_dyn.log.log import Log
 from tau_dyn.log.names import listed
 from tau_dyn.log.resample import ensure_even, segments
@@ -39,6 +40,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     raw = max(parts, key=lambda p: p.n_samples)
     part = ensure_even(raw)
     moving = {joint: moving_mask(part, joint) for joint in log.joints("q")} if part.n_samples == raw.n_samples else {}
+    findings += _jumps(raw, robot)
     for more, figures in (check_signals(raw, moving), check_motion(part)):
         findings += more
         numbers.update(figures)
@@ -79,6 +81,13 @@ def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
         for sentence in unit_warnings(log, robot)
     ]
     return doubts or [Finding("ok", "units", f"{log.name}: positions look like m and rad.")]
+
+
+def _jumps(log: Log, robot: JointLimits | None) -> list[Finding]:
+    kinds = {} if robot is None else dict(zip(robot.actuated, robot.joint_kinds, strict=True))
+    turns = {joint: kinds[joint] != "prismatic" if joint in kinds else None for joint in log.joints("q")}
+    found = (jump_finding(log, joint, revolute=revolute) for joint, revolute in turns.items())
+    return [finding for finding in found if finding is not None]
 
 
 def _force_lag(log: Log) -> Finding:

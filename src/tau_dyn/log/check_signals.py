@@ -57,6 +57,7 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
             if signal == "tau":
                 clipped[column] = clipped_share(runs, moves)
                 judges.append(lambda c=column: _clipped(log, c, clipped[c]))
+            if signal != "q_ref":
                 judges.append(lambda c=column, r=runs, m=moves: _held(log, c, r, m))
             findings += [
                 next((f for f in (judge() for judge in judges) if f), Finding("ok", "signal", f"{column} is alive."))

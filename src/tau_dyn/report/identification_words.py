@@ -40,6 +40,12 @@ def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> 
     if error > POOR_PERCENT:
         look = _LOOK if error > _HOPELESS_PERCENT else ""
         return Verdict("poor", f"Do not use it yet: {percent(error)} of the force is unexplained.{look}")
+    rough = {j: p for j, p in zip(judged.joints, judged.per_joint_percent, strict=True) if p > POOR_PERCENT}
+    if rough:
+        missed = listed([f"{joint} ({percent(p)})" for joint, p in rough.items()], 3)
+        return Verdict("care", f"Do not rely on every joint yet; too much of the force is unexplained at {missed}.")
+    if judged.unjudged:
+        return Verdict("care", f"Do not rely on {listed(judged.unjudged, 3)} yet: no sample could be used to judge it.")
     if found.holdout is None:
         return Verdict("care", "Judge it on another log before use: these errors are those of the fit itself.")
     if error > OVERFIT * found.train.relative_error_percent:

@@ -1,0 +1,67 @@
+"""Positions that jump are told from motion: turns of an encoder, lost readings and a new zero, and nothing that a joint does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tau_dyn.log import Log, check_log
+from tau_dyn.log.jumps import jump_finding, jumps_of
+
+
+def said(log: Log, **known) -> str:
+    found = jump_finding(log, "axis", **known)
+    return "" if found is None else f"{found.sentence} {found.remedy}"
+
+
+def test_an_encoder_that_begins_anew_each_turn_is_to_be_unwrapped(axis_log):
+    """The angle modulo a turn: the jumps are counted, and the remedy is one line; a slide has no turns."""
+    angle = np.mod(30 * axis_log.channels["q_axis"], 2 * np.pi)
+    log = axis_log.with_channels(q_axis=angle)
+    times = int(np.sum(np.abs(np.diff(angle)) > 3))
+    assert times > 20 and f"jumps {times} times" in said(log, revolute=True)
+    assert "numpy.unwrap" in said(log, revolute=True) and "unwrap" not in said(log, revolute=False)
+    assert not check_log(log).fit_for_use
+    whole = axis_log.with_channels(q_axis=np.unwrap(angle))
+    assert said(whole) == ""
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_lost_readings_are_named_with_their_time(axis_log, lost: int):
+    """A reading of zero in the middle of a stroke is a jump there and back, at 1 kHz 400 m/s."""
+    q = axis_log.channels["q_axis"].copy()
+    for k in (1503, 7204):
+        q[k : k + lost] = 0.0
+    assert list(jumps_of(q)) == [1502, 1502 + lost, 7203, 7203 + lost]
+    sentence = said(axis_log.with_channels(q_axis=q), revolute=False)
+    assert "jumps 4 times" in sentence and "after t = 1.502 s" in sentence and "readings were lost" in sentence
+
+
+def test_an_encoder_that_is_set_anew_is_named(axis_log):
+    """From one sample on everything is 30 mm further; a step of 1 % of the range is noise to nobody, and none of ours."""
+    step = np.where(axis_log.t > 10, 1.0, 0.0)
+    assert "set anew" in said(axis_log.with_channels(q_axis=axis_log.channels["q_axis"] + 0.03 * step))
+    assert said(axis_log.with_channels(q_axis=axis_log.channels["q_axis"] + 0.006 * step)) == ""
+
+
+@pytest.mark.parametrize("rate", [5, 10, 50, 250, 1000])
+@pytest.mark.parametrize("grain", [0.0, 1e-4, 2e-3])
+def test_no_motion_is_called_a_jump(rate: int, grain: float, rng) -> None:
+    """Quick strokes between long rests, sampled seldom or often, by coarse encoders, held over samples, with noise."""
+    t = np.arange(0, 60, 1 / rate)
+    phase = np.clip(np.mod(t, 6.0) / 0.4, 0, 1)  # a stroke of 0.4 s every 6 s, there and back
+    stroke = phase * phase * (3 - 2 * phase)
+    q = 0.5 * np.where(np.mod(t // 6, 2) == 0, stroke, 1 - stroke) + 0.01 * np.sin(2 * np.pi * 0.3 * t)
+    held = np.repeat(q[::4], 4) if rate >= 50 else q
+    for x in (q, held, q + 1e-5 * rng.standard_normal(len(q))):
+        assert not jumps_of(np.round(x / grain) * grain if grain else x).size
+
+
+def test_a_step_within_the_joints_own_speed_is_motion(axis_log):
+    """What the robot file allows in a sample is no jump, and samples that nobody uses may hold anything."""
+    q = axis_log.channels["q_axis"].copy()
+    q[1503] = 0.0
+    log = axis_log.with_channels(q_axis=q)
+    size = abs(q[1502])
+    assert said(log, fastest=900 * size) and said(log, fastest=np.inf) and not said(log, fastest=1100 * size)
+    assert not said(log, left_out=np.arange(len(q)) == 1503)
