@@ -184,6 +184,29 @@ def _yaml_of(path: str | Path) -> Iterator[str]:
         raise InputError(f"{path}: not valid YAML ({' '.join(str(fault).split())})") from fault
 
 
+def destination(path: str | Path) -> Path:
+    """Return where a file to be written lies: behind links, but a pipe or a device as it was named.
+
+    Raises:
+        InputError: A link leads to itself, or the folder that we are in is gone.
+    """
+    path = Path(path)
+    try:
+        kind = os.stat(path).st_mode
+        return path.resolve() if stat.S_ISREG(kind) or stat.S_ISDIR(kind) else path
+    except OSError as fault:
+        if fault.errno == errno.ELOOP:
+            raise InputError(
+                f"{path} cannot be written: it is a link that leads to itself; name another file"
+            ) from fault
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError) as fault:
+        raise InputError(
+            f"{path} cannot be written: the folder that you are in is gone, or a link leads to itself"
+        ) from fault
+
+
 @contextmanager
 def writing_whole(path: str | Path) -> Iterator[Path]:
     """Give a temporary file to write; it takes the place of `path` when the block ends well, and goes away when it does not.
@@ -193,7 +216,7 @@ def writing_whole(path: str | Path) -> Iterator[Path]:
     Raises:
         InputError: The destination cannot be written.
     """
-    path = Path(path).resolve()  # a link keeps pointing where it did
+    path = destination(path)  # a link keeps pointing where it did
     if path.is_dir():
         raise InputError(f"{path} cannot be written: it is a folder; name a file")
     if path.name.endswith(".part") and f".{owner()}." in path.name:  # temporary already: whoever gave it sees to it

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Sequence
 
-from tau_dyn.cli.ending import Ended, machine_fault, quiet_start, unwinding  # first: from here on Ctrl-C is answered
+from tau_dyn.cli.ending import (  # first: from here on Ctrl-C is answered
+    Ended,
+    machine_fault,
+    quiet_start,
+    say,
+    speakable,
+    unwinding,
+)
 
 # isort: split
 from tau_dyn.cli import (
@@ -61,25 +67,26 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     warnings.simplefilter("ignore", RuntimeWarning)  # numbers out of range end in a sentence of ours
+    speakable()
     try:
         with unwinding():
             args = build_parser().parse_args(argv)
             return execute(args.command, COMMANDS[args.command].run, args)
     except TauDynError as fault:
-        print(f"error: {' '.join(str(fault).split())}", file=sys.stderr)
+        say(f"error: {' '.join(str(fault).split())}")
         return fault.exit_status
     except KeyboardInterrupt:
-        print("interrupted; every output file is as it was, or complete", file=sys.stderr)
+        say("interrupted; every output file is as it was, or complete")
         return 130
     except Ended as told:
-        print(f"ended by {told.name}; every output file is as it was, or complete", file=sys.stderr)
+        say(f"ended by {told.name}; every output file is as it was, or complete")
         return int(told.code or 0)
     except BrokenPipeError:
         return 0
     except (OSError, MemoryError) as fault:
         if (sentence := machine_fault(fault)) is None:
             raise
-        print(f"error: {one_line(sentence)}", file=sys.stderr)
+        say(f"error: {one_line(sentence)}")
         return 2
 
 

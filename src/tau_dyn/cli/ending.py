@@ -17,7 +17,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from types import FrameType
 from typing import Any
 
@@ -124,6 +125,20 @@ def machine_fault(fault: OSError | MemoryError) -> str | None:
         return None
     where = f"{fault.filename}: " if fault.filename else ""
     return f"{where}{fault.strerror}; {_MACHINE[fault.errno]}"
+
+
+def say(sentence: str) -> None:
+    """Write a line to stderr where that takes one; the exit status speaks for itself."""
+    with suppress(OSError, ValueError, AttributeError):
+        sys.stderr.write(f"{sentence}\n")
+        sys.stderr.flush()
+
+
+def speakable() -> None:
+    """Let a screen of another coding show `?` for what it cannot, instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 class QuietStart:

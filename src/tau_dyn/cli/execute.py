@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -20,8 +20,10 @@ from rich.console import Console
 from tau_dyn.cli.common import Outcome, command_line, robot_file, to_json
 from tau_dyn.cli.run_folder import RunFolder, configuration_of
 from tau_dyn.exceptions import CannotAnswer, InputError, one_line
-from tau_dyn.files import sha256_of, writing_whole
+from tau_dyn.files import destination, sha256_of, writing_whole
 from tau_dyn.version import __version__
+
+_TWICE = "two outputs are to be written to one file; give each its own"
 
 _OUTPUTS = ("json", "report", "out", "propose", "save_cameras", "rapid", "resume")
 """Arguments that name files to write."""
@@ -70,12 +72,13 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
     outcome.warnings = [*outcome.warnings, *_changed(outcome.inputs, before)]
     _write(call, outcome)
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
-    for sentence in dict.fromkeys(outcome.warnings):
-        errors.print(one_line(f"warning: {sentence}"), markup=False)
+    sentences = [f"warning: {sentence}" for sentence in dict.fromkeys(outcome.warnings)]
     if refusal is not None:
-        said = f"cannot answer: {refusal.missing}. The experiment that would: {refusal.experiment}."
-        errors.print(one_line(said), markup=False)
-    elif not args.quiet:
+        sentences.append(f"cannot answer: {refusal.missing}. The experiment that would: {refusal.experiment}.")
+    with suppress(OSError):  # a screen that takes nothing; the files say it, too
+        for sentence in sentences:
+            errors.print(one_line(sentence), markup=False)
+    if refusal is None and not args.quiet:
         _show(outcome)
     return outcome.exit_status
 
@@ -98,15 +101,15 @@ def _checked(call: _Call) -> dict[Path, tuple[int, int]]:
     """Refuse outputs that cannot be written or would overwrite something; return how the inputs are now."""
     folder, destinations = call.folder, call.destinations()
     for path in destinations:
-        if not path.resolve().parent.is_dir() and not (folder is not None and folder.holds(path)):
+        if not destination(path).parent.is_dir() and not (folder is not None and folder.holds(path)):
             raise InputError(f"{path}: the folder {path.parent} does not exist")
         if path.is_dir():
             raise InputError(f"{path} is a folder; name a file")
-    if len({path.resolve() for path in destinations}) < len(destinations):
-        raise InputError("two outputs are to be written to one file; give each its own")
+    if len({destination(path) for path in destinations}) < len(destinations):
+        raise InputError(_TWICE)
     given = {path.resolve() for path in _given(call.args)}
     for path in destinations:
-        if path.resolve() in given:
+        if destination(path) in given:
             raise InputError(f"{path} is an input of this command and would be overwritten; name another file")
     if folder is not None:
         folder.check(call.command, call.configuration, given)
@@ -177,6 +180,7 @@ def _write(call: _Call, outcome: Outcome) -> None:
     args, folder = call.args, call.folder
     about = envelope(call.command, args, outcome.inputs, "ok", outcome.warnings)
     files = dict(outcome.files)
+    _refuse_overwritten(call, files)
     if args.report is not None and outcome.report is not None:
         files |= dict.fromkeys(_twice(args.report, folder, 2), outcome.report())
     else:
@@ -199,6 +203,22 @@ def _write(call: _Call, outcome: Outcome) -> None:
                 seed=args.seed, exit_status=outcome.exit_status,
             )  # fmt: skip
             (room / folder.files()[0].name).write_text(to_json(run), encoding="utf-8")
+
+
+def _refuse_overwritten(call: _Call, files: Iterable[Path]) -> None:
+    """Refuse to write over what came along with an output, as a header does with C code, or what another run put in the folder.
+
+    Known only when all is done, so the work is lost; nothing else is.
+    """
+    own = {destination(path) for path in files}
+    if own & {destination(path) for path in (call.args.json, call.args.report) if path is not None}:
+        raise InputError(_TWICE)
+    given = {path.resolve() for path in _given(call.args)}
+    named = {destination(path) for path in call.destinations()}
+    if lost := sorted((own - named) & given):
+        raise InputError(f"{lost[0]} is an input of this command and would be overwritten; name another output")
+    if call.folder is not None:
+        call.folder.check(call.command, call.configuration, given)
 
 
 def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:

@@ -30,8 +30,8 @@ whole_number = _kind("a whole number from zero up", int, lambda x: x >= 0)
 positive_whole = _kind("a whole number above zero", int, lambda x: 0 < x < 1_000_000)
 port = _kind("a port between 1 and 65535", int, lambda x: 0 < x < 65536)
 finite = _kind("a finite number", float, isfinite)
-positive = _kind("a number above zero", float, lambda x: 0 < x < 1e9)
-positive_large = _kind("a number above zero", float, lambda x: 0 < x < 1e15)  # a stiffness
+positive = _kind("a number above zero, below 1e9", float, lambda x: 0 < x < 1e9)
+positive_large = _kind("a number above zero, below 1e15", float, lambda x: 0 < x < 1e15)  # a stiffness
 not_negative = _kind("zero or a number above it", lambda text: float(text) + 0.0, lambda x: 0 <= x < 1e9)
 
 

@@ -16,7 +16,7 @@ from tau_dyn.cli.common import (
     progress,
     robot_file,
 )
-from tau_dyn.cli.kinds import csv_file, not_negative, positive
+from tau_dyn.cli.kinds import csv_file, finite, not_negative, positive
 from tau_dyn.exceptions import InputError
 
 HELP = "a log from the model, its controller and sensors"
@@ -49,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--force-noise", metavar="N", type=not_negative, default=5.0, help="standard deviation [N or N m] (default 5)"
     )
     sensors.add_argument(
-        "--force-colour", metavar="PHI", type=float, default=0.0, help="AR(1) coefficient of the force noise"
+        "--force-colour", metavar="PHI", type=finite, default=0.0, help="AR(1) coefficient of the force noise"
     )
     sensors.add_argument(
         "--encoder-noise", metavar="M", type=not_negative, default=5e-6, help="[m or rad] (default 5e-6)"

@@ -74,6 +74,10 @@ def robot_from_urdf(
         warnings.append(
             f"{source}: {listed} neither have a <transmission> nor stand in a loop; they are taken as locked at zero"
         )
+    if notes.loops and not passive:
+        raise InputError(
+            f"{source}: no passive joint is left to close its loops, of {', '.join(names)}; name only those with a motor"
+        )
     loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
     links = _links(model, notes, warnings)
     kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}
@@ -131,8 +135,13 @@ def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
 def _said_on_stderr() -> Iterator[list[str]]:
     """Collect what a C++ library writes to the process' stderr; the list holds it after the block."""
     said: list[str] = []
-    with tempfile.TemporaryFile() as file:
+    try:
         kept = os.dup(2)
+    except OSError:  # closed: nothing can be said there
+        yield said
+        said.append("")
+        return
+    with tempfile.TemporaryFile() as file:
         os.dup2(file.fileno(), 2)
         try:
             yield said

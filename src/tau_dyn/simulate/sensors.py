@@ -93,7 +93,7 @@ class Sensors:
         if self.log_rate_hz is None:
             return 1
         ratio = 1 / (dt * self.log_rate_hz) if self.log_rate_hz > 0 else 0.0
-        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        if not np.isfinite(ratio) or round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise InputError(
                 f"a log rate of {self.log_rate_hz:g} Hz is not the control rate of {1 / dt:g} Hz divided by a whole number"
             )

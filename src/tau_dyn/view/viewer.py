@@ -6,6 +6,7 @@ through a relay on the internet is switched off. Text from files reaches the pag
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout
@@ -59,6 +60,7 @@ class Viewer:
             InputError: viser is not installed, or the port cannot be opened.
         """
         viser = _viser()
+        _refuse_address(host)
         self.robot, self.q, self.message = robot, np.array(robot.home, float), ""
         self.placer = Placer(robot, shapes_of(robot))
         try:
@@ -236,3 +238,22 @@ def _viser() -> Any:
             "the viewer needs viser, which is not installed; install tau_dyn with its extra: tau_dyn[view]"
         ) from fault
     return viser
+
+
+def _refuse_address(host: str) -> None:
+    """Refuse an address that is none of this computer's; viser would wait for it without a word.
+
+    Raises:
+        InputError: Nothing can listen there.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host or None, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        with socket.socket(family, kind, protocol) as trial:
+            trial.bind(address)
+    except (OSError, UnicodeError, ValueError) as fault:
+        reason = getattr(fault, "strerror", None) or "no such address"
+        raise InputError(
+            f"nothing can listen at {host!r}: {reason}; give an address of this computer, such as {LOOPBACK}"
+        ) from fault
