@@ -47,6 +47,8 @@ def test_a_missing_file_and_a_compressed_bag_are_named(tmp_path) -> None:
     """The whole folder is wanted, written plainly."""
     names = {"relative_file_paths": ["a.db3", "sub/b.db3"]}
     assert "run lacks b.db3, which its metadata.yaml lists" in refusal(folder(tmp_path / "run", names, "a.db3"))
+    endless = {"relative_file_paths": ["a.db3", f"{300 * 'b'}.db3"]}  # longer than a name can be
+    assert "run lacks bbb" in refusal(folder(tmp_path / "run", endless, "a.db3"))
     for more in ({"compression_mode": "FILE"}, {"compression_mode": "message"}):
         assert "run is compressed as a whole" in refusal(folder(tmp_path / "run", names | more, "a.db3", "b.db3"))
     packed = {"relative_file_paths": ["a.db3.zstd"], "compression_mode": ""}

@@ -245,6 +245,10 @@ def broken(folder, kind: str):
         frame.loc[12_345, "tau_axis"] = np.nan
     if kind == "back in time":
         frame.loc[12_345, "t"] = 1.0
+    if kind == "at rest":
+        frame.loc[12_345, "t"] = frame.loc[12_344, "t"]
+    if kind == "group begins late":
+        frame.loc[1777, "t"] = frame.loc[1770, "t"]
     if kind == "no clock":
         frame = frame.drop(columns="t")
     if kind == "cut":
@@ -266,6 +270,8 @@ def broken(folder, kind: str):
         ("files back in time", "b.parquet begins at t = 0 s, and a.parquet before it ends at 19.999 s"),
         ("nan", "row 12346, column tau_axis"),
         ("back in time", "row 12346: t = 1 s comes after"),
+        ("at rest", "row 12346: t = 12.344 s stands twice"),
+        ("group begins late", "row 1778: t = 1.77 s comes after 1.776 s"),
         ("no clock", "no column t"),
         ("cut", "not a Parquet file"),
         ("bad cell in text", "line 7, column t: 'oops' is not a number"),

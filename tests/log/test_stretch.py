@@ -74,6 +74,16 @@ def test_scanning_the_clock_keeps_no_clock() -> None:
     assert kept < 16 * n / 6
 
 
+def test_a_stretch_is_judged_by_its_own_clock_alone(tmp_path) -> None:
+    """Before a gap steps stray by 20 % and are interpolated; after it they do not, and samples are taken as they are."""
+    t = 1e-3 * np.arange(N) + np.where(np.arange(N) < N // 2, 0.0, 1.0)
+    t[: N // 2] += 2e-4 * np.random.default_rng(5).uniform(-1, 1, N // 2)
+    t[:2] = [0.0, 1e-3]
+    pd.DataFrame({"t": t, "q_axis": t, "tau_axis": t}).to_parquet(tmp_path / "log.parquet", row_group_size=N // 2)
+    pieces = stretches(open_log(tmp_path / "log.parquet"))
+    assert [piece.clock for piece in pieces] == ["uneven", "even"]
+
+
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_an_uneven_stretch_reaches_from_its_first_to_its_last_sample(tmp_path, lost: int) -> None:
     """As many even samples as steps and one more, first and last where the recording's are, as for a log in memory."""

@@ -187,6 +187,16 @@ def test_messages_sent_twice_are_taken_once(tmp_path):
     assert log.n_samples == N and any(f"{N} message(s)" in sentence for sentence in log.warnings)
 
 
+def test_positions_lead_where_several_topics_are_ours(tmp_path):
+    """Forces in our names come first in the file and more often; the clock is still that of the positions."""
+    often = np.arange(2 * N) * 0.001
+    force = [(START + round(t * 1e9), {"t": t, "tau_a": 1.0}) for t in often]
+    place = [(START + round(t * 1e9), {"t": t, "q_a": float(q)}) for t, q in zip(T, Q[:, 0], strict=True)]
+    path = write_mcap(tmp_path / "run.mcap", {"/force": force, "/place": place}, kind="json")
+    log = read_log(path)
+    assert log.n_samples <= N and log.dt == pytest.approx(0.002)
+
+
 def test_efforts_that_are_not_measured_are_no_column(tmp_path):
     """A driver without torque sensing says NaN throughout; a single NaN is a fault of its message."""
     nan = (({**m, "effort": [float("nan"), 1.0]}) for _, m in states())
