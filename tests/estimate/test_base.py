@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import find_base
+from tau_dyn.estimate.base import BaseParameters, read_expression
 from tau_dyn.identify.structure import structural_base
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -103,3 +104,9 @@ def test_noise_on_the_left_does_not_take_the_place_of_what_stands_on_the_right()
         assert base.kept[0] == 0 and base.kept[-1] == 8
         assert_allclose(W[:, base.kept] @ base.combine(theta), W @ theta, atol=1e-3)
         assert base.alone[8]
+
+
+def test_an_expression_is_read_back():
+    """Signs, factors with exponents, and joints joined by a plus come back as written."""
+    base = BaseParameters(("a+b.inertia", "c", "d"), np.array([0]), np.array([1, 2]), np.array([[-1.0, 2.5e-7]]))
+    assert read_expression(base.expression(0)) == {"a+b.inertia": 1.0, "c": -1.0, "d": 2.5e-7}

@@ -4,20 +4,22 @@ r"""What changed between two results: each quantity's difference against the unc
 
 is standard normal where nothing changed and the data behind both are independent. Of the many quantities compared those have
 changed whose p-values stand Holm's test at 5 %, so that two results of one robot name a change once in twenty comparisons
-(Holm 1979). Resonances are numbered by frequency in each result and are matched to the nearest.
+(Holm 1979; it needs no independence between quantities). Resonances are numbered by frequency in each result and are matched to
+the nearest. Combinations of parameters are matched by their coefficients (`combinations.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from math import hypot
 
 from scipy.stats import norm
 
 from tau_dyn.compare.circumstances import Difference, differences, input_changes
-from tau_dyn.compare.read import Quantity, Side
-from tau_dyn.compare.result import Change, Comparison, ErrorChange, FindingChange
+from tau_dyn.compare.quantity import Quantity
+from tau_dyn.compare.read import Side
+from tau_dyn.compare.result import Change, Comparison, Determined, ErrorChange, FindingChange
 from tau_dyn.exceptions import InputError
 
 LEVEL = 0.05
@@ -36,20 +38,23 @@ def compare(a: Side, b: Side) -> Comparison:
     shared = [n for n in a.quantities if n in other]
     causes = dict.fromkeys([*a.findings, *b.findings])
     runs = a.run is not None and b.run is not None
-    if not shared and not causes and not set(a.errors) & set(b.errors) and not runs:
+    single = [_change(n, a.quantities[n], other[n]) for n in shared]
+    joint, joint_a, joint_b = _joint(a, b, [c.name for c in single if c.stderr is not None])
+    changes = [*single, *joint]
+    if not changes and not causes and not set(a.errors) & set(b.errors) and not runs:
         raise InputError(f"{a.path} ({a.kind}) and {b.path} ({b.kind}) have no quantity, error or finding in common")
     return Comparison(
         a=a,
         b=b,
-        changes=tuple(_holm([_change(n, a.quantities[n], other[n]) for n in shared])),
-        only_a=tuple(n for n in a.quantities if n not in other),
-        only_b=tuple(n for n in other if n not in a.quantities),
+        changes=tuple(_holm(changes)),
+        only_a=(*(n for n in a.quantities if n not in other), *joint_a),
+        only_b=(*(n for n in other if n not in a.quantities), *joint_b),
         errors=tuple(_error(n, a, b) for n in a.errors if n in b.errors),
         findings=tuple(
             FindingChange(*key, a.findings.get(key), b.findings.get(key), a.gains.get(key), b.gains.get(key))
             for key in causes
         ),
-        warnings=tuple(_doubts(a, b)),
+        warnings=(*_doubts(a, b), *_unmatched(a, b, changes, [*joint_a, *joint_b])),
         inputs=input_changes(a.inputs, b.inputs),
         numbers=tuple(d for d in differences(a.numbers, b.numbers) if d.a is not None and d.b is not None),
         **_of_runs(a, b),
@@ -68,13 +73,62 @@ def _error(name: str, a: Side, b: Side) -> ErrorChange:
     return ErrorChange(name, unit, x, y, a.intervals.get(name), b.intervals.get(name))
 
 
-def _change(name: str, a: Quantity, b: Quantity) -> Change:
+def _joint(a: Side, b: Side, known: list[str]) -> tuple[list[Change], list[str], list[str]]:
+    """Compare the combinations of parameters of both.
+
+    Args:
+        a: The first.
+        b: The second.
+        known: Names of the single parameters that are compared.
+
+    Returns:
+        Those that both determine, in the first's order, and the expressions that only the first and only the second do.
+    """
+    changes, only_a, only_b = [], [], []
+    for row in a.combinations.joint:
+        theirs = b.combinations.quantity_of(row)
+        if theirs is None or row.quantity.stderr is None:
+            only_a.append(row.expression)
+        else:
+            changes.append(_change(row.expression, row.quantity, theirs, combination=True))
+    told = {*known, *(c.name for c in changes)}
+    for row in b.combinations.joint:
+        mine = a.combinations.quantity_of(row)
+        if mine is None or row.quantity.stderr is None:
+            only_b.append(row.expression)
+        elif not told.issuperset(part.expression for part in a.combinations.parts(row.weights)):
+            changes.append(_change(row.expression, mine, row.quantity, combination=True))
+    return changes, only_a, only_b
+
+
+def _unmatched(a: Side, b: Side, changes: list[Change], alone: list[str]) -> Iterator[str]:
+    """Yield which combinations of parameters were not compared, and why."""
+    lacking = [side for side in (a, b) if not side.combinations.rows]
+    identified = {a.kind, b.kind} <= {"model", "identify"}
+    if not lacking:
+        if alone:
+            yield (
+                f"{a.place} and {b.place} determine different combinations of parameters; not compared, as only one of them "
+                f"determines {'it' if len(alone) == 1 else 'each'}: {'; '.join(alone)}"
+            )
+    elif identified and (alone or any(c.determined_by == "neither" for c in changes)):
+        if any(c.stderr is not None for c in changes):
+            holds = f"{lacking[0].place} holds" if len(lacking) == 1 else f"{a.place} and {b.place} hold"
+            yield (
+                f"{holds} no combinations of parameters, in which a change may show though no single value tells it; "
+                "compare the --json results of identify"
+            )
+
+
+def _change(name: str, a: Quantity, b: Quantity, *, combination: bool = False) -> Change:
     if a.unit != b.unit:
         raise InputError(f"{name} is in {a.unit or 'no unit'} in one and in {b.unit or 'no unit'} in the other")
-    if a.stderr is None or b.stderr is None:
-        return Change(name, a.unit, a.value, b.value, None, None, None)
+    by: Determined = ("both" if b.determined else "first") if a.determined else "second" if b.determined else "neither"
+    if a.stderr is None or b.stderr is None or by == "neither":
+        return Change(name, a.unit, a.value, b.value, None, None, None, by, combination)
     stderr = hypot(a.stderr, b.stderr)
-    return Change(name, a.unit, a.value, b.value, stderr, float(2 * norm.sf(abs(b.value - a.value) / stderr)), False)
+    p_value = float(2 * norm.sf(abs(b.value - a.value) / stderr))
+    return Change(name, a.unit, a.value, b.value, stderr, p_value, False, by, combination)
 
 
 def _holm(changes: list[Change]) -> list[Change]:

@@ -1,7 +1,8 @@
 """A model file (YAML), a command's result (JSON) or a run folder as quantities with standard errors, errors, and findings.
 
-Results are read by what they hold, not by which command wrote them: `parameters` of identify, `findings` of diagnose and check,
-`modes` of modes, `models` of calibrate, plain numbers of all. Values that no data determined have no standard error.
+Results are read by what they hold, not by which command wrote them: `parameters` and `base_parameters` of identify, `findings` of
+diagnose and check, `modes` of modes, `models` of calibrate, plain numbers of all. Values that no data determined have no standard
+error.
 """
 
 from __future__ import annotations
@@ -10,10 +11,11 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from tau_dyn.compare.combinations import Combinations, read_combinations
+from tau_dyn.compare.quantity import Quantity, quantity
 from tau_dyn.compare.run import RESULT, RUN, Run, is_run, read_run
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
@@ -24,14 +26,6 @@ _PARTS = ("train", "holdout", "baseline", "extended", "noise_floor")
 _RMS = "unseen position error, rms"
 _NO_ANSWER = ("seed", "search_s", "evaluations")  # what a run was asked, and how long it took
 _MOST = 64 * 2**20  # [bytes] a result is a few hundred kB
-
-
-class Quantity(NamedTuple):
-    """A value, its standard error (None where no data determined it), and its unit."""
-
-    value: float
-    stderr: float | None
-    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +46,7 @@ class Side:
         numbers: Plain numbers of the result, by name.
         run: The run, where a run folder was read.
         missing: What the data lacked, where they could not answer.
+        combinations: The combinations of parameters that the data determine.
     """
 
     path: Path
@@ -67,6 +62,7 @@ class Side:
     numbers: Mapping[str, float] = field(default_factory=dict)
     run: Run | None = None
     missing: str = ""
+    combinations: Combinations = field(default_factory=Combinations)
 
     @property
     def place(self) -> Path:
@@ -101,7 +97,7 @@ def _of_file(path: Path, run: Run | None = None) -> Side:
 
 def _of_model(path: Path, digest: str) -> Side:
     model = Model.load(path)
-    values = {p.name: _quantity(p.value, p.stderr, p.unit) for p in model.parameters}
+    values = {p.name: quantity(p.value, p.stderr, p.unit, prior=p.prior_stderr) for p in model.parameters}
     used = [x for key in ("trained_on", "held_out") for x in _dicts(model.provenance.get(key))]
     logs = frozenset(str(x["sha256"]) for x in used if "sha256" in x)
     return Side(path, digest, "model", values, {}, {}, logs)
@@ -135,6 +131,7 @@ def _of_result(path: Path, digest: str, data: bytes, run: Run | None) -> Side:
             numbers=dict(_numbers(content)),
             run=run,
             missing=str(content["missing"]) if refused else "",
+            combinations=read_combinations(content),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as fault:
         raise InputError(f"{path}: an entry of this result is missing or of the wrong kind ({fault})") from fault
@@ -198,20 +195,21 @@ def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
         *_dicts(content.get("parameters")),
         *(p for x in _dicts(content.get("findings")) for p in x["parameters"]),
     ]:
-        yield str(row["name"]), _quantity(row["value"], row.get("stderr"), row.get("unit", ""))
+        known = {"prior": row.get("nominal_stderr"), "nominal": row.get("nominal")}
+        yield str(row["name"]), quantity(row["value"], row.get("stderr"), row.get("unit", ""), **known)
 
 
 def _modes(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
     for k, mode in enumerate(_dicts(content.get("modes")), 1):
-        yield f"mode {k} frequency", _quantity(mode["frequency_hz"], mode["frequency_stderr"], "Hz")
-        yield f"mode {k} damping", _quantity(mode["damping_ratio"], mode["damping_stderr"], "")
+        yield f"mode {k} frequency", quantity(mode["frequency_hz"], mode["frequency_stderr"], "Hz")
+        yield f"mode {k} damping", quantity(mode["damping_ratio"], mode["damping_stderr"], "")
 
 
 def _calibrated(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
     for model in _dicts(content.get("models")):
         if model["name"] == content.get("chosen"):
             for row in _dicts(model.get("parameters")):
-                yield str(row["name"]), _quantity(row["value"], row.get("stderr"), row.get("unit", ""))
+                yield str(row["name"]), quantity(row["value"], row.get("stderr"), row.get("unit", ""))
 
 
 def _errors(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, str]]]:
@@ -230,12 +228,6 @@ def _errors(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, str]
     for rung in _dicts(content.get("waterfall")):
         if "models" in content and rung.get("step") == content.get("chosen"):
             yield _RMS, (float(rung["rms"]), "m")
-
-
-def _quantity(value: Any, stderr: Any, unit: Any) -> Quantity:
-    """Return a value that was read; a standard error that is none, such as zero, is taken as not known."""
-    known = None if stderr is None or not isfinite(float(stderr)) or float(stderr) <= 0 else float(stderr)
-    return Quantity(float(value), known, str(unit))
 
 
 def _dicts(items: Any) -> list[dict[str, Any]]:

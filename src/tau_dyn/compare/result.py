@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from scipy.stats import norm
 
@@ -11,19 +11,23 @@ from tau_dyn.compare.circumstances import Difference, InputChange
 from tau_dyn.compare.read import Side
 from tau_dyn.shown import Shown
 
+Determined = Literal["both", "first", "second", "neither"]
+
 
 @dataclass(frozen=True)
 class Change:
     """One quantity in both results.
 
     Attributes:
-        name: Its name.
+        name: Its name; of a combination of parameters, its expression.
         unit: Its unit.
         a: Value in the first [unit].
         b: Value in the second [unit].
-        stderr: Standard error of the difference; None where either value was not determined by data.
+        stderr: Standard error of the difference; None where either has none, or no data stand behind either.
         p_value: Chance of such a difference where nothing changed; None without standard error.
         changed: Whether it stands Holm's test; None without standard error.
+        determined_by: Which results' data determine it; `neither` where both only hold nominal, given or prior values.
+        combination: Whether it is a combination of parameters.
     """
 
     name: str
@@ -33,6 +37,8 @@ class Change:
     stderr: float | None
     p_value: float | None
     changed: bool | None
+    determined_by: Determined = "both"
+    combination: bool = False
 
     @property
     def difference(self) -> float:
@@ -51,7 +57,8 @@ class Change:
         """Return the JSON form."""
         interval = None if self.ci95 is None else list(self.ci95)
         row = {"name": self.name, "unit": self.unit, "a": self.a, "b": self.b, "difference": self.difference}
-        return {**row, "stderr": self.stderr, "ci95": interval, "p_value": self.p_value, "changed": self.changed}
+        row |= {"stderr": self.stderr, "ci95": interval, "p_value": self.p_value, "changed": self.changed}
+        return {**row, "determined_by": self.determined_by, "combination": self.combination}
 
 
 @dataclass(frozen=True)
@@ -110,9 +117,9 @@ class Comparison(Shown):
     Attributes:
         a: The first.
         b: The second.
-        changes: Quantities that both have, in the first's order.
-        only_a: Names that only the first has.
-        only_b: Names that only the second has.
+        changes: Quantities that both have, in the first's order, then the combinations of parameters that both determine.
+        only_a: Names that only the first has, and combinations that only its data determine.
+        only_b: The same of the second.
         errors: Errors that both have.
         findings: Causes found in either.
         warnings: Sentences about what the comparison cannot say.
@@ -141,10 +148,22 @@ class Comparison(Shown):
         found = [c for c in self.changes if c.changed]
         return tuple(sorted(found, key=lambda c: -abs(c.difference) / (c.stderr or 1.0)))
 
+    @property
+    def compared(self) -> tuple[Change, ...]:
+        """Quantities with a standard error of their difference: those that can be judged."""
+        return tuple(c for c in self.changes if c.changed is not None)
+
+    @property
+    def neither(self) -> tuple[Change, ...]:
+        """Quantities that both hold and neither's data determine; that they are alike says nothing of the robot."""
+        return tuple(c for c in self.changes if c.determined_by == "neither")
+
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON result."""
         return {
             "kinds": [self.a.kind, self.b.kind],
+            "n_compared": len(self.compared),
+            "determined_by_neither": [c.name for c in self.neither],
             "changes": [c.to_dict() for c in self.changes],
             "only_a": list(self.only_a),
             "only_b": list(self.only_b),

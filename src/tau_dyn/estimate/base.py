@@ -7,6 +7,7 @@ norm. Reference: Gautier 1991, Numerical calculation of the base inertial parame
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ _CLEAR = 10.0
 _COARSEST = 1e-2
 _NEGLIGIBLE = 1e-6
 """Part of a dropped unit column below which a kept one has no share in it."""
+_FACTOR = re.compile(r"[0-9]+(\.[0-9]+)?(e[+-][0-9]+)?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,21 @@ class BaseParameters:
         shared = {int(self.kept[r]) for r in rows}
         shared |= {int(self.dropped[d]) for r in rows for d in np.flatnonzero(self.K[r])}
         return tuple(self.names[c] for c in sorted(shared - {column}))
+
+
+def read_expression(text: str) -> dict[str, float]:
+    """Return the coefficient of each parameter in what `BaseParameters.expression` wrote, by name.
+
+    Names are not checked; one that itself reads like a sum comes out in pieces.
+    """
+    first, *others = re.split(r" ([+-]) ", text)
+    weights: dict[str, float] = {}
+    for sign, term in zip(["+", *others[::2]], [first, *others[1::2]], strict=True):
+        factor, star, name = term.partition("*")
+        if not star or not _FACTOR.fullmatch(factor):
+            factor, name = "1", term
+        weights[name] = weights.get(name, 0.0) + float(sign + factor)
+    return weights
 
 
 def find_base(

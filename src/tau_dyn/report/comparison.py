@@ -9,23 +9,26 @@ from rich.console import Console
 from tau_dyn.compare import Change, Comparison, Difference, ErrorChange, FindingChange, InputChange
 from tau_dyn.report.shell import Opening, render
 from tau_dyn.report.terminal import bare_table, plain, put, say
-from tau_dyn.report.words import count, listed, number, pretty_unit, with_uncertainty
+from tau_dyn.report.words import count, listed, number, pretty_expression, pretty_unit, with_uncertainty
 
 _MOST = 40
 
 
 def comparison_headline(found: Comparison) -> str:
     """Return the one sentence."""
-    tested = sum(c.changed is not None for c in found.changes)
+    tested = len(found.compared)
     if not found.changes and found.findings:
         moved = [f for f in found.findings if f.what != "same"]
         return f"Of {count(len(found.findings), 'finding')} {len(moved) or 'none'} changed."
     if not tested:
         return "Nothing here has a standard error in both, so no change can be judged."
     if not found.changed:
-        return f"Of {count(tested, 'value')} with uncertainty none changed by more than chance."
-    names = listed([c.name for c in found.changed], 4)
-    return f"{len(found.changed)} of {count(tested, 'value')} with uncertainty changed: {names}."
+        text = f"Of {count(tested, 'value')} with uncertainty none changed by more than chance"
+    else:
+        names = listed(map(_name, found.changed), 4)
+        text = f"{len(found.changed)} of {count(tested, 'value')} with uncertainty changed: {names}"
+    n = len(found.neither)
+    return f"{text}; {count(n, 'more value')} {'is' if n == 1 else 'are'} determined by neither." if n else f"{text}."
 
 
 def print_comparison(console: Console, found: Comparison) -> None:
@@ -45,6 +48,8 @@ def print_comparison(console: Console, found: Comparison) -> None:
         put(console, table)
     if len(rows) > _MOST:
         say(console, f"and {len(rows) - _MOST} more, all in --json and --report.", "dim")
+    for line in neither_lines(found):
+        say(console, line, "dim")
     for error in found.errors:
         first, second = _error_cells(error)
         say(console, f"{error.name}: {first} → {second} {error.unit}")
@@ -52,13 +57,13 @@ def print_comparison(console: Console, found: Comparison) -> None:
         say(console, line)
     for names, where in ((found.only_a, "first"), (found.only_b, "second")):
         if names:
-            say(console, f"Only in the {where}: {listed(names)}.", "dim")
+            say(console, f"Only in the {where}: {listed(map(pretty_expression, names))}.", "dim")
 
 
 def comparison_page(found: Comparison, *, command_line: str = "") -> str:
     """Return a comparison as one HTML page."""
-    level = "care" if found.changed or not any(c.changed is not None for c in found.changes) else "good"
-    tested = sum(c.changed is not None for c in found.changes)
+    tested = len(found.compared)
+    level = "care" if found.changed or not tested else "good"
     opening = Opening(
         comparison_headline(found),
         level,
@@ -75,32 +80,52 @@ def comparison_page(found: Comparison, *, command_line: str = "") -> str:
         logs=[("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)],
         rows=[_page_row(change) for change in in_order(found)],
         circumstances=circumstances(found),
+        neither=neither_lines(found),
         errors=[(error.name, *_error_cells(error), error.unit) for error in found.errors],
         findings=finding_lines(found),
         only=[
-            (where, listed(names, 40)) for names, where in ((found.only_a, "first"), (found.only_b, "second")) if names
+            (where, listed(map(pretty_expression, names), 40))
+            for names, where in ((found.only_a, "first"), (found.only_b, "second"))
+            if names
         ],
         notes=found.warnings,
     )
 
 
 def in_order(found: Comparison) -> list[Change]:
-    """Return what changed, clearest first, then what did not, then what cannot be judged."""
-    changed = list(found.changed)
+    """Return what changed, clearest first, then what did not, then what only one determines.
+
+    What neither determines is left out: nominal values that are alike are no sign that the robot is.
+    """
     same = [c for c in found.changes if c.changed is False]
-    return [*changed, *same, *(c for c in found.changes if c.changed is None)]
+    one = [c for c in found.changes if c.determined_by in ("first", "second") and c.changed is None]
+    return [*found.changed, *same, *one]
+
+
+def neither_lines(found: Comparison) -> list[str]:
+    """Return what neither determines, so that it is not compared, and where the values kept there differ all the same."""
+    names = [_name(c) for c in found.neither]
+    other = [c for c in found.neither if abs(c.difference) > 1e-9 * max(abs(c.a), abs(c.b))]
+    kept = [f"{_name(c)} {number(c.a)} → {number(c.b)} {pretty_unit(c.unit)}".rstrip() for c in other]
+    lines = [f"Determined by neither, so not compared: {listed(names)}."] if names else []
+    return [*lines, f"Of these, other values were kept: {listed(kept, 4)}."] if kept else lines
+
+
+def _name(change: Change) -> str:
+    return pretty_expression(change.name) if change.combination else change.name
 
 
 def cells(change: Change) -> tuple[str, str, str, str, str]:
     """Return name, both values, their difference with its standard error, and the unit."""
     difference = with_uncertainty(change.difference, change.stderr) if change.stderr else number(change.difference)
-    return change.name, number(change.a), number(change.b), difference, pretty_unit(change.unit)
+    return _name(change), number(change.a), number(change.b), difference, pretty_unit(change.unit)
 
 
 def _page_row(change: Change) -> dict[str, Any]:
     name, a, b, difference, unit = cells(change)
     z = abs(change.difference) / change.stderr if change.stderr else None
-    state = "changed" if change.changed else "same" if change.changed is False else "no uncertainty"
+    judged = "changed" if change.changed else "same" if change.changed is False else ""
+    state = judged or f"determined by the {change.determined_by} only"
     return {"name": name, "a": a, "b": b, "difference": difference, "unit": unit, "state": state,
             "z": "" if z is None else number(z, 2), "width": 0 if z is None else min(100.0, 10 * z)}  # fmt: skip
 

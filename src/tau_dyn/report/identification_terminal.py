@@ -15,6 +15,8 @@ from tau_dyn.report.trust import combinations, summary_words
 from tau_dyn.report.words import listed, number, percent, pretty_unit
 
 BAR = 24
+_MOST = 4
+"""Combinations of parameters that the screen lists."""
 
 
 def print_identification(
@@ -85,13 +87,18 @@ def _uncertain(found: Identification) -> list[tuple[str, list[str]]]:
     rows = found.rows()
     weak = [r["name"] for r in rows if r["stderr"] is not None and not r["determined"]]
     unseen = [r["name"] for r in rows if r["stderr"] is None and not r.get("depends_on")]
+    together = combinations(found)
     groups = [
         ("Not determined by these data", [listed(weak)] if weak else []),
-        ("Seen only together", combinations(found)[:4]),
+        ("Seen only together", together[:_MOST] + _rest(len(together) - _MOST)),
         ("Not shown at all (nominal values)", [listed(unseen)] if unseen else []),
         ("Fits exactly as well", list(found.equivalent[:1]) + _more(found.equivalent)),
     ]
     return [(title, sentences) for title, sentences in groups if sentences]
+
+
+def _rest(n: int) -> list[str]:
+    return [f"{n} more less well known, in --json and --report"] if n > 0 else []
 
 
 def _more(sentences: tuple[str, ...]) -> list[str]:

@@ -264,5 +264,5 @@ def _comparison(found: Comparison) -> Face:
     return Face(
         "Comparison", f"{found.a.place} beside {found.b.place}", comparison.comparison_headline(found),
         columns=("", "first", "second", "difference", "unit"), rows=rows,
-        notes=[*notes, *comparison.finding_lines(found), *found.warnings],
+        notes=[*notes, *comparison.neither_lines(found), *comparison.finding_lines(found), *found.warnings],
     )  # fmt: skip

@@ -7,7 +7,7 @@ import numpy as np
 from tau_dyn.identify import Identification
 from tau_dyn.report.residuals import Residual
 from tau_dyn.report.rows import Row
-from tau_dyn.report.words import count, listed, number, percent, pretty_unit, with_uncertainty
+from tau_dyn.report.words import count, listed, number, percent, pretty_expression, pretty_unit, with_uncertainty
 
 WELL, FAIR = 30.0, 200.0
 STRONG = 0.9
@@ -75,11 +75,11 @@ def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, s
 
 
 def combinations(found: Identification) -> list[str]:
-    """Return what the data do see of parameters that they cannot see alone, with values."""
-    rows = found.base_rows()
-    together = [row for row in rows if row["expression"] != row["name"]]
+    """Return what the data do see of parameters that they cannot see alone, with values; best known (relative error) first."""
+    together = [row for row in found.base_rows() if row["expression"] != row["name"]]
+    together.sort(key=lambda row: row["stderr"] / max(abs(row["value"]), 1e-300))
     return [
-        f"{row['expression'].replace('*', ' · ')} = {with_uncertainty(row['value'], row['stderr'], row['unit'])}"
+        f"{pretty_expression(row['expression'])} = {with_uncertainty(row['value'], row['stderr'], row['unit'])}"
         for row in together
     ]
 

@@ -80,6 +80,11 @@ def pretty_unit(unit: str) -> str:
     return unit.replace("^2", "²").replace("^3", "³")
 
 
+def pretty_expression(text: str) -> str:
+    """Return a combination of parameters with dots for its products: `a.izz + 0.16 · b.mass`."""
+    return text.replace("*", " · ")
+
+
 def listed(items: Iterable[str], most: int = 6) -> str:
     """Return `a, b and c`, or the first few and how many more."""
     items = list(items)
