@@ -104,6 +104,7 @@ def _joint(a: Side, b: Side, known: list[str]) -> tuple[list[Change], list[str],
 def _unmatched(a: Side, b: Side, changes: list[Change], alone: list[str]) -> Iterator[str]:
     """Yield which combinations of parameters were not compared, and why."""
     lacking = [side for side in (a, b) if not side.combinations.rows]
+    given = {*a.combinations.fixed, *b.combinations.fixed}  # no member of any combination
     identified = {a.kind, b.kind} <= {"model", "identify"}
     if not lacking:
         if alone:
@@ -111,7 +112,7 @@ def _unmatched(a: Side, b: Side, changes: list[Change], alone: list[str]) -> Ite
                 f"{a.place} and {b.place} determine different combinations of parameters; not compared, as only one of them "
                 f"determines {'it' if len(alone) == 1 else 'each'}: {'; '.join(alone)}"
             )
-    elif identified and (alone or any(c.determined_by == "neither" for c in changes)):
+    elif identified and (alone or any(c.determined_by == "neither" and c.name not in given for c in changes)):
         if any(c.stderr is not None for c in changes):
             holds = f"{lacking[0].place} holds" if len(lacking) == 1 else f"{a.place} and {b.place} hold"
             yield (

@@ -100,7 +100,8 @@ def _of_model(path: Path, digest: str) -> Side:
     values = {p.name: quantity(p.value, p.stderr, p.unit, prior=p.prior_stderr) for p in model.parameters}
     used = [x for key in ("trained_on", "held_out") for x in _dicts(model.provenance.get(key))]
     logs = frozenset(str(x["sha256"]) for x in used if "sha256" in x)
-    return Side(path, digest, "model", values, {}, {}, logs)
+    fixed = {p.name: p.value for p in model.parameters if not p.free}
+    return Side(path, digest, "model", values, {}, {}, logs, combinations=Combinations(fixed=fixed))
 
 
 def _of_result(path: Path, digest: str, data: bytes, run: Run | None) -> Side:
