@@ -21,7 +21,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quaternion", metavar=("X", "Y", "Z", "W"), nargs=4, type=finite, help="of the tool; by default home's"
     )
-    parser.add_argument("--all", action="store_true", help="all configurations, also those outside joint limits")
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="all configurations that are found, also outside joint limits; of serial arms those from many starts within them",
+    )
     add_table_options(parser, "poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool]")
 
 
