@@ -57,6 +57,18 @@ def test_no_motion_is_called_a_jump(rate: int, grain: float, rng) -> None:
         assert not jumps_of(np.round(x / grain) * grain if grain else x).size
 
 
+def test_a_quick_move_seen_by_three_samples_is_motion() -> None:
+    """Indexing by 0.1 rad in 30 ms, logged at 100 Hz, with long rests in which only the encoder's noise moves."""
+    rng = np.random.default_rng(4)
+    steps = np.zeros(4000)
+    for k in range(50, 3900, 200):
+        steps[k : k + 3] = [0.02, 0.06, 0.02]
+    q = np.cumsum(steps) + 1e-5 * rng.standard_normal(4000)
+    assert not jumps_of(q).size
+    q[2000:] += 0.1
+    assert list(jumps_of(q)) == [1999]
+
+
 def test_a_step_within_the_joints_own_speed_is_motion(axis_log):
     """What the robot file allows in a sample is no jump, and samples that nobody uses may hold anything."""
     q = axis_log.channels["q_axis"].copy()

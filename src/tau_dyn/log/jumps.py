@@ -1,8 +1,8 @@
 """Positions that jump: an encoder that wraps, was set anew, or lost a reading; no joint moves so.
 
 A jump is a change that stands alone: ten times as far as nine of ten of the joint's changes and further than a fiftieth of its
-whole range, and neither the change before nor the one after goes half as far the same way. A joint that moves fast does so for
-several samples.
+whole range, and neither the change before nor the one after goes a quarter as far the same way. A joint that moves fast does so
+for several samples.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ _FURTHER = 10.0
 
 _OF_RANGE = 0.02
 """Least size of a jump, as a share of the joint's range."""
+
+_ALONE = 0.25
+"""A change with a neighbour of this share of its size, the same way, is motion: a quick move seen by few samples."""
 
 _TURN = 0.1
 """How near a jump comes to whole turns, as a share of one, where the encoder wraps."""
@@ -39,7 +42,7 @@ def jumps_of(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]:
     least = max(_FURTHER * float(np.quantile(size, 0.9)), _OF_RANGE * float(np.ptp(q)), fastest)
     padded = np.concatenate([[0.0], step, [0.0]])
     found = np.flatnonzero(size > least)
-    apart = [max(np.sign(step[k]) * padded[[k, k + 2]]) < 0.5 * size[k] for k in found]
+    apart = [max(np.sign(step[k]) * padded[[k, k + 2]]) < _ALONE * size[k] for k in found]
     return changes[found[apart]]
 
 
