@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
 
 def heeded() -> None:
-    """Let a child hear Ctrl-C, which a shell's background jobs are born deaf to."""
+    """Let this process hear Ctrl-C, which a shell's background jobs are born deaf to."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
@@ -93,10 +93,14 @@ def test_a_request_comes_again_where_a_destructor_swallowed_it(monkeypatch: pyte
             os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
-    gone = Swallows()
-    with pytest.raises(Interrupted), unwinding():
-        del gone
-        time.sleep(10)
+    before, gone = signal.getsignal(signal.SIGINT), Swallows()
+    heeded()
+    try:
+        with pytest.raises(Interrupted), unwinding():
+            del gone
+            time.sleep(10)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert sys.unraisablehook is sys.__unraisablehook__
 
 
