@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import warnings
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,14 @@ def judged(item: dict[str, Any]) -> dict[str, Any]:
     root = _copy(Path(item["folder"]))
     file = root / "src" / "tau_dyn" / item["module"]
     operator = cosmic_ray.plugins.get_operator(item["operator"])()
-    with use_mutation(file, operator, item["occurrence"]) as (before, after):
+    none = {"outcome": "none", "was": "", "became": ""}
+    with ExitStack() as changed:
+        try:
+            before, after = changed.enter_context(use_mutation(file, operator, item["occurrence"]))
+        except AttributeError:  # cosmic-ray replaces no exception with a dot in its name
+            return none
         if after is None or not _compiles(after):
-            return {"outcome": "none", "was": "", "became": ""}
+            return none
         was, became = _changed(before, after)
         outcome = tested(root, _ordered(item["module"], item["tests"]), item["limit"])
     return {"outcome": outcome, "was": was, "became": became}
