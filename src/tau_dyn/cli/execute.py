@@ -19,6 +19,7 @@ from rich.console import Console
 
 from tau_dyn.cli.common import Outcome, command_line, robot_file, to_json
 from tau_dyn.cli.run_folder import RunFolder, configuration_of
+from tau_dyn.coded_warning import format_warnings
 from tau_dyn.exceptions import CannotAnswer, InputError, one_line
 from tau_dyn.files import destination, sha256_of, writing_whole
 from tau_dyn.version import __version__
@@ -186,7 +187,9 @@ def _write(call: _Call, outcome: Outcome) -> None:
     else:
         args.report = None  # so that nothing says that it was written
     if args.json is not None:
-        files |= dict.fromkeys(_twice(args.json, folder, 1), to_json(about | outcome.result))
+        files |= dict.fromkeys(
+            _twice(args.json, folder, 1), to_json(about | outcome.result | format_warnings(outcome.warnings))
+        )
     with ExitStack() as staged:
         room = None if folder is None else staged.enter_context(folder.writing())
         for path, content in files.items():
@@ -259,7 +262,7 @@ def envelope(
         "inputs": [{"path": path, "sha256": sha256} for path, sha256 in map(_hashed, inputs) if sha256],
         "seed": args.seed,
         "status": status,
-        "warnings": list(dict.fromkeys(warnings)),
+        **format_warnings(warnings),
     }
 
 

@@ -7,6 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 from scipy.stats import norm
 
+from tau_dyn.coded_warning import format_warnings
 from tau_dyn.compare.circumstances import Difference, InputChange
 from tau_dyn.compare.read import Side
 from tau_dyn.shown import Shown
@@ -173,7 +174,7 @@ class Comparison(Shown):
             "configuration_changes": [d.to_dict() for d in self.configuration],
             "version_changes": [d.to_dict() for d in self.versions],
             "number_changes": [d.to_dict() for d in self.numbers],
-            "warnings": list(self.warnings),
+            **format_warnings(self.warnings),
         }
 
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tau_dyn.coded_warning import format_warnings
 from tau_dyn.diagnose.errors import Errors, Gain, Step
 from tau_dyn.effects import Effect
 from tau_dyn.model import Model
@@ -250,7 +251,7 @@ class Diagnosis(Shown):
         return {
             "seed": self.seed,
             "status": "cannot_answer" if self.verdict == "cannot_tell" else "ok",
-            "warnings": list(self.warnings),
+            **format_warnings(self.warnings),
             "verdict": self.verdict,
             "sentence": self.sentence,
             "channel": self.channel,

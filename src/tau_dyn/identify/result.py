@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Any
 
+from tau_dyn.coded_warning import format_warnings
 from tau_dyn.estimate import DETERMINED, Estimate, Regression
 from tau_dyn.identify.errors import ForceErrors
 from tau_dyn.log import Log, Recording
@@ -87,7 +88,7 @@ class Identification(Shown):
         fixed = [p for p in self.estimate.parameters if not p.free]
         return {
             "seed": self.seed,
-            "warnings": list(self.warnings),
+            **format_warnings(self.warnings),
             "model": self.friction or "file",
             "estimator": self.estimator,
             "parameters": self.rows(),

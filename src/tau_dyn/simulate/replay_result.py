@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from tau_dyn.coded_warning import format_warnings
 from tau_dyn.log import differentiate, lowpass
 
 SIGNALS = ("position", "speed", "acceleration", "force", "following")
@@ -90,7 +91,7 @@ class Replay:
             "seconds": float(self.t[-1] - self.t[0]),
             "share_at_limit": dict(zip(self.joints, self.at_limit.tolist(), strict=True)),
             "share_stuck": dict(zip(self.joints, self.stuck.tolist(), strict=True)),
-            "warnings": list(self.warnings),
+            **format_warnings(self.warnings),
         }
 
 
