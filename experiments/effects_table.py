@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.effects import EFFECTS, Effect, Scene
+from tau_dyn.effects.plausible import describe_ranges
 from tau_dyn.effects.words import spelled
 from tau_dyn.files import write_whole
 
@@ -48,7 +49,7 @@ def _row(cls: type[Effect]) -> tuple[str, ...]:
         f"`{cls.equation}`",
         ", ".join(_parameters(cls)),
         ", ".join(settings),
-        cls.plausible,
+        describe_ranges(cls.plausible),
         cls.reveals,
         (", ".join(others) + twins).removeprefix("; "),
         cls.reference,
@@ -68,7 +69,9 @@ def _parameters(cls: type[Effect]) -> list[str]:
 def _takes_one(cls: type[Effect]) -> bool:
     one, two = np.ones(1), np.ones(2)
     alone = cls.groups(Scene(("a",), ("N",), -one, one, one, one, 1.0, 1.0, frozenset(cls.needs)))
-    both = cls.groups(Scene(("a", "b"), ("N", "N"), -two, two, two, two, 1.0, 1.0, frozenset(cls.needs)))
+    both = cls.groups(
+        Scene(("a", "b"), ("N", "N"), -two, two, two, two, 1.0, 1.0, frozenset(cls.needs), coupled=(("a", "b"),))
+    )
     return bool(alone) or not both
 
 

@@ -180,7 +180,8 @@ def test_one_delay_for_all_drives_competes_with_one_for_each(make, rng):
 def test_groups_that_are_covered_are_not_tried_again(make, rng):
     """What acts on all joints of a group is not tried there; a pair may share a joint with another pair."""
     channel = make.bench(rng, joints=("x", "y", "z"), n=500)
-    channel = replace(channel, scene=replace(channel.scene, signals=frozenset({"force"})))
+    pairs = (("x", "y"), ("x", "z"), ("y", "z"))
+    channel = replace(channel, scene=replace(channel.scene, signals=frozenset({"force"}), coupled=pairs))
     everyone = ("x", "y", "z")
     assert groups(channel, Delay, set()) == [everyone, ("x",), ("y",), ("z",)]
     assert groups(channel, Delay, {("delay", everyone)}) == []

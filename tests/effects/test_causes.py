@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.cart_shift import CartShift
+from tau_dyn.effects.plausible import describe_ranges
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
@@ -21,6 +22,7 @@ torque_offset drive_gain cyclic_ripple delay backlash hysteresis transmission_er
 payload link_mass gravity_direction structural_compliance joint_compliance guideway_nonparallel guideway_not_straight
 guideway_compliance cart_tilt rod_length joint_placement tool_frame gravity_sag clock_offset resolver_error outliers
 timestamp_jitter friction_change
+armature drive_lag viscous_curvature force_scale
 """.split()
 CAUSES = [name for name, cls in EFFECTS.items() if cls.cause]
 JOINTS, UNITS, N = ("j1", "j2", "j3"), ("N", "N", "N m"), 400
@@ -56,7 +58,19 @@ def scene(motion: Motion, *more: str, campaigns: int = 2) -> Scene:
     """Return what the motion offers."""
     q, v = motion.q, np.abs(motion.v)
     signals = frozenset((*motion.signals, *more))
-    return Scene(JOINTS, UNITS, q.min(0), q.max(0), np.full(3, 0.01), v.max(0), 60.0, 100.0, signals, campaigns)
+    return Scene(
+        JOINTS,
+        UNITS,
+        q.min(0),
+        q.max(0),
+        np.full(3, 0.01),
+        v.max(0),
+        60.0,
+        100.0,
+        signals,
+        campaigns,
+        coupled=((JOINTS[0], JOINTS[1]),),
+    )
 
 
 def instance(name: str, motion: Motion) -> Effect:
@@ -82,7 +96,7 @@ def test_a_cause_says_all_that_a_person_needs(name: str) -> None:
     assert name in CONTRACT and name == cls.name
     assert cls.mistaken_for and set(cls.mistaken_for) <= set(CONTRACT) - {name}
     assert set(cls.equivalent) <= set(cls.mistaken_for)
-    for words in (cls.equation, cls.reference, cls.reveals, cls.plausible):
+    for words in (cls.equation, cls.reference, cls.reveals, describe_ranges(cls.plausible)):
         assert words and "\n" not in words
     assert set(cls.setting_units) <= set(cls.defaults)
     assert {*cls.positive, *cls.whole, *cls.refined} <= set(cls.defaults)

@@ -183,7 +183,8 @@ def test_a_shared_motor_has_units_of_its_joints() -> None:
     coupling = EFFECTS["reducer_coupling"]
     assert [p.unit for p in coupling(["a", "b"], ["N", "N"]).parameters] == ["N s^2/m", "N/(m/s)", "N"]
     assert [p.unit for p in coupling(["a", "b"], ["N m", "N m"]).parameters][0] == "N m s^2/rad"
-    mixed = replace(scene(joints=("a", "b", "c")), units=("N", "N m", "N m"))
+    chain = (("a", "b"), ("b", "c"))
+    mixed = replace(scene(joints=("a", "b", "c")), units=("N", "N m", "N m"), coupled=chain)
     assert coupling.groups(mixed) == [("b", "c")]
 
 

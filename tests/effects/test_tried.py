@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,7 +17,18 @@ def scene(joints: str = "xyw", *signals: str, duration: float = 120.0, cutoff_hz
     about = {"x": ("N", 1.0, 1.5, 0.01, 1.0), "y": ("N", 0.0, 2.0, 0.02, 0.6), "w": ("N m", -1.0, 1.0, 0.05, 3.0)}
     units, *numbers = zip(*(about[joint] for joint in joints), strict=True)
     low, high, slow, fast = (np.array(x) for x in numbers)
-    return Scene(tuple(joints), units, low, high, slow, fast, cutoff_hz, duration, frozenset(signals))
+    return Scene(
+        tuple(joints),
+        units,
+        low,
+        high,
+        slow,
+        fast,
+        cutoff_hz,
+        duration,
+        frozenset(signals),
+        coupled=tuple(pairwise(joints)),
+    )
 
 
 def tried(name: str, joint: str, about: Scene) -> list[dict[str, float]]:

@@ -3,7 +3,7 @@
 import sys
 
 from tau_dyn.cli import main
-from tau_dyn.effects import JointwiseEffect, register
+from tau_dyn.effects import JointwiseEffect, PlausibleRange, register
 
 
 @register
@@ -14,7 +14,7 @@ class Bellows(JointwiseEffect):
     cause = True
     equation = "tau += bellows q"
     reveals = "slow strokes over the whole guideway"
-    plausible = "from zero to a hundredth of the drive's force per millimetre"
+    plausible = (PlausibleRange("bellows", 0.0, 1e5, "N/m"),)
     quantities = (("bellows", "F/Q"),)
     nonnegative = True
 

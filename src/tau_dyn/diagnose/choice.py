@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from tau_dyn.diagnose.fits import WEAK, Candidate, Fit, merit_under
 from tau_dyn.diagnose.ground import Ground
+from tau_dyn.diagnose.plausibility import SEARCH_MARGIN
 from tau_dyn.diagnose.refine import amplitudes, pruned, refined
 from tau_dyn.diagnose.trials import Library, weighed
 from tau_dyn.effects import Effect
@@ -35,14 +36,19 @@ def chosen(
         own, more = _own(strongest, left, library, ground)
         best = refined(own, library, ground)
         genuine = sift(ground, best, others, n) if sift else best
-        if genuine is not None and _believable(genuine, library, ground):
+        if genuine is not None and _is_believable(genuine, library, ground):
             return genuine, tuple(dict.fromkeys((*twins, *more)))
-        left = [c for c in left if c.cause != strongest.cause]
+        left = [c for c in left if c is not strongest]
     return None
 
 
-def _believable(candidate: Candidate, library: Library, ground: Ground) -> bool:
-    return all(fit.effect.believable(amplitudes(fit.effect, library, ground)) for fit in candidate.fits)
+def _is_believable(candidate: Candidate, library: Library, ground: Ground) -> bool:
+    """Return whether amplitudes lie near their plausible ranges; far beyond them a law only mimics something else."""
+    for fit in candidate.fits:
+        values = fit.effect.parameters.with_values(amplitudes(fit.effect, library, ground))
+        if fit.effect.find_implausible(values, library.channel.scene.scales, SEARCH_MARGIN):
+            return False
+    return True
 
 
 def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, ...]]:
@@ -52,11 +58,12 @@ def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, 
     """
     first = max(significant, key=lambda c: c.merit)
     scatter = first.fits[0].inflation
-    alike = {c.cause: c.merit_under(scatter) - first.merit_under(scatter) for c in significant}
-    level = [c for c in significant if abs(alike[c.cause]) < TWIN_MARGIN]
-    best = max(level, key=lambda c: alike[c.cause])
-    near = (c for c in significant if c.merit > best.merit - TWIN_MARGIN or c in level)
-    return best, tuple(c.cause for c in near if c is not best)
+    beyond = [c.merit_under(scatter) - first.merit_under(scatter) for c in significant]
+    level = [(x, k) for k, x in enumerate(beyond) if abs(x) < TWIN_MARGIN]
+    best = significant[max(level)[1]]
+    alike = {k for _, k in level}
+    near = (c for k, c in enumerate(significant) if c.merit > best.merit - TWIN_MARGIN or k in alike)
+    return best, tuple(dict.fromkeys(c.cause for c in near if c is not best and c.cause != best.cause))
 
 
 def _own(

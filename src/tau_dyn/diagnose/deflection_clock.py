@@ -15,6 +15,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
 
@@ -31,7 +32,8 @@ class ClockOffset(JointwiseDisplacement):
     reference = "Dressler 2012, 6.3 (delays between channels)"
     reveals = "the same stroke at several constant speeds without a change of load, both encoders logged"
     mistaken_for = ("hysteresis", "joint_compliance", "backlash")
-    plausible = "-20 to 20 ms"
+    # Two encoders read by two devices on one bus
+    plausible = (PlausibleRange("clock_offset", -0.1, 0.1, "s"),)
     quantities = (("clock_offset", "s"),)
     needs = (LOAD_SPEED,)
 

@@ -14,6 +14,7 @@ from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import WHOLE_TIME
 from tau_dyn.diagnose.parts import TRAIN, divide
 from tau_dyn.diagnose.periodogram import LONG, explained_by_periods, of_displacement, of_force, of_output
+from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.scenes import scene_along, shared_signals
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
@@ -199,7 +200,7 @@ def _scene(
     signals = shared_signals(motions)
     if "temperature" in signals and max(float(np.ptp(m.signals["temperature"])) for m in motions) < 0.5:
         signals -= {"temperature"}  # it never changed
-    return scene_along(
+    scene = scene_along(
         motions,
         model.robot.actuated,
         model.robot.force_units,
@@ -209,4 +210,8 @@ def _scene(
         signals=signals,
         campaigns=campaigns,
         trained=[part == TRAIN for part in parts],
+        coupled=model.robot.coupled_pairs,
     )
+    force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
+    inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)
+    return replace(scene, scales=measure_scales(model.parameters, scene.joints, scene.fast, force, inertia))

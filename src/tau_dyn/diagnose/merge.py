@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from tau_dyn.diagnose.result import Diagnosis, Verdict
 from tau_dyn.diagnose.stages import strength
+from tau_dyn.effects import Effect, JointwiseEffect
 from tau_dyn.parameters import Parameters
 
 
@@ -51,8 +52,9 @@ def _extended(first: Diagnosis, others: Sequence[Diagnosis]):
     """Return the first channel's extended model with the effects that the others add."""
     model = first.extended_model
     for one in others:
-        known = {tuple(e.parameters.names) for e in model.effects}
-        new = [e for e in one.extended_model.effects if tuple(e.parameters.names) not in known]
+        known = {name for e in model.effects for name in e.parameters.names}
+        parts = (_only_unknown(e, known) for e in one.extended_model.effects)
+        new = [e for e in parts if e is not None]
         names = [n for e in new for n in e.parameters.names]
         values = one.extended_model.effect_parameters.select(names)
         model = replace(
@@ -61,3 +63,16 @@ def _extended(first: Diagnosis, others: Sequence[Diagnosis]):
             effect_parameters=model.effect_parameters + Parameters(list(values)),
         )
     return model
+
+
+def _only_unknown(effect: Effect, known: set[str]) -> Effect | None:
+    """Return an effect on those of its joints that it does not have in the model yet; the first channel's values stay."""
+    if not known & set(effect.parameters.names):
+        return effect
+    joints = [
+        j for j in effect.joints if not any(name.startswith(f"{j}.") for name in known & set(effect.parameters.names))
+    ]
+    if not joints or not isinstance(effect, JointwiseEffect):
+        return None
+    left = type(effect)(joints, [effect.units[j] for j in joints], label=effect.label, **effect.settings)
+    return None if known & set(left.parameters.names) else left

@@ -24,6 +24,7 @@ def scene_along(
     signals: frozenset[str],
     campaigns: int = 1,
     trained: Sequence[np.ndarray] | None = None,
+    coupled: tuple[tuple[str, str], ...] = (),
 ) -> Scene:
     """Return what motions offer together.
 
@@ -37,12 +38,25 @@ def scene_along(
         signals: What effects may feel; see `shared_signals`.
         campaigns: Number of logs that are told apart.
         trained: Which samples of each motion causes are fitted to (n,); by default all.
+        coupled: Pairs of joints that a shared motor may drive.
     """
     q, v = (np.concatenate([getattr(motion, key) for motion in motions]) for key in ("q", "v"))
     seen = q if trained is None else q[np.concatenate(trained)]
     often = np.quantile(seen, (_RARE, 1 - _RARE), axis=0)
     ends = q.min(axis=0), q.max(axis=0)
-    return Scene(joints, units, *ends, slow, fast_speeds(v), cutoff_hz, duration, signals, campaigns, often=often)
+    return Scene(
+        joints,
+        units,
+        *ends,
+        slow,
+        fast_speeds(v),
+        cutoff_hz,
+        duration,
+        signals,
+        campaigns,
+        often=often,
+        coupled=coupled,
+    )
 
 
 def shared_signals(motions: Sequence[Motion]) -> frozenset[str]:

@@ -22,6 +22,7 @@ from tau_dyn.effects.load_friction import LoadFriction
 from tau_dyn.effects.motion import JointMotion, Motion
 from tau_dyn.effects.passive_joint_friction import PassiveJointFriction
 from tau_dyn.effects.pinion_scale import PinionScale
+from tau_dyn.effects.plausible import JointScales, PlausibleRange
 from tau_dyn.effects.position_friction import PositionFriction
 from tau_dyn.effects.quadratic_drag import QuadraticDrag
 from tau_dyn.effects.reducer_coupling import ReducerCoupling
@@ -102,11 +103,13 @@ __all__ = [
     "Hysteresis",
     "JointCompliance",
     "JointMotion",
+    "JointScales",
     "JointwiseEffect",
     "LoadFriction",
     "Motion",
     "PassiveJointFriction",
     "PinionScale",
+    "PlausibleRange",
     "PositionFriction",
     "QuadraticDrag",
     "ReducerCoupling",

@@ -15,6 +15,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import slide_and_hinge
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
@@ -31,7 +32,8 @@ class Backlash(JointwiseDisplacement):
     reference = "Nordin & Gutman 2002; Dressler 2012, 4.2"
     reveals = "the tool or the load side measured at the same places, approached from both directions"
     mistaken_for = ("joint_compliance", "hysteresis", "coulomb_asymmetry")
-    plausible = "from zero to 0.2 mm or 2 mrad"
+    # Gears of machine tools stay below 0.1 mm and 1 mrad; worn or hobby servos reach 1 mm and 1 degree (Nordin & Gutman 2002)
+    plausible = tuple(slide_and_hinge("backlash", "Q", (0.0, 0.0), (1e-3, 2e-2)))
     needs = (*JointwiseDisplacement.needs, "reversal")
     nonnegative = True
     quantities = (("backlash", "Q"),)

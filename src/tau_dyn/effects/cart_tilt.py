@@ -15,6 +15,7 @@ import numpy as np
 
 from tau_dyn.effects.cart_shift import CartShift
 from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import quantity
 from tau_dyn.parameters import Parameter, Parameters
@@ -33,7 +34,8 @@ class CartTilt(CartShift):
     reveals = "the tool's position and the cart's orientation measured along the whole guideway"
     mistaken_for = ("guideway_not_straight", "guideway_compliance", "transmission_error", "pinion_scale")
     equivalent = ("guideway_not_straight",)
-    plausible = "up to 0.5 mrad on a lever of 0.1 m: 50 um"
+    # 0.5 mrad on a lever of 0.1 m are 50 um; bent rails reach a few times that
+    plausible = (PlausibleRange("tilt", -2e-4, 2e-4, "m"),)
     defaults = {"period": 1.0}
     setting_units = {"period": "Q"}
     positive = ("period",)

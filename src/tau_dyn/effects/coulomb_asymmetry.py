@@ -14,6 +14,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.words import one_sided
 from tau_dyn.parameters import Parameter
 
@@ -28,7 +29,8 @@ class CoulombAsymmetry(JointwiseEffect):
     reveals = "constant-speed strokes in both directions; only a joint without gear and seals tells it from an offset"
     mistaken_for = ("torque_offset", "gravity_direction")
     equivalent = ("torque_offset",)
-    plausible = "up to the joint's Coulomb friction, either sign"
+    # Beyond it one direction would be driven by its own friction
+    plausible = (PlausibleRange("coulomb_asymmetry", -1.0, 1.0, of="coulomb"),)
     quantities = (("coulomb_asymmetry", "F"),)
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:

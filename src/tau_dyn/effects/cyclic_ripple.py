@@ -13,6 +13,7 @@ import numpy as np
 
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.periodic import PeriodicEffect, periods
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.parameters import Parameter
 
@@ -26,7 +27,8 @@ class CyclicRipple(PeriodicEffect):
     reference = "Dressler 2012, 4.2; Holtz & Springob 1996"
     reveals = "slow strokes at several constant speeds over many periods"
     mistaken_for = ("transmission_error", "resolver_error", "position_friction")
-    plausible = "up to a few per cent of the drive's largest force; at least 4 periods in the range travelled"
+    # Cogging and tooth meshing are a few per cent of the largest force, 20 % in hobby gears
+    plausible = (PlausibleRange("ripple", -0.2, 0.2, of="force"),)
     wave = ("ripple", "F")
 
     def local_frequency(self, motion: Motion) -> np.ndarray:

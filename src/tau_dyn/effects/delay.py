@@ -17,6 +17,7 @@ import numpy as np
 
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.exceptions import InputError
@@ -37,7 +38,8 @@ class Delay(Effect):
     reveals = "quick reversals and accelerations that change fast, such as a multisine"
     mistaken_for = ("clock_offset", "link_mass", "payload", "joint_compliance")
     equivalent = ("clock_offset",)
-    plausible = "-20 to 20 ms"
+    # Drives, buses and loggers; more is another recording
+    plausible = (PlausibleRange("delay", -0.1, 0.1, "s"),)
     needs = ("force",)
     defaults = {"about": 5e-4}
     setting_units = {"about": "s"}

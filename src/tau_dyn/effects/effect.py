@@ -19,8 +19,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.plausible import JointScales, PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import amount, quantity
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
@@ -45,8 +46,9 @@ class Effect(ABC):
         equivalent: Causes that no data of this kind can tell from it.
         needs: Signals of the motion that it feels.
         nonnegative: Whether only amplitudes from zero up make sense (a Stribeck term of the other sign is not one).
-        plausible: The range that its amplitudes lie in on real machines, in words.
+        plausible: The ranges that its amplitudes lie in on real machines; nothing outside of them is confirmed.
         refined: Settings that diagnosis adjusts beyond its grid.
+        open_ends: Setting -> `low`, `high` or `both`: ends of its grid beyond which the true value may lie.
         defaults: Name -> value of each setting.
         setting_units: Name -> unit of each setting; V stands for the speed unit, Q for that of the position.
         positive: Settings that must be above zero.
@@ -64,8 +66,9 @@ class Effect(ABC):
     equivalent: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     refined: tuple[str, ...] = ()
+    open_ends: ClassVar[Mapping[str, str]] = {}
     nonnegative: ClassVar[bool] = False
-    plausible: ClassVar[str] = ""
+    plausible: ClassVar[tuple[PlausibleRange, ...]] = ()
     defaults: ClassVar[Mapping[str, float]] = {}
     setting_units: ClassVar[Mapping[str, str]] = {}
     positive: ClassVar[tuple[str, ...]] = ()
@@ -116,9 +119,24 @@ class Effect(ABC):
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
 
-    def believable(self, amplitudes: np.ndarray) -> bool:
-        """Tell whether amplitudes (k,) could be this cause at all; far beyond `plausible` a law only mimics something else."""
-        return True
+    def find_implausible(self, parameters: Parameters, scales: JointScales, margin: float = 1.0) -> str:
+        """Return what lies outside its plausible range, as a phrase; empty where all lie within.
+
+        Args:
+            parameters: Its parameters at fitted values.
+            scales: What shares are taken of; see `PlausibleRange`.
+            margin: Factor by which the ranges are widened.
+        """
+        for p in parameters.select(self.parameters.names):
+            owner, _, name = p.name.rpartition(".")
+            row = next((row for row in self.plausible if row.covers(name.removesuffix(self.label), p.unit)), None)
+            if row is None:
+                continue
+            bounds = np.array([row.bounds(joint, scales) for joint in owner.split("+")])
+            low, high = margin * bounds[:, 0].min(), margin * bounds[:, 1].max()
+            if not low <= p.value <= high:
+                return f"{p.name} = {quantity(p.value, p.unit)} is outside of its plausible range ({row.describe()})"
+        return ""
 
     def lookalikes(self) -> list[Effect]:
         """Return laws without a name, with as many terms, that must explain less for this one to be named."""

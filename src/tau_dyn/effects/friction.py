@@ -16,6 +16,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
 
@@ -57,7 +58,8 @@ class TorqueOffset(JointwiseEffect):
     reveals = "constant-speed strokes in both directions; only a joint without gear and seals tells it from asymmetry"
     mistaken_for = ("coulomb_asymmetry", "gravity_direction", "payload")
     equivalent = ("coulomb_asymmetry",)
-    plausible = "up to a tenth of the drive's largest force, either sign"
+    # Amplifier offsets are a few per cent; springs and counterweights hold up to half of the largest force
+    plausible = (PlausibleRange("offset", -0.5, 0.5, of="force"),)
     quantities = (("offset", "F"),)
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
@@ -27,7 +28,11 @@ class FrictionChange(JointwiseEffect):
     reference = "Dressler 2012, 6.2"
     reveals = "the same motion in two or more logs, recorded at the same temperature"
     mistaken_for = ("thermal_drift", "drive_gain")
-    plausible = "within the friction of the other logs, either sign"
+    # A service or a cold start at most halves friction, or triples it
+    plausible = (
+        PlausibleRange("coulomb_change", -1.0, 2.0, of="coulomb"),
+        PlausibleRange("viscous_change", -1.0, 3.0, of="viscous"),
+    )
     needs = ("campaign",)
     quantities = (("coulomb_change", "F"), ("viscous_change", "F/(V)"))
     defaults = {"number": 1.0}

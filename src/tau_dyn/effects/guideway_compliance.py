@@ -13,6 +13,7 @@ import numpy as np
 
 from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
 from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -31,7 +32,8 @@ class GuidewayCompliance(CartShift):
         "tool positions measured over the whole workspace, with the links at many angles, and once with a known payload"
     )
     mistaken_for = ("cart_tilt", "guideway_not_straight", "rod_length")
-    plausible = "0.01 to 2 um/N"
+    # Linear guides have 0.01 to 2 um/N; a light frame yields ten times more
+    plausible = (PlausibleRange("guideway_compliance", 0.0, 2e-5, "m/N"),)
     needs = (SENSITIVITY, SIDE_FORCE)
     nonnegative = True
 

@@ -20,6 +20,7 @@ from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.jointwise_displacement import SEEN_DIRECTLY, JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion
+from tau_dyn.effects.plausible import PlausibleRange, slide_and_hinge
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.exceptions import InputError
@@ -41,7 +42,11 @@ class Hysteresis(JointwiseDisplacement):
     reference = "Dahl 1968; Ruderman et al. 2009"
     reveals = "short slow strokes back and forth, with the load side or the tool measured"
     mistaken_for = ("stribeck", "backlash", "joint_compliance")
-    plausible = "from zero up to the Coulomb friction, or to 0.2 mm or 2 mrad"
+    # Presliding cannot hold more than friction; lost motion is that of gears (see backlash)
+    plausible = (
+        PlausibleRange("hysteresis", 0.0, 1.5, of="coulomb"),
+        *slide_and_hinge("lost_motion", "Q", (0.0, 0.0), (1e-3, 2e-2)),
+    )
     needs = (*JointwiseDisplacement.needs, "reversal")
     nonnegative = True
     quantities = ()
@@ -49,6 +54,7 @@ class Hysteresis(JointwiseDisplacement):
     setting_units = {"distance": "Q"}
     positive = ("distance",)
     refined = ("distance",)
+    open_ends = {"distance": "both"}
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import slide_and_hinge
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount, quantity, spelled
 from tau_dyn.exceptions import InputError
@@ -31,7 +32,8 @@ class JointCompliance(JointwiseDisplacement):
     reference = "Spong 1987; Dressler 2012, 6.3"
     reveals = "changing forces of known size at one place, with the load side or the tool measured"
     mistaken_for = ("backlash", "hysteresis", "structural_compliance", "delay")
-    plausible = "from zero to 1e-6 m/N or 1e-4 rad/(N m)"
+    # Drives from 1e5 N/m and, for small harmonic drives, from 100 N m/rad up
+    plausible = tuple(slide_and_hinge("compliance", "Q/F", (0.0, 0.0), (1e-5, 1e-2)))
     needs = (*JointwiseDisplacement.needs, "force", "rigid_force")
     nonnegative = True
     quantities = (("compliance", "Q/F"),)

@@ -16,6 +16,7 @@ import numpy as np
 
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter, Parameters
@@ -30,7 +31,11 @@ class PassiveJointFriction(Effect):
     reference = "Khalil & Dombre 2002, ch. 10"
     reveals = "motions in which the rods turn much beside ones in which all carts move alike, in both directions"
     mistaken_for = ("viscous_asymmetry", "coulomb_asymmetry", "load_friction")
-    plausible = "0.01 to 1 N m and 0.01 to 10 N m/(rad/s) a bearing"
+    # From instrument bearings to preloaded cardan joints
+    plausible = (
+        PlausibleRange("coulomb", 0.0, 10.0, "N m"),
+        PlausibleRange("viscous", 0.0, 30.0, "N m/(rad/s)"),
+    )
     needs = ("passive",)
     nonnegative = True
 

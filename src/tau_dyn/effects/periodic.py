@@ -37,6 +37,7 @@ class PeriodicEffect(JointwiseEffect):
     positive = ("period",)
     whole = ("harmonics",)
     refined = ("period",)
+    open_ends = {"period": "high"}
     grows = "harmonics"
     dense = True
 

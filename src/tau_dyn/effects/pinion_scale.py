@@ -14,6 +14,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.words import percent
 from tau_dyn.parameters import Parameter
 
@@ -27,7 +28,8 @@ class PinionScale(JointwiseDisplacement):
     reference = "Dressler 2012, (4.13) and (5.6)"
     reveals = "the tool or the load side measured over the whole range"
     mistaken_for = ("guideway_nonparallel", "rod_length", "link_mass")
-    plausible = "-0.005 to 0.005"
+    # A pinion or belt pitch off by 1 % is a wrong part
+    plausible = (PlausibleRange("pinion_scale", -0.01, 0.01),)
     quantities = (("pinion_scale", "1"),)
     hidden = "forces see a scale of the positions as scaled masses, which the refit absorbs"
 

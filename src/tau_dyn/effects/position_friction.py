@@ -17,6 +17,7 @@ from numpy.polynomial import legendre
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import quantity, spelled
 from tau_dyn.parameters import Parameter
@@ -35,7 +36,8 @@ class PositionFriction(JointwiseEffect):
     reference = "Dressler 2012, 6.2; Khalil & Dombre 2002, 9.6"
     reveals = "slow constant-speed strokes over the whole range, in both directions"
     mistaken_for = ("load_friction", "thermal_drift", "cyclic_ripple", "passive_joint_friction")
-    plausible = "sum over the range below the joint's Coulomb friction"
+    # Friction stays positive at each place
+    plausible = (PlausibleRange("position_friction", -1.0, 1.0, of="coulomb"),)
     quantities = ()
     defaults = {"middle": 0.0, "half": 1.0, "degree": 2}
     setting_units = {"middle": "Q", "half": "Q"}

@@ -13,6 +13,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
 
@@ -26,7 +27,8 @@ class QuadraticDrag(JointwiseEffect):
     reference = "Hoerner 1965; Armstrong-Helouvry, Dupont & Canudas de Wit 1994"
     reveals = "constant-speed strokes up to the highest speed, in both directions"
     mistaken_for = ("stribeck", "viscous_asymmetry", "thermal_drift")
-    plausible = "from zero; at full speed up to the viscous friction"
+    # At full speed drag reaches a few times the other friction, as in fans and oil baths
+    plausible = (PlausibleRange("quadratic_drag", 0.0, 3.0, of="drag"),)
     quantities = (("quadratic_drag", "F/(V)^2"),)
     nonnegative = True
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import Motion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene, pairs
 from tau_dyn.effects.words import amount, spelled
 from tau_dyn.exceptions import InputError
@@ -29,13 +30,23 @@ class ReducerCoupling(Effect):
     reference = "Gautier & Venture 2013"
     reveals = "motion in which the two joints turn together, against each other, and each alone"
     mistaken_for = ("link_mass", "passive_joint_friction")
-    plausible = "from zero up to the joints' own drive inertia and friction"
+    # The shared motor is of the size of the joints' own motors
+    plausible = (
+        PlausibleRange("inertia", 0.0, 1.0, of="inertia"),
+        PlausibleRange("viscous", 0.0, 2.0, of="viscous"),
+        PlausibleRange("coulomb", 0.0, 2.0, of="coulomb"),
+    )
     nonnegative = True
 
     @classmethod
     def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
         """Return all pairs of joints with one force unit."""
         return pairs(scene)
+
+    @classmethod
+    def untestable(cls, scene: Scene) -> tuple[str, str] | None:
+        """Return that no motor can drive two joints, where none are neighbours."""
+        return super().untestable(scene) if pairs(scene) else ("no two joints can share a motor", cls.reveals)
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Couple exactly two joints, whose forces are in these units."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, field
 
 import numpy as np
+
+from tau_dyn.effects.plausible import JointScales
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,8 @@ class Scene:
         campaigns: Number of logs, which `campaign` counts from zero.
         resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
         structure: Whether these modes are the structure's as a whole, and no single joint's.
+        scales: Each joint's own forces, of which plausible amplitudes are shares.
+        coupled: Pairs of joints that a shared motor may drive: neighbours in the chain, or declared by the robot file.
         often: Positions below and above which the joints are rarely trained on (2, na); None where all of it counts.
     """
 
@@ -41,6 +44,8 @@ class Scene:
     resonances: tuple[tuple[float, float], ...] = ()
     structure: bool = False
     often: np.ndarray | None = None
+    scales: JointScales = field(default_factory=dict)
+    coupled: tuple[tuple[str, str], ...] = ()
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""
@@ -54,6 +59,6 @@ class Scene:
 
 
 def pairs(scene: Scene) -> list[tuple[str, ...]]:
-    """Return every pair of joints with the same force unit."""
+    """Return the pairs of joints with the same force unit that a shared motor may drive."""
     same = {joint: unit for joint, unit in zip(scene.joints, scene.units, strict=True)}
-    return [(i, j) for i, j in combinations(scene.joints, 2) if same[i] == same[j]]
+    return [(i, j) for i, j in scene.coupled if same[i] == same[j]]

@@ -14,6 +14,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount, quantity, spelled
 from tau_dyn.parameters import Parameter
@@ -31,11 +32,13 @@ class Stribeck(JointwiseEffect):
     reference = "Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994"
     reveals = "constant-speed strokes from very slow to fast, in both directions"
     mistaken_for = ("hysteresis", "quadratic_drag", "backlash")
-    plausible = "from zero up to the joint's Coulomb friction; speed below a third of the fast ones"
+    # Breakaway friction reaches three times the friction in motion (Armstrong-Helouvry, Dupont & Canudas de Wit 1994)
+    plausible = (PlausibleRange("stribeck", 0.0, 3.0, of="coulomb"),)
     quantities = (("stribeck", "F"),)
     nonnegative = True
     defaults = {"speed": 0.02, "power": 1.0}
     refined = ("speed",)
+    open_ends = {"speed": "both"}
     setting_units = {"speed": "V"}
     positive = ("speed", "power")
 

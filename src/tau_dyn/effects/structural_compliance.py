@@ -23,6 +23,7 @@ from scipy import signal
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion
+from tau_dyn.effects.plausible import slide_and_hinge
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount, spelled
 from tau_dyn.exceptions import InputError
@@ -51,7 +52,8 @@ class StructuralCompliance(JointwiseDisplacement):
     reference = "Spong 1987; Dressler 2012, 6.3"
     reveals = "a multisine around the suspected resonance, riding on a stroke of constant speed"
     mistaken_for = ("joint_compliance", "delay", "payload", "drive_gain")
-    plausible = "from zero to 1e-6 m/N or 1e-4 rad/(N m); 3 to 100 Hz, damping 0.005 to 0.3"
+    # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987)
+    plausible = tuple(slide_and_hinge("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)))
     needs = (*JointwiseDisplacement.needs, "rigid_force")
     nonnegative = True
     quantities = (("structural_compliance", "Q/F"),)
@@ -63,6 +65,7 @@ class StructuralCompliance(JointwiseDisplacement):
     positive = tuple(f"{key}{end}" for end in _ENDS for key in ("frequency", "damping"))
     whole = ("modes",)
     refined = ("frequency", "damping")
+    open_ends = {"frequency": "both"}
 
     def __init__(self, joints: Sequence[str], units: Sequence[str], *, label: str = "", **settings: float) -> None:
         """Let the effect act; see `Effect`.

@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount, quantity
 from tau_dyn.parameters import Parameter
@@ -33,12 +34,17 @@ class ThermalDrift(JointwiseEffect):
     reference = "Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012"
     reveals = "the same motion repeated from cold to warm, with a column temp_JOINT or temp_room in the log"
     mistaken_for = ("friction_change", "position_friction", "viscous_asymmetry")
-    plausible = "-3 to +1 % of Coulomb and viscous friction a kelvin"
+    # Grease loses 3 to 8 % of its friction a kelvin when cold, less when warm (Bittencourt & Gunnarsson 2012)
+    plausible = (
+        PlausibleRange("thermal_coulomb", -0.1, 0.05, of="coulomb"),
+        PlausibleRange("thermal_viscous", -0.1, 0.05, of="viscous"),
+    )
     needs = ("temperature",)
     quantities = (("thermal_coulomb", "F/K"), ("thermal_viscous", "F/(V K)"))
     defaults = {"lag": 0.0, "reference": 20.0}
     setting_units = {"lag": "s", "reference": "degC"}
     refined = ("lag",)
+    open_ends = {"lag": "high"}
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the sign and the speed, times the temperature above the reference."""

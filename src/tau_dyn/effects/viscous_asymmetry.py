@@ -13,6 +13,7 @@ import numpy as np
 
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.words import one_sided
 from tau_dyn.parameters import Parameter
 
@@ -26,7 +27,8 @@ class ViscousAsymmetry(JointwiseEffect):
     reference = "Dressler 2012, (6.8)-(6.9), Table 6.1"
     reveals = "constant-speed strokes at several speeds in both directions"
     mistaken_for = ("coulomb_asymmetry", "torque_offset", "thermal_drift")
-    plausible = "up to the joint's viscous coefficient, either sign"
+    # Beyond it one direction would be driven by its own friction
+    plausible = (PlausibleRange("viscous_asymmetry", -1.0, 1.0, of="viscous"),)
     quantities = (("viscous_asymmetry", "F/(V)"),)
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:

@@ -18,6 +18,7 @@ from tau_dyn.estimate import Regression
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
+from tau_dyn.robot import NOT_GIVEN
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,9 @@ class Choices:
             if not _is_gain(text.partition("=")[0]):
                 pattern, value, sigma = _fixed(text)
                 for name in model.parameters.match(pattern):
-                    given = {} if value is None else {"value": value, "origin": "given"}
+                    given = {"value": value, "origin": "given"}
+                    if value is None:
+                        given = {"origin": "held"} if model.parameters[name].origin == NOT_GIVEN else {}
                     changes.setdefault(name, {}).update(given, free=sigma is not None, prior_stderr=sigma)
         for text in self.bound:
             pattern, lower, upper = _bounded(text)

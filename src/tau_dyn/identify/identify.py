@@ -21,6 +21,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices
 from tau_dyn.identify.data import Data
 from tau_dyn.identify.doubts import doubts, equivalences, turned_signs, unjudged, unlike_the_file
+from tau_dyn.identify.drive_inertia import free_drive_inertias
 from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.estimators import Estimator
 from tau_dyn.identify.logs import each_once, listed, without_trained
@@ -181,11 +182,13 @@ def refuse_in_blocks(estimator: str, streams: bool) -> None:
 def build_model(robot: Robot, model: str | Path | Model) -> Model:
     """Return a model of this robot: friction by name, or the effects and values of a model file.
 
+    Drive inertias that nobody gave are free where data can tell them from the bodies' (`drive_inertia.py`).
+
     Raises:
         InputError: The model file is of a robot with other actuated joints or parameters.
     """
     if isinstance(model, str) and model in FRICTION_MODELS:
-        return Model.of(robot, friction_model(model, robot.actuated, robot.force_units))
+        return free_drive_inertias(Model.of(robot, friction_model(model, robot.actuated, robot.force_units)))
     if not isinstance(model, Model):
         if isinstance(model, str) and not Path(model).suffix:
             friction_model(model, robot.actuated, robot.force_units)  # says which names there are
@@ -193,7 +196,7 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
     if model.robot.actuated != robot.actuated:
         theirs = ", ".join(model.robot.actuated)
         raise InputError(f"the model is of a robot with joints {theirs}; this one has {', '.join(robot.actuated)}")
-    return model.on(robot)
+    return free_drive_inertias(model.on(robot))
 
 
 @dataclass(frozen=True, eq=False)

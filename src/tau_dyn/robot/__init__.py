@@ -3,6 +3,16 @@
 from tau_dyn.robot.annotations import Spring
 from tau_dyn.robot.expand import short_names
 from tau_dyn.robot.load import load_robot, robot_from_urdf
-from tau_dyn.robot.robot import INERTIAL, LinkInertia, Loop, Robot
+from tau_dyn.robot.robot import INERTIAL, NOT_GIVEN, LinkInertia, Loop, Robot
 
-__all__ = ["INERTIAL", "LinkInertia", "Loop", "Robot", "Spring", "load_robot", "robot_from_urdf", "short_names"]
+__all__ = [
+    "INERTIAL",
+    "NOT_GIVEN",
+    "LinkInertia",
+    "Loop",
+    "Robot",
+    "Spring",
+    "load_robot",
+    "robot_from_urdf",
+    "short_names",
+]

@@ -8,6 +8,7 @@ only gravity feels, springs on joints that yield, and what in the file is assume
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from xml.etree.ElementTree import Element, ParseError
 
 from defusedxml.common import DefusedXmlException
@@ -32,10 +33,10 @@ class BallConstraint:
 
 @dataclass(frozen=True)
 class Transmission:
-    """An actuated joint and its drive's inertia seen at the joint [kg or kg m^2]."""
+    """An actuated joint and its drive's inertia seen at the joint [kg or kg m^2]; None where the file gives no rotor inertia."""
 
     joint: str
-    armature: float
+    armature: float | None
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class Annotations:
     springs: tuple[Spring, ...]
     assumed: tuple[str, ...]
     mimics: tuple[str, ...]  # joints whose <mimic> we ignore
+    shared_drives: tuple[tuple[str, str], ...] = ()  # pairs of joints in one <transmission>
 
 
 def read_annotations(urdf: str, where: str) -> Annotations:
@@ -112,6 +114,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         springs=reader.springs(),
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
         mimics=reader.mimics,
+        shared_drives=reader.shared_drives(),
     )
 
 
@@ -180,13 +183,17 @@ class _Reader:
         found = []
         for element in self.root.findall("transmission"):
             for joint in element.findall("joint"):
-                armature = 0.0
-                for actuator in element.findall("actuator"):
-                    armature += (
-                        self._drake_value(actuator, "rotor_inertia")
-                        * self._drake_value(actuator, "gear_ratio", 1.0) ** 2
-                    )
-                found.append(Transmission(self.joint_of(joint, "name"), armature))
+                drives = [self._reflected_inertia(actuator, joint) for actuator in element.findall("actuator")]
+                given = [inertia for inertia in drives if inertia is not None]
+                found.append(Transmission(self.joint_of(joint, "name"), sum(given) if given else None))
+        return tuple(found)
+
+    def shared_drives(self) -> tuple[tuple[str, str], ...]:
+        """Return the pairs of joints that one transmission drives, such as a differential's."""
+        found = []
+        for element in self.root.findall("transmission"):
+            names = [joint.get("name", "") for joint in element.findall("joint")]
+            found += [pair for pair in combinations(dict.fromkeys(names), 2)]
         return tuple(found)
 
     def springs(self) -> tuple[Spring, ...]:
@@ -205,12 +212,25 @@ class _Reader:
             found[name] = spring
         return tuple(found.values())
 
-    def _drake_value(self, actuator: Element, tag: str, default: float = 0.0) -> float:
+    def _reflected_inertia(self, actuator: Element, joint: Element) -> float | None:
+        """Return a rotor's inertia seen through its gear; the ratio is Drake's, or ROS' `<mechanicalReduction>`."""
+        inertia, ratio = (self._drake_value(actuator, tag) for tag in ("rotor_inertia", "gear_ratio"))
+        if inertia is None:
+            return None
+        for element in (actuator, joint):
+            if ratio is None and (text := element.findtext("mechanicalReduction")) is not None:
+                values = numbers_in(text)
+                if len(values) != 1 or not abs(values[0]) < 1e12:
+                    raise InputError(f"{self.where}: <mechanicalReduction>{text[:40]}</...> must be one finite number")
+                ratio = values[0]
+        return inertia * (1.0 if ratio is None else ratio) ** 2
+
+    def _drake_value(self, actuator: Element, tag: str) -> float | None:
         for namespace in _DRAKE:
             element = actuator.find(f"{{{namespace}}}{tag}")
             if element is not None:
                 return self.number(element, "value")
-        return default
+        return None
 
     def arm(self, element: Element) -> ArmNames:
         return ArmNames(

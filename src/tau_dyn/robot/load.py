@@ -20,7 +20,7 @@ from tau_dyn.files import sha256_of
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotations
 from tau_dyn.robot.expand import expand, find_robot
-from tau_dyn.robot.robot import LinkInertia, Loop, Robot, inertial_parameters
+from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, inertial_parameters
 
 MOST_FREEDOMS = 300
 """Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
@@ -99,6 +99,7 @@ def robot_from_urdf(
         assumed=notes.assumed,
         warnings=tuple(warnings),
         springs=notes.springs,
+        shared_drives=notes.shared_drives,
     )
 
 
@@ -205,10 +206,11 @@ def _links(model: pin.Model, notes: Annotations, warnings: list[str]) -> tuple[L
 
 
 def _parameters(links: tuple[LinkInertia, ...], armature_units: dict[str, str], notes: Annotations) -> Parameters:
-    armature = {t.joint: t.armature for t in notes.transmissions}
+    armature = {t.joint: t.armature for t in notes.transmissions if t.armature is not None}
     rows = [p for link in links for p in inertial_parameters(link)]
     for joint, unit in armature_units.items():
-        rows.append(Parameter(f"{joint}.armature", armature.get(joint, 0.0), unit, 0.0, free=False))
+        origin = "robot file" if joint in armature else NOT_GIVEN
+        rows.append(Parameter(f"{joint}.armature", armature.get(joint, 0.0), unit, 0.0, free=False, origin=origin))
     for link, value in notes.gravity_masses.items():
         rows.append(Parameter(f"{link}.gravity_mass", value, "kg", free=False))
     return Parameters(rows)

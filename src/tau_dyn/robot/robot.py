@@ -21,6 +21,8 @@ from tau_dyn.shown import Shown
 
 INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+NOT_GIVEN = "not given"
+"""Origin of a drive inertia that the robot file says nothing about."""
 NOMINAL_MASS_STDERR = 0.02  # relative; what a nominal mass is trusted to unless a file says otherwise
 
 
@@ -85,6 +87,7 @@ class Robot(Shown):
         assumed: What the file says is assumed.
         warnings: Sentences about doubtful input.
         springs: Joints that yield; `model` holds them locked at zero, `dynamics.FlexibleModel` frees them.
+        shared_drives: Pairs of joints that the file gives one transmission.
     """
 
     name: str
@@ -103,6 +106,21 @@ class Robot(Shown):
     assumed: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     springs: tuple[Spring, ...] = ()
+    shared_drives: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def coupled_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of actuated joints that one motor may drive: neighbours in the chain, or declared to share a transmission."""
+        parent: dict[str, str] = {}
+        for joint in self.actuated:
+            k = self.model.parents[self.model.getJointId(joint)]
+            while k > 0 and self.model.names[k] not in self.actuated:
+                k = self.model.parents[k]
+            if k > 0:
+                parent[joint] = self.model.names[k]
+        near = {frozenset(pair) for pair in (*parent.items(), *self.shared_drives)}
+        order = self.actuated
+        return tuple((i, j) for n, i in enumerate(order) for j in order[n + 1 :] if frozenset((i, j)) in near)
 
     @property
     def na(self) -> int:

@@ -1,0 +1,79 @@
+"""May a cause be confirmed? Its amplitudes are plausible, its settings inside what was searched, its joints better predicted.
+
+A fit finds the best amplitude of any law; these rules ask whether a machine can have it. They are applied after the search: a
+law that fails them has been accounted for while others were looked for, and stays in the answer as `suspected` with the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tau_dyn.effects import Effect, JointScales, Scene
+from tau_dyn.effects.words import quantity, spelled
+from tau_dyn.parameters import Parameters
+
+SEARCH_MARGIN = 5.0
+"""Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would keep
+it from being found; one closer by is judged at the end, by its final amplitude."""
+EDGE_TOLERANCE = 1e-3
+"""Relative distance from the end of a grid within which a setting counts as at the edge."""
+
+
+def measure_scales(
+    parameters: Parameters, joints: Sequence[str], fast: np.ndarray, force: np.ndarray, inertia: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Return what plausible amplitudes are shares of.
+
+    Args:
+        parameters: A fitted model's, with any friction it has.
+        joints: Actuated joints.
+        fast: Speed that each joint exceeds in 2 % of the samples (na,) [m/s or rad/s].
+        force: Largest measured force (na,) [N or N m].
+        inertia: Largest inertia (na,) [kg or kg m^2].
+    """
+    found: dict[str, dict[str, float]] = {}
+    for k, joint in enumerate(joints):
+        own = {"force": float(force[k]), "inertia": float(inertia[k])}
+        for key in ("coulomb", "viscous"):
+            names = [n for n in (f"{joint}.{key}", f"{joint}.{key}_pos", f"{joint}.{key}_neg") if n in parameters]
+            if names:
+                own[key] = float(np.mean([abs(parameters[n].value) for n in names]))
+        if {"coulomb", "viscous"} <= own.keys() and fast[k] > 0:
+            own["drag"] = (own["coulomb"] + own["viscous"] * float(fast[k])) / float(fast[k]) ** 2
+        found[joint] = own
+    return found
+
+
+def widen_scales(one: JointScales, other: JointScales) -> JointScales:
+    """Return the larger of each scale: beside a friction cause the fit may leave little to the baseline's friction."""
+    return {
+        joint: {key: max(x, other.get(joint, {}).get(key, x)) for key, x in own.items()} for joint, own in one.items()
+    }
+
+
+def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
+    """Return which setting lies at an open end of its grid, as a phrase; empty where none does."""
+    for effect in effects:
+        grid = type(effect).grid(scene, effect.joints)
+        for key, end in effect.open_ends.items():
+            values = sorted({setting[key] for setting in grid if key in setting})
+            if len(values) < 2 or key not in effect.settings:
+                continue
+            x, unit = effect.settings[key], spelled(effect.setting_units.get(key, "1"), effect.units[effect.joints[0]])
+            low, high = values[0] * (1 + EDGE_TOLERANCE), values[-1] * (1 - EDGE_TOLERANCE)
+            if (end != "high" and x <= low) or (end != "low" and x >= high):
+                return f"{key} = {quantity(x, unit)} is at the edge of what was searched"
+    return ""
+
+
+def find_implausible(effects: Sequence[Effect], values: Parameters, scales: JointScales) -> str:
+    """Return which amplitude lies outside its plausible range, as a phrase; empty where all lie within."""
+    return next((text for effect in effects if (text := effect.find_implausible(values, scales))), "")
+
+
+def is_distinct_from_zero(effects: Sequence[Effect], values: Mapping | Parameters, min_ratio: float) -> bool:
+    """Return whether some amplitude is known, with a finite standard error, and that many of them away from zero."""
+    own = [values[name] for effect in effects for name in effect.parameters.names]
+    return any(p.stderr is not None and np.isfinite(p.stderr) and abs(p.value) > min_ratio * p.stderr for p in own)
