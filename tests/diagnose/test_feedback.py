@@ -17,7 +17,8 @@ from tau_dyn.diagnose.encoders import noise_only, noncentrality
 from tau_dyn.diagnose.feedback import answered, feedback_taps
 from tau_dyn.diagnose.filters import thinned_log
 from tau_dyn.diagnose.fits import Candidate, Fit
-from tau_dyn.diagnose.stages import told_from_zero
+from tau_dyn.diagnose.plausibility import is_distinct_from_zero
+from tau_dyn.diagnose.stages import SURE
 from tau_dyn.effects import friction_model
 from tau_dyn.effects.cyclic_ripple import CyclicRipple
 from tau_dyn.log import Log, lowpass
@@ -183,9 +184,9 @@ def test_a_cause_that_the_whole_fit_puts_at_zero_is_not_claimed():
             for n, v, s in (("a", -0.05, 0.06), ("b", 0.01, 0.006), ("c", 1.0, 0.1), ("d", 0.0, 0.1))
         ]
     )
-    fit = cast(Any, SimpleNamespace(estimate=SimpleNamespace(parameters=values)))
     one, other = found("a", "b"), found("c", "d")
-    assert told_from_zero([one, other], fit) == [other]
+    distinct = [is_distinct_from_zero(x.candidate.effects, values, SURE) for x in (one, other)]
+    assert distinct == [False, True]
 
 
 @pytest.mark.parametrize(("made", "counts"), [(0.5, 0.25), (1.0, 1.0), (4.0, 1.0)])

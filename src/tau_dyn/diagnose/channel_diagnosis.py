@@ -13,6 +13,7 @@ import numpy as np
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.limits import limits_of
+from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.result import Diagnosis, Errors, Finding, Unexplained
 from tau_dyn.diagnose.search import search
 from tau_dyn.diagnose.stages import (
@@ -57,11 +58,11 @@ def diagnose_channel(
     progress("confirming")
     structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
     tests = tests_of(channel, hunt, structure)
-    kept = confirmed(channel, hunt, tests.causes)
+    claims = confirmed(channel, hunt, tests.causes)
     unexplained = unexplained_of(channel, hunt, tests.structure)
     progress("measuring the gain")
-    kept, bars = supported(channel, hunt, tests.causes, kept, rng)
-    findings = findings_of(channel, hunt, tests.causes, kept, bars, rng)
+    claims, bars = supported(channel, hunt, claims, rng)
+    findings = findings_of(channel, hunt, claims, bars, rng)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     named = [f for f in findings if f.status == "confirmed"]
     open_end = any(u.status == "confirmed" for u in unexplained)
@@ -75,7 +76,7 @@ def diagnose_channel(
         untestable,
         warnings=warnings,
     )
-    return assembled(channel, hunt, kept, bars, model, answer, seed)
+    return assembled(channel, hunt, claims, bars, model, answer, seed, recommend(channel, hunt, claims, bars, rng))
 
 
 def _sentence(

@@ -65,10 +65,10 @@ def confirm(
     effect_columns: Sequence[Sequence[np.ndarray]],
     other_columns: Sequence[Sequence[np.ndarray]],
     part: int = CONFIRM,
-    fitted_on: int = TRAIN,
+    fitted_on: tuple[int, ...] = (TRAIN,),
 ) -> Confirmation:
     """Test one cause's columns (lists over runs of (n, m, k)) beside those of the other causes, on a part of the data."""
-    train, held = (Whitener.of(channel.runs, channel.masks(which), noise) for which in (fitted_on, part))
+    train, held = (Whitener.of(channel.runs, channel.masks(*which), noise) for which in (fitted_on, (part,)))
     prior_rows, prior_y = channel.prior
     B_t, B_c = (
         np.concatenate([w(channel.free_columns), *(w(c) for c in other_columns)], axis=1) for w in (train, held)

@@ -214,4 +214,4 @@ def _scene(
     )
     force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
     inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)
-    return replace(scene, scales=measure_scales(model.parameters, scene.joints, scene.fast, force, inertia))
+    return replace(scene, scales=measure_scales(model.parameters, scene, force, inertia))

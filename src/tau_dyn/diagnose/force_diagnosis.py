@@ -18,6 +18,7 @@ from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.force import ForceChannel, force_channel, force_regression, prepared_pieces
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.nominal import parameter_findings
+from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.resonances import with_band, with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.search import Search, effects_of, search
@@ -165,12 +166,12 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     rate = channel.prepared[0].log.rate_hz
     gap = border_gap(case.preparation.force_cutoff_hz, rate)
     tests = heard(channel, hunt, tests_of(channel, hunt, structure), gap, rng, noise)
-    kept = confirmed(channel, hunt, tests.causes, physics=case.physics)
+    claims = confirmed(channel, hunt, tests.causes, physics=case.physics)
     progress("measuring the gain")
     nominal = case.nominal.parameters
-    kept, bars = supported(channel, hunt, tests.causes, kept, rng, nominal=nominal.values, physics=case.physics)
+    claims, bars = supported(channel, hunt, claims, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
-    findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, tests.causes, kept, bars, rng)]
+    findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, claims, bars, rng)]
     findings += parameter_findings(case.nominal, nominal, estimated(after))
     unexplained = unexplained_of(channel, hunt, tests.structure)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
@@ -187,7 +188,9 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
         warnings,
         {"preparation": case.preparation.to_dict()},
     )
-    return assembled(channel, hunt, kept, bars, case.nominal, answer, seed)
+    return assembled(
+        channel, hunt, claims, bars, case.nominal, answer, seed, recommend(channel, hunt, claims, bars, rng)
+    )
 
 
 def _sifted(noise: NoiseOnly, hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:

@@ -43,9 +43,11 @@ def limits_of(
             untestable.append(Untestable(cls.name, "this motion covers too small a range to show it", cls.reveals))
         else:
             limit = _limit(channel, search.library, search.ground, tried[cls.name], len(search.last))
-            if limit is None and _owned(search.library, search.ground, tried[cls.name]):
+            if isinstance(limit, str):
+                untestable.append(Untestable(cls.name, limit, cls.reveals))
+            elif limit is None and _owned(search.library, search.ground, tried[cls.name]):
                 continue  # the baseline has it, under another name
-            if limit is None:
+            elif limit is None:
                 why = "on this motion the refit of the baseline absorbs nearly all of it"
                 untestable.append(Untestable(cls.name, why, cls.reveals))
             else:
@@ -60,8 +62,10 @@ def noncentrality(level: float, dof: int, power: float = POWER) -> float:
     return float(root.root)
 
 
-def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candidate, causes: int) -> Limit | None:
+def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candidate, causes: int) -> Limit | str | None:
+    """Return the limit at the joint where a plausible cause is hardest to see, or why no plausible one would be seen."""
     found: list[tuple[float, str, str]] = []
+    beyond: list[tuple[float, str, str]] = []
     for fit in candidate.tested:
         if len(fit.effect.joints) > 1 and any(len(f.effect.joints) == 1 for f in candidate.tested):
             continue
@@ -69,9 +73,13 @@ def _limit(channel: Channel, library: Library, ground: Ground, candidate: Candid
         amplitude = _amplitude(channel, library, ground, fit, tests * causes)
         if amplitude is None:
             continue  # a joint that hardly moves says nothing of the others
-        found.append(
-            (amplitude, fit.effect.parameters[fit.effect.parameters.names[0]].unit, "+".join(fit.effect.joints))
-        )
+        first = next(iter(fit.effect.parameters))
+        values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
+        plausible = not fit.effect.find_implausible(values, channel.scene.scales)
+        (found if plausible else beyond).append((amplitude, first.unit, "+".join(fit.effect.joints)))
+    if not found and beyond:
+        amplitude, unit, joint = min(beyond)
+        return f"it would be seen from {quantity(amplitude, unit)} at {joint}, which is more than it plausibly has"
     if not found:
         return None
     amplitude, unit, joint = max(found)

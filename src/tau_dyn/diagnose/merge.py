@@ -14,6 +14,9 @@ from tau_dyn.diagnose.stages import strength
 from tau_dyn.effects import Effect, JointwiseEffect
 from tau_dyn.parameters import Parameters
 
+_CHOICES = ("neither", "extended", "refitted")
+"""What one channel says of the model counts for all, in this order."""
+
 
 def merged(found: Sequence[Diagnosis]) -> Diagnosis:
     """Return several channels' diagnoses as one, the first leading."""
@@ -26,10 +29,13 @@ def merged(found: Sequence[Diagnosis]) -> Diagnosis:
     )
     named = {f.cause for f in findings}
     untestable = {u.cause: u for one in reversed(found) for u in one.untestable}
+    recommended = min(found, key=lambda one: _CHOICES.index(one.recommendation))
     told = [one for one in others if one.verdict != "nothing_found"]
     return replace(
         first,
         verdict=_verdict(found),
+        recommendation=recommended.recommendation,
+        recommendation_why=recommended.recommendation_why,
         sentence=" ".join([first.sentence, *(one.sentence for one in told)]),
         findings=tuple(findings),
         unexplained=tuple(u for one in found for u in one.unexplained),

@@ -22,34 +22,44 @@ EDGE_TOLERANCE = 1e-3
 
 
 def measure_scales(
-    parameters: Parameters, joints: Sequence[str], fast: np.ndarray, force: np.ndarray, inertia: np.ndarray
+    parameters: Parameters, scene: Scene, force: np.ndarray, inertia: np.ndarray
 ) -> dict[str, dict[str, float]]:
     """Return what plausible amplitudes are shares of.
 
     Args:
         parameters: A fitted model's, with any friction it has.
-        joints: Actuated joints.
-        fast: Speed that each joint exceeds in 2 % of the samples (na,) [m/s or rad/s].
+        scene: The joints and their speeds.
         force: Largest measured force (na,) [N or N m].
         inertia: Largest inertia (na,) [kg or kg m^2].
     """
+    friction = measure_friction(parameters, scene)
+    return {
+        joint: {"force": float(force[k]), "inertia": float(inertia[k])} | friction[joint]
+        for k, joint in enumerate(scene.joints)
+    }
+
+
+def measure_friction(parameters: Parameters, scene: Scene) -> dict[str, dict[str, float]]:
+    """Return the friction of each joint of a fitted model [N or N m, and per speed]; nothing where it has none."""
     found: dict[str, dict[str, float]] = {}
-    for k, joint in enumerate(joints):
-        own = {"force": float(force[k]), "inertia": float(inertia[k])}
+    for k, joint in enumerate(scene.joints):
+        own: dict[str, float] = {}
         for key in ("coulomb", "viscous"):
             names = [n for n in (f"{joint}.{key}", f"{joint}.{key}_pos", f"{joint}.{key}_neg") if n in parameters]
             if names:
                 own[key] = float(np.mean([abs(parameters[n].value) for n in names]))
-        if {"coulomb", "viscous"} <= own.keys() and fast[k] > 0:
-            own["drag"] = (own["coulomb"] + own["viscous"] * float(fast[k])) / float(fast[k]) ** 2
+        if {"coulomb", "viscous"} <= own.keys() and scene.fast[k] > 0:
+            fast = float(scene.fast[k])
+            own["drag"] = (own["coulomb"] + own["viscous"] * fast) / fast**2
         found[joint] = own
     return found
 
 
-def widen_scales(one: JointScales, other: JointScales) -> JointScales:
+def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
     """Return the larger of each scale: beside a friction cause the fit may leave little to the baseline's friction."""
     return {
-        joint: {key: max(x, other.get(joint, {}).get(key, x)) for key, x in own.items()} for joint, own in one.items()
+        joint: {key: max([x, *(s[joint][key] for s in others if key in s.get(joint, {}))]) for key, x in own.items()}
+        for joint, own in first.items()
     }
 
 

@@ -16,6 +16,7 @@ from tau_dyn.parameters import Parameter
 from tau_dyn.shown import Shown
 
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
+Choice = Literal["extended", "refitted", "neither"]
 Status = Literal["confirmed", "suspected", "parameter"]
 _Z95 = 1.959964
 
@@ -61,6 +62,7 @@ class Finding:
         signature: Its plot; None for `parameter`.
         channel: `force`, `tool` or `deflection`.
         confirmation: Share of the predicted effect that the held-out part shows, with its standard error; 1 is all of it.
+        why_not_confirmed: Why it is `suspected` only; empty where it is not.
     """
 
     cause: str
@@ -78,6 +80,7 @@ class Finding:
     signature: Signature | None = None
     channel: str = "force"
     confirmation: tuple[float, float] | None = None
+    why_not_confirmed: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
@@ -94,6 +97,7 @@ class Finding:
             "sentence": self.sentence,
             "experiment": self.experiment,
             "channel": self.channel,
+            "why_not_confirmed": self.why_not_confirmed or None,
             "confirmation": None
             if self.confirmation is None
             else {"share": self.confirmation[0], "stderr": self.confirmation[1]},
@@ -213,6 +217,8 @@ class Diagnosis(Shown):
         warnings: What is doubtful.
         seed: Seed of whatever was random.
         experiment: What would tell, where `verdict` is `cannot_tell`.
+        recommendation: Which model to use: `extended`, `refitted`, or `neither`.
+        recommendation_why: The reason, in a sentence.
         simulation: Closed-loop simulation against the measured log, before and after, where a controller was given.
         settings: How the data were prepared and tests calibrated, for the page's foot.
     """
@@ -238,6 +244,8 @@ class Diagnosis(Shown):
     warnings: tuple[str, ...]
     seed: int
     experiment: str = ""
+    recommendation: Choice = "refitted"
+    recommendation_why: str = ""
     simulation: Mapping[str, Any] | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
 
@@ -256,6 +264,8 @@ class Diagnosis(Shown):
             "sentence": self.sentence,
             "channel": self.channel,
             "experiment": self.experiment or None,
+            "recommendation": self.recommendation,
+            "recommendation_why": self.recommendation_why,
             "baseline": self.baseline.to_dict(),
             "extended": self.extended.to_dict(),
             "noise_floor": self.noise_floor.to_dict(),

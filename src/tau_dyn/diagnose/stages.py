@@ -19,7 +19,15 @@ from tau_dyn.diagnose.findings import finding_of, signature_of
 from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.floor import noise_floor
 from tau_dyn.diagnose.parts import CONFIRM, EVERY, GAIN, TRAIN
+from tau_dyn.diagnose.plausibility import (
+    find_edge,
+    find_implausible,
+    is_distinct_from_zero,
+    measure_friction,
+    widen_scales,
+)
 from tau_dyn.diagnose.result import (
+    Choice,
     Diagnosis,
     Finding,
     Gain,
@@ -41,16 +49,51 @@ SURE = 2.0
 """Standard errors that an amplitude of the extended model must be off zero for its cause to be claimed."""
 WORSE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
+_NOT_SHOWN = "held-out data do not show it"
+_SILENT = "held-out data cannot show it"
+_WORSE = "held-out data are predicted worse with it"
+_ZERO = "no amplitude of it is distinct from zero beside the other causes"
+_VETO = "the last part of the data does not show it"
+_NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
 HELD_OUT = "held-out {what}, blocks in turn: one half confirms, the other measures the gain"
 SHARED = "60 % of the {what} train, 20 % confirm, 20 % measure the gain, in blocks that take turns"
 
 
+@dataclass(frozen=True, eq=False)
+class Claims:
+    """The causes found, and why some of them are not confirmed.
+
+    Attributes:
+        found: Causes in the order found.
+        why_not: For each the reason why it is not confirmed, in words; empty where it is.
+        tests: For each what the confirmation part says.
+    """
+
+    found: tuple[Found, ...]
+    why_not: tuple[str, ...]
+    tests: tuple[Confirmation, ...]
+
+    @property
+    def kept(self) -> list[Found]:
+        """The causes that stand so far."""
+        return [one for one, why in zip(self.found, self.why_not, strict=True) if not why]
+
+    def judge(self, k: int, why_not: str) -> Claims:
+        """Return the claims with another reason for one of them."""
+        return replace(self, why_not=(*self.why_not[:k], why_not, *self.why_not[k + 1 :]))
+
+    def replace_found(self, one: Found, other: Found) -> Claims:
+        """Return the claims with a cause in another's place."""
+        return replace(self, found=tuple(other if x is one else x for x in self.found))
+
+
 class Bars(NamedTuple):
-    """The waterfall: its steps, the fits behind all but the first, and each cause's gain over the bar before it."""
+    """The waterfall: its steps, the values before any fit, the fits, and each cause's gain over the bar before it."""
 
     steps: list[Step]
     judgements: list[Judged]
     gains: list[Gain]
+    nominal: Judged | None = None
 
 
 def confirmation(channel: Channel, hunt: Search, one: Found) -> Confirmation:
@@ -61,20 +104,20 @@ def confirmation(channel: Channel, hunt: Search, one: Found) -> Confirmation:
 
 def confirmed(
     channel: Channel, hunt: Search, tests: Sequence[Confirmation], *, physics: Physics | None = None
-) -> list[Found]:
+) -> Claims:
     """Return the causes that the held-out part shows and that do not make its prediction worse.
 
     A cause may be there and yet, with many amplitudes from a short log, predict badly where the training part never was.
     """
-    kept: list[Found] = []
-    before = _missed(channel, kept, physics) if any(test.holds for test in tests) else 0.0
-    for one, test in zip(hunt.found, tests, strict=True):
+    claims = Claims(hunt.found, tuple(_NOT_SHOWN if not t.silent else _SILENT for t in tests), tuple(tests))
+    before = _missed(channel, (), physics) if any(test.holds for test in tests) else 0.0
+    for k, test in enumerate(tests):
         if test.holds:
-            after = _missed(channel, [*kept, one], physics)
-            if after <= (1 + WORSE) * before:
-                kept.append(one)
-                before = after
-    return kept
+            after = _missed(channel, [*claims.kept, hunt.found[k]], physics)
+            better = after <= (1 + WORSE) * before
+            claims = claims.judge(k, "" if better else _WORSE)
+            before = after if better else before
+    return claims
 
 
 def _missed(channel: Channel, found: Sequence[Found], physics: Physics | None) -> float:
@@ -94,6 +137,7 @@ def _missed(channel: Channel, found: Sequence[Found], physics: Physics | None) -
 
 def waterfall(
     channel: Channel,
+    hunt: Search,
     kept: Sequence[Found],
     rng: np.random.Generator,
     *,
@@ -104,13 +148,15 @@ def waterfall(
 
     Args:
         channel: The data.
+        hunt: The search.
         kept: Confirmed causes in the order found.
         rng: For intervals.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
         physics: What makes the baseline's values physical.
     """
     values = channel.parameters.values if nominal is None else nominal
-    steps = [Step("nominal", judged(channel, extended_regression(channel, ()), values, None, rng).errors)]
+    first = judged(channel, extended_regression(channel, ()), values, None, rng)
+    steps = [Step("nominal", first.errors)]
     judgements = [fitted(channel, (), physics, rng)]
     steps.append(Step("refitted", judgements[0].errors))
     gains = []
@@ -118,79 +164,114 @@ def waterfall(
         judgements.append(fitted(channel, effects_of(kept[: k + 1]), physics, rng))
         joints = sorted({j for e in one.candidate.effects for j in e.joints}, key=channel.scene.joints.index)
         steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
-        gains.append(gain_of(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng))
-    return Bars(steps, judgements, gains)
+        own, before = (columns_of(hunt.library, effects_of(x)) for x in ([one], kept[:k]))
+        shown = confirm(channel, hunt.noise, own, before, GAIN, fitted_on=(TRAIN, CONFIRM))
+        gains.append(gain_of(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng, shown))
+    return Bars(steps, judgements, gains, first)
 
 
 def supported(
     channel: Channel,
     hunt: Search,
-    tests: Sequence[Confirmation],
-    kept: Sequence[Found],
+    claims: Claims,
     rng: np.random.Generator,
     *,
     nominal: np.ndarray | None = None,
     physics: Physics | None = None,
-) -> tuple[list[Found], Bars]:
-    """Return the confirmed causes that the fit of everything tells from zero and that the last part bears out; their bars.
+) -> tuple[Claims, Bars]:
+    """Return the claims that all rules for a confirmed cause let stand, and their bars.
 
-    The last part has a veto and no vote: a cause of which it shows nothing, or the opposite, is suspected only, and of what
-    stands nothing is chosen by it. White rows say so: raw force scatters by more than a weak cause takes off it.
+    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings off the edges of what was
+    searched; the last part shows some of it, and the error of its own joints falls there with the 95 % interval above zero. A
+    joint of several that becomes significantly worse is dropped, and the others stay. The last part has a veto and no vote. Rules
+    that look at one cause alone come first, as what they turn down may be what makes another one worse.
     """
-    kept = list(kept)
     while True:
-        bars = waterfall(channel, kept, rng, nominal=nominal, physics=physics)
-        told = told_from_zero(kept, bars.judgements[-1])
-        sure = [one for one in told if _borne_out(channel, hunt, tests, kept, one)]
-        if len(sure) == len(kept):
-            return kept, bars
-        kept = sure
+        bars = waterfall(channel, hunt, claims.kept, rng, nominal=nominal, physics=physics)
+        judged_again = _reject_by_amplitude(channel, hunt, claims, bars)
+        if judged_again is claims:
+            judged_again = _drop_worse_joints(channel, claims, bars, rng)
+        if judged_again is claims:
+            judged_again = _reject_without_gain(claims, bars)
+        if judged_again is claims:
+            return claims, bars
+        claims = judged_again
 
 
-def _borne_out(
-    channel: Channel, hunt: Search, tests: Sequence[Confirmation], kept: Sequence[Found], one: Found
-) -> bool:
-    """Tell whether the last part shows some of a cause, beside the others kept; unless held-out logs cannot show it."""
-    test = next(test for other, test in zip(hunt.found, tests, strict=True) if other is one)
+def _reject_by_amplitude(channel: Channel, hunt: Search, claims: Claims, bars: Bars) -> Claims:
+    """Reject what is not distinct from zero, implausible, at an edge, or not shown by the last part; all at once."""
+    values, before = estimated(bars.judgements[-1]), estimated(bars.judgements[0])
+    scene, kept = channel.scene, claims.kept
+    scales = scene.scales
+    if scales:
+        scales = widen_scales(scales, measure_friction(values, scene), measure_friction(before, scene))
+    for k, one in enumerate(claims.found):
+        if claims.why_not[k]:
+            continue
+        effects = one.candidate.effects
+        why = "" if is_distinct_from_zero(effects, values, SURE) else _ZERO
+        why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
+        if not why and not _borne_out(channel, hunt, claims.tests[k], kept, one):
+            why = _VETO
+        claims = claims.judge(k, why) if why else claims
+    return claims
+
+
+def _borne_out(channel: Channel, hunt: Search, test: Confirmation, kept: Sequence[Found], one: Found) -> bool:
+    """Tell whether the last part shows some of a cause, beside the others kept."""
     effects, others = one.candidate.effects, effects_of([other for other in kept if other is not one])
     own, beside = (columns_of(hunt.library, x) for x in (effects, others))
     return test.within or confirm(channel, hunt.noise, own, beside, GAIN).share > 0
 
 
-def told_from_zero(kept: Sequence[Found], fit: Judged) -> list[Found]:
-    """Return the causes of which the fit of everything tells an amplitude from zero, by `SURE` standard errors.
+def _drop_worse_joints(channel: Channel, claims: Claims, bars: Bars, rng: np.random.Generator) -> Claims:
+    """Drop, of causes on several joints, those joints whose error grows significantly by the cause on them."""
+    for n, one in enumerate(claims.kept):
+        fits = one.candidate.fits
+        before, after = (bars.judgements[n + k].residuals for k in (0, 1))
+        gains = [gain_of(channel, before, after, fit.effect.joints, rng) for fit in fits]
+        left = tuple(fit for fit, gain in zip(fits, gains, strict=True) if not is_worse(gain))
+        if 0 < len(left) < len(fits):
+            return claims.replace_found(one, replace(one, candidate=replace(one.candidate, fits=left)))
+    return claims
 
-    A cause may be significant in white rows and yet, weighed against all that scatters over seconds, be nothing.
-    """
-    values = estimated(fit)
 
-    def told(one: Found) -> bool:
-        own = [values[n] for e in one.candidate.effects for n in e.parameters.names]
-        return any(p.stderr is None or abs(p.value) > SURE * p.stderr for p in own)
+def is_worse(gain: Gain) -> bool:
+    """Return whether an error grows significantly, and by more than is worth a word."""
+    return gain.ci95[1] < 0 and gain.reduction_percent < -100 * WORSE
 
-    return [one for one in kept if told(one)]
+
+def _reject_without_gain(claims: Claims, bars: Bars) -> Claims:
+    """Reject the cause with the lowest gain where its interval is not above zero."""
+    low = [gain.ci95[0] for gain in bars.gains]
+    if not low or min(low) > 0:
+        return claims
+    n = int(np.argmin(low))
+    why = _NO_GAIN.format(*bars.gains[n].ci95)
+    return claims.judge(claims.found.index(claims.kept[n]), why)
 
 
 def findings_of(
     channel: Channel,
     hunt: Search,
-    tests: Sequence[Confirmation],
-    kept: Sequence[Found],
+    claims: Claims,
     bars: Bars,
     rng: np.random.Generator,
 ) -> list[Finding]:
     """Return what is said of every cause found, confirmed or not."""
-    found = []
-    for one, test in zip(hunt.found, tests, strict=True):
+    found, kept = [], claims.kept
+    hunt = replace(hunt, found=claims.found)
+    for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
         effects, fit, gain = one.candidate.effects, bars.judgements[-1], None
-        if one in kept:
-            gain = bars.gains[list(kept).index(one)]
+        if not why_not:
+            gain = bars.gains[kept.index(one)]
         else:
             fit = fitted(channel, [*effects_of(kept), *effects], None, rng)
         names = {n for e in effects for n in e.parameters.names}
         values = Parameters([p for p in estimated(fit) if p.name in names])
         signature = signature_of(channel, effects, fit.residuals, values)
-        found.append(finding_of(channel, hunt, one, test, values, gain, signature, kept=one in kept))
+        finding = finding_of(channel, hunt, one, test, values, gain, signature, kept=not why_not)
+        found.append(replace(finding, why_not_confirmed=why_not))
     return found
 
 
@@ -254,22 +335,24 @@ class Answer:
 def assembled(
     channel: Channel,
     hunt: Search,
-    kept: Sequence[Found],
+    claims: Claims,
     bars: Bars,
     model: Model,
     answer: Answer,
     seed: int,
+    recommendation: tuple[Choice, str],
 ) -> Diagnosis:
     """Put a diagnosis together from its stages.
 
     Args:
         channel: The data.
         hunt: The search.
-        kept: Confirmed causes in the order found.
-        bars: What `waterfall` returned.
+        claims: What stands of it.
+        bars: Its waterfall.
         model: The model before any fit.
         answer: What is said.
         seed: Seed of whatever was random.
+        recommendation: Which model to use, and why.
     """
     before, after = bars.judgements[0], bars.judgements[-1]
     floor = noise_floor(channel, after, np.random.default_rng(seed))
@@ -288,13 +371,15 @@ def assembled(
         limits=tuple(dict.fromkeys(answer.limits)),
         untestable=tuple(dict.fromkeys(answer.untestable)),
         model=extended_model(model, before, ()),
-        extended_model=extended_model(model, after, [e for e in effects_of(kept) if e.name in EFFECTS]),
+        extended_model=extended_model(model, after, [e for e in effects_of(claims.kept) if e.name in EFFECTS]),
         traces=traces(channel, before, after),
         n_parts=seconds(channel),
         how=answer.how,
         warnings=tuple(dict.fromkeys(answer.warnings)),
         seed=seed,
         experiment=answer.experiment,
+        recommendation=recommendation[0],
+        recommendation_why=recommendation[1],
         settings={
             **answer.settings,
             "noise_draws": DRAWS,

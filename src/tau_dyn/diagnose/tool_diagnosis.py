@@ -15,6 +15,7 @@ from tau_dyn.diagnose.aliases import alias_periods, spacing
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.parts import TRAIN
+from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.resonances import with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Errors, Finding
 from tau_dyn.diagnose.search import Found, Search, search
@@ -70,11 +71,12 @@ def diagnose_tool(
     progress("confirming")
     tests = [confirmation(channel, hunt, one) for one in hunt.found]
     periods = [_periods(channel, hunt, one) for one in hunt.found]
-    told = {id(one) for one, open_to in zip(hunt.found, periods, strict=True) if len(open_to) < 2}
-    kept = [one for one in confirmed(channel, hunt, tests) if id(one) in told]
+    claims = confirmed(channel, hunt, tests)
+    for k, open_to in enumerate(periods):
+        claims = claims.judge(k, "several periods fit alike") if len(open_to) > 1 else claims
     progress("measuring the gain")
-    kept, bars = supported(channel, hunt, tests, kept, rng)
-    said = findings_of(channel, hunt, tests, kept, bars, rng)
+    claims, bars = supported(channel, hunt, claims, rng)
+    said = findings_of(channel, hunt, claims, bars, rng)
     findings = [
         _open(channel, one, finding, open_to) if len(open_to) > 1 else finding
         for one, finding, open_to in zip(hunt.found, said, periods, strict=True)
@@ -91,7 +93,7 @@ def diagnose_tool(
         untestable=untestable,
         experiment=aliased[0].experiment if aliased and not named else "",
     )
-    return assembled(channel, hunt, kept, bars, model, answer, seed)
+    return assembled(channel, hunt, claims, bars, model, answer, seed, recommend(channel, hunt, claims, bars, rng))
 
 
 def _periods(channel: ToolChannel, hunt: Search, one: Found) -> tuple[float, ...]:

@@ -86,4 +86,4 @@ def _borne_out(channel: Channel, hunt: Search, told: Told) -> bool:
         return True
     others = columns_of(hunt.library, effects_of(hunt.found))
     known = CONFIRM if _drifts_anew(channel, told.structure) else TRAIN
-    return confirm(channel, hunt.noise, [told.structure.columns], others, GAIN, fitted_on=known).share > 0
+    return confirm(channel, hunt.noise, [told.structure.columns], others, GAIN, fitted_on=(known,)).share > 0

@@ -11,15 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.estimate import unit_columns
+from tau_dyn.estimate import BaseParameters, find_base
 from tau_dyn.model import Model
 from tau_dyn.robot import NOT_GIVEN
 
-MIN_RELATIVE_RESIDUAL = 1e-6
-"""Part of a unit column that the bodies must leave for a parameter of its own; the tolerance of the base parameters."""
 N_STATES = 60
-_MIN_SHARE = 1e-3
-"""Part of a drive's unit column below which a body's column has no share in it worth a word."""
+"""Random states; each gives a row a joint, several times as many as bodies have parameters."""
 
 
 def free_drive_inertias(model: Model, seed: int = 0) -> Model:
@@ -41,22 +38,21 @@ def free_drive_inertias(model: Model, seed: int = 0) -> Model:
     q = random_positions(model, N_STATES, rng)
     v, a = rng.normal(size=(2, *q.shape))
     W = model.mechanism.regressor(q, v, a).reshape(-1, len(robot.parameters))
-    bodies = [k for k, name in enumerate(robot.parameters.names) if not name.endswith(".armature")]
-    B, _ = unit_columns(W[:, bodies])
+    names = robot.parameters.names
+    bodies = [k for k, name in enumerate(names) if not name.endswith(".armature")]
     changes: dict[str, dict] = {}
     for joint in unknown:
-        name = f"{joint}.armature"
-        column = W[:, robot.parameters.names.index(name)]
-        column = column / np.linalg.norm(column)
-        share = np.linalg.lstsq(B, column, rcond=1e-10)[0]
-        separable = float(np.linalg.norm(column - B @ share)) > MIN_RELATIVE_RESIDUAL
-        holders = [robot.parameters.names[bodies[k]] for k in np.flatnonzero(np.abs(share) > _MIN_SHARE)]
-        changes[name] = {"free": True} if separable else {"origin": _describe_holders(holders)}
+        columns = [*bodies, names.index(f"{joint}.armature")]
+        base = find_base(W[:, columns], tuple(names[k] for k in columns))
+        free = len(bodies) in base.kept
+        changes[f"{joint}.armature"] = {"free": True} if free else {"origin": _describe_holders(base)}
     return replace(model, robot=robot.with_parameters(robot.parameters.update(changes)))
 
 
-def _describe_holders(names: list[str]) -> str:
-    """Return which body parameters hold a drive inertia, in words."""
+def _describe_holders(base: BaseParameters) -> str:
+    """Return which body parameters hold the drive inertia that is the last column, in words."""
+    share = base.K[:, -1]
+    names = [base.names[base.kept[k]] for k in np.argsort(-np.abs(share)) if share[k]]
     if len(names) == 1:
         return f"within {names[0]}"
     links = dict.fromkeys(name.rpartition(".")[0] for name in names)

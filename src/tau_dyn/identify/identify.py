@@ -30,6 +30,13 @@ from tau_dyn.identify.result import Identification
 from tau_dyn.identify.settle import settled
 from tau_dyn.identify.streaming import Engine
 from tau_dyn.identify.structure import physics_of, structural_base
+from tau_dyn.identify.timing import (
+    ForceOffset,
+    build_offset_columns,
+    estimate_offset,
+    shift_forces,
+    widen_by_offset,
+)
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
@@ -132,6 +139,8 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     solve = _Solver(model, structural_base(model, ask.seed), sigmas, better)
     ask.progress("estimate")
     training, estimate = settled(model, training, solve, data.regression, warnings)
+    ask.progress("timing")
+    training, estimate, offset = _account_for_timing(model, data, held_out, training, estimate, solve, warnings)
     ask.progress("held-out errors")
     if held_out.logs:
         held = _judge_held_out(held_out, training, model, estimate)
@@ -155,7 +164,32 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
         equivalent=equivalences(estimate, model.robot.actuated),
         seed=ask.seed,
         logs=tuple(data.logs),
+        force_offset=offset,
     )
+
+
+def _account_for_timing(
+    model: Model,
+    data: Data,
+    held_out: Data,
+    training: Regression,
+    estimate: Estimate,
+    solve: _Solver,
+    warnings: list[str],
+) -> tuple[Regression, Estimate, ForceOffset | None]:
+    """Return the fit with forces read when they acted, and intervals that hold for what is not known of it."""
+    columns = build_offset_columns(model.with_parameters(estimate.parameters), data.pieces, training)
+    if columns is None:
+        return training, estimate, None
+    period = max(piece.dt for piece in data.pieces)
+    offset = estimate_offset(training, columns, period, physics_of(model))
+    if offset.is_shown:
+        for some in (data, held_out):
+            some.pieces = [shift_forces(piece, model.robot.actuated, offset.seconds) for piece in some.pieces]
+        solve = replace(solve, better=replace(solve.better, pieces=data.pieces))
+        training, estimate = settled(model, data.regression(model), solve, data.regression, warnings)
+        offset = replace(offset, corrected=True)
+    return training, widen_by_offset(estimate, columns, offset), offset
 
 
 def _data(ask: _Request, model: Model, factors: dict[str, float], warnings: list[str]) -> tuple[Data, Data]:

@@ -9,6 +9,7 @@ from typing import Any
 from tau_dyn.coded_warning import format_warnings
 from tau_dyn.estimate import DETERMINED, Estimate, Regression
 from tau_dyn.identify.errors import ForceErrors
+from tau_dyn.identify.timing import ForceOffset
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -35,6 +36,7 @@ class Identification(Shown):
         equivalent: Descriptions the data cannot tell apart.
         seed: Seed of whatever was random.
         logs: The training logs, for going on with them.
+        force_offset: How late forces were logged; None where it was not looked at.
     """
 
     model: Model
@@ -49,6 +51,7 @@ class Identification(Shown):
     equivalent: tuple[str, ...]
     seed: int
     logs: tuple[Log | Recording, ...] = ()
+    force_offset: ForceOffset | None = None
 
     @property
     def parameters(self) -> Parameters:
@@ -99,6 +102,7 @@ class Identification(Shown):
             "train": self.train.to_dict(),
             "holdout": None if self.holdout is None else self.holdout.to_dict(),
             "holdout_how": self.holdout_how,
+            "timing": None if self.force_offset is None else self.force_offset.to_dict(),
             "condition_number": self.estimate.cond,
             "rank": self.estimate.base.rank,
             "n_samples": self.estimate.regression.n_samples,

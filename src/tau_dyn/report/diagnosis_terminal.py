@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
 
-from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.diagnose.result import Diagnosis, Finding
 from tau_dyn.report import diagnosis_words as said
 from tau_dyn.report.terminal import MARGIN, bare_table, meter, plain, put, room, say, say_opening, say_written
 from tau_dyn.report.waterfall import Rung, figures_of, ladder
@@ -107,7 +107,7 @@ def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
         if f.indistinguishable_from
     ]
     groups = [
-        ("Suspected, not confirmed", [f"{said.title(f)}: {', '.join(figures_of(f))}" for f in suspected]),
+        ("Suspected, not confirmed", [_suspicion(f) for f in suspected]),
         ("Off its nominal value", [said.sentence(f.sentence) for f in moved]),
         ("Unexplained", [said.unexplained_words(u) for u in diagnosis.unexplained]),
         ("Cannot be told apart here", twins),
@@ -119,3 +119,9 @@ def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
 
 def _joined(texts: list[str]) -> list[str]:
     return [f"{', '.join(texts)}."] if texts else []
+
+
+def _suspicion(finding: Finding) -> str:
+    """Return a cause that is not confirmed, its figures, and why it is not."""
+    text = f"{said.title(finding)}: {', '.join(figures_of(finding))}"
+    return f"{text}. Not confirmed: {finding.why_not_confirmed}" if finding.why_not_confirmed else text

@@ -36,11 +36,13 @@ def judgement(diagnosis: Diagnosis) -> Verdict:
     level, _ = BADGE[diagnosis.verdict]
     what, floor_ = measured(diagnosis), percent(diagnosis.noise_floor.relative_error_percent)
     before, after = (percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
-    if diagnosis.verdict == "named":
-        text = (
-            f"Use the extended model: on data used for nothing else it misses {after} of the {what} instead of {before}"
-        )
-        return Verdict(level, f"{text}; noise alone is {floor_}.")
+    if diagnosis.recommendation == "neither":
+        return Verdict("poor", f"Use neither model: {diagnosis.recommendation_why}.")
+    if diagnosis.recommendation == "extended":
+        text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
+        return Verdict(level, f"{text}; noise alone is {floor_}. No joint becomes worse.")
+    if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
+        return Verdict("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
     if diagnosis.verdict == "cannot_tell":
         return Verdict(level, f"The experiment that would: {sentence(diagnosis.experiment)}")
     if diagnosis.verdict == "unexplained":
@@ -48,7 +50,9 @@ def judgement(diagnosis: Diagnosis) -> Verdict:
         return Verdict(
             level, f"Something real is left on {joints} that no cause known here explains; look at its plot."
         )
-    text = f"Keep the refitted model: it misses {before} of the {what}, noise alone is {floor_}."
+    text = f"Use the refitted model: its error is {before} of the {what}, noise alone is {floor_}."
+    if diagnosis.verdict == "named":
+        return Verdict(level, text)
     return Verdict(level, f"{text} What would have been seen is listed under “Not found”.")
 
 

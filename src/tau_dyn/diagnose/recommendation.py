@@ -1,0 +1,98 @@
+"""Which model to use: the extended one, the refitted one, or neither; a result with its reason.
+
+`extended` asks that the held-out error of the causes' joints falls with its 95 % interval above zero, and that no joint becomes
+significantly worse. `neither` says that the held-out logs are not of the machine that was trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.confirm import confirm
+from tau_dyn.diagnose.extend import Judged, gain_of
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
+from tau_dyn.diagnose.result import Choice, Gain
+from tau_dyn.diagnose.search import Search, effects_of
+from tau_dyn.diagnose.stages import Bars, Claims, is_worse
+from tau_dyn.diagnose.trials import columns_of
+
+MAX_ERROR_RATIO = 3.0
+"""Held-out over training rms of a joint above which the two are not of one machine: another motion changes it by less than two
+(EMPS, TX40, KR300, SO-101), a tool of a kilogram by ten."""
+
+
+class Recommendation(NamedTuple):
+    """What to use, and why, in a sentence."""
+
+    choice: Choice
+    why: str
+
+
+def recommend(channel: Channel, hunt: Search, claims: Claims, bars: Bars, rng: np.random.Generator) -> Recommendation:
+    """Return the recommendation.
+
+    Args:
+        channel: The data.
+        hunt: The search.
+        claims: Causes, with those that stand.
+        bars: The waterfall.
+        rng: For intervals.
+    """
+    before, after = bars.judgements[0], bars.judgements[-1]
+    odd = find_foreign_joints(channel, after)
+    if odd:
+        listed = ", ".join(f"{joint} ({ratio:.1f} times)" for joint, ratio in odd)
+        return Recommendation(
+            "neither",
+            f"the held-out error is many times the training error at {listed}: the held-out log is of another machine or tool",
+        )
+    if bars.nominal is not None and is_worse(loss := _whole_gain(channel, bars.nominal, before, rng)):
+        why = f"the refitted model predicts held-out data {-loss.reduction_percent:.2g} % worse than the file's values"
+        return Recommendation("neither", why)
+    if not claims.kept:
+        return Recommendation("refitted", "no cause is confirmed; the refitted model is all that the data support")
+    worse = [
+        (joint, -gain.reduction_percent)
+        for joint in channel.outputs
+        if is_worse(gain := gain_of(channel, before.residuals, after.residuals, [joint], rng))
+    ]
+    if worse:
+        listed = ", ".join(f"{joint} by {loss:.2g} %" for joint, loss in worse)
+        return Recommendation("refitted", f"with the confirmed causes held-out data are predicted worse at {listed}")
+    effects = effects_of(claims.kept)
+    joints = {joint for effect in effects for joint in effect.joints}
+    shown = confirm(channel, hunt.noise, columns_of(hunt.library, effects), (), GAIN, fitted_on=(TRAIN, CONFIRM))
+    gain = gain_of(channel, before.residuals, after.residuals, sorted(joints), rng, shown)
+    low, high = gain.ci95
+    if low <= 0:
+        return Recommendation(
+            "refitted", f"the held-out error does not fall for sure (95 % interval {low:.2g} to {high:.2g} %)"
+        )
+    why = f"the held-out error of the causes' joints falls by {gain.reduction_percent:.2g} %"
+    return Recommendation("extended", f"{why} (95 % interval {low:.2g} to {high:.2g} %), and no joint becomes worse")
+
+
+def find_foreign_joints(channel: Channel, fit: Judged) -> list[tuple[str, float]]:
+    """Return the outputs whose held-out rms is many times the training rms, with the ratio; none without held-out logs."""
+    if not any(np.all(part == TRAIN) for part in channel.parts):
+        return []
+    found = []
+    for k, output in enumerate(channel.outputs):
+        trained, held = (_rms(channel, fit.residuals, parts, k) for parts in ((TRAIN,), (CONFIRM, GAIN)))
+        if trained > 0 and held > MAX_ERROR_RATIO * trained:
+            found.append((output, held / trained))
+    return found
+
+
+def _rms(channel: Channel, residuals: Sequence[np.ndarray], parts: tuple[int, ...], k: int) -> float:
+    masks = channel.masks(*parts)
+    e = np.concatenate([x[m[:, k], k] for x, m in zip(residuals, masks, strict=True)])
+    return float(np.sqrt(np.mean(e**2))) if len(e) else 0.0
+
+
+def _whole_gain(channel: Channel, one: Judged, other: Judged, rng: np.random.Generator) -> Gain:
+    return gain_of(channel, one.residuals, other.residuals, channel.outputs, rng)

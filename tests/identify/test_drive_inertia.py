@@ -1,0 +1,72 @@
+"""A rotor's reflected inertia is a parameter of its own where motion can tell it from the bodies' inertia."""
+
+import numpy as np
+import pytest
+
+from tau_dyn.identify import Choices, build_model
+from tau_dyn.robot import load_robot, robot_from_urdf
+
+DRIVES = """<transmission name="t{k}"><type>x</type><joint name="j{k}"/><actuator name="m{k}">{more}</actuator></transmission>"""
+LINK = """<link name="{name}"><inertial><origin xyz="0.2 0.01 0"/><mass value="{mass}"/>
+ <inertia ixx="0.02" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+JOINT = """<joint name="j{k}" type="revolute"><parent link="{parent}"/><child link="{child}"/><origin xyz="{x} 0 0"/>
+ <axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="5" effort="500"/></joint>"""
+
+
+def two_links(*more: str):
+    """Return a pendulum of two links, whose transmissions hold `more`."""
+    links = LINK.format(name="a_link", mass=4) + LINK.format(name="b_link", mass=2)
+    joints = JOINT.format(k=1, parent="base_link", child="a_link", x=0) + JOINT.format(
+        k=2, parent="a_link", child="b_link", x=0.4
+    )
+    drives = "".join(DRIVES.format(k=k + 1, more=text) for k, text in enumerate(more))
+    return robot_from_urdf(f'<robot name="two"><link name="base_link"/>{links}{joints}{drives}</robot>', "two")
+
+
+def armature(model, joint: str):
+    """Return the drive inertia of a joint."""
+    return model.parameters[f"{joint}.armature"]
+
+
+def test_the_second_rotor_of_a_chain_is_free_and_the_first_is_within_its_link():
+    """The first joint's rotor turns as its link does; the second's does not feel the first joint's acceleration."""
+    model = build_model(two_links("", ""), "asymmetric")
+    assert armature(model, "j2").free and not armature(model, "j1").free
+    assert armature(model, "j1").origin == "within a_link.iyy"
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "holder"),
+    [("linear_axis", "axis", "carriage_link.mass"), ("gantry_tau", "cart2", "cart2_link.mass")],
+)
+def test_a_direct_drive_keeps_its_mass_readable(name: str, joint: str, holder: str):
+    """No data separate a slide's rotor from its mass, so the mass stays a parameter of its own."""
+    found = armature(build_model(load_robot(name), "asymmetric"), joint)
+    assert not found.free and found.origin == f"within {holder}"
+
+
+def test_what_the_file_or_the_user_gives_is_kept():
+    """A rotor of 2e-4 kg m2 behind a gear of 100 is 2 kg m2 at the joint, by Drake's ratio or ROS' reduction; `--fix` wins."""
+    rotor = '<rotor_inertia xmlns="http://drake.mit.edu" value="2e-4"/>'
+    geared = rotor + '<gear_ratio xmlns="http://drake.mit.edu" value="100"/>'
+    for text in (geared, rotor + "<mechanicalReduction>100</mechanicalReduction>"):
+        found = armature(build_model(two_links("", text), "asymmetric"), "j2")
+        assert found.value == pytest.approx(2.0) and not found.free
+    model = Choices(fix=("j2.armature=0.5",)).apply(build_model(two_links("", ""), "asymmetric"))
+    assert armature(model, "j2").value == 0.5 and not armature(model, "j2").free
+    held = build_model(model.robot, Choices(fix=("j2.armature",)).apply(build_model(two_links("", ""), "rigid")))
+    assert not armature(held, "j2").free, "a model that holds it is not freed again"
+
+
+def test_the_column_that_is_free_is_the_one_that_bodies_cannot_make():
+    """What is left of the second rotor's column beside all bodies' columns is far from nothing."""
+    model = build_model(two_links("", ""), "rigid")
+    rng = np.random.default_rng(1)
+    W = model.regressor(*rng.normal(size=(3, 50, 2))).reshape(100, -1)
+    names = model.parameters.names
+    bodies = [k for k, n in enumerate(names) if not n.endswith("armature")]
+    for joint, least in (("j1", None), ("j2", 0.1)):
+        column = W[:, names.index(f"{joint}.armature")]
+        left = column - W[:, bodies] @ np.linalg.lstsq(W[:, bodies], column, rcond=None)[0]
+        share = np.linalg.norm(left) / np.linalg.norm(column)
+        assert share > least if least else share < 1e-9
