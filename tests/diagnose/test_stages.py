@@ -11,11 +11,13 @@ from tau_dyn.diagnose import stages, within
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.encoders import NoiseOnly
 from tau_dyn.diagnose.parts import GAIN
+from tau_dyn.diagnose.plausibility import find_inconsistent
 from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.result import Gain
 from tau_dyn.diagnose.search import search
 from tau_dyn.diagnose.stages import confirmation, confirmed, supported
-from tau_dyn.effects import PlausibleRange, QuadraticDrag, Stribeck
+from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck
+from tau_dyn.parameters import Parameter, Parameters
 
 
 @pytest.mark.parametrize(("last", "within", "stands"), [(1.0, False, True), (-1.0, False, False), (-1.0, True, False)])
@@ -73,6 +75,18 @@ def test_a_setting_at_the_edge_of_its_grid_is_not_confirmed(make, rng, monkeypat
     grid = [{"speed": x, "power": 1.0} for x in (0.1, 0.15, 0.2)]
     monkeypatch.setattr(Stribeck, "grid", classmethod(lambda cls, scene, joints: grid))
     assert "edge" in stand(channel, rng)[0].why_not[0]
+
+
+def test_one_recording_has_one_delay():
+    """Delays of 1.5 and 7 ms on two joints of one log are not a clock's; 8.0 and 7.9 +- 0.1 ms may be."""
+    effects = [Delay((joint,), ("N m",)) for joint in ("one", "two")]
+
+    def inconsistent(*values: float) -> str:
+        rows = zip(("one", "two"), values, strict=True)
+        return find_inconsistent(effects, Parameters(Parameter(f"{j}.delay", x, "s", stderr=1e-4) for j, x in rows))
+
+    assert "one 1.5 ms" in inconsistent(1.5e-3, 7e-3) and not inconsistent(8.0e-3, 7.9e-3)
+    assert not find_inconsistent(effects[:1], Parameters([Parameter("one.delay", 7e-3, "s", stderr=1e-4)]))
 
 
 def test_a_gain_that_may_be_zero_confirms_nothing(make, rng, monkeypatch):

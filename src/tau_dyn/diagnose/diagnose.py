@@ -23,7 +23,7 @@ from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Choices, Identification
 from tau_dyn.identify.identify import build_model
-from tau_dyn.identify.logs import each_once, listed, without_trained
+from tau_dyn.identify.logs import each_once, listed, require_forces, without_trained
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
@@ -73,6 +73,8 @@ def diagnose(
         if not train:
             raise InputError("no log was given")
         found = []
+        if not (has_tool(prepared.robot, train) or has_links(train)):
+            require_forces(prepared.robot, train)
         if has_forces(prepared.robot, train) or not (has_tool(prepared.robot, train) or has_links(train)):
             case = gather(prepared, train, held, preparation, exclude, progress, warnings)
             found.append(diagnose_forces(case, seed, progress, warnings))

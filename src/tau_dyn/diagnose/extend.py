@@ -115,9 +115,9 @@ def gain_of(
 ) -> Gain:
     """Return how much smaller the error of some outputs is on the part used for nothing else.
 
-    A prediction that changes by `x` where the share `s` of `x` is true takes `(2 s - 1) |x|^2` off the sum of squares. With `s`
-    from generalised least squares the interval follows from its standard error, and always holds the measured reduction; raw
-    residuals scatter by far more than white ones. Without `s` the interval is a bootstrap of paired blocks.
+    Where the share `s` of a predicted change `x` is true, the sums of squares are `N + s^2 |x|^2` before it and
+    `N + (1 - s)^2 |x|^2` with it. With `s` from generalised least squares the interval follows from its standard error, and always
+    holds the measured reduction; raw residuals scatter by far more than white ones. Without `s` it is a bootstrap of paired blocks.
 
     Args:
         channel: The data.
@@ -138,10 +138,11 @@ def gain_of(
     reduction = 100 * (1 - rms_after / rms_before) if rms_before > 0 else 0.0
     if shown is not None and np.isfinite(shown.stderr) and b.sum() > 0:
         changed, _ = _blocks(channel, [one - other for one, other in zip(before, after, strict=True)])
-        shares = shown.share + _Z95 * shown.stderr * np.array([-1.0, 1.0])
-        left = 1 - (2 * shares - 1) * changed[:, which].sum() / b.sum()
-        ends = 100 * (1 - np.sqrt(np.maximum(left, 0.0)))
-        low, high = min(ends[0], reduction), max(ends[1], reduction)
+        x = float(changed[:, which].sum())
+        noise = max(float(a.sum()) - (1 - shown.share) ** 2 * x, 1e-12 * float(b.sum()))
+        s = shown.share + _Z95 * shown.stderr * np.array([-1.0, 1.0])
+        ends = 100 * (1 - np.sqrt((noise + (1 - s) ** 2 * x) / (noise + s**2 * x)))
+        low, high = min(*ends, reduction), max(*ends, reduction)
     return Gain(rms_before, rms_after, reduction, (float(low), float(high)))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import stats
 
 from tau_dyn.effects import Effect, JointScales, Scene
 from tau_dyn.effects.words import quantity, spelled
@@ -17,6 +18,8 @@ from tau_dyn.parameters import Parameters
 SEARCH_MARGIN = 5.0
 """Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would keep
 it from being found; one closer by is judged at the end, by its final amplitude."""
+INCONSISTENT_LEVEL = 1e-3
+"""Significance level of a difference between joints; standard errors of amplitudes may be some tens of per cent too small."""
 EDGE_TOLERANCE = 1e-3
 """Relative distance from the end of a grid within which a setting counts as at the edge."""
 
@@ -81,6 +84,22 @@ def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
 def find_implausible(effects: Sequence[Effect], values: Parameters, scales: JointScales) -> str:
     """Return which amplitude lies outside its plausible range, as a phrase; empty where all lie within."""
     return next((text for effect in effects if (text := effect.find_implausible(values, scales))), "")
+
+
+def find_inconsistent(effects: Sequence[Effect], values: Parameters) -> str:
+    """Return that a quantity which all joints share differs from joint to joint, as a phrase; empty where it does not."""
+    if not effects[0].shared_by_joints or len(effects) < 2:
+        return ""
+    own = [values[name] for effect in effects for name in effect.parameters.names]
+    own = [p for p in own if p.stderr]
+    weight = np.array([1 / float(p.stderr or 1.0) ** 2 for p in own])
+    x = np.array([p.value for p in own])
+    mean = float(x @ weight / weight.sum()) if len(own) else 0.0
+    scatter = float(np.sum(weight * (x - mean) ** 2))
+    if len(own) < 2 or stats.chi2.sf(scatter, len(own) - 1) > INCONSISTENT_LEVEL:
+        return ""
+    listed = ", ".join(f"{p.name.rpartition('.')[0]} {quantity(p.value, p.unit)}" for p in own)
+    return f"one recording has one {effects[0].name.replace('_', ' ')}, and here it differs between joints ({listed})"
 
 
 def is_distinct_from_zero(effects: Sequence[Effect], values: Mapping | Parameters, min_ratio: float) -> bool:

@@ -22,6 +22,7 @@ from tau_dyn.diagnose.parts import CONFIRM, EVERY, GAIN, TRAIN
 from tau_dyn.diagnose.plausibility import (
     find_edge,
     find_implausible,
+    find_inconsistent,
     is_distinct_from_zero,
     measure_friction,
     widen_scales,
@@ -211,6 +212,7 @@ def _reject_by_amplitude(channel: Channel, hunt: Search, claims: Claims, bars: B
         effects = one.candidate.effects
         why = "" if is_distinct_from_zero(effects, values, SURE) else _ZERO
         why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
+        why = why or find_inconsistent(effects, values)
         if not why and not _borne_out(channel, hunt, claims.tests[k], kept, one):
             why = _VETO
         claims = claims.judge(k, why) if why else claims

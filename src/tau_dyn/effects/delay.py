@@ -33,6 +33,7 @@ class Delay(Effect):
 
     name = "delay"
     cause = True
+    shared_by_joints = True
     equation = "tau_log(t) = tau(t - delay)"
     reference = "Dressler 2012, 6.3"
     reveals = "quick reversals and accelerations that change fast, such as a multisine"

@@ -54,6 +54,7 @@ class Effect(ABC):
         positive: Settings that must be above zero.
         whole: Settings that count something, from one up.
         grows: A setting that counts terms, of which more are tried where one was found; empty for none.
+        shared_by_joints: Whether joints cannot have amplitudes of their own, as the recording has one for all.
         dense: Whether its grid is so fine that it is first tried on decimated motion; it then has `local_frequency`.
     """
 
@@ -74,6 +75,7 @@ class Effect(ABC):
     positive: ClassVar[tuple[str, ...]] = ()
     whole: ClassVar[tuple[str, ...]] = ()
     grows: ClassVar[str] = ""
+    shared_by_joints: ClassVar[bool] = False
     dense: ClassVar[bool] = False
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:

@@ -24,7 +24,7 @@ from tau_dyn.identify.doubts import doubts, equivalences, turned_signs, unjudged
 from tau_dyn.identify.drive_inertia import free_drive_inertias
 from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.estimators import Estimator
-from tau_dyn.identify.logs import each_once, listed, without_trained
+from tau_dyn.identify.logs import each_once, listed, require_forces, without_trained
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.result import Identification
 from tau_dyn.identify.settle import settled
@@ -197,6 +197,7 @@ def _data(ask: _Request, model: Model, factors: dict[str, float], warnings: list
     doubled: list[str] = []
     train = each_once(ask.train, doubled)
     held = each_once(without_trained(train, ask.holdout, doubled), doubled)
+    require_forces(model.robot, [*train, *held])
     names = tuple(log.name for log in train)
     data = Data(model, train, ask.preparation, ask.exclude, factors, engine=ask.engine, progress=ask.progress)
     held_out = Data(model, held, factors=factors, campaigns=names, engine=ask.engine, progress=ask.progress)

@@ -90,3 +90,22 @@ def shares_samples(one: Log | Recording, other: Log | Recording) -> bool:
     if isinstance(one, Recording) or isinstance(other, Recording):
         return True
     return bool(one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
+
+
+def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
+    """Refuse logs that hold positions and no force at all, and name what would do.
+
+    Raises:
+        InputError: A log has no force of any actuated joint.
+    """
+    for log in logs:
+        if (
+            isinstance(log, Log)
+            and log.has("q", robot.actuated)
+            and not any(log.has("tau", [j]) for j in robot.actuated)
+        ):
+            commands = " and commands" if log.has("cmd", robot.actuated[:1]) else ""
+            raise InputError(
+                f"{log.name} holds positions{commands} and no force; log each drive's force as tau_J, or its current, which a column "
+                "map scales by torque constant and gear ratio; tool positions (x_tool, y_tool, z_tool) are diagnosed without forces"
+            )
