@@ -2,8 +2,8 @@
 
     python experiments/real_robots.py [--only emps tx40 kr300 double_pendulum simple_pendulum so101] [--out DIR]
 
-In: the logs of `$TAU_DYN_DATA` (by default `../shared/data`), recorded by others. Out: `real_robots.csv`, a row a finding with its
-status, joints, amplitudes, gain and its interval; `real_robots.json`, the whole results. Held-out logs where there are several.
+In: the logs of `$TAU_DYN_DATA` (by default `../shared/data`), recorded by others. Out: `real_robots.csv`, a row a finding with
+its status, joints, amplitudes, gain and its interval; `real_robots.json`, the whole results. Held-out logs where there are several.
 """
 
 import argparse
@@ -131,11 +131,10 @@ def main(only: list[str], out: Path) -> None:
                 print(f"{name}: exit {fault.exit_status}: {fault}", flush=True)
                 continue
             results[name] = found.to_dict()
-            print(
-                f"{name}: {found.verdict}, {found.recommendation}: {found.recommendation_why} [{time.perf_counter() - start:.0f} s]"
-            )
-            print(f"   baseline {found.baseline.relative_error_percent:.2f}, extended {found.extended.relative_error_percent:.2f}, "
-                  f"noise floor {found.noise_floor.relative_error_percent:.2f} %")  # fmt: skip
+            took = time.perf_counter() - start
+            print(f"{name}: {found.verdict}, {found.recommendation}: {found.recommendation_why} [{took:.0f} s]")
+            errors = (e.relative_error_percent for e in (found.baseline, found.extended, found.noise_floor))
+            print("   baseline {:.2f}, extended {:.2f}, noise floor {:.2f} %".format(*errors))
             for warning in found.warnings:
                 print("   warning:", warning[:160])
             for f in found.findings:

@@ -2,8 +2,8 @@
 
     python experiments/timing_coverage.py [--robots 2r 6r] [--offset start middle] [--runs 20] [--seed 0] [--out DIR]
 
-In: nothing. An independent simulator (Pinocchio's forward dynamics, Runge-Kutta of fourth order, friction with a sharp sign) drives
-a planar 2R arm and a 6R arm through a digital controller at 500 Hz that sees noisy encoders and holds its torque for a sample.
+In: nothing. An independent simulator (Pinocchio's forward dynamics, Runge-Kutta of fourth order, friction with a sharp sign)
+drives a planar 2R arm and a 6R arm through a digital controller at 500 Hz that sees noisy encoders and holds its torque for a sample.
 The log holds the positions at the samples and the torque as a controller has it (`start` of its hold: half a sample early) or
 as a logger in the middle of the hold would (`middle`). Out: `timing_coverage.csv`, a row a run; the share of base parameters'
 95 % intervals that hold the truth, with its own binomial interval.
@@ -64,13 +64,15 @@ def urdf(name: str) -> str:
         f'<transmission name="d{k + 1}"><type>transmission_interface/SimpleTransmission</type><joint name="j{k + 1}"/>'
         f'<actuator name="m{k + 1}"/></transmission>' for k in range(len(places))
     )  # fmt: skip
-    return f'<robot name="arm_{name}"><link name="base_link"/>{"".join(link(*b) for b in bodies)}{"".join(joints)}{drives}</robot>'
+    links = "".join(link(*body) for body in bodies)
+    return f'<robot name="arm_{name}"><link name="base_link"/>{links}{"".join(joints)}{drives}</robot>'
 
 
 class Truth:
     """The arm as it is: bodies up to 10 % off, rotor inertia, friction."""
 
     def __init__(self, name: str, rng: np.random.Generator) -> None:
+        """Draw bodies, rotors and friction."""
         self.model = pin.buildModelFromXML(urdf(name))
         for k in range(1, self.model.njoints):
             body, factor = self.model.inertias[k], rng.uniform(0.9, 1.1)
@@ -83,9 +85,11 @@ class Truth:
         self.data = self.model.createData()
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Return accelerations (n,) under drive torques (n,)."""
         return pin.aba(self.model, self.data, q, v, tau - self.coulomb * np.sign(v) - self.viscous * v)
 
     def step(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and speeds (n,) after `dt` [s] of constant torques (n,)."""
         f = self.acceleration
         a1 = f(q, v, tau)
         a2 = f(q + dt / 2 * v, v + dt / 2 * a1, tau)
@@ -161,8 +165,9 @@ def one_run(name: str, offset: str, number: int, seed: int) -> dict:
         if not held_within[f"{j}.armature"].free:
             values = values + _as_bodies(robot, base.names, j) * truth.armature[int(j[1]) - 1]
     z = (estimate.beta - base.combine(values)) / estimate.stderr
-    return {"robot": name, "offset": offset, "number": number, "intervals": len(z), "held": int(np.sum(np.abs(z) < 1.959964)),
-            "worst_z": float(np.max(np.abs(z))), "estimator": found.estimator, "error": found.train.relative_error_percent}  # fmt: skip
+    held, worst = int(np.sum(np.abs(z) < 1.959964)), float(np.max(np.abs(z)))
+    row = {"robot": name, "offset": offset, "number": number, "intervals": len(z), "held": held, "worst_z": worst}
+    return row | {"estimator": found.estimator, "error": found.train.relative_error_percent}
 
 
 def _as_bodies(robot, names: tuple[str, ...], joint_name: str) -> np.ndarray:
@@ -191,8 +196,11 @@ def main(robots: list[str], offsets: list[str], runs: int, seed: int, out: Path)
     for key, group in table.groupby(["robot", "offset"]):
         k, n = int(group["held"].sum()), int(group["intervals"].sum())
         low, high = stats.binomtest(k, n).proportion_ci()
-        print(f"{key}: {100 * k / n:.1f} % of {n} intervals hold the truth ({100 * low:.1f} to {100 * high:.1f}), worst {group['worst_z'].max():.1f}",
-              dict(group["estimator"].value_counts()))  # fmt: skip
+        share, worst = 100 * k / n, group["worst_z"].max()
+        print(
+            f"{key}: {share:.1f} % of {n} intervals hold the truth ({100 * low:.1f} to {100 * high:.1f}), worst {worst:.1f}"
+        )
+        print("   ", dict(group["estimator"].value_counts()))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """The robots in which something hides, as they truly are: masses off the file's, friction near Dressler 2012, Table 6.1.
 
-Three robots: the L1 Gantry-Tau (`l1`), one linear axis (`axis`) and a serial arm of three hinges (`arm`), whose last two
-may share a motor. Forces are `rigid body + base friction` with a sign that jumps exactly where the speed changes its own.
+Four robots: the L1 Gantry-Tau (`l1`), one linear axis (`axis`), a serial arm of three hinges (`arm`), whose last two may share a
+motor, and a six-axis arm with geared drives (`geared`), of whose rotors' inertia its file says nothing. Forces are
+`rigid body + base friction` with a sign that jumps exactly where the speed changes its own.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from tau_dyn.dynamics import Mechanism, build_mechanism
 from tau_dyn.effects import SymmetricFriction, friction_model
+from tau_dyn.identify.drive_inertia import free_drive_inertias
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot, robot_from_urdf
 
@@ -21,7 +23,15 @@ from tau_dyn.robot import Robot, load_robot, robot_from_urdf
 TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00), (177.22, 239.06, 197.52, 185.94))
 AXIS = ((20.3, 20.4, 239.0, 204.0),)  # N, N/(m/s); of the size of EMPS'
 ARM = ((7.0, 9.0, 6.0, 5.0), (8.0, 6.5, 5.0, 6.5), (3.0, 4.0, 2.0, 2.5))  # N m, N m/(rad/s)
-FRICTION = {"l1": TABLE_6_1, "axis": AXIS, "arm": ARM}
+GEARED = (
+    (14.0, 16.0, 12.0, 14.0), (18.0, 15.0, 15.0, 12.0), (9.0, 10.0, 8.0, 7.0), (3.0, 3.5, 2.5, 2.0), (2.5, 2.0, 1.5, 2.0),
+    (1.5, 1.8, 0.8, 1.0),
+)  # N m, N m/(rad/s)  # fmt: skip
+FRICTION = {"l1": TABLE_6_1, "axis": AXIS, "arm": ARM, "geared": GEARED}
+ROTORS = ((2.5e-4, 101), (2.5e-4, 101), (1.2e-4, 101), (3e-5, 80), (3e-5, 80), (1e-5, 50))
+"""Rotor inertia [kg m2] and gear ratio of each drive of the geared arm, up to 30 % off."""
+TURNING = ("arm", "geared")
+"""Robots whose joints are hinges."""
 OFF = 0.1
 """Largest relative error of a mass in the robot file."""
 
@@ -41,19 +51,42 @@ _ARM_URDF = """<robot name="arm"><link name="base_link"/>
 TRANSMISSIONS</robot>"""
 
 
+_GEARED = (  # joint, mass, centre, radius of gyration, place, axis
+    ("turn", 8.0, (0.0, -0.02, 0.03), 0.09, "0 0 0.15", "0 0 1"), ("lift", 11.0, (0.21, 0.0, 0.12), 0.14, "0 0.12 0.1", "0 1 0"),
+    ("bend", 4.5, (0.17, 0.0, 0.02), 0.12, "0.43 -0.1 0", "0 1 0"), ("roll", 1.9, (0.0, 0.03, 0.01), 0.05, "0.39 0 0", "0 1 0"),
+    ("tip", 1.6, (0.0, -0.01, 0.04), 0.05, "0 0.1 0", "0 0 1"), ("spin", 0.6, (0.01, 0.04, 0.0), 0.03, "0 0 0.1", "0 1 0"),
+)  # fmt: skip
+
+
+def _geared_urdf() -> str:
+    """Return a six-axis arm whose file gives no drive inertia."""
+    parts, parent = [], "base_link"
+    for joint, mass, c, gyration, place, axis in _GEARED:
+        i = mass * gyration**2
+        parts.append(
+            f'<link name="{joint}_link"><inertial><origin xyz="{c[0]} {c[1]} {c[2]}"/><mass value="{mass}"/>'
+            f'<inertia ixx="{i}" iyy="{1.1 * i}" izz="{0.8 * i}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="{joint}" type="revolute"><parent link="{parent}"/><child link="{joint}_link"/><axis xyz="{axis}"/>'
+            f'<origin xyz="{place}"/><limit lower="-2.5" upper="2.5" velocity="3" effort="400"/></joint>'
+        )
+        parent = f"{joint}_link"
+    return f'<robot name="geared"><link name="base_link"/>{"".join(parts)}TRANSMISSIONS</robot>'
+
+
 @cache
 def nominal_robot(name: str) -> Robot:
-    """Return a robot as its file has it: `l1`, `l1_point` (point masses for rods), `axis` or `arm`."""
+    """Return a robot as its file has it: `l1`, `l1_point` (point masses for rods), `axis`, `arm` or `geared`."""
     if name == "axis":
         return load_robot("linear_axis")
-    if name != "arm":
+    if name not in TURNING:
         return load_robot("gantry_tau", prototype="l1", rod_mass_model="point" if name == "l1_point" else "uniform")
     kind = "<type>transmission_interface/SimpleTransmission</type>"
     drives = (
         f'<transmission name="{j}_drive">{kind}<joint name="{j}"/><actuator name="{j}_motor"/></transmission>'
-        for j in ("turn", "lift", "bend")
+        for j in [row[0] for row in _GEARED][: 6 if name == "geared" else 3]
     )
-    return robot_from_urdf(_ARM_URDF.replace("TRANSMISSIONS", "\n".join(drives)), "arm")
+    urdf = _geared_urdf() if name == "geared" else _ARM_URDF
+    return robot_from_urdf(urdf.replace("TRANSMISSIONS", "\n".join(drives)), name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +120,7 @@ class Rig:
     """A robot as it is, and what a person knows of it.
 
     Attributes:
-        name: `l1`, `axis` or `arm`.
+        name: `l1`, `axis`, `arm` or `geared`.
         nominal: The robot file.
         base: Friction the person's model has: `asymmetric`, `symmetric` (with an offset) or `plain` (without).
         robot: The true robot.
@@ -109,7 +142,7 @@ class Rig:
     @property
     def model(self) -> Model:
         """The person's model: the robot file and base friction at zero."""
-        return Model.of(self.nominal, self._effects())
+        return free_drive_inertias(Model.of(self.nominal, self._effects()))
 
     @property
     def driven(self) -> Model:
@@ -152,6 +185,9 @@ def draw_rig(name: str, base: str, rng: np.random.Generator, *, off: float = OFF
     for link in true.links:
         factor = rng.uniform(1 - off, 1 + off)
         values |= {key: true.parameters[key].value * factor for key in link.names}
+    if name == "geared":
+        for joint, (inertia, ratio) in zip(true.actuated, ROTORS, strict=True):
+            values[f"{joint}.armature"] = inertia * ratio**2 * rng.uniform(0.7, 1.3)
     robot = Model.of(true).with_values(values).robot
     neg, pos, slow, fast = np.array(FRICTION[name]).T * rng.uniform(0.8, 1.2, (4, len(FRICTION[name])))
     if base == "plain":
@@ -162,11 +198,12 @@ def draw_rig(name: str, base: str, rng: np.random.Generator, *, off: float = OFF
 
 
 DRAWS: dict[str, Callable[[np.random.Generator], str]] = {
-    "any": lambda rng: str(rng.choice(("l1", "l1", "l1", "axis", "arm"))),
+    "any": lambda rng: str(rng.choice(("l1", "l1", "axis", "arm", "geared", "geared"))),
     "l1": lambda rng: "l1",
     "axis": lambda rng: "axis",
     "arm": lambda rng: "arm",
-    "several": lambda rng: str(rng.choice(("l1", "l1", "arm"))),
+    "geared": lambda rng: "geared",
+    "several": lambda rng: str(rng.choice(("l1", "l1", "arm", "geared"))),
     "cart": lambda rng: str(rng.choice(("l1", "axis"))),
 }
 """Choices of a robot by chance: most effects are tried on any, some on those that can have them."""

@@ -116,8 +116,9 @@ def gain_of(
     """Return how much smaller the error of some outputs is on the part used for nothing else.
 
     Where the share `s` of a predicted change `x` is true, the sums of squares are `N + s^2 |x|^2` before it and
-    `N + (1 - s)^2 |x|^2` with it. With `s` from generalised least squares the interval follows from its standard error, and always
-    holds the measured reduction; raw residuals scatter by far more than white ones. Without `s` it is a bootstrap of paired blocks.
+    `N + (1 - s)^2 |x|^2` with it. With `s` from generalised least squares the interval follows from its standard error, and
+    always holds the measured reduction; raw residuals scatter by far more than white ones. Without `s` it is a bootstrap of
+    paired blocks.
 
     Args:
         channel: The data.
