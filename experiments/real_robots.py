@@ -3,7 +3,8 @@
     python experiments/real_robots.py [--only emps tx40 kr300 double_pendulum simple_pendulum so101] [--out DIR]
 
 In: the logs of `$TAU_DYN_DATA` (by default `../shared/data`), recorded by others. Out: `real_robots.csv`, a row a finding with
-its status, joints, amplitudes, gain and its interval; `real_robots.json`, the whole results. Held-out logs where there are several.
+its status, joints, amplitudes, gain and its interval; `real_robots.json`, the whole results. Logs are held out where there are
+several.
 """
 
 import argparse
