@@ -1,16 +1,25 @@
-"""The main job on made data: simulate the L1 Gantry-Tau with a hidden effect, identify it, diagnose it, write the reports.
+"""The main job on made data: simulate a robot with hidden effects, identify it, diagnose it, write the reports.
 
-The simulated robot has the asymmetric friction of Dressler 2012, Table 6.1, 5 N of force noise, 5 um encoders, and two things
-that the model which is fitted does not know: cart 2's pinion pushes once a tooth, and all carts' friction falls with speed.
+Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
+Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared
+drives, a payload of 2 kg at its flange and Stribeck friction in one joint.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_common, progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot_options, load_robot_from, progress, robot_file
+from tau_dyn.exceptions import InputError
+
+if TYPE_CHECKING:
+    from tau_dyn.model import Model
+    from tau_dyn.robot import Robot
 
 HELP = "the main job on made data with hidden effects: simulate, identify, diagnose, report"
 
@@ -19,6 +28,8 @@ TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00),
 _QUANTITIES = ("coulomb_neg", "coulomb_pos", "viscous_neg", "viscous_pos")
 RATE_HZ = 500.0
 """Of control and log."""
+SECONDS = {"monday": 48.0, "tuesday": 32.0}
+"""Length of the training and of the held-out log [s]."""
 TOOTH = 0.0209
 """Distance after which cart 2's pinion repeats [m]."""
 RIPPLE = 2.0
@@ -26,9 +37,48 @@ RIPPLE = 2.0
 PEAK = {"cart1": 18.0, "cart2": 20.0, "cart3": 22.0}
 """What friction at standstill has above Coulomb's [N], about a tenth of it, gone at a few times 25 mm/s."""
 
+PAYLOAD_KG = 2.0
+PAYLOAD_CENTRE = (0.02, 0.05, 0.04)
+"""Centre of the arm's payload in the last joint's frame [m]."""
+PAYLOAD_GYRATION_M = 0.05
+"""Its radius of gyration [m], that of a gripper."""
+_GEARED = {"coulomb": 0.05, "viscous": 0.05, "armature": 0.008, "stribeck": 0.035, "noise": 0.003}
+"""What a geared drive has, as shares of its joint's effort limit: friction [N m] and its growth up to full speed [N m], reflected
+rotor inertia [kg m2 per N m], friction's peak at standstill and the noise of its torque [N m]; of the size of a UR5's."""
+_PEAK_SPEED = 0.08
+"""Speed over which the peak falls to a third [rad/s]."""
+_MASS_ERROR = 0.01
+"""Largest relative error of a mass in the arm's file; makers state masses to about that."""
+_ENCODER_RAD = 2e-5
+
+
+@dataclass(frozen=True)
+class Made:
+    """A robot as it truly is, and what of it the fitted model does not know.
+
+    Attributes:
+        robot: The robot file.
+        truth: The simulated robot.
+        sensors: Its sensors, as keywords.
+        hidden: The hidden causes.
+        said: They in words.
+        call: How a command names the robot.
+    """
+
+    robot: Robot
+    truth: Model
+    sensors: dict[str, Any]
+    hidden: tuple[str, ...]
+    said: str
+    call: str
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
+    parser.add_argument(
+        "robot", metavar="ROBOT", nargs="?", help="the file of a serial arm, such as a UR5's (default: a Gantry-Tau)"
+    )
+    add_robot_options(parser)
     parser.add_argument("--out", metavar="DIR", default="tau_dyn_demo", help="folder (default tau_dyn_demo)")
     add_common(parser)
 
@@ -40,18 +90,15 @@ def run(args: argparse.Namespace) -> Outcome:
         from tau_dyn.diagnose import diagnose
         from tau_dyn.identify import identify
         from tau_dyn.report import diagnosis_page, identification_page
-        from tau_dyn.robot import load_robot
         from tau_dyn.simulate import Sensors, named_motion, simulate
 
-        robot = load_robot("gantry_tau", prototype="l1")
-        truth = hidden_model(true_model(robot, args.seed))
-        sensors = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=RATE_HZ)
-        logs = []
-        for k, (name, duration) in enumerate((("monday", 48.0), ("tuesday", 32.0))):
-            path = named_motion("fourier", truth, duration, args.seed + k)
+        made = make_arm(load_robot_from(args), args.robot, args.seed) if args.robot else make_gantry(args.seed)
+        sensors, logs = Sensors(**made.sensors, log_rate_hz=RATE_HZ), []
+        for k, (name, duration) in enumerate(SECONDS.items()):
+            path = named_motion("fourier", made.truth, duration, args.seed + k)
             logs.append(
                 simulate(
-                    truth,
+                    made.truth,
                     path,
                     sensors=sensors,
                     rate_hz=RATE_HZ,
@@ -60,11 +107,11 @@ def run(args: argparse.Namespace) -> Outcome:
                     progress=lambda share, day=name: step(f"simulating {day}: {100 * share:.0f} %"),
                 )
             )
-        fit = identify(robot, logs[0], holdout=logs[1], seed=args.seed, progress=step)
-        found = diagnose(robot, logs[0], holdout=logs[1], seed=args.seed, progress=step)
+        fit = identify(made.robot, logs[0], holdout=logs[1], seed=args.seed, progress=step)
+        found = diagnose(made.robot, logs[0], holdout=logs[1], seed=args.seed, progress=step)
         step("reports")
-        values = {p.name: p.value for p in truth.parameters}
-        files = f"gantry_tau {args.out}/monday.csv --holdout {args.out}/tuesday.csv"
+        values = {p.name: p.value for p in made.truth.parameters}
+        files = f"{made.call} {args.out}/monday.csv --holdout {args.out}/tuesday.csv"
         page = diagnosis_page(found, command_line=f"tau-dyn diagnose {files}")
         plain = identification_page(fit, command_line=f"tau-dyn identify {files}", truth=values)
     written = {
@@ -74,9 +121,10 @@ def run(args: argparse.Namespace) -> Outcome:
         "logs": str(args.out),
     }
     return Outcome(
-        result=found.to_dict() | {"truth": values, "hidden": ["cyclic_ripple", "stribeck"], "out": str(args.out)},
+        result=found.to_dict() | {"truth": values, "hidden": list(made.hidden), "out": str(args.out)},
         warnings=found.warnings,
-        show=lambda console: _show(console, found, written),
+        inputs=robot_file(args) if args.robot else [],
+        show=lambda console: _show(console, made, found, written),
         files={
             args.out / "identification.html": plain,
             args.out / "model.yaml": fit.model.save,
@@ -87,37 +135,95 @@ def run(args: argparse.Namespace) -> Outcome:
     )
 
 
-def true_model(robot, seed: int):
-    """Return the simulated robot: Table 6.1's friction, and masses up to 10 % off the nominal ones."""
-    from tau_dyn.effects import friction_model
-    from tau_dyn.model import Model
+def make_gantry(seed: int) -> Made:
+    """Return the L1 Gantry-Tau with a pinion's ripple on cart 2 and Stribeck friction on all carts."""
+    from tau_dyn.effects import CyclicRipple, Stribeck
+    from tau_dyn.robot import load_robot
 
-    model = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    robot = load_robot("gantry_tau", prototype="l1")
+    joints, units = robot.actuated, robot.force_units
+    effects = (CyclicRipple(joints[1:2], units[1:2], period=TOOTH), Stribeck(joints, units, speed=0.025))
+    values = {f"{joints[1]}.ripple_sin": RIPPLE, **{f"{joint}.stribeck": value for joint, value in PEAK.items()}}
+    said = f"a ripple of {RIPPLE:g} N every {1e3 * TOOTH:g} mm on cart2, and Stribeck friction on all carts"
+    sensors = {"encoder_noise": 5e-6, "force_noise": 5.0}
+    truth = _extend(true_model(robot, seed), effects, values)
+    return Made(robot, truth, sensors, ("cyclic_ripple", "stribeck"), said, "gantry_tau")
+
+
+def true_model(robot: Robot, seed: int) -> Model:
+    """Return the simulated Gantry-Tau: Table 6.1's friction, and masses up to 10 % off the nominal ones."""
     rng = np.random.default_rng(seed)
     values = {p.name: p.value * rng.uniform(0.9, 1.1) for p in robot.parameters if p.name.endswith(".mass")}
     for joint, row in zip(robot.actuated, TABLE_6_1, strict=True):
         values |= {f"{joint}.{quantity}": value for quantity, value in zip(_QUANTITIES, row, strict=True)}
+    return _extend(_with_friction(robot), (), values)
+
+
+def make_arm(robot: Robot, call: str, seed: int) -> Made:
+    """Return a serial arm with geared drives, a payload at its last link and Stribeck friction in its third joint or its last.
+
+    Raises:
+        InputError: The robot has loops, sliding joints, or no effort and speed limits to scale its drives by.
+    """
+    from tau_dyn.effects import Stribeck
+
+    if robot.loops or "prismatic" in robot.joint_kinds:
+        raise InputError(f"{call}: the demo takes serial arms of hinges, or no robot for its own Gantry-Tau")
+    effort, speed = np.abs(robot.effort_limit), np.abs(robot.velocity_limit)
+    if not (np.all(np.isfinite(effort * speed)) and np.all(effort * speed > 0)):
+        raise InputError(
+            f"{call}: the demo scales drives by each joint's effort and velocity limit; the file lacks some"
+        )
+    rng = np.random.default_rng(seed)
+    values: dict[str, float] = {}
+    for link in robot.links:
+        factor = rng.uniform(1 - _MASS_ERROR, 1 + _MASS_ERROR)
+        values |= {name: factor * robot.parameters[name].value for name in link.names}
+    for joint, limit, fast in zip(robot.actuated, effort, speed, strict=True):
+        rough = limit * rng.uniform(0.8, 1.2, 4) * (np.array([1, 1, 1 / fast, 1 / fast]) * _GEARED["coulomb"])
+        values |= {f"{joint}.{quantity}": float(x) for quantity, x in zip(_QUANTITIES, rough, strict=True)}
+        values[f"{joint}.armature"] = float(_GEARED["armature"] * limit)
+    values |= _with_payload(robot, values)
+    stiff = min(2, robot.na - 1)
+    joint, peak = robot.actuated[stiff], float(_GEARED["stribeck"] * effort[stiff])
+    values[f"{joint}.stribeck"] = peak
+    effect = Stribeck((joint,), (robot.force_units[stiff],), speed=_PEAK_SPEED)
+    centre = ", ".join(f"{x:g}" for x in PAYLOAD_CENTRE)
+    last = robot.links[-1].link
+    said = (
+        f"a payload of {PAYLOAD_KG:g} kg at ({centre}) m of {last}, and Stribeck friction of {peak:.3g} N m in {joint}"
+    )
+    sensors = {"encoder_noise": _ENCODER_RAD, "force_noise": (_GEARED["noise"] * effort).tolist(), "tool": False}
+    return Made(robot, _extend(_with_friction(robot), (effect,), values), sensors, ("payload", "stribeck"), said, call)
+
+
+def _with_payload(robot: Robot, values: dict[str, float]) -> dict[str, float]:
+    """Return the last link's ten numbers with the payload's added (Huygens-Steiner)."""
+    names, c = robot.links[-1].names, np.array(PAYLOAD_CENTRE)
+    about = PAYLOAD_KG * (PAYLOAD_GYRATION_M**2 * np.eye(3) + (c @ c) * np.eye(3) - np.outer(c, c))
+    more = [PAYLOAD_KG, *(PAYLOAD_KG * c), *(about[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))]
+    return {name: values[name] + float(x) for name, x in zip(names, more, strict=True)}
+
+
+def _with_friction(robot: Robot) -> Model:
+    """Return the robot with asymmetric friction at zero."""
+    from tau_dyn.effects import friction_model
+    from tau_dyn.model import Model
+
+    return Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+
+
+def _extend(model: Model, effects: Sequence, values: dict[str, float]) -> Model:
+    """Return the model with further effects, at these values."""
+    from tau_dyn.parameters import Parameters
+
+    more = Parameters([p for effect in effects for p in effect.parameters])
+    model = replace(model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more)
     return model.with_values(values)
 
 
-def hidden_model(model):
-    """Return the model with what the fitted one does not know."""
-    from dataclasses import replace
-
-    from tau_dyn.effects import CyclicRipple, Stribeck
-    from tau_dyn.parameters import Parameters
-
-    joints, units = model.robot.actuated, model.robot.force_units
-    effects = (CyclicRipple(joints[1:2], units[1:2], period=TOOTH), Stribeck(joints, units, speed=0.025))
-    more = Parameters([p for effect in effects for p in effect.parameters])
-    extended = replace(model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more)
-    peaks = {f"{joint}.stribeck": value for joint, value in PEAK.items()}
-    return extended.with_values({f"{joints[1]}.ripple_sin": RIPPLE, **peaks})
-
-
-def _show(console, found, written: dict[str, str]) -> None:
+def _show(console, made: Made, found, written: dict[str, str]) -> None:
     from tau_dyn.report import print_diagnosis
 
-    ripple = f"a ripple of {RIPPLE:g} N every {1e3 * TOOTH:g} mm on cart2"
-    console.print(f"Hidden in the made logs: {ripple}, and Stribeck friction on all carts.")
+    console.print(f"Hidden in the made logs: {made.said}.")
     print_diagnosis(console, found, written)
