@@ -25,7 +25,7 @@ from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.dynamics import Mechanism, build_mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.excerpt import Excerpt
-from tau_dyn.robot import INERTIAL, Robot
+from tau_dyn.robot import Robot
 
 MIN_GAIN_NATS = 30.0
 """Log-likelihood gain from which an alternative is named; sound logs with bodies 40 % off reach about 5."""
@@ -60,6 +60,9 @@ FINE_MODEL_ERROR = 0.005
 EXPLAINED = 0.02
 """Residual of each joint, as a share of its force, that an alternative must reach to be judged by the finer measure."""
 
+MAX_FINE_SHARE = 0.15
+"""Residual of a joint, as a share of its force, from which the coarser measure has already judged all."""
+
 MIN_POWER_DROP = 0.5
 """Share of the residual's power that an alternative leaves of some joint: a model error is not repaired by rewiring."""
 
@@ -78,8 +81,11 @@ MAX_PLAUSIBLE_SCALE = 3.0
 N_COMPARED = 700
 """Samples on which alternatives are compared."""
 
-SCREENING_STEP = 3
-"""All alternatives are first compared on every third of these samples; the best are fitted to all."""
+MIN_ROWS = 5
+"""Fewer samples of a joint are no evidence."""
+
+SCREENING_STEP = 5
+"""All alternatives are first compared on every fifth of these samples; the best are fitted to all."""
 
 N_FINALISTS = 8
 """So many of the best are fitted to all samples."""
@@ -150,6 +156,8 @@ def _find_faults(judge: _Judge, name: str) -> list[CodedWarning]:
     if fit is not None:
         judge = judge.counted(fit)
         fit = judge.fit(current)
+        if judge.is_hopeless(fit):
+            return []
     for _ in range(MAX_FAULTS):
         if fit is not None and judge.most_to_gain(fit) < MIN_GAIN_NATS:
             break
@@ -193,7 +201,7 @@ class _Judge:
         every = max(1, len(excerpt.q) // N_COMPARED)
         used = excerpt.used[::every]
         q, v, a, tau = (x[::every] for x in (excerpt.q, excerpt.v, excerpt.a, excerpt.tau))
-        used = used & (used.sum(axis=0) >= 10)
+        used = used & (used.sum(axis=0) >= MIN_ROWS)
         squares = np.where(used, tau**2, 0.0).sum(axis=0) / np.maximum(used.sum(axis=0), 1)
         size = np.sqrt(np.where(squares > 0, squares, 1.0))
         counts = used.sum(axis=0) / 2.0
@@ -209,6 +217,14 @@ class _Judge:
         every = slice(None, None, SCREENING_STEP)
         q, v, a, tau, used = (x[every] for x in (self.q, self.v, self.a, self.tau, self.used))
         return replace(self, q=q, v=v, a=a, tau=tau, used=used)
+
+    def is_hopeless(self, fit: _Fit | None) -> bool:
+        """Tell whether no alternative can meet the finer measure: white noise of a joint is too large, or its model too poor."""
+        if fit is None or self.model_error >= MODEL_ERROR:
+            return False
+        share = np.sqrt(fit.power) / self.size
+        white = self.counts > 0.5 * self.used.sum(axis=0)
+        return bool(np.any((share > EXPLAINED) & white & (self.counts > 0)) or np.any(share > MAX_FINE_SHARE))
 
     @property
     def floor(self) -> np.ndarray:
@@ -233,7 +249,9 @@ class _Judge:
         for change, _ in tried[:N_FINALISTS]:
             other = self.fit(change)
             if other is not None and self.accepts(fit, other):
-                found.append((change, other, other.log_p - (fit.log_p if fit is not None else self._log_p_of_nothing())))
+                found.append(
+                    (change, other, other.log_p - (fit.log_p if fit is not None else self._log_p_of_nothing()))
+                )
         found.sort(key=lambda item: -item[2])
         codes = {}
         for item in found:
@@ -277,7 +295,13 @@ class _Judge:
             block = np.zeros((rows.sum(), n + 5 * na))
             block[:, :n] = columns[rows, j]
             forward = v[rows, j] > 0
-            friction = (np.ones(rows.sum()), forward, np.where(forward, 0, -1), v[rows, j] * forward, v[rows, j] * ~forward)
+            friction = (
+                np.ones(rows.sum()),
+                forward,
+                np.where(forward, 0, -1),
+                v[rows, j] * forward,
+                v[rows, j] * ~forward,
+            )
             block[:, n + 5 * j : n + 5 * j + 5] = np.column_stack(friction)
             own.append(block)
             nominal.append(force[rows, j])
@@ -308,6 +332,7 @@ class _Judge:
             x = _solve(A, b, low)
             residual = [target - scale[j] * (design.own[j] @ x) for j, target in enumerate(targets)]
             power = np.array([_robust_power(r) for r in residual])
+        power = np.where(design.rows.sum(axis=0) < MIN_ROWS, size**2, power)  # no sample, no evidence
         prior = float(penalty @ x**2) / 2
         log_p = -float(counts @ np.log(np.maximum(power, floor) / size**2)) / 2 - prior
         whole = np.zeros(design.rows.shape)
@@ -547,7 +572,9 @@ def _swap(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
 def _say(robot: Robot, name: str, change: Rewiring, gain: float, before: _Fit | None, after: _Fit) -> CodedWarning:
     """Return the warning about one wrong wiring, with its evidence."""
     if before is None:
-        return CodedWarning(change.code, f"{name}: {change.words}. Evidence: as logged, the robot cannot reach its positions.")
+        return CodedWarning(
+            change.code, f"{name}: {change.words}. Evidence: as logged, the robot cannot reach its positions."
+        )
     ratio = np.sqrt(after.power / np.maximum(before.power, 1e-300))
     k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
     evidence = (

@@ -145,12 +145,17 @@ def mend_clock(log: Log, joints: Sequence[str] = ()) -> Log | None:
 
     A few events can be mended: each is known to the sample. Many cannot, as some pass unseen while the robot is slow.
     """
-    found = find_lost_samples(log, joints)
-    if not found.alarm or len(found.after) > MAX_MENDED_SHARE * max(found.n_tested, 1):
+    found, twice = find_lost_samples(log, joints), find_repeated_rows(log, joints)
+    stale = twice[~np.isin(twice, found.after)] if len(twice) >= MIN_EVENTS else twice[:0]
+    if not (found.alarm or len(stale)) or len(found.after) + len(stale) > MAX_MENDED_SHARE * max(found.n_tested, 1):
         return None
     late = np.zeros(log.n_samples)
-    np.add.at(late, found.after + 1, found.steps)
     keep = np.ones(log.n_samples, bool)
+    keep[stale + 1] = False
+    if found.alarm:
+        np.add.at(late, found.after + 1, found.steps)
+    else:
+        found = _NONE
     for k, n in zip(found.after, found.steps, strict=True):
         if n < 0:
             keep[k + 1 : k + 1 - n] = False
