@@ -84,12 +84,17 @@ def check_timing(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning
     late = _believed(found, excerpt.log.dt)
     if not late.any():
         return []
-    lags = np.where(late, np.maximum(found.delay_s, 0.0), 0.0)
-    n = fitter.used.sum(axis=0) * min(1.0, 1 / (4 * excerpt.cutoff_hz * excerpt.dt))
-    by_lag = fitter.residual_with_lags(lags)
-    ratio = np.log(np.maximum(found.residual, 1e-300) / np.maximum(by_lag, 1e-300))
-    gain = float(np.sum((n * ratio / 2)[late]))
-    return [_say(robot, name, found, late, gain, excerpt.log.dt)]
+    return [_say(robot, name, found, late, _gain_of_lag(fitter, found, late), excerpt.log.dt)]
+
+
+def _gain_of_lag(fitter: _Fitter, found: Timing, late: np.ndarray) -> float:
+    """Return by how many nats a first-order lag explains the joints that are late better than a delay does."""
+    late = late & (found.delay_s > 0)
+    if not late.any():
+        return -np.inf
+    by_lag = fitter.residual_with_lags(np.where(late, found.delay_s, 0.0))
+    ratio = np.log(np.maximum(found.residual[late], 1e-300) / np.maximum(by_lag[late], 1e-300))
+    return float(fitter.used.sum(axis=0)[late] @ ratio / 2)
 
 
 def _believed(found: Timing, dt: float) -> np.ndarray:
@@ -146,7 +151,7 @@ class _Fitter:
     def delays(self) -> Timing:
         """Return the delays of all joints, by Gauss-Newton together with the parameters."""
         na, n = self.used.shape[1], len(self.used)
-        plain, power, theta = self._solve(self.columns, np.zeros((n, na, 0)), np.zeros(na), None)
+        _, power, theta = self._solve(self.columns, np.zeros((n, na, 0)), np.zeros(na), None)
         before = power.copy()
         delay, stderr = np.zeros(na), np.full(na, np.inf)
         last = theta
@@ -162,8 +167,7 @@ class _Fitter:
             delay = np.clip(delay + step, -MAX_DELAY_S, MAX_DELAY_S)
             if np.all(np.abs(step) < 0.1 * stderr):
                 break
-        residual, power, _ = self._solve(self.columns, np.zeros((n, na, 0)), delay, power)
-        del plain
+        _, power, _ = self._solve(self.columns, np.zeros((n, na, 0)), delay, power)
         judged = self.used.any(axis=0) & np.isfinite(stderr) & (stderr > 0) & (np.abs(delay) < 0.99 * MAX_DELAY_S)
         removed = 1 - power / np.maximum(before, 1e-300)
         return Timing(delay, np.where(judged, stderr, np.inf), removed, power, judged)
@@ -176,7 +180,7 @@ class _Fitter:
                 [_lagged(self.columns[:, j], factor * lags[j], self.excerpt.dt) for j in range(len(lags))], axis=1
             )
             _, power, _ = self._solve(columns, np.zeros((*self.used.shape, 0)), np.zeros(len(lags)), None)
-            if power.sum() == 0 or np.sum(np.log(power[lags > 0])) < np.sum(np.log(best[lags > 0])):
+            if np.sum(np.log(power[lags > 0])) < np.sum(np.log(best[lags > 0])):
                 best = power
         return best
 
