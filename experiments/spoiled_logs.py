@@ -4,9 +4,9 @@
                                        [--corruptions NAME...] [--jobs 1] [--out DIR]
 
 In: nothing; forces and positions come from `spoiled_logs_parts/machines.py` (Pinocchio's rnea, Lagrange's equations of the
-Gantry-Tau), spoiled in the ways of `spoiled_logs_parts/corruptions.py`. Out: `spoiled_logs.csv`, a row a log: how many base parameters
-are more than 5 stated standard errors off the truth, the warning codes, whether a true one is among them; and `spoiled_logs.txt`, the
-table by corruption. Exact aliases (`ALIASES`) are listed with their reasons. `check`'s tests are the same function.
+Gantry-Tau), spoiled in the ways of `spoiled_logs_parts/corruptions.py`. Out: `spoiled_logs.csv`, a row a log: how many base
+parameters are more than 5 stated standard errors off the truth, the warning codes, whether a true one is among them; and
+`spoiled_logs.txt`, the table by corruption. Exact aliases (`ALIASES`) are listed with their reasons. `check`'s tests are the same function.
 """
 
 import argparse
@@ -28,15 +28,27 @@ from tau_dyn.scale import run_many
 
 MAX_STDERRS_OFF = 5.0
 
+_TURNED = "turned around, a lone axis is the same axis; forward and backward friction change places"
+
 ALIASES = {
-    ("linear_axis", "sign_both"): "turned around, a lone axis is the same axis; forward and backward friction change places",
-    ("linear_axis", "sign_both_first"): "turned around, a lone axis is the same axis; forward and backward friction change places",
+    ("linear_axis", "sign_both"): _TURNED,
+    ("linear_axis", "sign_both_first"): _TURNED,
+    (
+        "linear_axis",
+        "clock_x2",
+    ): "half the speed at the same force is four times the mass and twice the viscous friction",
     ("linear_axis", "tau_x0.5"): "half the force is half the mass and friction; the file's mass is known to 25 % only",
     ("linear_axis", "tau_x2"): "twice the force is twice the mass and friction; the file's mass is known to 25 % only",
-    ("linear_axis", "wall"): "a weight along the axis is a constant force, as a difference of forward and backward friction is",
+    (
+        "linear_axis",
+        "wall",
+    ): "a weight along the axis is a constant force, as a difference of forward and backward friction is",
     ("linear_axis", "ceiling"): "gravity across the axis does no work",
     ("linear_axis", "slope"): "gravity across the axis does no work",
-    ("planar_2r", "slope"): "in the plane of the arm, gravity at 45 degrees out of it is a weaker gravity: lighter moments",
+    (
+        "planar_2r",
+        "slope",
+    ): "in the plane of the arm, gravity at 45 degrees out of it is a weaker gravity: lighter moments",
 }
 """Corruptions that another machine would show exactly, with the reason."""
 
@@ -118,7 +130,9 @@ def main(
     rows = []
     for row in run_many(make_row, items, jobs=jobs) if jobs > 1 else map(make_row, items):
         rows.append(row)
-        print(*(row.get(k, "") for k in ("machine", "corruption", "number", "off", "named", "codes", "why")), flush=True)
+        print(
+            *(row.get(k, "") for k in ("machine", "corruption", "number", "off", "named", "codes", "why")), flush=True
+        )
         write_whole(out_dir / "spoiled_logs.csv", pd.DataFrame(rows).to_csv(index=False, float_format="%.4g"))
     text = summarise(pd.read_csv(out_dir / "spoiled_logs.csv"))
     (out_dir / "spoiled_logs.txt").write_text(text + "\n")

@@ -13,7 +13,7 @@ from tau_dyn.log import Log
 
 
 class Corruption(NamedTuple):
-    """A corruption: its name, which codes are true of it, and how it is done; `make` also gets the machine's name and the seed."""
+    """A corruption: its name, which codes are true of it, and how it is done, given also the machine's name and the seed."""
 
     name: str
     codes: tuple[str, ...]

@@ -68,7 +68,7 @@ class Made:
 
 
 def make_log(name: str, seed: int, *, spread: float = 0.15, gravity: np.ndarray = GRAVITY, noise: float = 0.01) -> Made:
-    """Return a log of a machine whose bodies differ from the file by up to `spread`; each seed has its own friction and motion."""
+    """Return a log of a machine whose bodies differ from the file by up to `spread`, with its own friction and motion."""
     rng = np.random.default_rng([MACHINES.index(name), seed])
     robot = build_robot(name)
     t = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ

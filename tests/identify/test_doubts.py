@@ -82,7 +82,9 @@ def test_physics_that_the_data_mind_is_said(rng, stronger: float, added: bool) -
     W = rng.normal(size=(N, 10))
     physics = Physics((Body("arm_link", tuple(names.split()), np.eye(10)),))
     e = fitted(W, theta, names, physics=physics)
-    said = [s for s in doubts(e) if s.startswith("no mass distribution has the plain least-squares inertia of arm_link")]
+    said = [
+        s for s in doubts(e) if s.startswith("no mass distribution has the plain least-squares inertia of arm_link")
+    ]
     shift = float(np.max(np.abs(e.beta - e.beta_plain) / e.stderr))
     assert (shift > 3) is added and bool(said) is added
     if added:

@@ -41,7 +41,11 @@ def test_a_sound_log_of_another_mass_is_not_doubted(l1, monday) -> None:
     ("spoil", "code", "mend"),
     [
         (lambda log: scaled(log, tau_cart2=-1.0), "sign_reversed", "tau_cart2: {column: tau_cart2, scale: -1}"),
-        (lambda log: scaled(log, q_cart1=-1.0, tau_cart1=-1.0), "sign_reversed", "q_cart1: {column: q_cart1, scale: -1}"),
+        (
+            lambda log: scaled(log, q_cart1=-1.0, tau_cart1=-1.0),
+            "sign_reversed",
+            "q_cart1: {column: q_cart1, scale: -1}",
+        ),
         (lambda log: exchanged(log, "tau_cart1", "tau_cart3"), "joints_exchanged", "tau_cart1: tau_cart3"),
         (
             lambda log: exchanged(exchanged(log, "tau_cart1", "tau_cart3"), "q_cart1", "q_cart3"),

@@ -173,7 +173,7 @@ class _Fitter:
         return Timing(delay, np.where(judged, stderr, np.inf), removed, power, judged)
 
     def residual_with_lags(self, lags: np.ndarray) -> np.ndarray:
-        """Return the residual power (na,) where each joint's columns pass a first-order lag [s]; the best of some near the delay."""
+        """Return the residual power (na,) where each joint's columns pass a first-order lag near the given one [s]."""
         best = np.full(len(lags), np.inf)
         for factor in (0.8, 1.0, 1.25, 1.6):
             columns = np.stack(
@@ -187,7 +187,7 @@ class _Fitter:
     def _solve(
         self, columns: np.ndarray, extra: np.ndarray, delay: np.ndarray, power: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return residuals (n, na), their robust power (na,) and the solution of weighted least squares, forces shifted by delays."""
+        """Return residuals (n, na), their robust power (na,) and the weighted least-squares solution for shifted forces."""
         whole = np.concatenate([columns, extra], axis=2)
         force = _shifted(self.excerpt, delay)
         weight = np.ones(len(delay)) if power is None else power**-0.5
@@ -271,14 +271,14 @@ def _say(robot: Robot, name: str, found: Timing, late: np.ndarray, gain: float, 
     )
     if mean > 0 and gain > LAG_GAIN_NATS:
         words = (
-            f"{name}: the force of {of} is low-passed: a first-order lag of about {size} explains it better than a delay; {removed}. Log the "
-            "drive's force before its filter, or low-pass the positions alike"
+            f"{name}: the force of {of} is low-passed: a first-order lag of about {size} explains it better than a delay; "
+            f"{removed}. Log the drive's force before its filter, or low-pass the positions alike"
         )
         return CodedWarning("force_lowpassed", words + ".")
     alike = " (a first-order lag of as much would look the same)" if mean > 0 and gain > -LAG_GAIN_NATS else ""
     direction = "late" if mean > 0 else "early"
     words = (
-        f"{name}: the force of {of} is {direction} by {size}{alike}; {removed}. Give all channels one clock: shift tau by that time "
-        "before use, and look where the logger takes its values"
+        f"{name}: the force of {of} is {direction} by {size}{alike}; {removed}. Give all channels one clock: shift tau by "
+        "that time before use, and look where the logger takes its values"
     )
     return CodedWarning("force_late", words + ".")

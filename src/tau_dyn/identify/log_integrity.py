@@ -1,7 +1,8 @@
 """Is this log what it claims to be? One set of tests for `check`, `identify` and `diagnose`.
 
-The data alone tell lost, repeated, zeroed and held samples (`log/data_integrity.py`). With the robot file, wiring (`wiring.py`) and the
-time of the forces (`force_timing.py`) are judged on the middle minute of each log, joint by joint.
+The data alone tell lost, repeated, zeroed and held samples (`log/data_integrity.py`). With the robot file, wiring (`wiring.py`)
+and the time of the forces (`force_timing.py`) are judged on the middle minute of each log, joint by joint. Where losses cannot be
+mended, they are said alone: they look like wrong scales and delays.
 """
 
 from __future__ import annotations
@@ -44,12 +45,11 @@ def check_against_robot(robot: Robot, logs: Sequence[Log], exclude: tuple[str, .
     found: list[CodedWarning] = []
     for log in sorted(logs, key=lambda log: -log.duration)[:MAX_LOGS]:
         mended = mend_log(log, robot.actuated)
-        lost = any(get_code(w) in SPOILING for w in list_data_warnings(mended, robot.actuated))
-        excerpt = make_excerpt(robot, _even_pieces(mended), exclude)
-        if excerpt is None:
+        if spoils_diagnosis(list_data_warnings(mended, robot.actuated)):
             continue
-        wiring = check_wiring(robot, excerpt, log.name)
-        found += wiring if wiring or lost else check_timing(robot, excerpt, log.name)
+        excerpt = make_excerpt(robot, _even_pieces(mended), exclude)
+        if excerpt is not None:
+            found += check_wiring(robot, excerpt, log.name) or check_timing(robot, excerpt, log.name)
     return list(dict.fromkeys(found))
 
 
