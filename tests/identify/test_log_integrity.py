@@ -64,7 +64,7 @@ def test_each_wrong_wiring_is_named_with_its_mend(l1, monday, spoil, code: str, 
 
 
 def test_a_lone_axis_that_turns_round_is_the_same_axis(axis, axis_log) -> None:
-    """q and tau both reversed is an exact alias of a lone axis; the force alone is not, as friction would push."""
+    """With q and tau both reversed a lone axis is the same axis; with the force alone friction would push."""
     assert codes(axis, scaled(axis_log, q_axis=-1.0, tau_axis=-1.0)) == set()
     assert codes(axis, scaled(axis_log, tau_axis=-1.0)) == {"sign_reversed"}
 
@@ -99,7 +99,7 @@ def test_a_strong_lag_of_the_drive_is_told_from_a_delay(l1, monday) -> None:
     assert codes(l1, monday.with_channels(**passed)) == {"force_lowpassed"}
 
 
-def test_identify_says_it_first_and_mends_few_lost_samples(l1, truth, monday, rng=None) -> None:
+def test_identify_says_it_first_and_mends_few_lost_samples(l1, truth, monday) -> None:
     """With 0.2 % of the samples lost, the mended clock brings the masses back within their errors' reach."""
     keep = np.flatnonzero(np.random.default_rng(1).random(monday.n_samples) > 0.002)
     lost = Log(monday.t[: len(keep)], {k: x[keep] for k, x in monday.channels.items()}, "lost.csv")

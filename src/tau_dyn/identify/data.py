@@ -52,12 +52,12 @@ class Data:
     def __post_init__(self) -> None:
         """Cut logs in memory into even pieces."""
         self.streams = any(isinstance(log, Recording) for log in self.logs)
-        self.pieces = (
-            []
-            if self.streams
-            else [piece for log in self.logs for piece in even_pieces(mend_log(log, self.model.robot.actuated))]
-        )  # type: ignore[arg-type]
+        self.pieces = [] if self.streams else [piece for log in self.logs for piece in self._mended(log)]
         self._parts: tuple[Regression, Regression] | None = None
+
+    def _mended(self, log: Log | Recording) -> list[Log]:
+        """Return a log's even pieces, its few lost samples being gaps in the clock."""
+        return even_pieces(mend_log(log, self.model.robot.actuated)) if isinstance(log, Log) else []
 
     def warnings(self) -> list[str]:
         """Return what is doubtful about the logs, what spoils them first; of a large one, about a stretch in its middle."""

@@ -103,9 +103,10 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
     used[:edge] = used[len(used) - edge :] = False
     factor = max(1, int(rate / (4 * cutoff)))
     used = used[::factor]
+    q, v, a, tau = (decimate(x, factor) for x in (q, v, a, tau))
     if used.sum() < MIN_SAMPLES:
         return None
-    return Excerpt(log, *(decimate(x, factor) for x in (q, v, a, tau)), used, factor * log.dt, cutoff)
+    return Excerpt(log, q, v, a, tau, used, factor * log.dt, cutoff)
 
 
 def _widen(shut: np.ndarray, half: int) -> np.ndarray:

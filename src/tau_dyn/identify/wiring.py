@@ -1,15 +1,16 @@
 """Do the columns of a log belong to this robot file: signs, joints, scales, and the direction of gravity?
 
-Whole-robot least squares with the file's bodies as a prior (25 % a body), friction and drive inertia not below zero, and a constant
-offset of each drive. The log as it is read is compared with logs in which one thing is turned: the sign of a joint's q, tau, or both;
-two joints exchanged; a joint's or all forces or positions in another scale; gravity from another side. `log p` is the maximum a
-posteriori log-likelihood with the residual's standard deviation of each joint as a free scale, at least 5 % of the joint's force:
+Whole-robot least squares with the file's bodies as a prior (25 % a body), friction and drive inertia not below zero, and a
+constant offset of each drive. The log as it is read is compared with logs in which one thing is turned: the sign of a joint's q,
+tau, or both; two joints exchanged; a joint's or all forces or positions in another scale; another clock; gravity from another
+side. `log p` is the maximum a posteriori log-likelihood with the residual's standard deviation of each joint as a free scale, at
+least 5 % of the joint's force:
 
     log p = -sum_j n_j log(sigma_j) - |u|^2 / 2,      n_j = effective number of samples (autocorrelation)
 
-An alternative is named where it gains more than 30 nats (a Bayes factor of 1e13) and halves the residual's power somewhere, or where
-only it spares the bodies. Missing drive inertia, a payload, friction of any asymmetry and bodies 40 % off fit the prior, so they gain
-nothing.
+An alternative is named where it gains more than 30 nats (a Bayes factor of 1e13) and halves the residual's power somewhere, or
+where only it spares the bodies. Missing drive inertia, a payload, friction of any asymmetry and bodies 40 % off fit the prior, so
+they gain nothing.
 """
 
 from __future__ import annotations
@@ -94,6 +95,9 @@ CLOCKS = (1e-3, 0.1, 0.5, 2.0, 10.0, 1e3)
 """Factors of a clock in another unit, or at another rate than the logger believes."""
 
 
+_IN_MAP = "into a column map (--columns)"
+
+
 @dataclass(frozen=True)
 class Rewiring:
     """One way in which the columns of a log are read wrongly: the log's column is `scale` times the truth.
@@ -150,7 +154,8 @@ def check_wiring(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning
 def _find_faults(judge: _Judge, name: str) -> list[CodedWarning]:
     """Return the faults that one after another gain most."""
     robot = judge.robot
-    current = Rewiring("", *(tuple(range(robot.na)),) * 2, *((1.0,) * robot.na,) * 2)
+    order, ones = tuple(range(robot.na)), (1.0,) * robot.na
+    current = Rewiring("", order, order, ones, ones)
     warnings: list[CodedWarning] = []
     fit = judge.fit(current)
     if fit is not None:
@@ -171,7 +176,7 @@ def _find_faults(judge: _Judge, name: str) -> list[CodedWarning]:
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """The columns of every joint (n_j, p) for one way in which the robot moved, with their Gram matrices, and the nominal force."""
+    """The columns of every joint (n_j, p) for one way in which the robot moved, their Gram matrices, and the nominal force."""
 
     own: list[np.ndarray]
     nominal: list[np.ndarray]
@@ -264,15 +269,11 @@ class _Judge:
         if self.model_error < MODEL_ERROR and np.any(np.sqrt(other.power) > EXPLAINED * self.size):
             return False
         if fit is None:  # as it stands, the robot cannot even reach the positions
-            return other.log_p - self._log_p_of_nothing() > MIN_GAIN_NATS
+            return other.log_p > MIN_GAIN_NATS  # that of a robot which explains nothing of its forces is 0
         floor = self.floor
         drop = np.min(np.maximum(other.power, floor) / np.maximum(fit.power, floor))
         mends = drop < MIN_POWER_DROP or fit.prior - other.prior > SPARED_NATS
         return bool(other.log_p - fit.log_p > MIN_GAIN_NATS and mends)
-
-    def _log_p_of_nothing(self) -> float:
-        """Return the log-probability of a robot that explains nothing of its forces."""
-        return 0.0
 
     def design(self, wiring: Rewiring) -> _Design | None:
         """Return the columns of a wiring's motion; None where the robot cannot move so."""
@@ -348,7 +349,7 @@ class _Judge:
         return build_mechanism(replace(self.robot, model=model)).regressor(q, v, a)
 
     def _bounds(self, n: int, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower bounds and prior weights of the unknowns: bodies and drive inertia (n), then five numbers of each drive."""
+        """Return lower bounds and prior weights of bodies and drive inertia (n), then of five numbers of each drive."""
         na = self.robot.na
         low, penalty = np.full(n, -np.inf), np.ones(n)
         values = self.robot.parameters.values
@@ -364,7 +365,7 @@ class _Judge:
 
 
 def _prior(robot: Robot) -> np.ndarray:
-    """Return how parameters (p,) follow independent unknowns of unit variance (p, n): 25 % of a body's size, more at the last bodies."""
+    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies."""
     names = robot.parameters.names
     total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0
     parents = {int(robot.model.parents[link.joint_id]) for link in robot.links}
@@ -465,7 +466,10 @@ def _alternatives(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiri
     if not now.gravity:
         yield from _mountings(robot, now)
     for factor in CLOCKS if now.t_scale == 1 else ():
-        words = f"the clock runs about {factor:g} times as fast as the robot moves; write `t: {{column: t, scale: {1 / factor:g}}}` into a column map (--columns), or give the true rate"
+        words = (
+            f"the clock runs about {factor:g} times as fast as the robot moves; write "
+            f"`t: {{column: t, scale: {1 / factor:g}}}` {_IN_MAP}, or give the true rate"
+        )
         yield replace(now, code="scale_wrong", t_scale=factor, joints=tuple(range(robot.na)), words=words)
 
 
@@ -473,16 +477,19 @@ def _sign_changes(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
     for j, joint in enumerate(robot.actuated):
         tau, q = _times(now.tau_scale, [j], -1.0), _times(now.q_scale, [j], -1.0)
         line = f"`tau_{joint}: {{column: tau_{joint}, scale: -1}}`", f"`q_{joint}: {{column: q_{joint}, scale: -1}}`"
-        yield replace(now, code="sign_reversed", tau_scale=tau, joints=(j,),
-                      words=f"the force of {joint} has the wrong sign; write {line[0]} into a column map (--columns)")  # fmt: skip
-        yield replace(now, code="sign_reversed", q_scale=q, joints=(j,),
-                      words=f"the position of {joint} has the wrong sign; write {line[1]} into a column map (--columns)")  # fmt: skip
-        yield replace(now, code="sign_reversed", q_scale=q, tau_scale=tau, joints=(j,),
-                      words=f"position and force of {joint} both have the wrong sign (its axis points the other way); write {line[1]} and {line[0]} into a column map (--columns), or turn the axis in the robot file")  # fmt: skip
+        turned = partial(replace, now, code="sign_reversed", joints=(j,))
+        yield turned(tau_scale=tau, words=f"the force of {joint} has the wrong sign; write {line[0]} {_IN_MAP}")
+        yield turned(q_scale=q, words=f"the position of {joint} has the wrong sign; write {line[1]} {_IN_MAP}")
+        both = (
+            f"position and force of {joint} both have the wrong sign (its axis points the other way); write {line[1]} and "
+            f"{line[0]} {_IN_MAP}, or turn the axis in the robot file"
+        )
+        yield turned(q_scale=q, tau_scale=tau, words=both)
     everyone = tuple(range(robot.na))
     if robot.na > 1:
-        yield replace(now, code="sign_reversed", tau_scale=_times(now.tau_scale, everyone, -1.0), joints=everyone,
-                      words="the forces of all joints have the wrong sign; write `scale: -1` for each tau into a column map (--columns)")  # fmt: skip
+        words = f"the forces of all joints have the wrong sign; write `scale: -1` for each tau {_IN_MAP}"
+        tau = _times(now.tau_scale, everyone, -1.0)
+        yield replace(now, code="sign_reversed", tau_scale=tau, joints=everyone, words=words)
 
 
 def _exchanges(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
@@ -492,7 +499,8 @@ def _exchanges(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
             for kinds in (("q",), ("tau",), ("q", "tau")):
                 lines = " and ".join(f"`{k}_{one}: {k}_{other}`, `{k}_{other}: {k}_{one}`" for k in kinds)
                 what = {"q": "positions", "tau": "forces"}
-                words = f"the {' and '.join(what[k] for k in kinds)} of {one} and {other} are exchanged; write {lines} into a column map (--columns)"
+                named = " and ".join(what[k] for k in kinds)
+                words = f"the {named} of {one} and {other} are exchanged; write {lines} {_IN_MAP}"
                 yield replace(
                     now,
                     code="joints_exchanged",
@@ -510,7 +518,10 @@ def _scale_changes(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewir
         column = robot.actuated[group[0]] if len(group) == 1 else "JOINT"
         for factor in SCALES:
             mend = f"`{{0}}_{column}: {{{{column: {{0}}_{column}, scale: {1 / factor:.4g}}}}}`"
-            words = "the {1} of {2} is about {3:.3g} times what the robot file says (gear ratio, torque constant or unit); write {0} into a column map (--columns)"
+            words = (
+                "the {1} of {2} is about {3:.3g} times what the robot file says (gear ratio, torque constant or unit); write {0} "
+                + _IN_MAP
+            )
             for signal, what in (("tau", "force"), ("q", "position")):
                 if signal == "q" and not _may_be_scaled(robot, now, q, group, factor):
                     continue
@@ -521,7 +532,7 @@ def _scale_changes(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewir
 
 
 def _may_be_scaled(robot: Robot, now: Rewiring, q: np.ndarray, group: Sequence[int], factor: float) -> bool:
-    """Return whether positions may be `factor` times the truth, by the joints' limits: unscaled they lie within, scaled they do not."""
+    """Return whether positions may be `factor` times the truth, by the joints' limits."""
     for j in group:
         x = q[:, now.q_from[j]] / now.q_scale[j]
         low, high = robot.lower[j], robot.upper[j]
@@ -543,10 +554,8 @@ def _mountings(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
             continue
         shown = ", ".join(f"{x:.2g}" for x in direction + 0.0)
         place = "the ceiling" if direction @ down < -0.99 else ("a wall" if abs(direction @ down) < 0.01 else "a slope")
-        words = (
-            f"gravity acts along ({shown}) of the robot's base instead of ({', '.join(f'{x:.2g}' for x in down + 0.0)}): the robot "
-            f"hangs on {place}; turn the base in the robot file (the origin of its first fixed joint)"
-        )
+        usual = ", ".join(f"{x:.2g}" for x in down + 0.0)
+        words = f"gravity acts along ({shown}) of the robot's base instead of ({usual}): the robot stands on {place}; turn the base in the robot file (the origin of its first fixed joint)"
         yield replace(
             now, code="gravity_direction", gravity=tuple(direction), joints=tuple(range(robot.na)), words=words
         )

@@ -6,7 +6,7 @@ all joints share:
 
     q_j(i) = p_j(i)  up to the step,    q_j(i) = p_j(i + s)  behind it
 
-A lost sample gives s = 1, one that was inserted twice s = -1. `z` is the estimate of `s` over its standard error. Steps with z > 10
+A lost sample gives s = 1, one inserted twice s = -1. `z` is the estimate of `s` over its standard error. Steps with z > 10
 and `s` within 0.25 of a nonzero integer are events. What is not a lost sample (a knock, a rough motion) has no reason to prefer
 integers, so steps nearer to the half integers are counted as a control. Alarm: three events, and more than twice the control.
 """
@@ -239,8 +239,8 @@ def _lost_sentence(log: Log, found: LostSamples, lost: NDArray[np.intp]) -> str:
     n = int(found.steps[np.isin(found.after, lost)].sum())
     share = len(lost) / max(found.n_tested, 1)
     sentence = (
-        f"{log.name}: samples are missing under an even clock: all joints leap {count(n, 'sample step')} ahead in {count(len(lost), 'place')}, "
-        f"first after t = {log.t[lost[0]]:.6g} s ({100 * share:.2g} % of the steps at which a loss can be seen)"
+        f"{log.name}: samples are missing under an even clock: all joints leap {count(n, 'sample step')} ahead in "
+        f"{count(len(lost), 'place')}, first after t = {log.t[lost[0]]:.6g} s ({100 * share:.2g} % of the steps at which a loss can be seen)"
     )
     if len(found.after) <= MAX_MENDED_SHARE * max(found.n_tested, 1):
         return f"{sentence}; the clock is mended there. Log time stamps of the measurement, not of a counter."

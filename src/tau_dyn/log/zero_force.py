@@ -1,8 +1,8 @@
 """Forces that drop out: a zero, or the last value held, between samples that are far from it.
 
 A missing measurement is often written as zero or as the value before. A zero run is a stretch of exact zeros whose two neighbours
-stand six typical steps off, on the same side: a force that passes through zero changes its side. A held run is a stretch of three or
-more exactly equal values in a channel that otherwise hardly ever repeats a value. Joints at rest are left out.
+stand six typical steps off, on the same side: a force that passes through zero changes its side. A held run is a stretch of three
+or more exactly equal values in a channel that otherwise hardly ever repeats a value. Joints at rest are left out.
 """
 
 from __future__ import annotations
@@ -68,17 +68,17 @@ def list_dropout_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWar
         zero = find_zero_runs(log, joint)
         if len(zero) >= MIN_EVENTS:
             sentence = (
-                f"{log.name}: tau_{joint} is exactly zero in {count(len(zero), 'place')} where the force before and after is far from "
-                f"it, first at t = {log.t[zero[0]]:.6g} s: readings were lost. Leave these samples out by a column that flags "
+                f"{log.name}: tau_{joint} is exactly zero in {count(len(zero), 'place')} where the force before and after is far "
+                f"from it, first at t = {log.t[zero[0]]:.6g} s: readings were lost. Leave these samples out by a column that flags "
                 "them (--exclude), or log the drive's force without gaps."
             )
             found.append(CodedWarning("zero_force_runs", sentence))
         held = find_held_runs(log, f"tau_{joint}")
         if len(held) >= MIN_EVENTS:
             sentence = (
-                f"{log.name}: tau_{joint} stands still for {MIN_HELD} samples or more in {count(len(held), 'place')}, first at t = "
-                f"{log.t[held[0]]:.6g} s, and changes with each sample elsewhere: the logger repeats its last reading. Leave these "
-                "samples out (--exclude), or log the drive's force without gaps."
+                f"{log.name}: tau_{joint} stands still for {MIN_HELD} samples or more in {count(len(held), 'place')}, first at "
+                f"t = {log.t[held[0]]:.6g} s, and changes with each sample elsewhere: the logger repeats its last reading. Leave "
+                "these samples out (--exclude), or log the drive's force without gaps."
             )
             found.append(CodedWarning("held_channel", sentence))
     return found
