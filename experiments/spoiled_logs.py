@@ -6,7 +6,8 @@
 In: nothing; forces and positions come from `spoiled_logs_parts/machines.py` (Pinocchio's rnea, Lagrange's equations of the
 Gantry-Tau), spoiled in the ways of `spoiled_logs_parts/corruptions.py`. Out: `spoiled_logs.csv`, a row a log: how many base
 parameters are more than 5 stated standard errors off the truth, the warning codes, whether a true one is among them; and
-`spoiled_logs.txt`, the table by corruption. Exact aliases (`ALIASES`) are listed with their reasons. `check`'s tests are the same function.
+`spoiled_logs.txt`, the table by corruption. Exact aliases (`ALIASES`) are listed with their reasons.
+`check`'s tests are the same function.
 """
 
 import argparse

@@ -555,7 +555,10 @@ def _mountings(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
         shown = ", ".join(f"{x:.2g}" for x in direction + 0.0)
         place = "the ceiling" if direction @ down < -0.99 else ("a wall" if abs(direction @ down) < 0.01 else "a slope")
         usual = ", ".join(f"{x:.2g}" for x in down + 0.0)
-        words = f"gravity acts along ({shown}) of the robot's base instead of ({usual}): the robot stands on {place}; turn the base in the robot file (the origin of its first fixed joint)"
+        words = (
+            f"gravity acts along ({shown}) of the robot's base instead of ({usual}): the robot stands on {place}; "
+            "turn the base in the robot file (the origin of its first fixed joint)"
+        )  # fmt: skip
         yield replace(
             now, code="gravity_direction", gravity=tuple(direction), joints=tuple(range(robot.na)), words=words
         )

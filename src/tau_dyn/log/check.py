@@ -47,7 +47,8 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     for more, figures in (check_signals(raw, moving), check_motion(part)):
         findings += more
         numbers.update(figures)
-    findings.append(_force_lag(log))
+    if robot is None:
+        findings.append(_force_lag(log))
     return LogCheck(log.name, tuple(findings), numbers)
 
 
@@ -100,5 +101,5 @@ def _jumps(log: Log, robot: JointLimits | None) -> list[Finding]:
 
 
 def _force_lag(log: Log) -> Finding:
-    sentence = f"{log.name}: a lag between force and motion was not tested; it takes a model."
+    sentence = f"{log.name}: a lag between force and motion was not tested; it takes the robot file."
     return Finding("ok", "synchronisation", sentence)

@@ -240,7 +240,8 @@ def _lost_sentence(log: Log, found: LostSamples, lost: NDArray[np.intp]) -> str:
     share = len(lost) / max(found.n_tested, 1)
     sentence = (
         f"{log.name}: samples are missing under an even clock: all joints leap {count(n, 'sample step')} ahead in "
-        f"{count(len(lost), 'place')}, first after t = {log.t[lost[0]]:.6g} s ({100 * share:.2g} % of the steps at which a loss can be seen)"
+        f"{count(len(lost), 'place')}, first after t = {log.t[lost[0]]:.6g} s "
+        f"({100 * share:.2g} % of the steps at which a loss can be seen)"
     )
     if len(found.after) <= MAX_MENDED_SHARE * max(found.n_tested, 1):
         return f"{sentence}; the clock is mended there. Log time stamps of the measurement, not of a counter."

@@ -69,8 +69,8 @@ def list_dropout_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWar
         if len(zero) >= MIN_EVENTS:
             sentence = (
                 f"{log.name}: tau_{joint} is exactly zero in {count(len(zero), 'place')} where the force before and after is far "
-                f"from it, first at t = {log.t[zero[0]]:.6g} s: readings were lost. Leave these samples out by a column that flags "
-                "them (--exclude), or log the drive's force without gaps."
+                f"from it, first at t = {log.t[zero[0]]:.6g} s: readings were lost. Leave these samples out by a column that "
+                "flags them (--exclude), or log the drive's force without gaps."
             )
             found.append(CodedWarning("zero_force_runs", sentence))
         held = find_held_runs(log, f"tau_{joint}")
