@@ -254,11 +254,9 @@ class _Judge:
         for change, _ in tried[:N_FINALISTS]:
             other = self.fit(change)
             if other is not None and self.accepts(fit, other):
-                found.append(
-                    (change, other, other.log_p - (fit.log_p if fit is not None else self._log_p_of_nothing()))
-                )
+                found.append((change, other, other.log_p - (0.0 if fit is None else fit.log_p)))
         found.sort(key=lambda item: -item[2])
-        codes = {}
+        codes: dict[str, tuple[Rewiring, _Fit, float]] = {}
         for item in found:
             if found[0][2] - item[2] < ALIAS_NATS:
                 codes.setdefault(item[0].code, item)
