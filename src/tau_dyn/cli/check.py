@@ -14,6 +14,7 @@ from tau_dyn.cli.common import (
     progress,
     robot_file,
 )
+from tau_dyn.coded_warning import UNCODED, get_code
 
 HELP = "is a log fit for use, and what to mend"
 
@@ -37,9 +38,14 @@ def run(args: argparse.Namespace) -> Outcome:
         robot = load_robot_from(args) if args.robot else None
         log = read_log(args.log, args.columns)
         checked = check_log(log, robot)
+        if robot is not None:
+            from tau_dyn.identify import check_against_robot
+
+            step("holding the log against the robot file")
+            checked = checked.with_faults(check_against_robot(robot, [log]))
     return Outcome(
         result=checked.to_dict(),
-        warnings=log.warnings,
+        warnings=[*log.warnings, *(w for w in checked.warnings if get_code(w) != UNCODED)],
         inputs=[
             (args.log, log.sha256),
             *([args.columns] if args.columns else []),

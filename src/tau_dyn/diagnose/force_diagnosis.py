@@ -39,11 +39,12 @@ from tau_dyn.diagnose.waves import shows_waves
 from tau_dyn.diagnose.within import heard, tests_of
 from tau_dyn.diagnose.words import verdict_sentence
 from tau_dyn.estimate import Physics, solve_least_squares
+from tau_dyn.identify.log_integrity import check_integrity
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import even_pieces
 from tau_dyn.identify.structure import physics_of
-from tau_dyn.log import Log
+from tau_dyn.log import Log, mend_log
 from tau_dyn.model import Model
 
 Progress = Callable[[str], None]
@@ -112,7 +113,11 @@ def gather(
     Raises:
         CannotAnswer: The logs determine nothing, or are too short for three parts.
     """
-    train, held = ([piece for log in logs for piece in even_pieces(log)] for logs in (train_logs, held_logs))
+    joints = model.robot.actuated
+    train, held = (
+        [piece for log in logs for piece in even_pieces(mend_log(log, joints))] for logs in (train_logs, held_logs)
+    )
+    warnings += check_integrity(model.robot, [*train_logs, *held_logs], exclude)
     warnings += [*model.robot.warnings, *log_warnings(model.robot, [*train, *held])]
     preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
     pieces = (*train, *held)

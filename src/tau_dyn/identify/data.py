@@ -13,11 +13,12 @@ import numpy as np
 
 from tau_dyn.estimate import Regression
 from tau_dyn.identify.choices import scale_outputs
+from tau_dyn.identify.log_integrity import check_integrity
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import build_regression, even_pieces
 from tau_dyn.identify.streaming import Engine, Progress, channels, even_stretches, refuse_missing, stream_regression
-from tau_dyn.log import Log, Recording
+from tau_dyn.log import Log, Recording, mend_log
 from tau_dyn.model import Model
 
 TRAIN_SHARE = 0.7
@@ -51,12 +52,17 @@ class Data:
     def __post_init__(self) -> None:
         """Cut logs in memory into even pieces."""
         self.streams = any(isinstance(log, Recording) for log in self.logs)
-        self.pieces = [] if self.streams else [piece for log in self.logs for piece in even_pieces(log)]  # type: ignore[arg-type]
+        self.pieces = [] if self.streams else [piece for log in self.logs for piece in self._mended(log)]
         self._parts: tuple[Regression, Regression] | None = None
 
+    def _mended(self, log: Log | Recording) -> list[Log]:
+        """Return a log's even pieces, its few lost samples being gaps in the clock."""
+        return even_pieces(mend_log(log, self.model.robot.actuated)) if isinstance(log, Log) else []
+
     def warnings(self) -> list[str]:
-        """Return what is doubtful about the logs; of a large one, about a stretch in its middle."""
-        found = []
+        """Return what is doubtful about the logs, what spoils them first; of a large one, about a stretch in its middle."""
+        whole = [log for log in self.logs if isinstance(log, Log)]
+        found: list[Log] = []
         for log in self.logs if self.streams else ():
             if isinstance(log, Recording):
                 refuse_missing(self.model, [log], self.exclude)
@@ -66,9 +72,11 @@ class Data:
                         middle, min(stretch.n_samples, middle + 2**16), channels(self.model, self.exclude)
                     )
                     found.append(part.with_warnings(*log.warnings, *stretch.warnings))
+                    whole.append(part)
             else:
                 found += even_pieces(log)
-        return log_warnings(self.model.robot, [*self.pieces, *found])
+        spoilt = check_integrity(self.model.robot, whole, self.exclude)
+        return [*spoilt, *log_warnings(self.model.robot, [*self.pieces, *found])]
 
     def regression(self, at: Model) -> Regression:
         """Return the regression, with signals at a model's values."""

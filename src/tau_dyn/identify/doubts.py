@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
+from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.estimate import DETERMINED, Estimate
 from tau_dyn.identify.errors import ForceErrors
 from tau_dyn.parameters import Parameters
@@ -11,6 +13,9 @@ from tau_dyn.robot import INERTIAL
 
 _ILL_CONDITIONED = 200.0
 _CORRELATED = 0.99
+_OBJECTS = 3.0
+"""Standard errors outside of what is physical from which the data object; nearer is noise."""
+
 _UNLIKE = 30.0
 """Factor between identified and nominal inertia beyond which units are doubted; a robot file may be wrong by much less."""
 
@@ -55,10 +60,11 @@ def unlike_the_file(estimate: Estimate, nominal: Parameters) -> list[str]:
         return []
     k = np.flatnonzero(seen)[np.argmin(np.abs(np.log(ratio / typical)))]
     such = f"{names[k]} with {estimate.beta[k]:.3g} instead of {before[k]:.3g} {estimate.parameters[names[k]].unit}"
-    return [
+    sentence = (
         f"masses and inertias are about {typical:.2g} times those of the robot file, such as {such}; check the units of t [s], "
         "q [m or rad] and tau [N or N m], and the file's"
-    ]
+    )
+    return [CodedWarning("scale_wrong", sentence)]
 
 
 _RESISTS = ("coulomb", "viscous", "coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg")
@@ -86,22 +92,35 @@ def equivalences(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _moved(estimate: Estimate) -> list[str]:
+    """Return what had to be made physical against the data."""
     bodies = [name.removesuffix(" inertia") for name in estimate.moved if name.endswith(" inertia")]
-    found = [_held_by_physics(estimate, bodies)] if bodies else []
+    found = _held_by_physics(estimate, bodies) if bodies else []
     found += turned_signs(estimate)
     for name, plain in estimate.moved.items():
         if name.endswith(" inertia"):
             continue
         p = estimate.parameters[name]
-        found.append(
-            f"{name}: plain least squares gives {plain:.4g} {p.unit}, outside what is admissible; "
-            f"the nearest admissible estimate has {p.value:.4g} {p.unit} and moves others along "
+        if _excess(estimate, name, plain) < _OBJECTS:
+            continue
+        sentence = (
+            f"{name}: plain least squares gives {plain:.4g} {p.unit}, more than {_OBJECTS:g} standard errors outside what is "
+            f"admissible; the nearest admissible estimate has {p.value:.4g} {p.unit} and moves others along "
             "(some force is not in the model, or the motion is dull)"
         )
+        found.append(CodedWarning("not_physical", sentence))
     return found
 
 
-def turned_signs(estimate: Estimate) -> list[str]:
+def _excess(estimate: Estimate, name: str, plain: float) -> float:
+    """Return how far a plain estimate lies outside its bounds, in standard errors; none where it is not determined alone."""
+    p = estimate.parameters[name]
+    alone = [k for k, kept in enumerate(estimate.base.kept) if estimate.base.names[kept] == name]
+    if not alone or not estimate.stderr[alone[0]] > 0:
+        return 0.0
+    return max(p.lower - plain, plain - p.upper) / float(estimate.stderr[alone[0]])
+
+
+def turned_signs(estimate: Estimate) -> list[CodedWarning]:
     """Return a sentence for each joint whose friction comes out as if it pushed.
 
     So it does where a force or a position has its sign turned, or is another joint's.
@@ -109,22 +128,36 @@ def turned_signs(estimate: Estimate) -> list[str]:
     found = []
     for joint in estimate.regression.outputs:
         friction = [n for n in estimate.base.names if n.rsplit(".", 1)[0] == joint and n.rsplit(".", 1)[1] in _RESISTS]
-        pushing = [n for n in friction if estimate.moved.get(n, 0.0) < 0]
+        pushing = [n for n in friction if n in estimate.moved and _excess(estimate, n, estimate.moved[n]) > _OBJECTS]
         if len(pushing) >= max(2, len(friction) / 2):
-            found.append(
+            sentence = (
                 f"{joint}: friction comes out negative, as if it pushed; check the sign of tau_{joint} (what the actuator "
                 f"applies along q_{joint}) and that q_{joint} and tau_{joint} are this joint's columns"
             )
+            found.append(CodedWarning("sign_reversed", sentence))
     return found
 
 
-def _held_by_physics(estimate: Estimate, bodies: list[str]) -> str:
-    """Say which bodies had to be made physical, and whether the data mind."""
-    shift = np.abs(estimate.beta - estimate.beta_plain) / np.where(estimate.stderr > 0, estimate.stderr, np.inf)
+def _held_by_physics(estimate: Estimate, bodies: list[str]) -> list[str]:
+    """Say which bodies had to be made physical, where the data object.
+
+    The truth is physical and lies within chi-square of the plain estimate, and the nearest physical estimate lies nearer; so a
+    distance beyond the 99.9 % quantile objects to the model, in at most 0.1 % of sound logs.
+    """
+    moved = estimate.beta - estimate.beta_plain
+    stderr = np.where(estimate.stderr > 0, estimate.stderr, np.inf)
+    shift = np.abs(moved) / stderr
     worst = int(np.argmax(shift))
-    text = f"no mass distribution has the plain least-squares inertia of {', '.join(bodies)}; the estimate is the nearest that "
-    text += f"exists, which moves {estimate.base.names[estimate.base.kept[worst]]} most, by {shift[worst]:.2g} standard errors"
-    return text if shift[worst] < 3 else text + " (some force is not in the model, or the noise is underrated)"
+    widened = estimate.cov + np.diag(np.maximum(estimate.stderr**2 - np.diag(estimate.cov), 0.0))
+    distance = float(moved @ np.linalg.lstsq(widened, moved, rcond=None)[0])
+    if shift[worst] < _OBJECTS or distance < chi2.ppf(0.999, len(moved)):
+        return []
+    sentence = (
+        f"no mass distribution has the plain least-squares inertia of {', '.join(bodies)}; the estimate is the nearest that "
+        f"exists, which moves {estimate.base.names[estimate.base.kept[worst]]} most, by {shift[worst]:.2g} standard errors "
+        "(some force is not in the model, or the noise is underrated)"
+    )
+    return [CodedWarning("not_physical", sentence)]
 
 
 def _at_bound(estimate: Estimate) -> list[str]:

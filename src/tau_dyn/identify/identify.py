@@ -202,7 +202,7 @@ def _data(ask: _Request, model: Model, factors: dict[str, float], warnings: list
     data = Data(model, train, ask.preparation, ask.exclude, factors, engine=ask.engine, progress=ask.progress)
     held_out = Data(model, held, factors=factors, campaigns=names, engine=ask.engine, progress=ask.progress)
     refuse_in_blocks(ask.estimator, data.streams)
-    warnings += [*model.robot.warnings, *data.warnings(), *held_out.warnings(), *doubled]
+    warnings += [*data.warnings(), *held_out.warnings(), *model.robot.warnings, *doubled]
     return data, held_out
 
 

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from tau_dyn.coded_warning import UNCODED, CodedWarning, get_code
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.gate import AT_LIMIT
 from tau_dyn.identify.preparation import FEWEST
@@ -52,8 +53,15 @@ def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
         of_logs = (w for log in pieces for w in (*log.warnings, *unit_warnings(log, robot)))
         longest = max(pieces, key=lambda log: log.n_samples)
         said = list(dict.fromkeys([*of_logs, *_channel_warnings(robot, longest)]))
-        found += said if len(said) <= _MOST else [*said[:2], f"{name}: {len(said) - 2} more warnings like these"]
+        found += said if len(said) <= _MOST else _some(said, name)
     return found
+
+
+def _some(said: list[str], name: str) -> list[str]:
+    """Return the first two of many warnings, the first of each other code, and how many more there are."""
+    codes = [get_code(sentence) for sentence in said]
+    shown = [s for k, s in enumerate(said) if k < 2 or (codes[k] != UNCODED and codes[k] not in codes[:k])]
+    return shown if len(shown) == len(said) else [*shown, f"{name}: {len(said) - len(shown)} more warnings like these"]
 
 
 def _channel_warnings(robot: Robot, log: Log) -> list[str]:
@@ -68,7 +76,8 @@ def _channel_warnings(robot: Robot, log: Log) -> list[str]:
     channels = Log(log.t, used, log.name)
     moving = {joint: moving_mask(channels, joint) for joint in channels.joints("q")}
     found = check_signals(channels, moving)[0]
-    return [finding.sentence for finding in found if finding.topic in _CHANNEL_FAULTS and finding.severity != "ok"]
+    doubtful = [f for f in found if f.topic in _CHANNEL_FAULTS and f.severity != "ok"]
+    return [CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful]
 
 
 def without_trained(train: Sequence[Log | Recording], held: Sequence[Kind], warnings: list[str]) -> list[Kind]:

@@ -3,6 +3,7 @@
 from tau_dyn.log.band import MotionBand, motion_band
 from tau_dyn.log.check import check_log
 from tau_dyn.log.column_map import ColumnMap
+from tau_dyn.log.data_integrity import list_data_warnings, mend_log
 from tau_dyn.log.filtering import attenuation, decimate, differentiate, edge_samples, lowpass, reversals
 from tau_dyn.log.findings import Finding, LogCheck
 from tau_dyn.log.log import Log
@@ -46,6 +47,8 @@ __all__ = [
     "split_by_motion",
     "stretches",
     "unbroken",
+    "list_data_warnings",
+    "mend_log",
     "unit_warnings",
     "velocity_noise",
 ]

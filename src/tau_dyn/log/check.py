@@ -1,16 +1,18 @@
 """Is a log fit for use? Its clock, its channels, its motion and its units, judged before anything is estimated.
 
 `check_log` asks the three siblings `check_clock.py`, `check_signals.py` and `check_motion.py`, and the robot if there
-is one. A lag between force and acceleration is not tested: it shifts estimated masses (20 ms are worth several kg) and
-friction in the same way as wrong parameters do, so only a model can tell them apart.
+is one, and `data_integrity.py` for losses on the way to the file. Wiring and the time of the forces take a model:
+`identify/log_integrity.py`.
 """
 
 from typing import Any
 
+from tau_dyn.coded_warning import UNCODED, get_code
 from tau_dyn.log.check_clock import check_clock
 from tau_dyn.log.check_motion import check_motion, moving_mask
 from tau_dyn.log.check_signals import check_signals
-from tau_dyn.log.findings import Finding, LogCheck, Severity
+from tau_dyn.log.data_integrity import list_data_warnings
+from tau_dyn.log.findings import Finding, LogCheck, Severity, fault_of
 from tau_dyn.log.jumps import jump_finding
 from tau_dyn.log.log import Log
 from tau_dyn.log.names import listed
@@ -33,6 +35,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         Finding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
     ]
     findings += _columns(log, robot) + _units(log, robot)
+    findings += [fault_of(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]
     parts = segments(log)
     if not parts:
         lost = f"{log.name}: no stretch of it is without a gap."
@@ -77,7 +80,13 @@ def _columns(log: Log, robot: JointLimits | None) -> list[Finding]:
 
 def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
     doubts = [
-        Finding("warning" if robot is None else "fault", "units", sentence, "Give the map with --columns MAP.yaml.")
+        Finding(
+            "warning" if robot is None else "fault",
+            "units",
+            sentence,
+            "Give the map with --columns MAP.yaml.",
+            "" if get_code(sentence) == UNCODED else get_code(sentence),
+        )
         for sentence in unit_warnings(log, robot)
     ]
     return doubts or [Finding("ok", "units", f"{log.name}: positions look like m and rad.")]
@@ -91,5 +100,5 @@ def _jumps(log: Log, robot: JointLimits | None) -> list[Finding]:
 
 
 def _force_lag(log: Log) -> Finding:
-    sentence = f"{log.name}: a lag between force and motion was not tested; it takes a model."
+    sentence = f"{log.name}: a lag between force and motion was not tested; it takes the robot file."
     return Finding("ok", "synchronisation", sentence)

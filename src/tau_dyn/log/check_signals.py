@@ -101,7 +101,9 @@ def _frozen(log: Log, column: str, runs: Runs, moves: NDArray[np.bool_]) -> Find
         if np.mean(moves[start:stop]) > 0.5:
             span = f"{log.t[start]:.6g} to {log.t[stop - 1]:.6g} s"
             sentence = f"{log.name}: {column} stays at {runs.values[k]:.6g} from {span}, while the joint moves."
-            return Finding("fault", "frozen", sentence, "Leave that stretch out; look at the sensor or its bus.")
+            return Finding(
+                "fault", "frozen", sentence, "Leave that stretch out; look at the sensor or its bus.", "held_channel"
+            )
     return None
 
 
@@ -124,6 +126,5 @@ def _held(log: Log, column: str, runs: Runs, moves: NDArray[np.bool_]) -> Findin
         return None
     late = (usual - 1) / 2 * log.dt
     sentence = f"{log.name}: {column} changes only every {usual} samples; it is on average {late:.2g} s late."
-    return Finding(
-        "warning", "held", sentence, f"Log it at the full rate, or the others at {log.rate_hz / usual:.6g} Hz."
-    )
+    remedy = f"Log it at the full rate, or the others at {log.rate_hz / usual:.6g} Hz."
+    return Finding("warning", "held", sentence, remedy, "held_channel")

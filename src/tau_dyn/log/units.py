@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.log.log import Log
 
 LONGEST_AXIS = 20.0
@@ -57,7 +58,7 @@ def unit_warnings(log: Log, robot: JointLimits | None = None) -> tuple[str, ...]
     for joint, kind, lower, upper in limits:
         if log.has("q", [joint]):
             sentences.append(_doubt(log, joint, kind, float(lower), float(upper)))
-    return tuple(sentence for sentence in sentences if sentence)
+    return tuple(CodedWarning("scale_wrong", sentence) for sentence in sentences if sentence)
 
 
 def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
@@ -79,14 +80,15 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
 
 
 def _doubt_without_robot(log: Log) -> list[str]:
-    sentences = []
+    sentences: list[str] = []
     for joint in log.joints("q"):
         low, high = _extent(log, joint)
         if max(abs(low), abs(high)) > SUSPECT:
-            sentences.append(
+            sentence = (
                 f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, which reads like mm or degrees; "
                 "positions are in m or rad (scale 0.001 or 0.0174532925 in a column map)."
             )
+            sentences.append(CodedWarning("scale_wrong", sentence))
     return sentences
 
 

@@ -1,0 +1,116 @@
+"""A short, even, low-passed excerpt of the logs on which their wiring and timing are judged against the robot file.
+
+Positions and forces pass the same zero-phase low-pass and are decimated to what it leaves; reversals, speeds within the encoder's
+noise and forces at the drives' limits are masked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.identify.gate import excluded
+from tau_dyn.identify.preparation import FEWEST, choose_preparation
+from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, noise_gain
+from tau_dyn.robot import Robot
+
+MAX_DURATION_S = 60.0
+"""The middle of a log of this length tells the wiring; a motion repeats itself."""
+
+MAX_SAMPLES = 3000
+"""Decimated samples that are looked at: more do not change a verdict, and two seconds are enough for a check."""
+
+NOISE_FACTOR = 10.0
+"""Speeds below so many standard deviations of their noise have no sure sign."""
+
+MASK_PERIODS = 1.0
+"""Time masked on both sides of a reversal, in periods of the low-pass: longer than friction's step is smeared."""
+
+MAX_SATURATED = 0.05
+"""Share of forces at the robot file's limits above which the limits are not believed."""
+
+MIN_SAMPLES = 40
+"""Fewer usable samples of all joints together say nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Excerpt:
+    """Even samples of one log at the rate of the low-pass.
+
+    Attributes:
+        log: The even log that it is made of, at its own rate.
+        q: Positions (n, na) [m or rad].
+        v: Velocities (n, na).
+        a: Accelerations (n, na).
+        tau: Forces (n, na) [N or N m].
+        used: Which samples have a sure direction and a force within the drive's limits (n, na).
+        dt: Time between samples [s].
+        cutoff_hz: Cutoff of the low-pass [Hz].
+    """
+
+    log: Log
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    used: np.ndarray
+    dt: float
+    cutoff_hz: float
+
+
+def make_excerpt(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> Excerpt | None:
+    """Return the excerpt of the longest of even logs; None where they are too short or do not move.
+
+    Args:
+        robot: Gives the actuated joints and their limits.
+        logs: Even stretches with `q` and `tau` of every joint.
+        exclude: Columns whose nonzero samples are left out.
+    """
+    joints = robot.actuated
+    fit = [log for log in logs if log.has("q", joints) and log.has("tau", joints) and log.n_samples > FEWEST]
+    if not fit:
+        return None
+    log = max(fit, key=lambda piece: piece.duration)
+    if log.duration > MAX_DURATION_S:
+        middle, half = log.n_samples // 2, int(MAX_DURATION_S / 2 / log.dt)
+        log = log.window(max(0, middle - half), middle + half)
+    try:
+        preparation = choose_preparation(robot, [log], exclude)
+        return _filtered(robot, log, preparation.force_cutoff_hz, exclude)
+    except (CannotAnswer, InputError):
+        return None
+
+
+def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -> Excerpt | None:
+    joints, rate = robot.actuated, log.rate_hz
+    cutoff = min(cutoff, MAX_SAMPLES / (4 * log.duration), 0.2 * rate)
+    raw = log.joint("q", joints)
+    q, tau = lowpass(raw, cutoff, rate), lowpass(log.joint("tau", joints), cutoff, rate)
+    v = differentiate(q, log.dt, accuracy=4)
+    a = differentiate(v, log.dt, accuracy=4)
+    threshold = np.maximum(NOISE_FACTOR * encoder_noise(raw) * noise_gain(rate, cutoff), 0.005 * np.abs(v).max(axis=0))
+    shut = np.abs(v) <= threshold
+    shut[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
+    left_out = excluded(log, joints, robot.effort_limit, exclude)
+    if np.mean(left_out) > MAX_SATURATED:  # forces in another unit, or limits that mean nothing
+        left_out = excluded(log, joints, np.full(robot.na, np.inf), exclude)
+    shut |= left_out
+    used = ~_widen(shut, int(np.ceil(MASK_PERIODS * rate / cutoff)))
+    edge = edge_samples(cutoff, rate)
+    used[:edge] = used[len(used) - edge :] = False
+    factor = max(1, int(rate / (4 * cutoff)))
+    used = used[::factor]
+    q, v, a, tau = (decimate(x, factor) for x in (q, v, a, tau))
+    if used.sum() < MIN_SAMPLES:
+        return None
+    return Excerpt(log, q, v, a, tau, used, factor * log.dt, cutoff)
+
+
+def _widen(shut: np.ndarray, half: int) -> np.ndarray:
+    """Return where a sample (N, na) or one at most `half` away is shut."""
+    n, i = len(shut), np.arange(len(shut))
+    total = np.concatenate([np.zeros((1, shut.shape[1]), int), np.cumsum(shut, axis=0)])
+    return total[np.minimum(i + half + 1, n)] > total[np.maximum(i - half, 0)]

@@ -1,0 +1,65 @@
+"""Is this log what it claims to be? One set of tests for `check`, `identify` and `diagnose`.
+
+The data alone tell lost, repeated, zeroed and held samples (`log/data_integrity.py`). With the robot file, wiring (`wiring.py`)
+and the time of the forces (`force_timing.py`) are judged on the middle minute of each log, joint by joint. Where losses cannot be
+mended, they are said alone: they look like wrong scales and delays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from tau_dyn.coded_warning import CodedWarning, get_code
+from tau_dyn.exceptions import InputError
+from tau_dyn.identify.excerpt import make_excerpt
+from tau_dyn.identify.force_timing import check_timing
+from tau_dyn.identify.wiring import check_wiring
+from tau_dyn.log import Log, ensure_even, list_data_warnings, mend_log, segments
+from tau_dyn.robot import Robot
+
+SPOILING = frozenset(
+    {"sign_reversed", "joints_exchanged", "scale_wrong", "gravity_direction", "lost_samples", "repeated_samples"}
+)
+"""Codes of what makes false physics: no cause may be confirmed beside them."""
+
+MAX_LOGS = 5
+"""So many logs are held against the robot file; the columns of a campaign are wired alike."""
+
+
+def check_integrity(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> list[CodedWarning]:
+    """Return what is doubtful about logs as coded warnings, each with evidence and mend; sound logs give none.
+
+    Args:
+        robot: The robot file that the logs are said to be of.
+        logs: Logs as read.
+        exclude: Columns whose nonzero samples are left out.
+    """
+    found = [warning for log in logs for warning in list_data_warnings(log, robot.actuated)]
+    return [*found, *check_against_robot(robot, logs, exclude)]
+
+
+def check_against_robot(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> list[CodedWarning]:
+    """Return faults of wiring and timing of logs as read against a robot file with masses; see `check_integrity`."""
+    if not sum(float(link.nominal[0]) for link in robot.links) > 0:
+        return []
+    found: list[CodedWarning] = []
+    for log in sorted(logs, key=lambda log: -log.duration)[:MAX_LOGS]:
+        mended = mend_log(log, robot.actuated)
+        if spoils_diagnosis(list_data_warnings(mended, robot.actuated)):
+            continue
+        excerpt = make_excerpt(robot, _even_pieces(mended), exclude)
+        if excerpt is not None:
+            found += check_wiring(robot, excerpt, log.name) or check_timing(robot, excerpt, log.name)
+    return list(dict.fromkeys(found))
+
+
+def spoils_diagnosis(warnings: Iterable[str]) -> bool:
+    """Return whether a warning says that the log would make false physics, so that no cause may be confirmed from it."""
+    return any(get_code(warning) in SPOILING for warning in warnings)
+
+
+def _even_pieces(log: Log) -> list[Log]:
+    try:
+        return [ensure_even(piece) for piece in segments(log)]
+    except InputError:
+        return []

@@ -1,0 +1,594 @@
+"""Do the columns of a log belong to this robot file: signs, joints, scales, and the direction of gravity?
+
+Whole-robot least squares with the file's bodies as a prior (25 % a body), friction and drive inertia not below zero, and a
+constant offset of each drive. The log as it is read is compared with logs in which one thing is turned: the sign of a joint's q,
+tau, or both; two joints exchanged; a joint's or all forces or positions in another scale; another clock; gravity from another
+side. `log p` is the maximum a posteriori log-likelihood with the residual's standard deviation of each joint as a free scale, at
+least 5 % of the joint's force:
+
+    log p = -sum_j n_j log(sigma_j) - |u|^2 / 2,      n_j = effective number of samples (autocorrelation)
+
+An alternative is named where it gains more than 30 nats (a Bayes factor of 1e13) and halves the residual's power somewhere, or
+where only it spares the bodies. Missing drive inertia, a payload, friction of any asymmetry and bodies 40 % off fit the prior, so
+they gain nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from tau_dyn.coded_warning import CodedWarning
+from tau_dyn.dynamics import Mechanism, build_mechanism
+from tau_dyn.exceptions import InputError, LoopClosureError
+from tau_dyn.identify.excerpt import Excerpt
+from tau_dyn.robot import Robot
+
+MIN_GAIN_NATS = 30.0
+"""Log-likelihood gain from which an alternative is named; sound logs with bodies 40 % off reach about 5."""
+
+ALIAS_NATS = 5.0
+"""Alternatives closer than this cannot be told apart; both are said."""
+
+MODEL_ERROR = 0.05
+"""Least residual of a joint, as a share of its force: what compliance, cables and heat leave of sound robots."""
+
+BODY_STDERR = 0.25
+"""Standard deviation of a body's mass, moments and inertia against the robot file, relative to its size."""
+
+PAYLOAD_SHARE = 0.2
+"""Standard deviation of what the last bodies carry beyond the file, as a share of the robot's mass."""
+
+PAYLOAD_REACH_M = 0.15
+"""Distance of a payload's centre from its link's origin, for the size of its moments [m]."""
+
+ROTOR_INERTIA_KG_M2 = 5.0
+"""Standard deviation of a geared arm's reflected rotor inertia [kg m^2]; large arms reach 10."""
+
+MIN_MASS_SHARE = 0.3
+"""No body weighs less than this share of the robot file's mass; lighter ones are another unit."""
+
+OFFSET_SHARE = 0.25
+"""Standard deviation of a drive's constant offset (current sensor, balancing spring), as a share of its force."""
+
+FINE_MODEL_ERROR = 0.005
+"""The same where an alternative leaves next to nothing of any joint, as only simulated and very good robots do."""
+
+EXPLAINED = 0.02
+"""Residual of each joint, as a share of its force, that an alternative must reach to be judged by the finer measure."""
+
+MAX_FINE_SHARE = 0.15
+"""Residual of a joint, as a share of its force, from which the coarser measure has already judged all."""
+
+MIN_POWER_DROP = 0.5
+"""Share of the residual's power that an alternative leaves of some joint: a model error is not repaired by rewiring."""
+
+SPARED_NATS = 15.0
+"""Gain of the prior alone from which an alternative counts without a better fit: bodies as in the file instead of absurd ones."""
+
+MAX_FAULTS = 4
+"""So many faults are looked for one after another."""
+
+SCALES = (1e-3, 1e-2, np.pi / 180, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 180 / np.pi, 100.0, 1000.0)
+"""Scales of a column: gear ratios, percent, degrees, mm, torque constants."""
+
+MAX_PLAUSIBLE_SCALE = 3.0
+"""Positions within the joint's limits are not taken for larger units than by this factor."""
+
+N_COMPARED = 700
+"""Samples on which alternatives are compared."""
+
+MIN_ROWS = 5
+"""Fewer samples of a joint are no evidence."""
+
+SCREENING_STEP = 5
+"""All alternatives are first compared on every fifth of these samples; the best are fitted to all."""
+
+N_FINALISTS = 8
+"""So many of the best are fitted to all samples."""
+
+CLOCKS = (1e-3, 0.1, 0.5, 2.0, 10.0, 1e3)
+"""Factors of a clock in another unit, or at another rate than the logger believes."""
+
+
+_IN_MAP = "into a column map (--columns)"
+
+
+@dataclass(frozen=True)
+class Rewiring:
+    """One way in which the columns of a log are read wrongly: the log's column is `scale` times the truth.
+
+    Attributes:
+        code: Warning code.
+        q_from: For each joint the joint whose position column holds its position (na,).
+        tau_from: The same for forces.
+        q_scale: Factor of the position columns against the truth (na,).
+        tau_scale: Factor of the force columns against the truth (na,).
+        gravity: Direction of gravity in the robot's base (3,); empty for the file's.
+        t_scale: Factor of the clock against the truth.
+        joints: Indices of the joints concerned.
+        words: What is wrong, and the mend.
+    """
+
+    code: str
+    q_from: tuple[int, ...]
+    tau_from: tuple[int, ...]
+    q_scale: tuple[float, ...]
+    tau_scale: tuple[float, ...]
+    gravity: tuple[float, ...] = ()
+    t_scale: float = 1.0
+    joints: tuple[int, ...] = ()
+    words: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A maximum a posteriori fit: its log-probability, residual power by joint, half the prior's misfit, and effective counts."""
+
+    log_p: float
+    power: np.ndarray
+    prior: float
+    residual: np.ndarray
+
+
+def check_wiring(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning]:
+    """Return what of a log is wired otherwise than the robot file says, each with evidence and mend.
+
+    Args:
+        robot: The robot file.
+        excerpt: Its log.
+        name: The log's name, for the sentences.
+    """
+    judge = _Judge.of(robot, excerpt)
+    for model_error in (MODEL_ERROR, FINE_MODEL_ERROR):
+        warnings = _find_faults(replace(judge, model_error=model_error), name)
+        if warnings:
+            return warnings
+    return []
+
+
+def _find_faults(judge: _Judge, name: str) -> list[CodedWarning]:
+    """Return the faults that one after another gain most."""
+    robot = judge.robot
+    order, ones = tuple(range(robot.na)), (1.0,) * robot.na
+    current = Rewiring("", order, order, ones, ones)
+    warnings: list[CodedWarning] = []
+    fit = judge.fit(current)
+    if fit is not None:
+        judge = judge.counted(fit)
+        fit = judge.fit(current)
+        if judge.is_hopeless(fit):
+            return []
+    for _ in range(MAX_FAULTS):
+        if fit is not None and judge.most_to_gain(fit) < MIN_GAIN_NATS:
+            break
+        found = judge.best(current, fit)
+        if not found:
+            break
+        warnings += [_say(robot, name, change, gain, fit, better) for change, better, gain in found]
+        current, fit, _ = found[0]
+    return warnings
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """The columns of every joint (n_j, p) for one way in which the robot moved, their Gram matrices, and the nominal force."""
+
+    own: list[np.ndarray]
+    nominal: list[np.ndarray]
+    gram: list[np.ndarray]
+    rows: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """Samples, prior and counts by which alternatives are compared."""
+
+    robot: Robot
+    mechanism: Mechanism
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    used: np.ndarray
+    size: np.ndarray
+    counts: np.ndarray
+    prior: np.ndarray
+    model_error: float = MODEL_ERROR
+
+    @classmethod
+    def of(cls, robot: Robot, excerpt: Excerpt) -> _Judge:
+        """Take every so manieth sample."""
+        every = max(1, len(excerpt.q) // N_COMPARED)
+        used = excerpt.used[::every]
+        q, v, a, tau = (x[::every] for x in (excerpt.q, excerpt.v, excerpt.a, excerpt.tau))
+        used = used & (used.sum(axis=0) >= MIN_ROWS)
+        squares = np.where(used, tau**2, 0.0).sum(axis=0) / np.maximum(used.sum(axis=0), 1)
+        size = np.sqrt(np.where(squares > 0, squares, 1.0))
+        counts = used.sum(axis=0) / 2.0
+        return cls(robot, build_mechanism(robot), q, v, a, tau, used, size, counts, _prior(robot))
+
+    def counted(self, fit: _Fit) -> _Judge:
+        """Return the judge with the effective number of samples that the residual's autocorrelation leaves."""
+        counts = [_effective(fit.residual[self.used[:, k], k]) for k in range(self.robot.na)]
+        return replace(self, counts=np.array(counts))
+
+    def thinned(self) -> _Judge:
+        """Return the judge with fewer samples that count as much."""
+        every = slice(None, None, SCREENING_STEP)
+        q, v, a, tau, used = (x[every] for x in (self.q, self.v, self.a, self.tau, self.used))
+        return replace(self, q=q, v=v, a=a, tau=tau, used=used)
+
+    def is_hopeless(self, fit: _Fit | None) -> bool:
+        """Tell whether no alternative can meet the finer measure: white noise of a joint is too large, or its model too poor."""
+        if fit is None or self.model_error >= MODEL_ERROR:
+            return False
+        share = np.sqrt(fit.power) / self.size
+        white = self.counts > 0.5 * self.used.sum(axis=0)
+        return bool(np.any((share > EXPLAINED) & white & (self.counts > 0)) or np.any(share > MAX_FINE_SHARE))
+
+    @property
+    def floor(self) -> np.ndarray:
+        """Least residual power (na,)."""
+        return (self.model_error * self.size) ** 2
+
+    def most_to_gain(self, fit: _Fit) -> float:
+        """Return what a perfect alternative would gain [nats]."""
+        return float(self.counts @ np.log(np.maximum(fit.power, self.floor) / self.floor) / 2 + fit.prior)
+
+    def best(self, current: Rewiring, fit: _Fit | None) -> list[tuple[Rewiring, _Fit, float]]:
+        """Return the alternative that gains most, and those that cannot be told from it and have another code."""
+        quick = self.thinned()
+        design, tried = quick.design(current), []
+        for change in _alternatives(self.robot, current, self.q):
+            same = design is not None and _moves_alike(change, current)
+            other = quick.solve(design, change) if same and design is not None else quick.fit(change)
+            if other is not None:
+                tried.append((change, other.log_p))
+        tried.sort(key=lambda item: -item[1])
+        found = []
+        for change, _ in tried[:N_FINALISTS]:
+            other = self.fit(change)
+            if other is not None and self.accepts(fit, other):
+                found.append((change, other, other.log_p - (0.0 if fit is None else fit.log_p)))
+        found.sort(key=lambda item: -item[2])
+        codes: dict[str, tuple[Rewiring, _Fit, float]] = {}
+        for item in found:
+            if found[0][2] - item[2] < ALIAS_NATS:
+                codes.setdefault(item[0].code, item)
+        return list(codes.values())
+
+    def accepts(self, fit: _Fit | None, other: _Fit) -> bool:
+        """Tell whether an alternative is to be named: it gains much, and it mends a joint or spares the bodies."""
+        if self.model_error < MODEL_ERROR and np.any(np.sqrt(other.power) > EXPLAINED * self.size):
+            return False
+        if fit is None:  # as it stands, the robot cannot even reach the positions
+            return other.log_p > MIN_GAIN_NATS  # that of a robot which explains nothing of its forces is 0
+        floor = self.floor
+        drop = np.min(np.maximum(other.power, floor) / np.maximum(fit.power, floor))
+        mends = drop < MIN_POWER_DROP or fit.prior - other.prior > SPARED_NATS
+        return bool(other.log_p - fit.log_p > MIN_GAIN_NATS and mends)
+
+    def design(self, wiring: Rewiring) -> _Design | None:
+        """Return the columns of a wiring's motion; None where the robot cannot move so."""
+        q_from, q_scale = list(wiring.q_from), np.array(wiring.q_scale)
+        q, v, a = (x[:, q_from] / q_scale for x in (self.q, self.v, self.a))
+        v, a = v * wiring.t_scale, a * wiring.t_scale**2
+        try:
+            rigid = self._rigid(wiring.gravity, q, v, a)
+        except (LoopClosureError, InputError, np.linalg.LinAlgError):
+            return None
+        if not np.all(np.isfinite(rigid)):
+            return None
+        used = self.used[:, list(wiring.tau_from)] & self.used[:, q_from]
+        force = rigid @ self.robot.parameters.values
+        columns = rigid @ self.prior
+        na, n = self.robot.na, columns.shape[2]
+        own, nominal = [], []
+        for j in range(na):
+            rows = used[:, j]
+            block = np.zeros((rows.sum(), n + 5 * na))
+            block[:, :n] = columns[rows, j]
+            forward = v[rows, j] > 0
+            friction = (
+                np.ones(rows.sum()),
+                forward,
+                np.where(forward, 0, -1),
+                v[rows, j] * forward,
+                v[rows, j] * ~forward,
+            )
+            block[:, n + 5 * j : n + 5 * j + 5] = np.column_stack(friction)
+            own.append(block)
+            nominal.append(force[rows, j])
+        return _Design(own, nominal, [block.T @ block for block in own], used)
+
+    def fit(self, wiring: Rewiring) -> _Fit | None:
+        """Return the fit of the robot to the log if the log is wired so; None where the robot cannot move so."""
+        design = self.design(wiring)
+        return None if design is None else self.solve(design, wiring)
+
+    def solve(self, design: _Design, wiring: Rewiring) -> _Fit:
+        """Return the maximum a posteriori fit, by iterated reweighting of the joints."""
+        na, n = self.robot.na, self.prior.shape[1]
+        scale, tau_from = np.array(wiring.tau_scale), list(wiring.tau_from)
+        size, counts = self.size[tau_from], self.counts[tau_from]
+        floor = (self.model_error * size) ** 2
+        targets = [self.tau[design.rows[:, j], tau_from[j]] - scale[j] * design.nominal[j] for j in range(na)]
+        right = [scale[j] * (design.own[j].T @ targets[j]) for j in range(na)]
+        low, penalty = self._bounds(n, size / np.abs(scale))
+        number = np.maximum(design.rows.sum(axis=0), 1)
+        power, residual, x = (0.3 * size) ** 2, targets, np.zeros(len(low))
+        for _ in range(3):
+            weight = counts / number / np.maximum(power, floor)
+            A, b = np.diag(penalty), np.zeros(len(low))
+            for j in range(na):
+                A += weight[j] * scale[j] ** 2 * design.gram[j]
+                b += weight[j] * right[j]
+            x = _solve(A, b, low)
+            residual = [target - scale[j] * (design.own[j] @ x) for j, target in enumerate(targets)]
+            power = np.array([_robust_power(r) for r in residual])
+        power = np.where(design.rows.sum(axis=0) < MIN_ROWS, size**2, power)  # no sample, no evidence
+        prior = float(penalty @ x**2) / 2
+        log_p = -float(counts @ np.log(np.maximum(power, floor) / size**2)) / 2 - prior
+        whole = np.zeros(design.rows.shape)
+        for j in range(na):
+            whole[design.rows[:, j], j] = residual[j]
+        return _Fit(log_p, power, prior, whole)
+
+    def _rigid(self, gravity: tuple[float, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        if not gravity:
+            return self.mechanism.regressor(q, v, a)
+        model = self.robot.model.copy()
+        model.gravity.linear = np.linalg.norm(model.gravity.linear) * np.array(gravity)
+        return build_mechanism(replace(self.robot, model=model)).regressor(q, v, a)
+
+    def _bounds(self, n: int, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower bounds and prior weights of bodies and drive inertia (n), then of five numbers of each drive."""
+        na = self.robot.na
+        low, penalty = np.full(n, -np.inf), np.ones(n)
+        values = self.robot.parameters.values
+        for k, name in enumerate(self.robot.parameters.names):
+            column = np.flatnonzero(self.prior[k])
+            if name.endswith(".armature") and column.size:
+                low[column] = -values[k] / self.prior[k, column]
+            elif name.endswith((".mass", ".ixx", ".iyy", ".izz")) and column.size and values[k] > 0:
+                low[column] = -(1 - MIN_MASS_SHARE) * values[k] / self.prior[k, column]
+        drives = np.zeros((na, 5))
+        drives[:, 0] = (OFFSET_SHARE * size) ** -2.0
+        return np.concatenate([low, np.tile([-np.inf, 0, 0, 0, 0], na)]), np.concatenate([penalty, drives.ravel()])
+
+
+def _prior(robot: Robot) -> np.ndarray:
+    """Return how parameters follow independent unknowns of unit variance (p, n): 25 % of a body, more at the last bodies."""
+    names = robot.parameters.names
+    total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0
+    parents = {int(robot.model.parents[link.joint_id]) for link in robot.links}
+    spread = np.zeros(len(names))
+    for link in robot.links:
+        mass = max(float(link.nominal[0]), 1e-3 * total)
+        radius = np.sqrt(max(float(np.trace(_tensor(link.nominal))), 1e-6 * mass) / mass / 2)
+        radius = max(radius, float(np.linalg.norm(link.nominal[1:4])) / mass)
+        sizes = BODY_STDERR * mass * radius ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+        if link.joint_id not in parents:
+            reach = max(PAYLOAD_REACH_M, radius)
+            sizes = np.hypot(sizes, PAYLOAD_SHARE * total * reach ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2]))
+        for name, k in zip(link.names, link.own, strict=True):
+            spread[names.index(name)] = sizes[k]
+    spread += _drive_inertia(robot)
+    columns = [spread[k] * np.eye(len(names))[k] for k in np.flatnonzero(spread)]
+    return np.column_stack(columns)
+
+
+def _drive_inertia(robot: Robot) -> np.ndarray:
+    """Return the standard deviation of every reflected drive inertia among the parameters (p,), zero elsewhere [kg or kg m^2].
+
+    Three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
+    """
+    moved = np.abs(np.diagonal(build_mechanism(robot).inertia(robot.home[None])[0]))
+    least = np.where([kind == "revolute" for kind in robot.joint_kinds], ROTOR_INERTIA_KG_M2, 0.0)
+    sizes = dict(zip((f"{joint}.armature" for joint in robot.actuated), np.maximum(3 * moved, least), strict=True))
+    sizes |= {
+        p.name: PAYLOAD_SHARE * sum(link.nominal[0] for link in robot.links)
+        for p in robot.parameters
+        if p.name.endswith(".gravity_mass")
+    }
+    return np.array([sizes.get(name, 0.0) for name in robot.parameters.names])
+
+
+def _tensor(nominal: np.ndarray) -> np.ndarray:
+    xx, xy, yy, xz, yz, zz = nominal[4:]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _solve(A: np.ndarray, b: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """Minimise x'Ax/2 - b'x within bounds: an active set that is grown, then released (Lawson & Hanson 1974)."""
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    A, b, low = A / np.outer(scale, scale), b / scale, low * scale
+    A[np.diag_indices_from(A)] += 1e-10
+    held = np.zeros(len(b), bool)
+    x = np.zeros(len(b))
+    for _ in range(30):
+        free = ~held
+        x[held] = low[held]
+        x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ low[held])
+        below = free & (x < low - 1e-12)
+        pulling = held & (b - A @ x > 1e-9)
+        if not below.any() and not pulling.any():
+            return x / scale
+        held |= below
+        if not below.any():
+            held &= ~pulling
+    root = np.linalg.cholesky(A)
+    found = lsq_linear(root.T, np.linalg.solve(root, b), bounds=(low, np.inf))
+    return found.x / scale
+
+
+def _robust_power(r: np.ndarray) -> float:
+    """Return the mean square of residuals (n,), of which those beyond three robust standard deviations count no more."""
+    if not r.size:
+        return 0.0
+    limit = 3 * 1.4826 * float(np.median(np.abs(r)))
+    return float(np.mean(np.minimum(r**2, limit**2))) if limit > 0 else float(np.mean(r**2))
+
+
+def _effective(r: np.ndarray) -> float:
+    """Return the number of independent samples in an autocorrelated residual (n,): `n / (1 + 2 sum rho_k)`."""
+    n = len(r)
+    if n < 10:
+        return 0.0
+    r = r - r.mean()
+    power = np.abs(np.fft.rfft(r, 2 * n)) ** 2
+    rho = np.fft.irfft(power)[: n // 2]
+    rho = rho / max(rho[0], 1e-300)
+    negative = np.flatnonzero(rho < 0.05)
+    last = negative[0] if negative.size else len(rho)
+    return float(n / (1 + 2 * rho[1:last].sum()))
+
+
+def _moves_alike(one: Rewiring, other: Rewiring) -> bool:
+    """Return whether two wirings differ in the signs and scales of forces only."""
+    return replace(one, tau_scale=(), code="", joints=(), words="") == replace(
+        other, tau_scale=(), code="", joints=(), words=""
+    )
+
+
+def _alternatives(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiring]:
+    """Yield the wirings that differ from one in a single thing; `q` are the logged positions (n, na)."""
+    yield from _sign_changes(robot, now)
+    yield from _exchanges(robot, now)
+    yield from _scale_changes(robot, now, q)
+    if not now.gravity:
+        yield from _mountings(robot, now)
+    for factor in CLOCKS if now.t_scale == 1 else ():
+        words = (
+            f"the clock runs about {factor:g} times as fast as the robot moves; write "
+            f"`t: {{column: t, scale: {1 / factor:g}}}` {_IN_MAP}, or give the true rate"
+        )
+        yield replace(now, code="scale_wrong", t_scale=factor, joints=tuple(range(robot.na)), words=words)
+
+
+def _sign_changes(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
+    for j, joint in enumerate(robot.actuated):
+        tau, q = _times(now.tau_scale, [j], -1.0), _times(now.q_scale, [j], -1.0)
+        line = f"`tau_{joint}: {{column: tau_{joint}, scale: -1}}`", f"`q_{joint}: {{column: q_{joint}, scale: -1}}`"
+        turned = partial(replace, now, code="sign_reversed", joints=(j,))
+        yield turned(tau_scale=tau, words=f"the force of {joint} has the wrong sign; write {line[0]} {_IN_MAP}")
+        yield turned(q_scale=q, words=f"the position of {joint} has the wrong sign; write {line[1]} {_IN_MAP}")
+        both = (
+            f"position and force of {joint} both have the wrong sign (its axis points the other way); write {line[1]} and "
+            f"{line[0]} {_IN_MAP}, or turn the axis in the robot file"
+        )
+        yield turned(q_scale=q, tau_scale=tau, words=both)
+    everyone = tuple(range(robot.na))
+    if robot.na > 1:
+        words = f"the forces of all joints have the wrong sign; write `scale: -1` for each tau {_IN_MAP}"
+        tau = _times(now.tau_scale, everyone, -1.0)
+        yield replace(now, code="sign_reversed", tau_scale=tau, joints=everyone, words=words)
+
+
+def _exchanges(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
+    for i in range(robot.na):
+        for j in range(i + 1, robot.na):
+            one, other = robot.actuated[i], robot.actuated[j]
+            for kinds in (("q",), ("tau",), ("q", "tau")):
+                lines = " and ".join(f"`{k}_{one}: {k}_{other}`, `{k}_{other}: {k}_{one}`" for k in kinds)
+                what = {"q": "positions", "tau": "forces"}
+                named = " and ".join(what[k] for k in kinds)
+                words = f"the {named} of {one} and {other} are exchanged; write {lines} {_IN_MAP}"
+                yield replace(
+                    now,
+                    code="joints_exchanged",
+                    q_from=_swap(now.q_from, i, j) if "q" in kinds else now.q_from,
+                    tau_from=_swap(now.tau_from, i, j) if "tau" in kinds else now.tau_from,
+                    joints=(i, j),
+                    words=words,
+                )
+
+
+def _scale_changes(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiring]:
+    groups = [(j,) for j in range(robot.na)] + ([tuple(range(robot.na))] if robot.na > 1 else [])
+    for group in groups:
+        who = robot.actuated[group[0]] if len(group) == 1 else "all joints"
+        column = robot.actuated[group[0]] if len(group) == 1 else "JOINT"
+        for factor in SCALES:
+            mend = f"`{{0}}_{column}: {{{{column: {{0}}_{column}, scale: {1 / factor:.4g}}}}}`"
+            words = (
+                "the {1} of {2} is about {3:.3g} times what the robot file says (gear ratio, torque constant or unit); write {0} "
+                + _IN_MAP
+            )
+            for signal, what in (("tau", "force"), ("q", "position")):
+                if signal == "q" and not _may_be_scaled(robot, now, q, group, factor):
+                    continue
+                text = words.format(mend.format(signal), what, who, factor)
+                changed = _times(getattr(now, f"{signal}_scale"), group, factor)
+                change: Callable[..., Rewiring] = partial(replace, now, code="scale_wrong", joints=group, words=text)
+                yield change(**{f"{signal}_scale": changed})
+
+
+def _may_be_scaled(robot: Robot, now: Rewiring, q: np.ndarray, group: Sequence[int], factor: float) -> bool:
+    """Return whether positions may be `factor` times the truth, by the joints' limits."""
+    for j in group:
+        x = q[:, now.q_from[j]] / now.q_scale[j]
+        low, high = robot.lower[j], robot.upper[j]
+        slack = 0.5 * (high - low) if np.isfinite(high - low) else 4 * np.pi
+        low, high = (low, high) if np.isfinite(high - low) else (-2 * np.pi, 2 * np.pi)
+        inside = [bool(np.all((y > low - slack) & (y < high + slack))) for y in (x, x / factor)]
+        if not inside[1] or (inside[0] and factor > MAX_PLAUSIBLE_SCALE):
+            return False
+    return True
+
+
+def _mountings(robot: Robot, now: Rewiring) -> Iterator[Rewiring]:
+    down = np.array(robot.model.gravity.linear)
+    if not np.linalg.norm(down):
+        return
+    down = down / np.linalg.norm(down)
+    for direction in _directions():
+        if direction @ down > 0.99:
+            continue
+        shown = ", ".join(f"{x:.2g}" for x in direction + 0.0)
+        place = "the ceiling" if direction @ down < -0.99 else ("a wall" if abs(direction @ down) < 0.01 else "a slope")
+        usual = ", ".join(f"{x:.2g}" for x in down + 0.0)
+        words = (
+            f"gravity acts along ({shown}) of the robot's base instead of ({usual}): the robot stands on {place}; "
+            "turn the base in the robot file (the origin of its first fixed joint)"
+        )  # fmt: skip
+        yield replace(
+            now, code="gravity_direction", gravity=tuple(direction), joints=tuple(range(robot.na)), words=words
+        )
+
+
+def _directions() -> list[np.ndarray]:
+    """Return the 26 directions along axes, face diagonals and space diagonals of a cube (3,)."""
+    steps = (-1.0, 0.0, 1.0)
+    cells = [np.array([x, y, z]) for x in steps for y in steps for z in steps if x or y or z]
+    return [cell / np.linalg.norm(cell) for cell in cells]
+
+
+def _times(values: tuple[float, ...], group: Sequence[int], factor: float) -> tuple[float, ...]:
+    return tuple(x * factor if k in group else x for k, x in enumerate(values))
+
+
+def _swap(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
+    out = list(order)
+    out[i], out[j] = out[j], out[i]
+    return tuple(out)
+
+
+def _say(robot: Robot, name: str, change: Rewiring, gain: float, before: _Fit | None, after: _Fit) -> CodedWarning:
+    """Return the warning about one wrong wiring, with its evidence."""
+    if before is None:
+        return CodedWarning(
+            change.code, f"{name}: {change.words}. Evidence: as logged, the robot cannot reach its positions."
+        )
+    ratio = np.sqrt(after.power / np.maximum(before.power, 1e-300))
+    k = int(np.argmin(np.where(before.power > 0, ratio, np.inf)))
+    evidence = (
+        f"so read, the model leaves {np.sqrt(after.power[k]):.3g} instead of {np.sqrt(before.power[k]):.3g} "
+        f"{robot.force_units[k]} of tau_{robot.actuated[k]}"
+    )
+    return CodedWarning(change.code, f"{name}: {change.words}. Evidence: {evidence}, a gain of {gain:.0f} nats.")

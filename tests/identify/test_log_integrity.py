@@ -1,0 +1,126 @@
+"""A log that is not what it claims to be: wiring and time of the forces, judged against the robot file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tau_dyn.coded_warning import get_code
+from tau_dyn.identify import check_integrity, identify, spoils_diagnosis
+from tau_dyn.log import Log, read_log
+from tau_dyn.robot import load_robot
+
+HERE = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("TAU_DYN_DATA", HERE.parent / "shared" / "data"))
+
+
+def codes(robot, log: Log) -> set[str]:
+    """Return the codes of a log against a robot file."""
+    return {get_code(warning) for warning in check_integrity(robot, [log])}
+
+
+def scaled(log: Log, **factors: float) -> Log:
+    """Return a log with channels multiplied."""
+    return log.with_channels(**{name: factor * log.channels[name] for name, factor in factors.items()})
+
+
+def exchanged(log: Log, one: str, other: str) -> Log:
+    """Return a log with two channels exchanged."""
+    return log.with_channels(**{one: log.channels[other], other: log.channels[one]})
+
+
+def test_a_sound_log_of_another_mass_is_not_doubted(l1, monday) -> None:
+    """L1 as it really is, up to 10 % off its file: nothing is said."""
+    assert check_integrity(l1, [monday]) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "mend"),
+    [
+        (lambda log: scaled(log, tau_cart2=-1.0), "sign_reversed", "tau_cart2: {column: tau_cart2, scale: -1}"),
+        (
+            lambda log: scaled(log, q_cart1=-1.0, tau_cart1=-1.0),
+            "sign_reversed",
+            "q_cart1: {column: q_cart1, scale: -1}",
+        ),
+        (lambda log: exchanged(log, "tau_cart1", "tau_cart3"), "joints_exchanged", "tau_cart1: tau_cart3"),
+        (
+            lambda log: exchanged(exchanged(log, "tau_cart1", "tau_cart3"), "q_cart1", "q_cart3"),
+            "joints_exchanged",
+            "q_cart1: q_cart3",
+        ),
+        (lambda log: scaled(log, tau_cart3=0.01), "scale_wrong", "tau_cart3: {column: tau_cart3, scale: 100}"),
+        (lambda log: scaled(log, tau_cart1=10.0), "scale_wrong", "tau_cart1: {column: tau_cart1, scale: 0.1}"),
+    ],
+)
+def test_each_wrong_wiring_is_named_with_its_mend(l1, monday, spoil, code: str, mend: str) -> None:
+    """One column turned, exchanged or scaled contradicts the other joints; the sentence writes the line that mends it."""
+    warnings = check_integrity(l1, [spoil(monday)])
+    assert code in {get_code(w) for w in warnings} and mend in " ".join(warnings)
+    assert spoils_diagnosis(warnings)
+
+
+def test_a_lone_axis_that_turns_round_is_the_same_axis(axis, axis_log) -> None:
+    """With q and tau both reversed a lone axis is the same axis; with the force alone friction would push."""
+    assert codes(axis, scaled(axis_log, q_axis=-1.0, tau_axis=-1.0)) == set()
+    assert codes(axis, scaled(axis_log, tau_axis=-1.0)) == {"sign_reversed"}
+
+
+def test_another_clock_makes_another_mass(axis, axis_log) -> None:
+    """At ten times the speed the inertial force would be 100 times as large."""
+    log = Log(axis_log.t * 10, axis_log.channels, axis_log.name)
+    assert codes(axis, log) & {"scale_wrong"}
+
+
+@pytest.mark.parametrize("delay_s", [-0.02, 0.01, 0.04])
+def test_a_late_force_is_named_with_its_delay(l1, monday, delay_s: float) -> None:
+    """The jerk of a force that lags has no other source in a rigid robot."""
+    late = {f"tau_{j}": np.interp(monday.t - delay_s, monday.t, monday.channels[f"tau_{j}"]) for j in l1.actuated}
+    (warning,) = check_integrity(l1, [monday.with_channels(**late)])
+    assert get_code(warning) == "force_late" and ("early" in warning) is (delay_s < 0)
+    stated = float(warning.split(" by ")[1].split(" ms")[0])
+    assert stated == pytest.approx(1e3 * abs(delay_s), abs=1.5)
+    assert not spoils_diagnosis([warning])
+
+
+def test_a_strong_lag_of_the_drive_is_told_from_a_delay(l1, monday) -> None:
+    """A first-order lag of 50 ms turns phases less than a delay at high frequencies, and damps them."""
+    from scipy.signal import lfilter
+
+    pole = np.exp(-monday.dt / 0.05)
+    passed = {
+        f"tau_{j}": lfilter([1 - pole], [1, -pole], x, zi=[pole * x[0]])[0]
+        for j in l1.actuated
+        for x in [monday.channels[f"tau_{j}"]]
+    }
+    assert codes(l1, monday.with_channels(**passed)) == {"force_lowpassed"}
+
+
+def test_identify_says_it_first_and_mends_few_lost_samples(l1, truth, monday) -> None:
+    """With 0.2 % of the samples lost, the mended clock brings the masses back within their errors' reach."""
+    keep = np.flatnonzero(np.random.default_rng(1).random(monday.n_samples) > 0.002)
+    lost = Log(monday.t[: len(keep)], {k: x[keep] for k, x in monday.channels.items()}, "lost.csv")
+    found = identify(l1, lost)
+    assert get_code(found.warnings[0]) == "lost_samples"
+    plate = found.parameters["plate_link.mass"]
+    assert plate.value == pytest.approx(truth.parameters["plate_link.mass"].value, rel=0.1)
+
+
+def test_a_clean_fit_carries_no_coded_warning(found) -> None:
+    """What comes with every log says nothing."""
+    assert {get_code(w) for w in found.warnings} <= {"note"}
+
+
+@pytest.mark.parametrize(("place", "columns", "robot"), [
+    ("emps/DATA_EMPS.csv", "emps", "linear_axis"),
+    ("tx40", "tx40", "tx40/tx40.urdf"),
+])  # fmt: skip
+def test_real_sound_logs_are_not_doubted(place: str, columns: str, robot: str) -> None:
+    """A linear drive and a geared arm whose file lacks drive inertia and wrist coupling are wired as their files say."""
+    if not (DATA / place).exists():
+        pytest.skip("the real logs are not here (TAU_DYN_DATA)")
+    log = read_log(DATA / place, HERE / "identification" / "columns" / f"{columns}.yaml")
+    assert check_integrity(load_robot(DATA / robot if "/" in robot else robot), [log]) == []

@@ -1,0 +1,88 @@
+"""A counted clock hides what the logger lost; the motion shows it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tau_dyn.coded_warning import get_code
+from tau_dyn.log import Log, check_log
+from tau_dyn.log.data_integrity import list_data_warnings, mend_log
+from tau_dyn.log.lost_samples import find_lost_samples, find_repeated_rows
+
+
+def recounted(log: Log, rows: np.ndarray) -> Log:
+    """Return rows of a log under an even, counted clock."""
+    rows = rows[: log.n_samples]
+    return Log(log.t[: len(rows)], {key: x[rows] for key, x in log.channels.items()}, log.name)
+
+
+def codes(log: Log) -> set[str]:
+    """Return the codes of what the data alone show."""
+    return {get_code(warning) for warning in list_data_warnings(log)}
+
+
+@pytest.mark.parametrize("share", [0.002, 0.01, 0.05])
+def test_lost_samples_are_found_where_they_were_lost(axis_log, rng, share: float) -> None:
+    """A mass does not leap: each leap by a whole number of sample steps is a loss, and is found within a sample."""
+    lost = rng.random(axis_log.n_samples) < share
+    log = recounted(axis_log, np.flatnonzero(~lost))
+    found = find_lost_samples(log)
+    assert found.alarm and np.all(found.steps > 0) and codes(log) == {"lost_samples"}
+    places = np.flatnonzero(lost) - np.arange(np.count_nonzero(lost)) - 1
+    assert np.mean(np.min(np.abs(found.after[:, None] - places[None]), axis=1) <= 1) > 0.98
+    assert len(found.after) > 0.6 * len(places)
+
+
+def test_a_sound_log_has_lost_nothing(axis_log) -> None:
+    """Encoder noise and acceleration are no leaps."""
+    assert not len(find_lost_samples(axis_log).after) and codes(axis_log) == set()
+
+
+def test_knocks_are_no_lost_samples(axis_log, rng) -> None:
+    """Leaps of any size do not prefer whole steps, so the half integers outvote them."""
+    q = axis_log.channels["q_axis"].copy()
+    at = rng.integers(100, 19900, 60)
+    step = np.abs(np.diff(q)).mean()
+    for k in at:
+        q[k:] += step * rng.uniform(0.5, 8.5)
+    found = find_lost_samples(axis_log.with_channels(q_axis=q))
+    assert not found.alarm
+
+
+def test_samples_that_stand_twice(axis_log, rng) -> None:
+    """A line written twice puts the motion back by a step; a stale line in place of a lost one leaves it where it was."""
+    n = axis_log.n_samples
+    twice = recounted(axis_log, np.sort(np.concatenate([np.arange(n), rng.integers(10, n, 80)])))
+    stale = np.arange(n)
+    stale[rng.integers(10, n, 80)] -= 1
+    assert codes(twice) == {"repeated_samples"}
+    assert codes(recounted(axis_log, stale)) == {"repeated_samples"}
+    assert len(find_repeated_rows(recounted(axis_log, stale))) > 40
+
+
+def test_a_clock_with_few_losses_is_mended(axis_log, rng) -> None:
+    """With the losses as gaps in the clock, every sample stands within a sample step of its own time again."""
+    keep = np.flatnonzero(rng.random(axis_log.n_samples) > 0.003)
+    log = recounted(axis_log, keep)
+    mended = mend_log(log)
+    error = np.abs(mended.t - axis_log.t[keep]) / axis_log.dt
+    assert np.abs(log.t - axis_log.t[keep]).max() / axis_log.dt > 40
+    assert np.median(error) < 12 and not find_lost_samples(mended).alarm
+    assert mend_log(axis_log) is axis_log
+
+
+def test_too_many_losses_are_not_mended(axis_log, rng) -> None:
+    """One in twenty is lost: what passes unseen at low speed shifts everything behind it."""
+    log = recounted(axis_log, np.flatnonzero(rng.random(axis_log.n_samples) > 0.05))
+    assert mend_log(log) is log
+    check = check_log(log)
+    assert not check.fit_for_use
+    assert "lost_samples" in [finding.get("code") for finding in check.to_dict()["findings"]]
+
+
+def test_a_measured_clock_is_believed(axis_log, rng) -> None:
+    """Stamps that show the loss need no test."""
+    keep = np.flatnonzero(rng.random(axis_log.n_samples) > 0.01)
+    log = Log(axis_log.t[keep], {key: x[keep] for key, x in axis_log.channels.items()})
+    assert codes(log) == set()
