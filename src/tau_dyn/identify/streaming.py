@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -27,7 +28,7 @@ from tau_dyn.identify.regression import even_pieces
 from tau_dyn.log import Log, Recording
 from tau_dyn.log.stretch import InMemory, Stretch, stretches
 from tau_dyn.model import Model
-from tau_dyn.scale.run_many import connected, in_order
+from tau_dyn.scale.run_many import in_order, run_on_workers
 
 SURVEYED = 2**20
 """Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""
@@ -74,10 +75,12 @@ class Engine:
 
     def _there(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
         address = None if self.cluster == "local" else self.cluster
-        with connected(address, self.jobs) as client:
+
+        def prepare(client: Any) -> Callable[[Block], Any]:
             shared = client.submit(_given, work, pure=False)  # made again where the worker that holds it dies
-            ahead = 3 * max(1, sum(client.nthreads().values()))
-            yield from in_order(lambda block: client.submit(_compute, shared, block, pure=False), blocks, ahead)
+            return lambda block: client.submit(_compute, shared, block, pure=False)
+
+        yield from run_on_workers(prepare, blocks, cluster=address, jobs=self.jobs, ahead=3)
 
 
 def survey(pieces: Sequence[Stretch | InMemory], model: Model, exclude: tuple[str, ...]) -> list[Log]:
