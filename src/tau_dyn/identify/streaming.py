@@ -25,6 +25,7 @@ from tau_dyn.identify.blocks import Block, Computed, Work, channels, cut, refuse
 from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.regression import even_pieces
+from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
 from tau_dyn.log import Log, Recording
 from tau_dyn.log.stretch import InMemory, Stretch, stretches
 from tau_dyn.model import Model
@@ -123,7 +124,11 @@ def stream_regression(
     pieces = tuple(piece for log in recordings for piece in _pieces(log))
     if not pieces:
         raise InputError(f"{recordings[0].name} has no stretch of 10 samples without a gap")
-    preparation = preparation or choose_preparation(model.robot, survey(pieces, model, exclude), exclude)
+    preparation = preparation or choose_from_long(
+        pieces, lambda long: choose_preparation(model.robot, survey(long, model, exclude), exclude)
+    )
+    kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
+    pieces = tuple(kept.of(pieces))
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
     width = model.robot.na * len(model.parameters)
     blocks = [b for k, piece in enumerate(pieces) for b in cut(piece, k, preparation, width, share)]
@@ -131,7 +136,9 @@ def stream_regression(
     scale = np.array([factors.get(joint, 1.0) for joint in model.robot.actuated])
     work = Work(model, at, pieces, tuple(names.index(p.name) for p in pieces), preparation, scale,
                 frozenset(blocks[i] for i in chosen))  # fmt: skip
-    return _summed(work, blocks, engine, progress)
+    whole, first, last = _summed(work, blocks, engine, progress)
+    settings = {**whole.settings, "left_out": (*list_crumbs(recordings), *kept.warnings)}
+    return replace(whole, settings=settings), first, last
 
 
 def _summed(
