@@ -109,9 +109,7 @@ class Channel(ABC):
         return rows, np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
 
 
-def refuse_scarce(
-    channel: Channel, least: int | Mapping[int, int], short: str, have: str, wanted: str
-) -> None:
+def refuse_scarce(channel: Channel, least: int | Mapping[int, int], short: str, have: str, wanted: str) -> None:
     """Refuse measurements that leave one of the three parts too little.
 
     Args:

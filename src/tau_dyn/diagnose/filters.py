@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.diagnose.scenes import fast_speeds
 from tau_dyn.coded_warning import CodedWarning
+from tau_dyn.diagnose.scenes import fast_speeds
 from tau_dyn.identify.preparation import NOISE_FACTOR, RATE_FACTOR, Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import CODE, Kept, TooShort, choose_from_long, keep_long, refuse_short
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, motion_band, noise_gain

@@ -25,8 +25,8 @@ from tau_dyn.diagnose.fits import FAMILY_LEVEL
 from tau_dyn.diagnose.force import ForceChannel, determined_rank, force_channel, force_regression, prepared_pieces
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.nominal import parameter_findings
-from tau_dyn.diagnose.resonances import with_band, with_resonances
 from tau_dyn.diagnose.parts import TRAIN
+from tau_dyn.diagnose.resonances import with_band, with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.search import Search, effects_of, search
 from tau_dyn.diagnose.stages import (
@@ -50,6 +50,7 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import even_pieces
+from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, list_crumbs, list_information_warnings
 from tau_dyn.identify.structure import physics_of
 from tau_dyn.log import Log, motion_band
@@ -136,12 +137,12 @@ def gather(
     if shows_waves(case.channel, smooth_hz):
         smooth_hz = (preparation.position_cutoff_hz,) * len(pieces)  # as they are
         case = _fitted(model, pieces, is_held, preparation, smooth_hz, clear_hz, how, progress)
-    warnings += _information_warnings(case, train)
+    warnings += _data_warnings(case, train)
     return case
 
 
-def _information_warnings(case: Case, train: Sequence[Log]) -> list[str]:
-    """Return a warning where the training part holds little independent information for the baseline.
+def _data_warnings(case: Case, train: Sequence[Log]) -> list[str]:
+    """Return warnings where the training part holds little independent information for the baseline, or joints mostly rest.
 
     Raises:
         CannotAnswer: It holds less than the baseline has unknowns: causes would be fitted to what the baseline fits by chance.
@@ -159,7 +160,7 @@ def _information_warnings(case: Case, train: Sequence[Log]) -> list[str]:
             f"({sum(log.duration for log in train):.3g} s of motion up to {band_hz:.2g} Hz)",
             EXPERIMENT,
         )
-    return list_information_warnings(used, rank, band_hz)
+    return [*list_information_warnings(used, rank, band_hz), *list_resting_warnings(used)]
 
 
 def _fitted(

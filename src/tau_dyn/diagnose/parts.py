@@ -22,7 +22,7 @@ _LONGEST_S = 6.0
 _FEWEST = 15
 """Blocks that a log is cut into, where they stay long enough; of fewer none would see all parts of the motion."""
 _MIN_GAPS = (6.0, 4.0, 3.0)
-"""Length of a block, at least, in gaps at a border: a block between two borders keeps 2/3, 1/2 or 1/3 of its samples. The first that
+"""Least length of a block in gaps at a border: a block between two borders keeps 2/3, 1/2 or 1/3 of its samples. The first that
 gives every part something is taken."""
 
 

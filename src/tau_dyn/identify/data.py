@@ -16,8 +16,8 @@ from tau_dyn.identify.choices import scale_outputs
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import build_regression, even_pieces
-from tau_dyn.identify.streaming import Engine, Progress, channels, even_stretches, refuse_missing, stream_regression
 from tau_dyn.identify.short_pieces import list_crumbs, refuse_short
+from tau_dyn.identify.streaming import Engine, Progress, channels, even_stretches, refuse_missing, stream_regression
 from tau_dyn.log import Log, Recording
 from tau_dyn.log.resample import MIN_SEGMENT
 from tau_dyn.model import Model

@@ -26,6 +26,7 @@ from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.estimators import Estimator
 from tau_dyn.identify.logs import each_once, listed, without_trained
 from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.result import Identification
 from tau_dyn.identify.settle import settled
 from tau_dyn.identify.short_pieces import TooShort, count_information, list_information_warnings
@@ -125,7 +126,7 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     data, held_out = _data(ask, model, {joint: factor for joint, (factor, _) in gains.items()}, warnings)
     ask.progress("columns")
     training = data.regression(model)
-    warnings += data.left_out
+    warnings += [*data.left_out, *list_resting_warnings(training)]
     _refuse_constant_forces(data.logs, training)
     warnings += _singularities(model, training)
     ask.progress("structure")

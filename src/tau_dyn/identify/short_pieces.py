@@ -1,7 +1,7 @@
 """Pieces that are too short for the filters are left out and said; the rest is used.
 
-A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only where it is longer than the two ends together. What
-the rest can tell is counted in independent information: a motion of band f_b gives `2 f_b T` independent values in a time T
+A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only where it is longer than both ends together. What the
+rest can tell is counted in independent information: a motion of band f_b gives `2 f_b T` independent values in a time T
 (Nyquist), however fast it was sampled.
 """
 
@@ -114,7 +114,9 @@ def refuse_short(pieces: Sequence[Piece], needed_s: float) -> TooShort:
 def _left_out(pieces: Sequence[Piece], index: Sequence[int], needed_s: float) -> tuple[str, ...]:
     said = []
     for name in dict.fromkeys(piece.name for piece in pieces):
-        lengths = [(k in index, piece.n_samples / piece.rate_hz) for k, piece in enumerate(pieces) if piece.name == name]
+        lengths = [
+            (k in index, piece.n_samples / piece.rate_hz) for k, piece in enumerate(pieces) if piece.name == name
+        ]
         short = [seconds for kept, seconds in lengths if not kept]
         if short:
             said.append(

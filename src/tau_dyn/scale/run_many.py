@@ -166,7 +166,9 @@ def _await_result(future: Any, client: Any) -> Any:
         try:
             return future.result(timeout=_LOOK_INTERVAL_S)
         except KilledWorker as fault:
-            raise TauDynError(f"an item ended each of the {_DEATHS + 1} processes that took it; run it alone") from fault
+            raise TauDynError(
+                f"an item ended each of the {_DEATHS + 1} processes that took it; run it alone"
+            ) from fault
         except FutureCancelledError as fault:
             raise _WorkersLost("the scheduler is gone") from fault
         except TimeoutError:
