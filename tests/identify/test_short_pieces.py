@@ -73,7 +73,9 @@ def test_short_pieces_do_not_widen_the_filters(axis) -> None:
 
 def test_nothing_but_short_pieces_cannot_answer_and_says_which_length_it_takes(axis) -> None:
     """A log lost in crumbs names its longest piece and the experiment; it is not an input fault."""
-    with pytest.raises(CannotAnswer, match="the longest lasts 0.1 s, and the filters that this motion needs take") as fault:
+    with pytest.raises(
+        CannotAnswer, match="the longest lasts 0.1 s, and the filters that this motion needs take"
+    ) as fault:
         identify(axis, cut(made(9.0), [0.1] * 30))
     assert fault.value.experiment == EXPERIMENT
 

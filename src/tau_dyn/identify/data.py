@@ -95,8 +95,9 @@ class Data:
             self._parts = parts[0], parts[1]
             self.left_out = whole.settings["left_out"]
             return whole
-        if self.logs and not self.pieces:
-            raise refuse_short(self.logs, MIN_SEGMENT / min(log.rate_hz for log in self.logs))
+        logs = [log for log in self.logs if isinstance(log, Log)]
+        if logs and not self.pieces:
+            raise refuse_short(logs, MIN_SEGMENT / min(log.rate_hz for log in logs))
         built = build_regression(
             self.model,
             self.pieces,

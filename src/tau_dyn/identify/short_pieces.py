@@ -1,7 +1,7 @@
 """Pieces that are too short for the filters are left out and said; the rest is used.
 
-A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only where it is longer than both ends together. What the
-rest can tell is counted in independent information: a motion of band f_b gives `2 f_b T` independent values in a time T
+A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only where it is longer than both ends together. What
+the rest can tell is counted in independent information: a motion of band f_b gives `2 f_b T` independent values in a time T
 (Nyquist), however fast it was sampled.
 """
 
