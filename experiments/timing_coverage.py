@@ -4,9 +4,9 @@
 
 In: nothing. An independent simulator (Pinocchio's forward dynamics, Runge-Kutta of fourth order, friction with a sharp sign)
 drives a planar 2R arm and a 6R arm through a digital controller at 500 Hz that sees noisy encoders and holds its torque for a
-sample. The log holds the positions at the samples and the torque as a controller has it (`start` of its hold: half a sample early) or
-as a logger in the middle of the hold would (`middle`). Out: `timing_coverage.csv`, a row a run; the share of base parameters'
-95 % intervals that hold the truth, with its own binomial interval.
+sample. The log holds the positions at the samples and the torque as a controller has it (`start` of its hold: half a sample
+early) or as a logger in the middle of the hold would (`middle`). Out: `timing_coverage.csv`, a row a run; the share of base
+parameters' 95 % intervals that hold the truth, with its own binomial interval.
 """
 
 import argparse

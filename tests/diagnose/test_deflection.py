@@ -195,7 +195,7 @@ def test_what_is_missing_is_said(rng) -> None:
     with pytest.raises(InputError, match="missing in 3 samples"):
         diagnose_deflection(robot, log.with_channels(q_link_elbow=lost))
     with pytest.raises(CannotAnswer, match="too little is left"):
-        diagnose_deflection(robot, log.window(0, 400))
+        diagnose_deflection(robot, log.window(0, 120))
 
 
 def test_q_link_is_a_signal_of_its_joint() -> None:

@@ -73,3 +73,26 @@ def test_the_columns_of_effects_stand_after_the_baselines(channel):
     assert regression.parameters.names == (*channel.parameters.names, "x.viscous_asymmetry")
     assert_allclose(regression.runs[0].W[:, 0, -1], np.abs(channel.motions[0].v[:, 0]))
     assert_allclose(regression.runs[0].W[:, :, :-1], channel.runs[0].W)
+
+
+def test_errors_over_all_samples_stand_beside_those_on_the_used_ones(channel):
+    """Misses of 1 N where samples are used and of 3 N where not: both are told, with the share used, of the third part alone."""
+    run, inside = channel.runs[0], channel.parts[0] == GAIN
+    whole = np.where(run.usable, 1.0, 3.0)
+    whole[~inside] = 1e6
+    errors = errors_of(channel, [np.where(run.usable, 1.0, 1e6)], np.random.default_rng(0), whole=[whole])
+    used = run.usable[inside].mean(axis=0)
+    assert_allclose(errors.rms, 1.0)
+    assert_allclose(errors.all_samples.rms, np.sqrt(used + 9 * (1 - used)))
+    told = errors.to_dict()
+    assert_allclose(list(told["used_share_per_joint"].values()), used)
+    assert 0 < told["used_share"] < 1
+    power = np.linalg.norm(run.y_all[inside])
+    assert_allclose(told["all_samples"]["relative_error_percent"], 100 * np.linalg.norm(whole[inside]) / power)
+
+
+def test_a_fitted_model_knows_its_errors_over_all_samples(channel):
+    """Every judged model carries both; a residual known on used samples alone carries one."""
+    judged = fitted(channel, (), None, np.random.default_rng(0))
+    assert judged.errors.all_samples is not None and len(judged.errors.used_shares) == 2
+    assert "all_samples" not in errors_of(channel, judged.residuals, np.random.default_rng(0)).to_dict()

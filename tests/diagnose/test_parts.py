@@ -72,3 +72,25 @@ def test_a_scrap_of_a_log_does_not_fail(n):
     (parts,) = divide([run_of(n / RATE_HZ)], [False], False, 0.1)
     assert parts.shape == (n,)
     assert set(parts) <= {-1, TRAIN, CONFIRM, GAIN}
+
+
+def test_blocks_of_a_short_log_stay_several_gaps_long():
+    """Where the filters remember half a second, 20 s are cut into few long blocks: each part keeps two thirds of its samples."""
+    gap = 0.5
+    (parts,) = divide([run_of(20.0)], [False], False, gap)
+    for number, expected in ((TRAIN, 0.6), (CONFIRM, 0.2), (GAIN, 0.2)):
+        assert np.sum(parts == number) / RATE_HZ > 0.6 * expected * 20.0
+    assert np.sum(np.diff(parts[parts >= 0]) != 0) == 4  # train, confirm, train, gain, train
+
+
+def test_short_pieces_are_blocks_as_a_whole_and_take_turns():
+    """Between gaps of a broken log nothing leaks: pieces of 1 s go to one part each, in the order 3 : 1 : 1."""
+    found = divide([run_of(1.0)] * 10, [False] * 10, False, 0.15)
+    assert all(len(set(parts)) == 1 for parts in found)
+    assert [int(parts[0]) for parts in found] == 2 * [TRAIN, CONFIRM, TRAIN, GAIN, TRAIN]
+
+
+def test_a_very_short_log_still_has_three_parts():
+    """Four seconds with a memory of 0.2 s on both sides of a border give every part something."""
+    (parts,) = divide([run_of(4.0)], [False], False, 0.2)
+    assert {TRAIN, CONFIRM, GAIN} <= set(parts)

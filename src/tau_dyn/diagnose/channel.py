@@ -109,12 +109,12 @@ class Channel(ABC):
         return rows, np.array([p.value / float(p.prior_stderr or 1.0) for _, p in known])
 
 
-def refuse_scarce(channel: Channel, least: int, short: str, have: str, wanted: str) -> None:
+def refuse_scarce(channel: Channel, least: int | Mapping[int, int], short: str, have: str, wanted: str) -> None:
     """Refuse measurements that leave one of the three parts too little.
 
     Args:
         channel: The measurements.
-        least: Usable values that each part needs.
+        least: Usable values that each part needs, one number for all or one for each part.
         short: What is missing, such as `too little is left`; for what is added.
         have: What there is.
         wanted: What to record instead.
@@ -123,5 +123,6 @@ def refuse_scarce(channel: Channel, least: int, short: str, have: str, wanted: s
         CannotAnswer: A part has fewer.
     """
     for part, use in _USES.items():
-        if sum(int(mask.sum()) for mask in channel.masks(part)) < least:
+        needed = least if isinstance(least, int) else least[part]
+        if sum(int(mask.sum()) for mask in channel.masks(part)) < needed:
             raise CannotAnswer(f"{short} to {use}: {have}", wanted)

@@ -9,6 +9,19 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
+class WholeErrors:
+    """Errors without masks: reversals and rests included.
+
+    Attributes:
+        rms: Residual rms of each output (m,) [unit of the output].
+        relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
+    """
+
+    rms: np.ndarray
+    relative_error_percent: float
+
+
+@dataclass(frozen=True, eq=False)
 class Errors:
     """How far a model is from measurements that were used for nothing else.
 
@@ -18,6 +31,8 @@ class Errors:
         ci95: Its 95 % interval (m, 2), from blocks.
         relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
         relative_ci95: Its 95 % interval, from blocks.
+        all_samples: Rms of each output and relative error of the same stretches without masks; None where not known.
+        used_shares: Share of these stretches' samples that the masks leave, for each output; empty where not known.
     """
 
     outputs: tuple[str, ...]
@@ -25,14 +40,31 @@ class Errors:
     ci95: np.ndarray
     relative_error_percent: float
     relative_ci95: tuple[float, float] = (float("nan"), float("nan"))
+    all_samples: WholeErrors | None = None
+    used_shares: tuple[float, ...] = ()
+
+    @property
+    def used_share(self) -> float:
+        """Share of the samples of all outputs that the masks leave; all of them where nothing else is known."""
+        return float(np.mean(self.used_shares)) if self.used_shares else 1.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
-        return {
+        out = {
             "rms_per_joint": dict(zip(self.outputs, map(float, self.rms), strict=True)),
             "relative_error_percent": self.relative_error_percent,
             "relative_ci95": list(self.relative_ci95),
         }
+        if self.all_samples is not None:
+            out |= {
+                "used_share": self.used_share,
+                "used_share_per_joint": dict(zip(self.outputs, self.used_shares, strict=True)),
+                "all_samples": {
+                    "rms_per_joint": dict(zip(self.outputs, map(float, self.all_samples.rms), strict=True)),
+                    "relative_error_percent": self.all_samples.relative_error_percent,
+                },
+            }
+        return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation
+from tau_dyn.diagnose.errors import WholeErrors
 from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
 from tau_dyn.diagnose.result import Errors, Gain
 from tau_dyn.effects import Effect
@@ -78,7 +79,8 @@ def judged(
 ) -> Judged:
     """Judge parameter values (p,)."""
     residuals = regression.residuals(theta)
-    return Judged(estimate, theta, regression, residuals, errors_of(channel, residuals, rng))
+    errors = errors_of(channel, residuals, rng, whole=regression.residuals_all(theta))
+    return Judged(estimate, theta, regression, residuals, errors)
 
 
 def masked(regression: Regression, channel: Channel, *parts: int) -> Regression:
@@ -89,8 +91,21 @@ def masked(regression: Regression, channel: Channel, *parts: int) -> Regression:
     )
 
 
-def errors_of(channel: Channel, residuals: Sequence[np.ndarray], rng: np.random.Generator) -> Errors:
-    """Return rms and relative error on the part used for nothing else, with intervals from blocks."""
+def errors_of(
+    channel: Channel,
+    residuals: Sequence[np.ndarray],
+    rng: np.random.Generator,
+    *,
+    whole: Sequence[np.ndarray] | None = None,
+) -> Errors:
+    """Return rms and relative error on the part used for nothing else, with intervals from blocks.
+
+    Args:
+        channel: The data.
+        residuals: Measured minus predicted (n, m) of each run, filtered as the masked measurements are.
+        rng: For drawing blocks.
+        whole: The same without masks, where it is known.
+    """
     squares, counts = _blocks(channel, residuals)
     power, _ = _blocks(channel, [run.y for run in channel.runs])
     rms = np.sqrt(squares.sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
@@ -102,7 +117,19 @@ def errors_of(channel: Channel, residuals: Sequence[np.ndarray], rng: np.random.
         squares.sum(axis=1)[pick].sum(axis=1) / np.maximum(power.sum(axis=1)[pick].sum(axis=1), 1e-300)
     )
     low, high = np.percentile(shares, _INTERVAL)
-    return Errors(channel.outputs, rms, ci95, relative, (float(low), float(high)))
+    found = Errors(channel.outputs, rms, ci95, relative, (float(low), float(high)))
+    return found if whole is None else _beside_all(found, channel, whole)
+
+
+def _beside_all(errors: Errors, channel: Channel, whole: Sequence[np.ndarray]) -> Errors:
+    """Return errors with those over all samples of the part used for nothing else beside them."""
+    inside = [part == GAIN for part in channel.parts]
+    e = np.concatenate([x[i] for x, i in zip(whole, inside, strict=True)])
+    y = np.concatenate([run.y_all[i] for run, i in zip(channel.runs, inside, strict=True)])
+    used = np.concatenate([run.usable[i] for run, i in zip(channel.runs, inside, strict=True)])
+    relative = 100 * float(np.linalg.norm(e) / max(float(np.linalg.norm(y)), 1e-150))
+    every = WholeErrors(np.sqrt(np.mean(e**2, axis=0)), relative)
+    return replace(errors, all_samples=every, used_shares=tuple(map(float, used.mean(axis=0))))
 
 
 def gain_of(

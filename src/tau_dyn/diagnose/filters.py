@@ -11,9 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.diagnose.scenes import fast_speeds
 from tau_dyn.identify.preparation import NOISE_FACTOR, RATE_FACTOR, Preparation, choose_preparation
+from tau_dyn.identify.short_pieces import CODE, Kept, TooShort, choose_from_long, keep_long, refuse_short
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, motion_band, noise_gain
+from tau_dyn.log.resample import MIN_SEGMENT
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0
@@ -56,6 +59,34 @@ def diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str,
     return Preparation(
         position_cutoff, force_cutoff, RATE_FACTOR * force_cutoff, threshold, NEAR / position_cutoff, exclude
     )
+
+
+def keep_diagnosable(
+    robot: Robot, logs: Sequence[Log], train: Sequence[Log], held: Sequence[Log], exclude: tuple[str, ...]
+) -> tuple[list[Log], list[Log], tuple[str, ...]]:
+    """Return the pieces that are long enough for every filter of a diagnosis, and what is said of the others.
+
+    Args:
+        robot: Gives the actuated joints.
+        logs: What the training pieces are cut from.
+        train: Pieces of the training logs; the filters are chosen from them.
+        held: Pieces of held-out logs; they may all be too short.
+        exclude: Log columns whose nonzero samples are left out.
+
+    Raises:
+        TooShort: No training piece is long enough.
+    """
+    if not train:
+        raise refuse_short(logs, MIN_SEGMENT / min((log.rate_hz for log in logs), default=1.0))
+    long: list[Log] = []
+    plain = choose_from_long(train, lambda found: choose_preparation(robot, long.extend(found) or found, exclude))
+    lowest_hz = min(plain.force_cutoff_hz, clear_cutoff(robot, long), smooth_cutoff(robot, long))
+    kept = keep_long(train, lowest_hz, plain.factor)
+    try:
+        kept_held = keep_long(held, lowest_hz, plain.factor) if held else Kept((), ())
+    except TooShort as fault:
+        kept_held = Kept((), (CodedWarning(CODE, fault.missing),))
+    return kept.of(train), kept_held.of(held), (*kept.warnings, *kept_held.warnings)
 
 
 def _fast(q: np.ndarray, cutoff_hz: float, log: Log) -> np.ndarray:

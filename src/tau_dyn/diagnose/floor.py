@@ -16,14 +16,13 @@ from tau_dyn.estimate import unit_columns
 
 
 def noise_floor(channel: Channel, extended: Judged, rng: np.random.Generator) -> Errors:
-    """Return the floor on the part used for nothing else."""
+    """Return the floor on the part used for nothing else; over all samples, the same functions are taken beyond the masks."""
     masks, variables = channel.masks(*EVERY), channel.variables()
     left = [e.copy() for e in extended.residuals]
+    whole = [e.copy() for e in extended.regression.residuals_all(extended.theta)]
     for k, output in enumerate(channel.outputs):
-        basis = [
-            np.concatenate([run.W[:, k], rich], axis=1)
-            for run, rich in zip(extended.regression.runs, rich_columns(variables, output), strict=True)
-        ]
+        runs, smooth = extended.regression.runs, rich_columns(variables, output)
+        basis = [np.concatenate([run.W[:, k], rich], axis=1) for run, rich in zip(runs, smooth, strict=True)]
         rows = np.concatenate([b[m[:, k]] for b, m in zip(basis, masks, strict=True)])
         y = np.concatenate([e[m[:, k], k] for e, m in zip(left, masks, strict=True)])
         unit, norm = unit_columns(rows)
@@ -31,4 +30,7 @@ def noise_floor(channel: Channel, extended: Judged, rng: np.random.Generator) ->
         given_back = np.sqrt(len(y) / max(1, len(y) - rank))
         for e, b in zip(left, basis, strict=True):
             e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
-    return errors_of(channel, left, rng)
+        for e, run, rich in zip(whole, runs, smooth, strict=True):
+            b = np.concatenate([run.W_all[:, k], rich], axis=1)
+            e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
+    return errors_of(channel, left, rng, whole=whole)

@@ -12,7 +12,7 @@ from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.filters import border_gap
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import WHOLE_TIME
-from tau_dyn.diagnose.parts import TRAIN, divide
+from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN, divide
 from tau_dyn.diagnose.periodogram import LONG, explained_by_periods, of_displacement, of_force, of_output
 from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.scenes import scene_along, shared_signals
@@ -23,6 +23,13 @@ from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import Prepared, prepare
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model
+
+VALUES_PER_COMBINATION = 3
+"""Usable values for each base parameter that the training part determines; with fewer, a third of the noise is fitted."""
+MIN_VALUES = 10
+"""Usable values of each output in the other parts, which are compared with a fit and fit little: an rms is known to 22 %."""
+_INDEPENDENT = 1e-9
+"""Smallest eigenvalue of the unit columns' Gram matrix that counts as another combination."""
 
 _SIGNALS = ("inertia", "weight_gradient", "load", "passive")
 
@@ -151,12 +158,29 @@ def force_channel(
     )
     refuse_scarce(
         channel,
-        3 * len(model.parameters),
+        _needed(regression, parts),
         "too little usable data is left",
         f"the logs hold {sum(p.log.duration for p in prepared):.3g} s",
         "record a minute or more of motion in both directions, over several speeds",
     )
     return channel
+
+
+def determined_rank(regression: Regression, parts: Sequence[np.ndarray]) -> int:
+    """Return how many combinations of parameters the training part determines: the rank of its unit columns."""
+    gram = np.zeros((len(regression.parameters),) * 2)
+    for run, part in zip(regression.runs, parts, strict=True):
+        rows = run.W[run.usable & (part == TRAIN)[:, None]]
+        gram += rows.T @ rows
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return int(np.linalg.matrix_rank(gram / np.outer(scale, scale), tol=_INDEPENDENT, hermitian=True))
+
+
+def _needed(regression: Regression, parts: Sequence[np.ndarray]) -> dict[int, int]:
+    """Return how many usable values each part needs."""
+    rank = max(1, determined_rank(regression, parts))
+    others = MIN_VALUES * len(regression.outputs)
+    return {TRAIN: VALUES_PER_COMBINATION * rank, CONFIRM: others, GAIN: others}
 
 
 def _with_signals(piece: Prepared, model: Model, needs: Sequence[str], clear_hz: float) -> Prepared:

@@ -13,11 +13,19 @@ import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.encoders import DRAWN, NoiseOnly, noise_only
-from tau_dyn.diagnose.filters import border_gap, clear_cutoff, diagnosis_preparation, smooth_cutoffs, thinned_log
+from tau_dyn.diagnose.filters import (
+    border_gap,
+    clear_cutoff,
+    diagnosis_preparation,
+    keep_diagnosable,
+    smooth_cutoffs,
+    thinned_log,
+)
 from tau_dyn.diagnose.fits import FAMILY_LEVEL
-from tau_dyn.diagnose.force import ForceChannel, force_channel, force_regression, prepared_pieces
+from tau_dyn.diagnose.force import ForceChannel, determined_rank, force_channel, force_regression, prepared_pieces
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.nominal import parameter_findings
+from tau_dyn.diagnose.parts import TRAIN
 from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.resonances import with_band, with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
@@ -38,13 +46,16 @@ from tau_dyn.diagnose.unknown import Structure, find_structure, structure_chance
 from tau_dyn.diagnose.waves import shows_waves
 from tau_dyn.diagnose.within import heard, tests_of
 from tau_dyn.diagnose.words import verdict_sentence
-from tau_dyn.estimate import Physics, solve_least_squares
+from tau_dyn.estimate import Physics, Regression, solve_least_squares
+from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.log_integrity import check_integrity
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import even_pieces
+from tau_dyn.identify.resting import list_resting_warnings
+from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, list_crumbs, list_information_warnings
 from tau_dyn.identify.structure import physics_of
-from tau_dyn.log import Log, mend_log
+from tau_dyn.log import Log, mend_log, motion_band
 from tau_dyn.model import Model
 
 Progress = Callable[[str], None]
@@ -119,6 +130,9 @@ def gather(
     )
     warnings += check_integrity(model.robot, [*train_logs, *held_logs], exclude)
     warnings += [*model.robot.warnings, *log_warnings(model.robot, [*train, *held])]
+    warnings += list_crumbs([*train_logs, *held_logs])
+    train, held, left_out = keep_diagnosable(model.robot, train_logs, train, held, exclude)
+    warnings += left_out
     preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
     pieces = (*train, *held)
     is_held = (*[False] * len(train), *[True] * len(held))
@@ -129,7 +143,30 @@ def gather(
     if shows_waves(case.channel, smooth_hz):
         smooth_hz = (preparation.position_cutoff_hz,) * len(pieces)  # as they are
         case = _fitted(model, pieces, is_held, preparation, smooth_hz, clear_hz, how, progress)
+    warnings += _data_warnings(case, train)
     return case
+
+
+def _data_warnings(case: Case, train: Sequence[Log]) -> list[str]:
+    """Return warnings where the training part holds little independent information for the baseline, or joints mostly rest.
+
+    Raises:
+        CannotAnswer: It holds less than the baseline has unknowns: causes would be fitted to what the baseline fits by chance.
+    """
+    channel = case.channel
+    masks = channel.masks(TRAIN)
+    runs = tuple(replace(run, usable=m) for run, m in zip(channel.runs, masks, strict=True))
+    used = Regression(channel.parameters, channel.outputs, channel.units, runs, {"preparation": case.preparation})
+    bands = [motion_band(log.joint("q", case.model.robot.actuated), log.rate_hz).edge_hz.max() for log in train]
+    rank, band_hz = determined_rank(used, channel.parts), float(max(bands))
+    held = count_information(used, band_hz)
+    if held < rank:
+        raise CannotAnswer(
+            f"the part that is trained on holds about {held:.0f} independent values for {rank} parameters and combinations "
+            f"({sum(log.duration for log in train):.3g} s of motion up to {band_hz:.2g} Hz)",
+            EXPERIMENT,
+        )
+    return [*list_information_warnings(used, rank, band_hz), *list_resting_warnings(used)]
 
 
 def _fitted(

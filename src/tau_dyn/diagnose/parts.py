@@ -2,7 +2,8 @@
 
 Without held-out logs every log is cut into blocks that take turns, 3 : 1 : 1, so that each part sees the whole range of
 temperatures and places. With held-out logs these take turns 1 : 1 between confirmation and measurement. Between blocks of
-different parts the filter's memory is left out, so that no sample is shared.
+different parts the filter's memory is left out, so that no sample is shared. A block is several times longer than that memory, so
+a short log has fewer blocks, and a short piece is one block as a whole; turns go on from piece to piece.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ _HELD_OUT = (CONFIRM, GAIN)
 _WITHIN = (TRAIN, CONFIRM, TRAIN, TRAIN)
 _LONGEST_S = 6.0
 _FEWEST = 15
-"""Blocks that a log is cut into, at least; of fewer none would see all parts of the motion."""
+"""Blocks that a log is cut into, where they stay long enough; of fewer none would see all parts of the motion."""
+_MIN_GAPS = (6.0, 4.0, 3.0)
+"""Least length of a block in gaps at a border: a block between two borders keeps 2/3, 1/2 or 1/3 of its samples. The first that
+gives every part something is taken."""
 
 
 def divide(runs: Sequence[Run], held: Sequence[bool], any_held: bool, gap_s: float) -> list[np.ndarray]:
@@ -31,13 +35,25 @@ def divide(runs: Sequence[Run], held: Sequence[bool], any_held: bool, gap_s: flo
         any_held: Whether there are held-out logs at all; then the others are trained on as a whole.
         gap_s: Time left out on both sides of a border [s].
     """
+    wanted = set(_HELD_OUT if any_held else _SHARED)
+    for gaps in _MIN_GAPS:
+        found = _divided(runs, held, any_held, gap_s, gaps * gap_s)
+        if wanted <= {int(part) for parts in found for part in np.unique(parts)}:
+            break
+    return found
+
+
+def _divided(
+    runs: Sequence[Run], held: Sequence[bool], any_held: bool, gap_s: float, least_s: float
+) -> list[np.ndarray]:
+    """Divide as `divide`, with blocks of a length of `least_s` [s] or more."""
     found, turn = [], {True: 0, False: 0}
     for run, out in zip(runs, held, strict=True):
         if any_held and not out:
             found.append(np.full(len(run.t), TRAIN))
             continue
         pattern = _HELD_OUT if out else _SHARED
-        parts, turn[out] = _blocks(run.t - run.t[0], pattern, turn[out], gap_s)
+        parts, turn[out] = _blocks(run.t - run.t[0], pattern, turn[out], gap_s, least_s)
         found.append(parts)
     return found
 
@@ -47,18 +63,19 @@ def divide_training(runs: Sequence[Run], parts: Sequence[np.ndarray], gap_s: flo
     found, turn = [], 0
     for run, part in zip(runs, parts, strict=True):
         if np.all(part == TRAIN):
-            inner, turn = _blocks(run.t - run.t[0], _WITHIN, turn, gap_s)
+            inner, turn = _blocks(run.t - run.t[0], _WITHIN, turn, gap_s, _MIN_GAPS[0] * gap_s)
         else:
             inner = np.full(len(run.t), -1)
         found.append(inner)
     return found
 
 
-def _blocks(t: np.ndarray, pattern: tuple[int, ...], first: int, gap_s: float) -> tuple[np.ndarray, int]:
+def _blocks(
+    t: np.ndarray, pattern: tuple[int, ...], first: int, gap_s: float, least_s: float
+) -> tuple[np.ndarray, int]:
     """Cut one run into blocks, starting at place `first` of the pattern; return the parts and the next place."""
     duration = float(t[-1])
-    rounds = max(1, round(max(duration / _LONGEST_S, _FEWEST) / len(pattern)))
-    length = duration / (rounds * len(pattern)) * (1 + 1e-9) or 1.0
+    length = duration / _count_blocks(duration, len(pattern), least_s) * (1 + 1e-9) or 1.0
     number = (t / length).astype(int)
     parts = np.array([pattern[(first + b) % len(pattern)] for b in range(number[-1] + 1)])
     out = parts[number]
@@ -66,3 +83,12 @@ def _blocks(t: np.ndarray, pattern: tuple[int, ...], first: int, gap_s: float) -
         if parts[border] != parts[border - 1]:
             out[np.abs(t - border * length) < gap_s] = -1
     return out, first + len(parts)
+
+
+def _count_blocks(duration: float, size: int, least_s: float) -> int:
+    """Return how many blocks a run is cut into: whole patterns of a size where they fit, else as many blocks as fit, or one."""
+    wanted = max(1, round(max(duration / _LONGEST_S, _FEWEST) / size)) * size
+    most = int(duration / least_s) if least_s > 0 else wanted
+    if most >= size:
+        return min(wanted, most // size * size)
+    return max(1, most)

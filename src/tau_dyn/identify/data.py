@@ -17,8 +17,10 @@ from tau_dyn.identify.log_integrity import check_integrity
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import build_regression, even_pieces
+from tau_dyn.identify.short_pieces import list_crumbs, refuse_short
 from tau_dyn.identify.streaming import Engine, Progress, channels, even_stretches, refuse_missing, stream_regression
 from tau_dyn.log import Log, Recording, mend_log
+from tau_dyn.log.resample import MIN_SEGMENT
 from tau_dyn.model import Model
 
 TRAIN_SHARE = 0.7
@@ -38,6 +40,9 @@ class Data:
         campaigns: Names of logs that are numbered before these.
         engine: Who computes blocks.
         progress: Told how far it is.
+
+    `pieces` are the even pieces, those that are too short for the filters until the first regression tells them apart; what is
+    left out stands in `left_out`.
     """
 
     model: Model
@@ -54,6 +59,7 @@ class Data:
         self.streams = any(isinstance(log, Recording) for log in self.logs)
         self.pieces = [] if self.streams else [piece for log in self.logs for piece in self._mended(log)]
         self._parts: tuple[Regression, Regression] | None = None
+        self.left_out: tuple[str, ...] = () if self.streams else tuple(list_crumbs(self.logs))
 
     def _mended(self, log: Log | Recording) -> list[Log]:
         """Return a log's even pieces, its few lost samples being gaps in the clock."""
@@ -95,7 +101,11 @@ class Data:
             )
             self.preparation = whole.settings["preparation"]
             self._parts = parts[0], parts[1]
+            self.left_out = whole.settings["left_out"]
             return whole
+        logs = [log for log in self.logs if isinstance(log, Log)]
+        if logs and not self.pieces:
+            raise refuse_short(logs, MIN_SEGMENT / min(log.rate_hz for log in logs))
         built = build_regression(
             self.model,
             self.pieces,
@@ -104,6 +114,8 @@ class Data:
             at=at,
             campaigns=self.campaigns,
         )
+        self.left_out += built.settings["left_out"]
+        self.pieces = [self.pieces[k] for k in built.settings["kept"]]
         return scale_outputs(built, self.factors) if self.factors else built
 
     def parts(self, regression: Regression) -> tuple[Regression, Regression, bool]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ class ForceErrors:
         all_samples: The same three numbers without masks; None inside itself.
         unjudged: Joints of which the masks leave no sample; their zeros say nothing.
         used_share: Share of the samples that the masks leave.
+        used_shares: The same for each joint; empty inside `all_samples`.
     """
 
     joints: tuple[str, ...]
@@ -31,6 +32,7 @@ class ForceErrors:
     used_share: float
     all_samples: ForceErrors | None
     unjudged: tuple[str, ...] = ()
+    used_shares: tuple[float, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract's form."""
@@ -40,14 +42,20 @@ class ForceErrors:
             "per_joint": {j: {"rms": float(r), "relative_error_percent": float(p)} for j, r, p in rows},
         }
         if self.all_samples is not None:
-            out |= {"used_share": self.used_share, "all_samples": self.all_samples.to_dict()}
+            out |= {
+                "used_share": self.used_share,
+                "used_share_per_joint": dict(zip(self.joints, self.used_shares, strict=False)),
+                "all_samples": self.all_samples.to_dict(),
+            }
         return out
 
 
 def force_errors(regression: Regression, theta: np.ndarray) -> ForceErrors:
     """Return the errors of a full parameter vector (p,) on a regression's data."""
-    whole = _errors(regression.outputs, regression.totals(whole=True), theta, 1.0, None)
-    return _errors(regression.outputs, regression.totals(), theta, regression.used_share, whole)
+    used, every = regression.totals(), regression.totals(whole=True)
+    whole = _errors(regression.outputs, every, theta, 1.0, None)
+    found = _errors(regression.outputs, used, theta, regression.used_share, whole)
+    return replace(found, used_shares=tuple(map(float, used.count / np.maximum(every.count, 1))))
 
 
 def _errors(

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.effects import FRICTION_MODELS, friction_model
 from tau_dyn.estimate import DETERMINED, BaseParameters, Estimate, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -26,8 +27,10 @@ from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.estimators import Estimator
 from tau_dyn.identify.logs import each_once, listed, require_forces, without_trained
 from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.result import Identification
 from tau_dyn.identify.settle import settled
+from tau_dyn.identify.short_pieces import TooShort, count_information, list_information_warnings
 from tau_dyn.identify.streaming import Engine
 from tau_dyn.identify.structure import physics_of, structural_base
 from tau_dyn.identify.timing import (
@@ -131,19 +134,21 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     data, held_out = _data(ask, model, {joint: factor for joint, (factor, _) in gains.items()}, warnings)
     ask.progress("columns")
     training = data.regression(model)
+    warnings += [*data.left_out, *list_resting_warnings(training)]
     _refuse_constant_forces(data.logs, training)
     warnings += _singularities(model, training)
     ask.progress("structure")
     better = Estimator(ask.estimator, model, data.pieces, gains, warnings)
     sigmas = {joint: sigma for joint, (_, sigma) in gains.items()}
     solve = _Solver(model, structural_base(model, ask.seed), sigmas, better)
+    warnings += list_information_warnings(training, solve.structural.rank)
     ask.progress("estimate")
-    training, estimate = settled(model, training, solve, data.regression, warnings)
+    training, estimate = _settled_or_scarce(model, training, solve, data, warnings)
     ask.progress("timing")
     training, estimate, offset = _account_for_timing(model, data, held_out, training, estimate, solve, warnings)
     ask.progress("held-out errors")
     if held_out.logs:
-        held = _judge_held_out(held_out, training, model, estimate)
+        held = _judge_held_out(held_out, training, model, estimate, warnings)
     else:
         held = _judge_last_part(data, training, solve, bool(ask.holdout), warnings)
     _refuse_if_nothing_determined(estimate)
@@ -260,10 +265,33 @@ def _singularities(model: Model, regression: Regression) -> list[str]:
     return found
 
 
-def _judge_held_out(held_out: Data, training: Regression, model: Model, estimate: Estimate) -> _Held:
-    """Return the errors on logs of their own, prepared as those that were fitted."""
+def _settled_or_scarce(
+    model: Model, training: Regression, solve: _Solver, data: Data, warnings: list[str]
+) -> tuple[Regression, Estimate]:
+    """Return the estimate; where it fails on less information than it has unknowns, say that this is the reason."""
+    try:
+        return settled(model, training, solve, data.regression, warnings)
+    except InputError as fault:
+        held, rank = count_information(training), solve.structural.rank
+        if training.everything is not None or held >= rank:
+            raise
+        raise TooShort(
+            f"the logs hold about {held:.0f} independent values for {rank} parameters and combinations",
+            "record half a minute or more, in both directions and over several speeds",
+        ) from fault
+
+
+def _judge_held_out(
+    held_out: Data, training: Regression, model: Model, estimate: Estimate, warnings: list[str]
+) -> _Held:
+    """Return the errors on logs of their own, prepared as those that were fitted; none where all are too short for that."""
     held_out.preparation = training.settings["preparation"]
-    regression = held_out.regression(model.with_parameters(estimate.parameters))
+    try:
+        regression = held_out.regression(model.with_parameters(estimate.parameters))
+    except TooShort as fault:
+        warnings.append(CodedWarning("short_log", f"{fault.missing}; there are no held-out errors"))
+        return _Held(None, None, "no held-out log was long enough")
+    warnings += held_out.left_out
     how = "held-out logs: " + ", ".join(log.name for log in held_out.logs)
     return _Held(regression, force_errors(regression, estimate.theta), how)
 

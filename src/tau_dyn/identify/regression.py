@@ -24,8 +24,10 @@ from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.gate import excluded, gate_of, refuse_jumps
 from tau_dyn.identify.preparation import Preparation, choose_preparation
+from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
 from tau_dyn.identify.signals import measured_signals, refuse_missing_campaign, refuse_missing_temperature
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, segments
+from tau_dyn.log.resample import MIN_SEGMENT
 from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
@@ -53,12 +55,17 @@ def build_regression(
 
     Raises:
         InputError: A log lacks a column that the robot or an effect needs, or the robot cannot reach a logged position.
-        CannotAnswer: The masks leave nothing.
+        CannotAnswer: No piece is long enough for the filters, or the masks leave nothing.
     """
+    logs = list(logs)
     pieces = [piece for log in logs for piece in even_pieces(log)]
-    if not pieces:
+    if not logs:
         raise InputError("no log was given")
-    preparation = preparation or choose_preparation(model.robot, pieces, exclude)
+    if not pieces:
+        raise refuse_short(logs, MIN_SEGMENT / logs[0].rate_hz)
+    preparation = preparation or choose_from_long(pieces, lambda long: choose_preparation(model.robot, long, exclude))
+    kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
+    pieces = kept.of(pieces)
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
     if not campaigns:
         refuse_missing_campaign(model, names)
@@ -66,9 +73,8 @@ def build_regression(
     for piece in pieces:
         number = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))}
         runs.append(prepare(at or model, piece, preparation, signals=number).run(model))
-    regression = Regression(
-        model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), {"preparation": preparation}
-    )
+    settings = {"preparation": preparation, "kept": kept.index, "left_out": (*list_crumbs(logs), *kept.warnings)}
+    regression = Regression(model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), settings)
     if regression.n_samples == 0:
         raise _nothing_left(model, pieces, preparation)
     return regression

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -24,10 +25,11 @@ from tau_dyn.identify.blocks import Block, Computed, Work, channels, cut, refuse
 from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.regression import even_pieces
+from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
 from tau_dyn.log import Log, Recording
 from tau_dyn.log.stretch import InMemory, Stretch, stretches
 from tau_dyn.model import Model
-from tau_dyn.scale.run_many import connected, in_order
+from tau_dyn.scale.run_many import in_order, run_on_workers
 
 SURVEYED = 2**20
 """Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""
@@ -74,10 +76,12 @@ class Engine:
 
     def _there(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
         address = None if self.cluster == "local" else self.cluster
-        with connected(address, self.jobs) as client:
+
+        def prepare(client: Any) -> Callable[[Block], Any]:
             shared = client.submit(_given, work, pure=False)  # made again where the worker that holds it dies
-            ahead = 3 * max(1, sum(client.nthreads().values()))
-            yield from in_order(lambda block: client.submit(_compute, shared, block, pure=False), blocks, ahead)
+            return lambda block: client.submit(_compute, shared, block, pure=False)
+
+        yield from run_on_workers(prepare, blocks, cluster=address, jobs=self.jobs, ahead=3)
 
 
 def survey(pieces: Sequence[Stretch | InMemory], model: Model, exclude: tuple[str, ...]) -> list[Log]:
@@ -120,7 +124,11 @@ def stream_regression(
     pieces = tuple(piece for log in recordings for piece in _pieces(log))
     if not pieces:
         raise InputError(f"{recordings[0].name} has no stretch of 10 samples without a gap")
-    preparation = preparation or choose_preparation(model.robot, survey(pieces, model, exclude), exclude)
+    preparation = preparation or choose_from_long(
+        pieces, lambda long: choose_preparation(model.robot, survey(long, model, exclude), exclude)
+    )
+    kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
+    pieces = tuple(kept.of(pieces))
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
     width = model.robot.na * len(model.parameters)
     blocks = [b for k, piece in enumerate(pieces) for b in cut(piece, k, preparation, width, share)]
@@ -128,7 +136,9 @@ def stream_regression(
     scale = np.array([factors.get(joint, 1.0) for joint in model.robot.actuated])
     work = Work(model, at, pieces, tuple(names.index(p.name) for p in pieces), preparation, scale,
                 frozenset(blocks[i] for i in chosen))  # fmt: skip
-    return _summed(work, blocks, engine, progress)
+    whole, first, last = _summed(work, blocks, engine, progress)
+    settings = {**whole.settings, "left_out": (*list_crumbs(recordings), *kept.warnings)}
+    return replace(whole, settings=settings), first, last
 
 
 def _summed(

@@ -12,7 +12,7 @@ from tau_dyn.log.motions import split_by_motion
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
 from tau_dyn.log.read import read_log
 from tau_dyn.log.recording import Recording
-from tau_dyn.log.resample import ensure_even, examine_clock, segments
+from tau_dyn.log.resample import ensure_even, examine_clock, segments, short_segments
 from tau_dyn.log.stream import open_log
 from tau_dyn.log.stretch import Stretch, stretches
 from tau_dyn.log.table import Table, read_table
@@ -44,6 +44,7 @@ __all__ = [
     "read_table",
     "reversals",
     "segments",
+    "short_segments",
     "split_by_motion",
     "stretches",
     "unbroken",

@@ -67,9 +67,21 @@ def segments(log: Log) -> list[Log]:
     clock = examine_clock(log)
     if not clock.gaps:
         return [log]
-    ends = [0, *(i + 1 for i in clock.gaps), log.n_samples]
-    spans = [(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b - a >= MIN_SEGMENT]
+    spans = [(a, b) for a, b in _spans(log, clock) if b - a >= MIN_SEGMENT]
     return [log.window(a, b).with_warnings(gap_sentence(log, clock)) for a, b in spans]
+
+
+def short_segments(log: Log) -> tuple[int, float]:
+    """Return how many parts between gaps `segments` leaves out, and how long they are together [s]."""
+    clock = examine_clock(log)
+    sizes = [b - a for a, b in _spans(log, clock) if b - a < MIN_SEGMENT] if clock.gaps else []
+    return len(sizes), sum(sizes) * clock.dt
+
+
+def _spans(log: Log, clock: Clock) -> list[tuple[int, int]]:
+    """Return the first sample of each part between gaps, and the one after its last."""
+    ends = [0, *(i + 1 for i in clock.gaps), log.n_samples]
+    return list(zip(ends[:-1], ends[1:], strict=True))
 
 
 def ensure_even(log: Log) -> Log:

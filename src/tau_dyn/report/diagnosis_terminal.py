@@ -35,6 +35,8 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis, written: Mapping[str
     about = f"{diagnosis.model.robot.name} · {said.summary(diagnosis)}"
     say_opening(console, about, diagnosis.sentence, level, said.judgement(diagnosis).sentence)
     put(console, _waterfall(diagnosis, room(console)))
+    if text := said.all_samples_words(diagnosis):
+        say(console, text)
     for title, items in _uncertain(diagnosis):
         if len(items) == 1:
             say(console, f"{title}: {items[0]}")

@@ -56,6 +56,20 @@ def judgement(diagnosis: Diagnosis) -> Verdict:
     return Verdict(level, f"{text} What would have been seen is listed under “Not found”.")
 
 
+def all_samples_words(diagnosis: Diagnosis) -> str:
+    """Return the errors over all samples, and how much of them the errors above use, in a sentence; empty where not known."""
+    before, after = diagnosis.baseline.all_samples, diagnosis.extended.all_samples
+    if before is None or after is None:
+        return ""
+    more = f", the extended one {percent(after.relative_error_percent)}" if diagnosis.verdict == "named" else ""
+    shares = diagnosis.baseline.used_shares
+    each = listed([f"{o} {percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
+    return (
+        f"Over all samples, reversals and rests included, the refitted model misses {percent(before.relative_error_percent)}"
+        f"{more}; the errors above use {each}."
+    )
+
+
 def summary(diagnosis: Diagnosis) -> str:
     """Return what went in: logs, seconds, how they were divided."""
     logs = list(dict.fromkeys(trace.log for trace in diagnosis.traces))

@@ -69,6 +69,8 @@ def _errors(found: Identification) -> list[dict[str, Any]]:
             "joint": joint,
             "judged": _joint_error(judged, k, units[k]),
             "train": _joint_error(found.train, k, units[k]),
+            "all": "" if judged.all_samples is None else words.percent(float(judged.all_samples.per_joint_percent[k])),
+            "used": words.percent(100 * judged.used_shares[k]) if judged.used_shares else "",
             "width": 100 * judged.per_joint_percent[k] / worst,
             "train_at": 100 * found.train.per_joint_percent[k] / worst,
         }

@@ -14,7 +14,10 @@ from tau_dyn.report.terminal import bare_table, meter, plain, put, room, say, sa
 from tau_dyn.report.trust import combinations, summary_words
 from tau_dyn.report.words import listed, number, percent, pretty_unit
 
-BAR = 24
+BAR, SHORT_BAR = 24, 4
+"""Longest and shortest bar of an error."""
+FIGURES = 57
+"""Columns that an error's figures take, with the gaps between them."""
 _MOST = 4
 """Combinations of parameters that the screen lists."""
 
@@ -49,10 +52,13 @@ def _error_table(found: Identification, columns: int) -> Table:
     table = bare_table()
     table.add_column("error by joint", no_wrap=True)
     table.add_column("")
-    for title in ("held out" if found.holdout else "of the fit", "rms", *(("training",) if found.holdout else ())):
+    every = judged.all_samples
+    titles = ["held out" if found.holdout else "of the fit", "rms", *(["training"] if found.holdout else [])]
+    titles += ["all", "used"] if every is not None else []
+    for title in titles:
         table.add_column(title, justify="right", no_wrap=True)
     worst = max(judged.per_joint_percent, default=1.0) or 1.0
-    width = BAR if columns >= 90 else 16
+    width = min(BAR, max(SHORT_BAR, columns - FIGURES - max(map(len, judged.joints), default=0)))
     for k, joint in enumerate(judged.joints):
         share = float(judged.per_joint_percent[k])
         cells = [
@@ -62,6 +68,9 @@ def _error_table(found: Identification, columns: int) -> Table:
             f"{number(float(judged.rms[k]), 3)} {pretty_unit(units[k])}",
         ]
         cells += [percent(float(found.train.per_joint_percent[k]))] if found.holdout else []
+        if every is not None:
+            share_used = judged.used_shares[k] if judged.used_shares else judged.used_share
+            cells += [percent(float(every.per_joint_percent[k])), percent(100 * share_used)]
         table.add_row(*map(plain, cells))
     return table
 

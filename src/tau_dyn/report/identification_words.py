@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tau_dyn.identify import Identification
+from tau_dyn.identify import ForceErrors, Identification
 from tau_dyn.report.residuals import residuals_of
 from tau_dyn.report.words import Z95, Verdict, count, listed, percent
 
@@ -27,10 +27,20 @@ ROUGH_PERCENT = 15.0
 def headline(found: Identification, truth: Mapping[str, float] | None = None) -> str:
     """Return the one sentence above everything; with the truth at hand it tells true errors, not only claimed ones."""
     if found.holdout is not None:
-        start = f"The model predicts held-out force to {percent(found.holdout.relative_error_percent)}"
+        start = f"The model predicts held-out force to {both_errors(found.holdout)}"
     else:
-        start = f"The model fits the force to {percent(found.train.relative_error_percent)}; nothing was held out to judge it"
+        start = f"The model fits the force to {both_errors(found.train)}; nothing was held out to judge it"
     return "; ".join([start, *_clauses(found.rows(), truth or {})]) + "."
+
+
+def both_errors(errors: ForceErrors) -> str:
+    """Return the error on the samples that a fit uses, and that on all samples beside it."""
+    used = percent(errors.relative_error_percent)
+    return (
+        used
+        if errors.all_samples is None
+        else f"{used} ({percent(errors.all_samples.relative_error_percent)} of all samples)"
+    )
 
 
 def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Verdict:
