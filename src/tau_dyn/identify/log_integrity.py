@@ -34,20 +34,30 @@ def check_integrity(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] 
         logs: Logs as read.
         exclude: Columns whose nonzero samples are left out.
     """
-    found = [warning for log in logs for warning in list_data_warnings(log, robot.actuated)]
-    return [*found, *check_against_robot(robot, logs, exclude)]
+    told = [list_data_warnings(log, robot.actuated) for log in logs]
+    return [*(warning for of_log in told for warning in of_log), *_against_robot(robot, logs, told, exclude)]
 
 
 def check_against_robot(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> list[CodedWarning]:
     """Return faults of wiring and timing of logs as read against a robot file with masses; see `check_integrity`."""
+    return _against_robot(robot, logs, [list_data_warnings(log, robot.actuated) for log in logs], exclude)
+
+
+def _against_robot(
+    robot: Robot, logs: Sequence[Log], told: Sequence[Sequence[str]], exclude: tuple[str, ...]
+) -> list[CodedWarning]:
+    """Return faults of wiring and timing of logs, given what each tells by itself."""
     if not sum(float(link.nominal[0]) for link in robot.links) > 0:
         return []
     found: list[CodedWarning] = []
-    for log in sorted(logs, key=lambda log: -log.duration)[:MAX_LOGS]:
-        mended = mend_log(log, robot.actuated)
-        if spoils_diagnosis(list_data_warnings(mended, robot.actuated)):
-            continue
-        excerpt = make_excerpt(robot, _even_pieces(mended), exclude)
+    longest = sorted(zip(logs, told, strict=True), key=lambda pair: -pair[0].duration)[:MAX_LOGS]
+    for log, warnings in longest:
+        sound = log
+        if spoils_diagnosis(warnings):
+            sound = mend_log(log, robot.actuated)
+            if sound is log or spoils_diagnosis(list_data_warnings(sound, robot.actuated)):
+                continue
+        excerpt = make_excerpt(robot, _even_pieces(sound), exclude)
         if excerpt is not None:
             found += check_wiring(robot, excerpt, log.name) or check_timing(robot, excerpt, log.name)
     return list(dict.fromkeys(found))

@@ -17,7 +17,7 @@ MIN_SAMPLES = 50
 
 
 def list_data_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWarning]:
-    """Return lost, repeated, zeroed and held samples of a log as read; no sound log of 300 gave any.
+    """Return lost, repeated, zeroed and held samples of a log as read; sound logs give none.
 
     Args:
         log: A log as read, before any interpolation.
