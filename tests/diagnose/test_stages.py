@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose import stages, within
+from tau_dyn.diagnose import diagnose, stages, within
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.encoders import NoiseOnly
 from tau_dyn.diagnose.parts import GAIN
@@ -16,8 +16,11 @@ from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.result import Gain
 from tau_dyn.diagnose.search import search
 from tau_dyn.diagnose.stages import confirmation, confirmed, supported
-from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck
+from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, friction_model
+from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot import load_robot
+from tau_dyn.simulate import Sensors, named_motion, simulate
 
 
 @pytest.mark.parametrize(("last", "within", "stands"), [(1.0, False, True), (-1.0, False, False), (-1.0, True, False)])
@@ -135,3 +138,21 @@ def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):
     inner = noise.within((np.full(len(channel.runs[0].t), -1),))
     assert np.all(inner.channels[0].parts[0] == -1) and noise.channels == [channel]
     assert len(made) == 1 and np.any(channel.parts[0] != -1)
+
+
+def test_a_log_that_is_not_what_it_claims_confirms_nothing():
+    """Forces of the wrong sign name no cause, whatever fits them, and leave neither model to use."""
+    axis = load_robot("linear_axis")
+    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
+        {
+            f"axis.{key}": x
+            for key, x in (("coulomb_pos", 20), ("coulomb_neg", 21), ("viscous_pos", 200), ("viscous_neg", 210))
+        }
+    )
+    sensors = Sensors(encoder_noise=1e-6, force_noise=1.0, log_rate_hz=250.0)
+    log = simulate(model, named_motion("fourier", model, 30.0, 2), sensors=sensors, seed=2)
+    turned = replace(log, channels={**log.channels, "tau_axis": -log.channels["tau_axis"]})
+    found = diagnose(axis, [turned])
+    assert found.verdict == "cannot_tell" and found.recommendation == "neither" and found.exit_status == 3
+    assert not any(f.status in ("confirmed", "parameter") for f in found.findings)
+    assert "sign_reversed" in found.to_dict()["warning_codes"]

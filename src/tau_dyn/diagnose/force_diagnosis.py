@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tau_dyn.coded_warning import get_code
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.encoders import DRAWN, NoiseOnly, noise_only
 from tau_dyn.diagnose.filters import (
@@ -26,7 +27,7 @@ from tau_dyn.diagnose.force import ForceChannel, determined_rank, force_channel,
 from tau_dyn.diagnose.limits import limits_of
 from tau_dyn.diagnose.nominal import parameter_findings
 from tau_dyn.diagnose.parts import TRAIN
-from tau_dyn.diagnose.recommendation import recommend
+from tau_dyn.diagnose.recommendation import Recommendation, recommend
 from tau_dyn.diagnose.resonances import with_band, with_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.search import Search, effects_of, search
@@ -48,7 +49,7 @@ from tau_dyn.diagnose.within import heard, tests_of
 from tau_dyn.diagnose.words import verdict_sentence
 from tau_dyn.estimate import Physics, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.identify.log_integrity import check_integrity
+from tau_dyn.identify.log_integrity import check_integrity, spoils_diagnosis
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import even_pieces
@@ -208,31 +209,49 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     rate = channel.prepared[0].log.rate_hz
     gap = border_gap(case.preparation.force_cutoff_hz, rate)
     tests = heard(channel, hunt, tests_of(channel, hunt, structure), gap, rng, noise)
+    spoiled = _describe_spoiled(warnings)
     claims = confirmed(channel, hunt, tests.causes, physics=case.physics)
+    claims = claims.reject_all(spoiled) if spoiled else claims
     progress("measuring the gain")
     nominal = case.nominal.parameters
     claims, bars = supported(channel, hunt, claims, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, claims, bars, rng)]
-    findings += parameter_findings(case.nominal, nominal, estimated(after))
+    findings += [
+        replace(f, status="suspected", why_not_confirmed=spoiled) if spoiled else f
+        for f in parameter_findings(case.nominal, nominal, estimated(after))
+    ]
     unexplained = unexplained_of(channel, hunt, tests.structure)
+    if spoiled:
+        unexplained = tuple(replace(u, status="suspected") for u in unexplained)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
-    verdict = _verdict(findings, unexplained)
+    verdict = "cannot_tell" if spoiled else _verdict(findings, unexplained)
+    sentence = f"These data name no cause: {spoiled}."
+    if not spoiled:
+        sentence = verdict_sentence(verdict, findings, unexplained, before.errors, after.errors)
     answer = Answer(
         verdict,
-        verdict_sentence(verdict, findings, unexplained, before.errors, after.errors),
+        sentence,
         case.how,
         findings,
         unexplained,
         limits,
         _with_drift(untestable, unexplained),
-        _experiment(verdict, findings),
+        _MEND if spoiled else _experiment(verdict, findings),
         warnings,
         {"preparation": case.preparation.to_dict()},
     )
-    return assembled(
-        channel, hunt, claims, bars, case.nominal, answer, seed, recommend(channel, hunt, claims, bars, rng)
-    )
+    recommendation = Recommendation("neither", spoiled) if spoiled else recommend(channel, hunt, claims, bars, rng)
+    return assembled(channel, hunt, claims, bars, case.nominal, answer, seed, recommendation)
+
+
+_MEND = "mend the log or its column map as the first warning says, or record it again"
+
+
+def _describe_spoiled(warnings: Sequence[str]) -> str:
+    """Return why nothing may be confirmed from logs that are not what they claim to be; empty where they are."""
+    codes = dict.fromkeys(get_code(warning) for warning in warnings if spoils_diagnosis([warning]))
+    return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 
 
 def _sifted(noise: NoiseOnly, hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:

@@ -83,6 +83,10 @@ class Claims:
         """Return the claims with another reason for one of them."""
         return replace(self, why_not=(*self.why_not[:k], why_not, *self.why_not[k + 1 :]))
 
+    def reject_all(self, why_not: str) -> Claims:
+        """Return the claims with one reason for all that stood."""
+        return replace(self, why_not=tuple(why or why_not for why in self.why_not))
+
     def replace_found(self, one: Found, other: Found) -> Claims:
         """Return the claims with a cause in another's place."""
         return replace(self, found=tuple(other if x is one else x for x in self.found))
