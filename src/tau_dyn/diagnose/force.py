@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.filters import border_gap
+from tau_dyn.diagnose.force_timing import Timing, find_timing
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import WHOLE_TIME
 from tau_dyn.diagnose.parts import TRAIN, divide
@@ -24,7 +25,7 @@ from tau_dyn.identify.regression import Prepared, prepare
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model
 
-_SIGNALS = ("inertia", "weight_gradient", "load", "passive")
+_SIGNALS = ("inertia", "weight_gradient", "gravity_turn", "load", "passive")
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,9 @@ def force_channel(
         CannotAnswer: Too little is left of the data for three parts.
     """
     needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
-    prepared = [_with_signals(piece, model, needs, clear_hz) for piece in prepared]
+    trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
+    timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
+    prepared = [_with_signals(piece, model, needs, clear_hz, timing) for piece in prepared]
     parts = divide(regression.runs, held, any(held), border_gap(preparation.force_cutoff_hz, prepared[0].log.rate_hz))
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
     thinned = tuple(_thinned(piece) for piece in prepared)
@@ -143,7 +146,7 @@ def force_channel(
         model.parameters,
         regression.runs,
         tuple(parts),
-        _scene(model, thinned, regression.runs, parts, preparation, campaigns),
+        replace(_scene(model, thinned, regression.runs, parts, preparation, campaigns), timing=_by_joint(model, timing)),
         tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
@@ -159,10 +162,13 @@ def force_channel(
     return channel
 
 
-def _with_signals(piece: Prepared, model: Model, needs: Sequence[str], clear_hz: float) -> Prepared:
+def _with_signals(
+    piece: Prepared, model: Model, needs: Sequence[str], clear_hz: float, timing: Timing | None = None
+) -> Prepared:
     """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
 
-    Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not.
+    Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not. `force` is
+    that of the values with the recording's timing taken out; see `force_timing.py`.
     """
     m, t = piece.motion, piece.log.t
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
@@ -171,14 +177,31 @@ def _with_signals(piece: Prepared, model: Model, needs: Sequence[str], clear_hz:
     found = {name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in coarse.items()}
     whole = model.motion(m.q, m.v, m.a, m.sign, t=t, signals={**m.signals, **found})
     friction = model.effect_force(whole)
-    rigid = model.mechanism.regressor(m.q, m.v, m.a) @ model.robot.parameters.values  # holds with a mass of zero
+    Y = model.mechanism.regressor(m.q, m.v, m.a)
+    rigid = Y @ model.robot.parameters.values  # holds with a mass of zero
     carried = lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz)
-    signals = {**m.signals, **found, "force": rigid + friction, "rigid_force": carried, "damping": model.damping(whole)}
+    signals = {**m.signals, **found, "force": rigid + friction + _changed(model, Y, whole, timing), "rigid_force": carried, "damping": model.damping(whole)}
     signals |= {
         "wide_force": rigid,
         "clear_hz": np.full(len(t), clear_hz),
     }  # a mode in the clear band passes no noise on
     return replace(piece, motion=replace(m, signals=signals))
+
+
+def _by_joint(model: Model, timing: Timing | None) -> dict[str, tuple[float, float]]:
+    """Return each joint's delay and time constant [s]; empty where there is none."""
+    if timing is None:
+        return {}
+    each = zip(model.robot.actuated, timing.delays, timing.lags, strict=True)
+    return {joint: (float(delay), float(lag)) for joint, delay, lag in each}
+
+
+def _changed(model: Model, Y: np.ndarray, motion: Motion, timing: Timing | None) -> np.ndarray | float:
+    """Return the force (N, na) of what a timing changes in the model's values, with the rigid bodies' columns given."""
+    if timing is None:
+        return 0.0
+    columns = [Y, *(effect.columns(motion) for effect in model.effects)]
+    return np.concatenate(columns, axis=2) @ timing.change
 
 
 def _thinned(piece: Prepared) -> Motion:
