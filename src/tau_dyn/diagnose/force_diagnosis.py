@@ -171,7 +171,7 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     kept, bars = supported(channel, hunt, tests.causes, kept, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, tests.causes, kept, bars, rng)]
-    findings += parameter_findings(case.nominal, nominal, estimated(after))
+    findings += parameter_findings(case.nominal, nominal, estimated(after), after.estimate)
     unexplained = unexplained_of(channel, hunt, tests.structure)
     limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
     verdict = _verdict(findings, unexplained)
