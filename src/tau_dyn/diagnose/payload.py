@@ -137,7 +137,7 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     select = _complement([_refit(estimate, _column(estimate, f"{j}.armature"))[rows] for j in unknown], len(rows))
     select = select @ np.eye(base.rank)[rows]
     E = select @ E
-    values = trusted.select(base.names).values
+    values = _values(trusted, base.names)
     own = estimate.stderr / np.sqrt(np.maximum(np.diag(estimate.cov), 1e-300))
     cov = select @ (estimate.cov * np.outer(own, own)) @ select.T
     if identified:
@@ -200,7 +200,7 @@ def _candidates(robot: Robot, difference: Difference) -> list[tuple[str, str, np
     last = end_link(robot)
     if last is not None:
         found.append(("payload", last.link, _columns(difference, last)))
-    pi = difference.trusted.select(difference.names).values
+    pi = _values(difference.trusted, difference.names)
     for link in robot.links:
         columns = _columns(difference, link)
         found.append(("link_mass", link.link, columns[:, :1]))
@@ -214,6 +214,11 @@ def _candidates(robot: Robot, difference: Difference) -> list[tuple[str, str, np
         found.append(("drive_gain", "", whole[:, None]))
     found += [("force_scale", joint, column[:, None]) for joint, column in zip(robot.actuated, scales, strict=True)]
     return found
+
+
+def _values(parameters: Parameters, names: Sequence[str]) -> np.ndarray:
+    """Return parameters' values (p,), zero for those of effects that are not among them."""
+    return np.array([parameters[n].value if n in parameters else 0.0 for n in names])
 
 
 def _columns(difference: Difference, link: LinkInertia) -> np.ndarray:
