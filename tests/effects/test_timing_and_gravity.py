@@ -58,7 +58,7 @@ def test_a_lag_of_its_own_setting_is_the_low_passed_force_exactly() -> None:
 
 @pytest.mark.parametrize("late", [0.06, -0.04])
 def test_a_long_delay_of_its_own_setting_is_the_late_force_exactly(late: float) -> None:
-    """60 ms of a force with steps: beyond 3 ms both parts of the difference count."""
+    """60 ms of a force with steps: beyond 1 ms both parts of the difference count."""
     t = np.arange(0, 2, 1e-3)
 
     def force(t: np.ndarray) -> np.ndarray:

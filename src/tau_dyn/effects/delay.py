@@ -3,9 +3,9 @@
     tau_log(t) = tau(t - delay) ~ tau(t) + delay (F(t - about) - F(t)) / about
 
 with F the force of the model without this effect. The law is linear in `delay` near `about`, a setting; the best setting and
-the amplitude agree. Up to 3 ms the difference is taken to both sides, `(F(t - about) - F(t + about)) / (2 about)`, because its
-even part, a smoothed force less itself, is there what any mismatch of filters looks like; there a low-pass is the same (`drive_lag`).
-Beyond, the even part tells the two apart. Positive: forces were logged late. One clock mostly serves all drives, so an instance over
+the amplitude agree. Up to 1 ms the difference is taken to both sides, `(F(t - about) - F(t + about)) / (2 about)`, because its
+even part, a smoothed force less itself, is there what any mismatch of filters looks like. Beyond, the even part tells a late force
+from a smoothed one (`drive_lag`), surely from 3 ms up. Positive: forces were logged late. One clock mostly serves all drives, so an instance over
 all joints has one parameter, `drive.delay`; each joint alone has its own. A clock that is off between forces and positions is
 the same thing. Reference: Dressler 2012, 6.3.
 """
@@ -23,12 +23,14 @@ from tau_dyn.effects.words import amount
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
-_ODD_MS = (0.5, 2.0)
+_ODD_MS = (0.5,)
 """Delays tried with the odd difference, which is the same for both signs."""
-_FULL_MS = (5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 100.0)
+_FULL_MS = (2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 100.0)
 """Delays tried with the full difference, a third of a turn of 10 Hz apart where they are short; one search between neighbours does the rest."""
-MAX_ODD_S = 3e-3
-"""Delay up to which only the odd part counts; of a motion at 2 Hz the even part is 2 % of it there."""
+MAX_ODD_S = 1e-3
+"""Delay up to which only the odd part counts; of a motion at 5 Hz the even part is 2 % of it there."""
+MAX_TWIN_S = 3e-3
+"""Delay up to which a low-pass of the same length is its twin; of a motion at 2 Hz they differ by 2 % of themselves."""
 _MAX_SHARE = 0.01
 """Share of the recording that a delay may take: so much of its ends is not known."""
 
@@ -58,7 +60,7 @@ class Delay(TimingEffect):
         super().__init__(joints, units, label=label, **settings)
         if self.settings["about"] == 0:
             raise InputError("setting about of effect delay must not be zero; its sign is the delay's")
-        if abs(self.settings["about"]) <= MAX_ODD_S:
+        if abs(self.settings["about"]) <= MAX_TWIN_S:
             self.equivalent = (*type(self).equivalent, "drive_lag")
 
     @classmethod
