@@ -1,7 +1,7 @@
 """What hides in recordings, speed and mounting: a low-pass, a long delay, friction that levels off, a base that leans.
 
-Each is written here once more, in another form than the library's: the low-pass by the bilinear transform on the true motion at 1 kHz,
-friction as an arctan or a power of the speed, the tilt by Pinocchio's gravity torque under gravity turned by a matrix.
+Each is written here once more, in another form than the library's: the low-pass by the bilinear transform on the true motion at
+1 kHz, friction as an arctan or a power of the speed, the tilt by Pinocchio's gravity torque under gravity turned by a matrix.
 """
 
 from __future__ import annotations

@@ -39,7 +39,8 @@ def late_by(seconds: float):
 
     def hidden(motion: Motion) -> np.ndarray:
         F = motion.signals["force"][:, 0]
-        return (CubicSpline(motion.t, F)(motion.t - seconds) - F)[:, None]
+        t = np.asarray(motion.t)
+        return (CubicSpline(t, F)(t - seconds) - F)[:, None]
 
     return hidden
 
@@ -60,7 +61,7 @@ def lagging_by(seconds: float):
     """Return the change that a low-pass makes of the force, stepped finely and written here once more."""
 
     def hidden(motion: Motion) -> np.ndarray:
-        F, t = motion.signals["force"][:, 0], motion.t
+        F, t = motion.signals["force"][:, 0], np.asarray(motion.t)
         fine = np.arange(t[0], t[-1], 2e-4)
         x = np.interp(fine, t, F)
         keep = np.exp(-2e-4 / seconds)
@@ -97,7 +98,9 @@ def test_friction_that_bends_down_up_or_falls_has_its_own_name(make, rng, law, n
 def test_bent_friction_is_predicted_by_its_amplitude(make, rng) -> None:
     """12 N that level off at 0.15 m/s: amplitude and knee within three standard errors."""
     hidden = ViscousCurvature(["x"], ["N"], knee=0.15)
-    ranked, library, ground = found(make, rng, lambda m: hidden.columns(m)[:, :, 0] * 12, (ViscousCurvature,), noise=0.3)
+    ranked, library, ground = found(
+        make, rng, lambda m: hidden.columns(m)[:, :, 0] * 12, (ViscousCurvature,), noise=0.3
+    )
     effect = refined(ranked[0], library, ground).fits[0].effect
     assert effect.settings["power"] == 0.0 and effect.settings["knee"] == pytest.approx(0.15, rel=0.25)
     assert amplitudes(effect, library, ground)[0] == pytest.approx(12, rel=0.25)

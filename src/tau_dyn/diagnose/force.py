@@ -30,8 +30,8 @@ _MAX_ROWS = 8000
 """Samples from which values are made: many times the number of parameters."""
 _WEIGHING = ("mass", "mx", "my", "mz")
 _STIFFNESS = 30.0
-"""How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave is in
-the bodies' inertia, and the robot file knows masses better."""
+"""How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
+is in the bodies' inertia, and the robot file knows masses better."""
 _SIGNALS = ("inertia", "weight_gradient", "load", "passive")
 
 
@@ -157,7 +157,9 @@ def force_channel(
         model.parameters,
         regression.runs,
         tuple(parts),
-        replace(_scene(model, thinned, regression.runs, parts, preparation, campaigns), timing=_by_joint(model, timing)),
+        replace(
+            _scene(model, thinned, regression.runs, parts, preparation, campaigns), timing=_by_joint(model, timing)
+        ),
         tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
@@ -196,7 +198,13 @@ def _with_signals(
     Y = model.mechanism.regressor(m.q, m.v, m.a)
     rigid = Y @ model.robot.parameters.values  # holds with a mass of zero
     carried = lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz)
-    signals = {**m.signals, **found, "force": rigid + friction + _changed(model, Y, whole, timing), "rigid_force": carried, "damping": model.damping(whole)}
+    signals = {
+        **m.signals,
+        **found,
+        "force": rigid + friction + _changed(model, Y, whole, timing),
+        "rigid_force": carried,
+        "damping": model.damping(whole),
+    }
     signals |= {
         "wide_force": rigid,
         "clear_hz": np.full(len(t), clear_hz),
@@ -210,8 +218,8 @@ def _gravity_turns(
     """Return what a turn of gravity does to the forces at rest (N, na, 2) of each piece.
 
     A turned gravity feels combinations of masses that no force under the nominal one shows, and a fit that knows of no turn moves
-    weakly determined ones to explain it. So the values are refitted beside the turn, as near the nominal ones (p,) as the data let
-    them be.
+    weakly determined ones to explain it. So the values are refitted beside the turn, as near the nominal ones (p,) as the data
+    let them be.
     """
     turns = [_at_rest(model, piece) for piece in prepared]
     rows, y = [], []

@@ -1,10 +1,10 @@
 """Baseline values from which a delay or a low-pass of the logged forces is taken out.
 
-A fit of late forces takes a part of the delay for viscous friction and for masses: `m a(t - d)` has `m w^2 d v` in it, of 60 ms at
-1 Hz more than many a joint's friction. The force that such a fit predicts is no longer the one that was logged late, and what it
-leaves looks like springs and hysteresis. So the delay `d` and the time constant `T` of each output are profiled (variable projection,
-Golub & Pereyra 1973): forces are moved back, `y(t + d) + T y'(t + d)`, the baseline is refitted, and the values at the best `d` and
-`T` predict the force that effects of the recording act on. Short ones change nothing worth it.
+A fit of late forces takes a part of the delay for viscous friction and for masses: `m a(t - d)` has `m w^2 d v` in it, of 60 ms
+at 1 Hz more than many a joint's friction. The force that such a fit predicts is no longer the one that was logged late, and
+what it leaves looks like springs and hysteresis. So the delay `d` and the time constant `T` of each output are profiled
+(variable projection, Golub & Pereyra 1973): forces are moved back, `y(t + d) + T y'(t + d)`, the baseline is refitted, and the
+values at the best `d` and `T` predict the force that effects of the recording act on. Short ones change nothing worth it.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ class _Profile:
         found = []
         for t, y, spline, mask in zip(self.t, self.y, self.splines, self.usable, strict=True):
             whole = y.copy()
-            for k in range(self.m if spline is not None else 0):
-                if delays[k] or lags[k]:
+            for k in range(self.m):
+                if spline is not None and (delays[k] or lags[k]):
                     when = np.clip(t + delays[k], t[0], t[-1])
                     whole[:, k] = spline(when)[:, k]
                     if lags[k]:
@@ -110,7 +110,7 @@ class _Profile:
         return float(y @ y - np.sum((self.Q.T @ y) ** 2))
 
     def minimise(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the best delays (m,) and time constants (m,) [s]: of all outputs alike, then of each alone where that is better."""
+        """Return the best delays and time constants (m,) [s]: of all outputs alike, then of each alone where better."""
         best = np.zeros(self.m), np.zeros(self.m)
         least = self.misfit(*best)
         alone = [np.arange(self.m) == k for k in range(self.m)]

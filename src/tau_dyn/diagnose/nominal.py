@@ -1,8 +1,9 @@
 """Refitted parameters against their trusted nominal values: what only corrects a number of the robot file.
 
 A payload, a wrong link mass or a drive gain vanish in the baseline's refit, so no residual shows them; they show as masses
-that differ from the nominal beyond both uncertainties. All masses off by one factor is what a wrong motor constant does. Of robots
-whose bodies have more than a mass, all base parameters are compared together (`payload.py`): there one payload changes many numbers.
+that differ from the nominal beyond both uncertainties. All masses off by one factor is what a wrong motor constant does. Of
+robots whose bodies have more than a mass, all base parameters are compared together (`payload.py`): there one payload changes
+many numbers.
 """
 
 from __future__ import annotations
@@ -135,7 +136,17 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
         equation, where = "tau_log = factor tau", (found.place,) if found.place else ()
         experiment = "record the motion without and with a weighed payload, its mass fixed by --fix"
     return Finding(
-        found.cause, where, "parameter", score, found.p, parameters, None, found.twins, equation, sentence + ".", experiment
+        found.cause,
+        where,
+        "parameter",
+        score,
+        found.p,
+        parameters,
+        None,
+        found.twins,
+        equation,
+        sentence + ".",
+        experiment,
     )
 
 

@@ -2,16 +2,16 @@ r"""What one body at the end of a robot, one force scale or one wrong mass makes
 
     d = beta - E pi_0 ~ N(B x, S),     S = cov(beta) + E P E'
 
-with `beta` the base parameters of a fit, `E` the combinations they are, `pi_0` trusted values with covariance `P`. Each explanation
-has columns `B` and amplitudes `x`, estimated by generalised least squares (Aitken 1936):
+with `beta` the base parameters of a fit, `E` the combinations they are, `pi_0` trusted values with covariance `P`. Each
+explanation has columns `B` and amplitudes `x`, estimated by generalised least squares (Aitken 1936):
 
 - payload: the ten inertial numbers of a rigid body fixed to the last link, about that link's joint frame;
 - link mass: one link's mass, alone or with its whole inertia in proportion;
 - force scale: the force of one joint times a factor, as far as a refit of the log's own motion takes it for bodies;
 - drive gain: all forces times one factor, so all base parameters.
 
-The explanation with the least misfit for its number of amplitudes is taken, if it explains nearly all of the difference. Reference:
-Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
+The explanation with the least misfit for its number of amplitudes is taken, if it explains nearly all of the difference.
+Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
 """
 
 from __future__ import annotations
@@ -121,9 +121,9 @@ class Explanation:
 def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) -> Difference:
     """Return how far the bodies of a fit are from trusted values.
 
-    Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as well
-    as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion, and what a drive's
-    inertia that nobody gave can make of them is left out.
+    Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
+    well as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion, and
+    what a drive's inertia that nobody gave can make of them is left out.
     """
     base = estimate.base
     bodies = {n for n in robot.parameters.names if not n.endswith(".gravity_mass")}
@@ -189,7 +189,7 @@ def payload_parameters(explanation: Explanation, joint: str) -> tuple[Parameter,
         for k, axis in enumerate("xyz"):
             slope = np.zeros(len(cov))
             slope[0], slope[1 + k] = -first[k] / m**2, 1 / m
-            error = _error(slope @ cov @ slope) if np.isfinite(cov[1 + k, 1 + k]) else None
+            error = _error(float(slope @ cov @ slope)) if np.isfinite(cov[1 + k, 1 + k]) else None
             name = f"payload.centre_{axis}"
             rows.append(Parameter(name, float(first[k]) / m, "m", stderr=error, origin=f"in the frame of {joint}"))
     return tuple(rows)

@@ -165,12 +165,12 @@ def weighed(fit: Fit, library: Library, ground: Ground) -> Fit:
 
 
 def match_settings(fit: Fit, library: Library, ground: Ground) -> Fit:
-    """Return a fit whose matched setting equals its amplitude, and what it explains so: the best of its grid and between that one's neighbours.
+    """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and what it explains so.
 
     The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973, without
-    derivatives): what the baseline leaves of a column may fall with its setting's square, so amplitude and setting do not agree by
-    themselves. A proposal of a fit of the whole baseline that explains as much is better: `e` is whitened by a model of noise that
-    holds the effect itself.
+    derivatives): what the baseline leaves of a column may fall with its setting's square, so amplitude and setting do not agree
+    by themselves. A proposal of a fit of the whole baseline that explains as much is better: `e` is whitened by a model of
+    noise that holds the effect itself.
     """
     effect = fit.effect
     if not effect.matched:

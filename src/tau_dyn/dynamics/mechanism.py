@@ -200,7 +200,7 @@ class Mechanism(ABC):
 
 
 def axes_across(direction: np.ndarray) -> np.ndarray:
-    """Return two unit vectors (2, 3) across a direction (3,): the base axes most across it, in order, without their part along it.
+    """Return two unit vectors (2, 3) across a direction (3,): the base axes most across it, made perpendicular.
 
     Of a direction along a base axis they are the other two.
     """

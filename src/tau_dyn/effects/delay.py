@@ -4,10 +4,10 @@
 
 with F the force of the model without this effect. The law is linear in `delay` near `about`, a setting; the best setting and
 the amplitude agree. Up to 1 ms the difference is taken to both sides, `(F(t - about) - F(t + about)) / (2 about)`, because its
-even part, a smoothed force less itself, is there what any mismatch of filters looks like. Beyond, the even part tells a late force
-from a smoothed one (`drive_lag`), surely from 3 ms up. Positive: forces were logged late. One clock mostly serves all drives, so an instance over
-all joints has one parameter, `drive.delay`; each joint alone has its own. A clock that is off between forces and positions is
-the same thing. Reference: Dressler 2012, 6.3.
+even part, a smoothed force less itself, is there what any mismatch of filters looks like. Beyond, the even part tells a late
+force from a smoothed one (`drive_lag`), surely from 5 ms up. Positive: forces were logged late. One clock mostly serves all
+drives, so an instance over all joints has one parameter, `drive.delay`; each joint alone has its own. A clock that is off
+between forces and positions is the same thing. Reference: Dressler 2012, 6.3.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from tau_dyn.parameters import Parameters
 _ODD_MS = (0.5,)
 """Delays tried with the odd difference, which is the same for both signs."""
 _FULL_MS = (2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 100.0)
-"""Delays tried with the full difference, a third of a turn of 10 Hz apart where they are short; one search between neighbours does the rest."""
+"""Delays tried with the full difference, a third of a turn of 10 Hz apart where they are short; one search between neighbours
+does the rest."""
 MAX_ODD_S = 1e-3
 """Delay up to which only the odd part counts; of a motion at 5 Hz the even part is 2 % of it there."""
-MAX_TWIN_S = 3e-3
-"""Delay up to which a low-pass of the same length is its twin; of a motion at 2 Hz they differ by 2 % of themselves."""
+MAX_TWIN_S = 5e-3
+"""Delay up to which a low-pass of the same length is its twin; of a motion at 2 Hz they differ by 3 % of themselves."""
 _MAX_SHARE = 0.01
 """Share of the recording that a delay may take: so much of its ends is not known."""
 

@@ -11,6 +11,8 @@ Swevers, Verdonck & De Schutter 2007 (filters of actuator data in robot identifi
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.signal import lfilter
 
@@ -20,9 +22,11 @@ from tau_dyn.effects.timing import TimingEffect
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameters
 
-_ABOUT_MS = (3.0, 8.0, 20.0, 45.0, 100.0)
-"""Time constants tried, a factor 2 to 3 apart; one search between neighbours does the rest. A shorter low-pass is called a delay of
-the same length: what is left of the difference is what noise of the encoders in the predicted force looks like, too."""
+_ABOUT_MS = (5.0, 10.0, 20.0, 45.0, 100.0)
+"""Time constants tried, a factor 2 to 3 apart; one search between neighbours does the rest. A shorter low-pass is called a
+delay of the same length: what is left of the difference is what noise of the encoders in the predicted force looks like, too."""
+_MAX_TWIN_S = 7e-3
+"""Time constant up to which a delay is its twin; a little above the end of the grid, at which a shorter one would end."""
 _MAX_SHARE = 0.01
 """Share of the recording that a time constant may take: five of them pass at its begin until the low-pass has settled."""
 
@@ -42,15 +46,21 @@ class DriveLag(TimingEffect):
     nonnegative = True
     amplitude = "time_constant"
     kind = 1
-    defaults = {"about": 5e-3}
+    defaults = {"about": 1e-2}
     setting_units = {"about": "s"}
     positive = ("about",)
     matched = {"about": "time_constant"}
     open_ends = {"about": "high"}
 
+    def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
+        """Low-pass the forces of these joints alike; see `Effect.__init__`."""
+        super().__init__(joints, units, label=label, **settings)
+        if self.settings["about"] <= _MAX_TWIN_S:
+            self.equivalent = ("delay", "clock_offset")
+
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return time constants from 3 to 100 ms, none longer than a hundredth of the recording."""
+        """Return time constants from 5 to 100 ms, none longer than a hundredth of the recording."""
         return [{"about": 1e-3 * x} for x in _ABOUT_MS if 1e-3 * x <= _MAX_SHARE * scene.duration]
 
     def difference(self, force: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -2,10 +2,10 @@ r"""A base that is not level: gravity acts in another direction than the robot f
 
     tau += G(phi x g) tilt,     G(g) = tau at rest under gravity g
 
-with `phi` two unit axes across gravity (the base's x and y where it points along z, see `axes_across`) and `tilt` [rad] the angles
-by which gravity is turned about them (the base is turned the other way). `G` is linear in gravity and comes from the fitted masses
-(`Mechanism.gravity_turn`). To first order in the tilt, so up to 0.2 rad; a robot on a wall or a ceiling is an error of the
-file. Where all hinges about a horizontal axis have free first moments the refit absorbs a turn about that axis.
+with `phi` two unit axes across gravity (the base's x and y where it points along z, see `axes_across`) and `tilt` [rad] the
+angles by which gravity is turned about them (the base is turned the other way). `G` is linear in gravity and comes from the
+fitted masses (`Mechanism.gravity_turn`). To first order in the tilt, so up to 0.2 rad; a robot on a wall or a ceiling is an
+error of the file. Where all hinges about a horizontal axis have free first moments the refit absorbs a turn about that axis.
 Reference: Khalil & Dombre 2002, 9.4 (gravity in the dynamic model); Atkeson, An & Hollerbach 1986.
 """
 
@@ -31,7 +31,9 @@ class GravityDirection(Effect):
     cause = True
     equation = "tau += G(phi x g) tilt, G(g) the forces at rest under gravity g"
     reference = "Khalil & Dombre 2002, 9.4; Atkeson, An & Hollerbach 1986"
-    reveals = "slow motion over the whole workspace, joints with a vertical axis included, or a spirit level on the base"
+    reveals = (
+        "slow motion over the whole workspace, joints with a vertical axis included, or a spirit level on the base"
+    )
     mistaken_for = ("torque_offset", "coulomb_asymmetry", "link_mass", "position_friction")
     # A floor is off by some mrad, a stand by up to 0.2 rad; more is another mounting, which is no small error
     plausible = (PlausibleRange("tilt", -0.2, 0.2, "rad"),)

@@ -2,8 +2,9 @@ r"""A guideway that points elsewhere than the robot file says.
 
     u = q (direction_y d_y + direction_z d_z)
 
-with `d_y`, `d_z` two unit directions across the guideway (y and z of one along x, see `axes_across`). Angles [rad] from the guideway's origin. A turn along itself is none, and a scale along it is
-`pinion_scale`. Reference: Dressler 2012, 4.1 and 5.2 (guideways that are not parallel, calibrated by a laser tracker).
+with `d_y`, `d_z` two unit directions across the guideway (y and z of one along x, see `axes_across`). Angles [rad] from the
+guideway's origin. A turn along itself is none, and a scale along it is `pinion_scale`. Reference: Dressler 2012, 4.1 and 5.2
+(guideways that are not parallel, calibrated by a laser tracker).
 """
 
 from __future__ import annotations
@@ -54,5 +55,7 @@ class GuidewayNonparallel(CartShift):
         for k, joint in enumerate(self.joints):
             names = self.parameters.names[2 * k : 2 * k + 2]
             y, z = (amount(parameters[name]) for name in names)
-            said.append(f"the guideway is off its direction by {y} and {z}" + (f" at {joint}" if len(self.joints) > 1 else ""))
+            said.append(
+                f"the guideway is off its direction by {y} and {z}" + (f" at {joint}" if len(self.joints) > 1 else "")
+            )
         return "; ".join(said)
