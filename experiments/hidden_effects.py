@@ -4,10 +4,11 @@
                                          [--cluster tcp://...] [--out DIR]
 
 In: nothing; each set is drawn from its number by `hidden_effects_parts/`, which shares no effect with the library: other
-Stribeck exponents and LuGre bristles, ripple with a second harmonic, temperature with a lag, springs that slip, and forces that
-no cause explains. Out: `hidden_effects.csv`, a row a set, written as the study goes (a second call goes on where the first
-stopped); `hidden_effects.txt`, the table of what was shown; `confusion.csv`; `hidden_effects.png`, the power curve beside the
-Neyman-Pearson limit. A set takes about as long as its diagnosis.
+Stribeck exponents and LuGre bristles, ripple with a second harmonic, temperature with a lag, springs that slip, arctan
+friction, a low-pass at 1 kHz, a base that leans, and forces that no cause explains. Out: `hidden_effects.csv`, a row a set,
+written as the study goes (a second call goes on where the first stopped); `hidden_effects.txt`, the table of what was shown;
+`confusion.csv`; `hidden_effects.png`, the power curve beside the Neyman-Pearson limit. A set takes about as long as its
+diagnosis.
 """
 
 import argparse

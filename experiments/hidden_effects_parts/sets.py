@@ -20,13 +20,14 @@ from hidden_effects_parts.recording import Recording, Sensing, draw_motion, draw
 from hidden_effects_parts.robots import DRAWS, Rig, draw_rig
 from hidden_effects_parts.slip_forms import SLIP_FORMS
 from hidden_effects_parts.strength import Ruler, base_columns
+from hidden_effects_parts.timing_forms import TIMING_FORMS
 from hidden_effects_parts.unknown_forms import UNKNOWN_FORMS
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, simulate
 
-KNOWN_FORMS: tuple[type[Form], ...] = (*FRICTION_FORMS, *SLIP_FORMS, *DRIVE_FORMS, *BODY_FORMS)
+KNOWN_FORMS: tuple[type[Form], ...] = (*FRICTION_FORMS, *SLIP_FORMS, *DRIVE_FORMS, *BODY_FORMS, *TIMING_FORMS)
 """Every form that a cause of the contract explains."""
 
 LAMBDA = (15.0, 600.0)

@@ -33,6 +33,7 @@ COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np
     "passive": lambda mechanism, q, v, a: mechanism.passive_rates(q)[1],
     "inertia": lambda mechanism, q, v, a: mechanism.inertia(q),
     "weight_gradient": lambda mechanism, q, v, a: mechanism.weight_gradient(q),
+    "gravity_turn": lambda mechanism, q, v, a: mechanism.gravity_turn(q),
     "rigid_force": lambda mechanism, q, v, a: mechanism.inverse_dynamics(q, v, a),
 }
 """Signals of a motion that the mechanism gives."""

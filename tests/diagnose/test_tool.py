@@ -259,3 +259,18 @@ def test_a_cart_that_stands_exactly_still_spoils_no_sample(rng):
     log = recorded(t, q, tool_at(q), rng)
     piece = piece_of(model, log, diagnosis_preparation(robot, [log], ()))
     assert piece.usable.mean() > 0.5
+
+
+@pytest.mark.parametrize("still", [True, False])
+def test_a_guideway_off_by_a_milliradian_has_its_name(rng, still) -> None:
+    """Cart 1's guideway points 1 mrad upwards and 0.5 aside, in poses and in motion: both angles, and no wave of an encoder."""
+    t, q = poses(rng) if still else moving(rng)
+    u = np.zeros((len(q), 3, 3))
+    u[:, 0] = q[:, 0, None] * np.array([0.0, 5e-4, 1e-3])
+    found = diagnose_tool(model, [recorded(t, q, tool_at(q, u), rng)])
+    first = found.findings[0]
+    assert first.cause == "guideway_nonparallel" and first.joints == ("cart1",) and first.status == "confirmed"
+    values = {p.name: p for p in first.parameters}
+    for name, truth in (("cart1.direction_y", 5e-4), ("cart1.direction_z", 1e-3)):
+        assert abs(values[name].value - truth) < 4 * (values[name].stderr or 0) + 2e-5
+    assert "transmission_error" not in {f.cause for f in found.findings if f.status == "confirmed"}

@@ -49,6 +49,8 @@ def motion(rng) -> Motion:
         "reversal": np.abs(q),
         "cart_sensitivity": rng.standard_normal((N, 3, 3, 3)),
         "side_force": rng.standard_normal((N, 3, 3)),
+        "guide_across": rng.standard_normal((N, 3, 2, 3)),
+        "gravity_turn": rng.standard_normal((N, 3, 2)),
         "campaign": np.repeat((0.0, 1.0), N // 2),
     }
     return Motion.of(JOINTS, q, v, a, t=t, signals=signals)
@@ -145,7 +147,8 @@ def test_its_words_carry_numbers_and_units(name: str, motion: Motion, rng) -> No
 
 
 @pytest.mark.parametrize(
-    "name", ["stribeck", "load_friction", "quadratic_drag", "passive_joint_friction", "reducer_coupling"]
+    "name",
+    ["stribeck", "load_friction", "quadratic_drag", "viscous_curvature", "passive_joint_friction", "reducer_coupling"],
 )
 def test_friction_never_drives(name: str, motion: Motion, rng) -> None:
     """With admissible amplitudes the actuators give power at every sample: friction takes energy and gives none."""
@@ -177,7 +180,7 @@ def test_what_a_cause_needs_is_asked_for(name: str, motion: Motion) -> None:
     cls = EFFECTS[name]
     if cls.untestable(scene(motion)) is not None:  # forces alone never show it
         assert cls.untestable(scene(motion, "tool")) is None
-    spared = {"side_force"}  # a mechanism that gives the one gives the other
+    spared = {"side_force", "guide_across"}  # a mechanism that gives the one gives the other
     if name == "joint_compliance":
         spared.add("rigid_force")  # of one of its two settings
     for need in set(cls.needs) - spared:

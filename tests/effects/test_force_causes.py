@@ -144,13 +144,13 @@ def test_no_period_between_two_tries_is_missed() -> None:
 
 
 def test_delay_is_the_odd_part_of_a_late_force() -> None:
-    """A 3 Hz force of 100 N, 2 ms late: the error is the even part left out, 100 N (w delay)^2 / 2 = 0.07 N."""
+    """A 3 Hz force of 100 N, 1 ms late: the error is the even part left out, 100 N (w delay)^2 / 2 = 0.018 N."""
     t = np.arange(0, 2, 1e-3)
     F = 100 * np.sin(2 * np.pi * 3 * t)
     motion = line(v=np.ones_like(t), t=t, force=F)
-    for late in (0.002, -0.002):
+    for late in (0.001, -0.001):
         error = F + force(cause("delay", about=late), motion, delay=late) - 100 * np.sin(2 * np.pi * 3 * (t - late))
-        assert np.abs(error[5:-5]).max() < 0.075
+        assert np.abs(error[5:-5]).max() < 0.019
         assert_allclose(error[5:-5], (F * (2 * np.pi * 3 * late) ** 2 / 2)[5:-5], atol=0.002)  # even: F itself, smaller
     with pytest.raises(InputError, match="in the order of time"):
         cause("delay").columns(line(v=1.0, force=3.0))

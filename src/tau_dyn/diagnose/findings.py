@@ -70,7 +70,7 @@ def finding_of(
     return Finding(
         cause=found.candidate.cause,
         joints=joints,
-        status="confirmed" if kept else "suspected",
+        status=first.confirmed_as if kept else "suspected",
         score=found.candidate.T,
         p_value=found.p_value,
         parameters=tuple(parameters),

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.filters import border_gap
+from tau_dyn.diagnose.force_timing import Timing, find_timing
 from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import WHOLE_TIME
 from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN, divide
@@ -18,6 +19,7 @@ from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.scenes import scene_along, shared_signals
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
+from tau_dyn.effects.gravity_direction import GRAVITY_TURN
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import Prepared, prepare
@@ -31,6 +33,12 @@ MIN_VALUES = 10
 _INDEPENDENT = 1e-9
 """Smallest eigenvalue of the unit columns' Gram matrix that counts as another combination."""
 
+_MAX_ROWS = 8000
+"""Samples from which values are made: many times the number of parameters."""
+_WEIGHING = ("mass", "mx", "my", "mz")
+_STIFFNESS = 30.0
+"""How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
+is in the bodies' inertia, and the robot file knows masses better."""
 _SIGNALS = ("inertia", "weight_gradient", "load", "passive")
 
 
@@ -139,7 +147,13 @@ def force_channel(
         CannotAnswer: Too little is left of the data for three parts.
     """
     needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
-    prepared = [_with_signals(piece, model, needs, clear_hz) for piece in prepared]
+    trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
+    timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
+    turns = _gravity_turns(model, regression.parameters.values, prepared, regression.runs, [not out for out in held])
+    prepared = [
+        _with_signals(piece, model, {GRAVITY_TURN: turn}, needs, clear_hz, timing)
+        for piece, turn in zip(prepared, turns, strict=True)
+    ]
     parts = divide(regression.runs, held, any(held), border_gap(preparation.force_cutoff_hz, prepared[0].log.rate_hz))
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
     thinned = tuple(_thinned(piece) for piece in prepared)
@@ -150,7 +164,9 @@ def force_channel(
         model.parameters,
         regression.runs,
         tuple(parts),
-        _scene(model, thinned, regression.runs, parts, preparation, campaigns),
+        replace(
+            _scene(model, thinned, regression.runs, parts, preparation, campaigns), timing=_by_joint(model, timing)
+        ),
         tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
@@ -183,26 +199,92 @@ def _needed(regression: Regression, parts: Sequence[np.ndarray]) -> dict[int, in
     return {TRAIN: VALUES_PER_COMBINATION * rank, CONFIRM: others, GAIN: others}
 
 
-def _with_signals(piece: Prepared, model: Model, needs: Sequence[str], clear_hz: float) -> Prepared:
+def _with_signals(
+    piece: Prepared,
+    model: Model,
+    given: Mapping[str, np.ndarray],
+    needs: Sequence[str],
+    clear_hz: float,
+    timing: Timing | None = None,
+) -> Prepared:
     """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
 
-    Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not.
+    Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not. `force` is
+    that of the values with the recording's timing taken out; see `force_timing.py`.
     """
     m, t = piece.motion, piece.log.t
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
     q, v, a = m.q[few], m.v[few], m.a[few]
     coarse = {name: COMPUTED[name](model.mechanism, q, v, a) for name in needs}
-    found = {name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in coarse.items()}
+    found = {**given, **{name: np.asarray(CubicSpline(t[few], x)(t)) for name, x in coarse.items()}}
     whole = model.motion(m.q, m.v, m.a, m.sign, t=t, signals={**m.signals, **found})
     friction = model.effect_force(whole)
-    rigid = model.mechanism.regressor(m.q, m.v, m.a) @ model.robot.parameters.values  # holds with a mass of zero
+    Y = model.mechanism.regressor(m.q, m.v, m.a)
+    rigid = Y @ model.robot.parameters.values  # holds with a mass of zero
     carried = lowpass(rigid, min(clear_hz, 0.4 * piece.log.rate_hz), piece.log.rate_hz)
-    signals = {**m.signals, **found, "force": rigid + friction, "rigid_force": carried, "damping": model.damping(whole)}
+    signals = {
+        **m.signals,
+        **found,
+        "force": rigid + friction + _changed(model, Y, whole, timing),
+        "rigid_force": carried,
+        "damping": model.damping(whole),
+    }
     signals |= {
         "wide_force": rigid,
         "clear_hz": np.full(len(t), clear_hz),
     }  # a mode in the clear band passes no noise on
     return replace(piece, motion=replace(m, signals=signals))
+
+
+def _gravity_turns(
+    model: Model, nominal: np.ndarray, prepared: Sequence[Prepared], runs: Sequence[Run], trained: Sequence[bool]
+) -> list[np.ndarray]:
+    """Return what a turn of gravity does to the forces at rest (N, na, 2) of each piece.
+
+    A turned gravity feels combinations of masses that no force under the nominal one shows, and a fit that knows of no turn moves
+    weakly determined ones to explain it. So the values are refitted beside the turn, as near the nominal ones (p,) as the data
+    let them be.
+    """
+    turns = [_at_rest(model, piece) for piece in prepared]
+    rows, y = [], []
+    for piece, run, turn, mine in zip(prepared, runs, turns, trained, strict=True):
+        if mine:
+            columns = np.concatenate([run.W_all, piece.columns(turn, gated=False)], axis=2)
+            rows.append(columns[run.usable])
+            y.append((run.y_all - run.W_all @ nominal)[run.usable])
+    W, e = np.concatenate(rows), np.concatenate(y)
+    every = 1 + len(W) // _MAX_ROWS
+    W, e = W[::every], e[::every]
+    free = np.append(model.parameters.free, [True, True])
+    norm = np.linalg.norm(W, axis=0) * free
+    unit = np.where(norm > 0, norm, np.inf)
+    unit[:-2] *= np.where([n.rsplit(".", 1)[-1] in _WEIGHING for n in model.parameters.names], _STIFFNESS, 1.0)
+    change = (np.linalg.lstsq(W / unit, e, rcond=1e-4)[0] / unit)[:-2]
+    near = model.with_parameters(model.parameters.with_values(nominal + change))
+    return [_at_rest(near, piece) for piece in prepared]
+
+
+def _at_rest(model: Model, piece: Prepared) -> np.ndarray:
+    """Return the change of a piece's forces at rest (N, na, 2) per turn of gravity; smooth, so made at the regression's rate."""
+    t = piece.log.t
+    few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
+    return np.asarray(CubicSpline(t[few], model.mechanism.gravity_turn(piece.motion.q[few]))(t))
+
+
+def _by_joint(model: Model, timing: Timing | None) -> dict[str, tuple[float, float]]:
+    """Return each joint's delay and time constant [s]; empty where there is none."""
+    if timing is None:
+        return {}
+    each = zip(model.robot.actuated, timing.delays, timing.lags, strict=True)
+    return {joint: (float(delay), float(lag)) for joint, delay, lag in each}
+
+
+def _changed(model: Model, Y: np.ndarray, motion: Motion, timing: Timing | None) -> np.ndarray | float:
+    """Return the force (N, na) of what a timing changes in the model's values, with the rigid bodies' columns given."""
+    if timing is None:
+        return 0.0
+    columns = [Y, *(effect.columns(motion) for effect in model.effects)]
+    return np.concatenate(columns, axis=2) @ timing.change
 
 
 def _thinned(piece: Prepared) -> Motion:

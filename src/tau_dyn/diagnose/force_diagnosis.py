@@ -219,7 +219,7 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, claims, bars, rng)]
     findings += [
         replace(f, status="suspected", why_not_confirmed=spoiled) if spoiled else f
-        for f in parameter_findings(case.nominal, nominal, estimated(after))
+        for f in parameter_findings(case.nominal, nominal, estimated(after), after.estimate)
     ]
     unexplained = unexplained_of(channel, hunt, tests.structure)
     if spoiled:

@@ -1,7 +1,9 @@
 """Refitted parameters against their trusted nominal values: what only corrects a number of the robot file.
 
 A payload, a wrong link mass or a drive gain vanish in the baseline's refit, so no residual shows them; they show as masses
-that differ from the nominal beyond both uncertainties. All masses off by one factor is what a wrong motor constant does.
+that differ from the nominal beyond both uncertainties. All masses off by one factor is what a wrong motor constant does. Of
+robots whose bodies have more than a mass, all base parameters are compared together (`payload.py`): there one payload changes
+many numbers.
 """
 
 from __future__ import annotations
@@ -11,7 +13,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+from tau_dyn.diagnose.payload import (
+    Explanation,
+    compare_with_trusted,
+    end_link,
+    find_explanation,
+    payload_parameters,
+)
 from tau_dyn.diagnose.result import Finding
+from tau_dyn.effects.words import quantity
+from tau_dyn.estimate import Estimate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
@@ -19,14 +30,22 @@ from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 LEVEL = 0.01
 
 
-def parameter_findings(model: Model, nominal: Parameters, fitted: Parameters) -> list[Finding]:
-    """Return a finding for each mass that is off its nominal value, or one for a factor common to all.
+def parameter_findings(
+    model: Model, nominal: Parameters, fitted: Parameters, estimate: Estimate | None = None
+) -> list[Finding]:
+    """Return a finding for each mass that is off its nominal value, or one for what explains all that is off.
 
     Args:
         model: Names links and units.
         nominal: Values before the fit.
         fitted: Values of the final model, with standard errors.
+        estimate: The fit behind them, of which base parameters are compared; None to compare masses alone.
     """
+    if estimate is not None and any(len(link.own) > 1 for link in model.robot.links):
+        difference = compare_with_trusted(model.robot, nominal, estimate)
+        explanation = find_explanation(model.robot, difference)
+        if explanation is not None:
+            return [_explained(model, explanation, difference.misfit - explanation.left)]
     rows = [(p, nominal[p.name]) for p in fitted if _trusted(p, nominal)]
     if not rows:
         return []
@@ -47,7 +66,8 @@ def _trusted(p: Parameter, nominal: Parameters) -> bool:
 
 
 def _both(p: Parameter, n: Parameter) -> float:
-    trusted = n.prior_stderr if n.prior_stderr is not None else NOMINAL_MASS_STDERR * abs(n.value)
+    given = n.prior_stderr if n.prior_stderr is not None else n.stderr  # of a robot file, or of an identified model
+    trusted = given if given is not None else NOMINAL_MASS_STDERR * abs(n.value)
     return float(np.hypot(p.stderr or 0.0, trusted))
 
 
@@ -80,6 +100,53 @@ def _gain(rows: Sequence[tuple[Parameter, Parameter]], p_value: float) -> Findin
         "tau_log = gain tau",
         f"All masses come out {100 * (mean - 1):+.1f} % off their nominal values, which is what a wrong motor constant does.",
         "weigh one moving part and fix it (--fix plate_link.mass=...): then the gain of the drives follows from the forces",
+    )
+
+
+def _explained(model: Model, found: Explanation, score: float) -> Finding:
+    """Return the finding of one explanation of all that is off."""
+    robot, stderr = model.robot, float(np.sqrt(found.cov[0, 0]))
+    if found.cause == "payload":
+        link = end_link(robot)
+        joint = str(robot.model.names[link.joint_id]) if link is not None else ""
+        parameters = payload_parameters(found, joint)
+        mass, *centre = parameters
+        sentence = f"The robot carries {quantity(mass.value, 'kg', mass.stderr)}"
+        if centre:
+            place = ", ".join(f"{c.value:.3f}" for c in centre)
+            errors = [c.stderr for c in centre if c.stderr is not None]
+            sentence += f" at ({place}) m" + (f", each ± {max(errors):.2g} m," if errors else "")
+            sentence += f" in the frame of {joint}"
+        equation, where = "tau += Y_last(q, v, a) (ten inertial numbers of the payload)", (found.place,)
+        experiment = "record the same motion without the payload"
+    elif found.cause == "link_mass":
+        parameters = (Parameter(f"{found.place}.mass_error", float(found.amplitudes[0]), "kg", stderr=stderr),)
+        sentence = f"{found.place} is off its nominal mass by {quantity(parameters[0].value, 'kg', stderr)}"
+        equation, where = f"{found.place}.mass differs from its nominal value", (found.place,)
+        experiment = f"weigh {found.place}"
+    else:
+        owner = found.place or "drive"
+        share = float(found.amplitudes[0])
+        factor, name = 1 + share, "gain"
+        if found.cause == "force_scale":  # its share is of the force as it was logged
+            factor, stderr, name = 1 / (1 - share), stderr / (1 - share) ** 2, "force_scale"
+        parameters = (Parameter(f"{owner}.{name}", factor, "1", stderr=stderr, origin="bodies over nominal bodies"),)
+        whose = f"the force of {owner}" if found.place else "all forces"
+        sentence = f"Logged, {whose} is {quantity(factor, '1', stderr)} times what the nominal bodies need"
+        equation, where = "tau_log = factor tau", (found.place,) if found.place else ()
+        experiment = "record the motion without and with a weighed payload, its mass fixed by --fix"
+    return Finding(
+        found.cause,
+        where,
+        "parameter",
+        score,
+        found.p,
+        parameters,
+        None,
+        found.twins,
+        equation,
+        sentence + ".",
+        experiment,
     )
 
 

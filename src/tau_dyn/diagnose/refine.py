@@ -10,7 +10,7 @@ from scipy import stats
 
 from tau_dyn.diagnose.fits import Candidate, Fit
 from tau_dyn.diagnose.ground import Ground
-from tau_dyn.diagnose.trials import Library, columns_of, weighed
+from tau_dyn.diagnose.trials import Library, columns_of, match_settings, weighed
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import unit_columns
 
@@ -21,9 +21,13 @@ _WIDE = 2.0
 
 
 def refined(candidate: Candidate, library: Library, ground: Ground) -> Candidate:
-    """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points."""
+    """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points.
+
+    A setting that agrees with an amplitude is found together with it.
+    """
     fits = []
     for fit in candidate.fits:
+        fit = match_settings(fit, library, ground)
         for _ in range(_STEPS if fit.effect.refined else 0):
             moved = _step(fit.effect, library, ground, fit.neighbours)
             if moved is None:

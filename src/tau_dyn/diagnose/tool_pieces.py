@@ -15,6 +15,7 @@ from tau_dyn.diagnose.pieces import directions, without_ends
 from tau_dyn.effects import Motion
 from tau_dyn.effects.cart_shift import SENSITIVITY
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
+from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import SLOWEST_HZ, Preparation
 from tau_dyn.identify.regression import even_pieces, measured_signals
@@ -115,7 +116,12 @@ def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:
         turned = np.any(np.diff(sign, axis=0, prepend=sign[:1]) != 0, axis=1)
         half = int(np.ceil(preparation.window_s * log.rate_hz))
         usable = np.convolve(turned, np.ones(2 * half + 1), mode="same") < 0.5
-    signals |= {SENSITIVITY: mechanism.cart_sensitivity(q), SIDE_FORCE: mechanism.guide_force(q, v, a)}
+    across = mechanism.guide_across()
+    signals |= {
+        SENSITIVITY: mechanism.cart_sensitivity(q),
+        SIDE_FORCE: mechanism.guide_force(q, v, a),
+        GUIDE_ACROSS: np.broadcast_to(across, (len(q), *across.shape)),
+    }
     motion = model.motion(q, v, a, sign, t=t, signals=signals, needs=("force", "rigid_force"))
     predicted, jacobian = mechanism.tool_position(q), mechanism.tool_jacobian(q)
     return Piece(log, motion, tool, predicted, jacobian, usable, cutoff, factor)

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.fits import Candidate, Fit, judge
@@ -27,6 +27,13 @@ DENSE_DRAWS = 24
 _CHUNK = 64
 PRIOR_BLOCKS = 10.0
 """Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
+_WORTH_MATCHING = 30.0
+"""What a setting must explain for it to be fitted before it is chosen; the best of chance is some 20."""
+_PROPOSAL_MARGIN = 0.03
+"""Share of what the best setting explains that a proposed one may lack."""
+_MATCHES = 12
+_MATCHED = 2e-3
+"""Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
 
 
 class Columns(Sequence[np.ndarray]):
@@ -146,7 +153,8 @@ def _fit_alike(effects: list[Effect], library: Library, ground: Ground, both: np
     near = tuple(dict(effects[k].settings) for k in (best - 1, best + 1) if 0 <= k < len(effects))
     T = float(explained[best, 0])
     fit = Fit(effects[best], T, tries, len(sided), simple, 1.0, noise, near)
-    return weighed(fit, library, ground) if T > 4 else fit
+    fit = weighed(fit, library, ground) if T > 4 else fit
+    return match_settings(fit, library, ground) if T > _WORTH_MATCHING else fit
 
 
 def weighed(fit: Fit, library: Library, ground: Ground) -> Fit:
@@ -154,6 +162,43 @@ def weighed(fit: Fit, library: Library, ground: Ground) -> Fit:
     C = ground.rows(library.columns(fit.effect))
     T, s, G = weigh(ground, C, one_sided(fit.effect))
     return Fit(fit.effect, T, fit.tries, fit.dof, fit.one_sided, _inflation(ground, C, s, G), fit.noise, fit.neighbours)
+
+
+def match_settings(fit: Fit, library: Library, ground: Ground) -> Fit:
+    """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and what it explains so.
+
+    The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973, without
+    derivatives): what the baseline leaves of a column may fall with its setting's square, so amplitude and setting do not agree
+    by themselves. A proposal of a fit of the whole baseline that explains as much is better: `e` is whitened by a model of
+    noise that holds the effect itself.
+    """
+    effect = fit.effect
+    if not effect.matched:
+        return fit
+    ((key, _),) = effect.matched.items()
+    scene = library.channel.scene
+
+    def misfit(x: float) -> float:
+        if x == 0:
+            return 0.0
+        c = ground.rows(library.columns(effect.with_settings(**{key: x})))
+        return float(x**2 * ground.gram(c)[0, 0] - 2 * x * (c.T @ ground.e)[0])
+
+    grid = sorted({setting[key] for setting in type(effect).grid(scene, effect.joints)})
+    tried = grid if key in effect.positive else sorted({*(-x for x in grid), *grid})
+    best = min(tried, key=misfit)
+    k = tried.index(best)
+    low = tried[k - 1] if k > 0 else best
+    high = tried[k + 1] if k + 1 < len(tried) else best
+    if low < high:
+        options = {"xatol": _MATCHED * abs(best), "maxiter": _MATCHES}
+        found = optimize.minimize_scalar(misfit, bounds=(low, high), method="bounded", options=options)
+        best = float(found.x) if found.fun < misfit(best) else best
+    proposed = type(effect).propose(scene, effect.joints)
+    if proposed is not None and misfit(proposed) < (1 - _PROPOSAL_MARGIN) * misfit(best):
+        best = proposed
+    exact = weighed(replace(fit, effect=effect.with_settings(**{key: best})), library, ground)
+    return replace(exact, T=max(0.0, -misfit(best)))
 
 
 def _explained(effects: list[Effect], library: Library, ground: Ground, both: np.ndarray) -> np.ndarray:

@@ -7,8 +7,12 @@ numbers first, then drive inertia, then gravity-only mass; none of it contains f
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
+import pinocchio as pin
 
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.robot import Robot
@@ -116,6 +120,42 @@ class Mechanism(ABC):
         ]
         return np.stack(columns, axis=2) / (2 * _STEP)
 
+    def gravity_turn(self, q: np.ndarray) -> np.ndarray:
+        """Return how the forces at rest (N, na, 2) change per turn [rad] of gravity about each of two axes across it.
+
+        The axes are `axes_across` gravity: the base's x and y where it points along z. Forces at rest are linear in gravity, so
+        they are those under the gravity `axis x g`.
+        """
+        (q,) = self._checked(q)
+        rest = np.zeros_like(q)
+        return np.stack([turned.inverse_dynamics(q, rest, rest) for turned in self._turned], axis=2)
+
+    @cached_property
+    def _turned(self) -> list[Self]:
+        """The same mechanism under the two gravities `axis x g`."""
+        gravity = np.asarray(self.robot.model.gravity.linear, float)
+        found = []
+        for axis in axes_across(gravity):
+            model = pin.Model(self.robot.model)
+            model.gravity.linear = np.cross(axis, gravity)
+            found.append(type(self)(replace(self.robot, model=model)))
+        return found
+
+    def guide_across(self) -> np.ndarray:
+        """Return two unit directions across each prismatic joint's axis (na, 2, 3), in base axes; zeros for hinges.
+
+        They hold for guideways that are fixed to the base; what is carried along turns with what carries it.
+        """
+        model, data = self.robot.model, self.robot.model.createData()
+        pin.forwardKinematics(model, data, pin.neutral(model))
+        out = np.zeros((self.robot.na, 2, 3))
+        for k, (name, kind) in enumerate(zip(self.robot.actuated, self.robot.joint_kinds, strict=True)):
+            if kind == "prismatic":
+                joint = model.getJointId(name)
+                jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), joint)
+                out[k] = axes_across(data.oMi[joint].rotation @ jacobian[:3, model.joints[joint].idx_v])
+        return out
+
     def reachable(self, q: np.ndarray) -> bool:
         """Return whether the loops close at actuated positions `q` (na,)."""
         try:
@@ -157,3 +197,16 @@ class Mechanism(ABC):
                 row = int(np.argmin(np.isfinite(x).all(axis=1)))
                 raise InputError(f"sample {row + 1} of the motion holds {x[row]}; all must be finite numbers")
         return checked
+
+
+def axes_across(direction: np.ndarray) -> np.ndarray:
+    """Return two unit vectors (2, 3) across a direction (3,): the base axes most across it, made perpendicular.
+
+    Of a direction along a base axis they are the other two.
+    """
+    along = direction / np.linalg.norm(direction)
+    first, second = np.eye(3)[np.sort(np.argsort(np.abs(along), kind="stable")[:2])]
+    first = first - (first @ along) * along
+    first = first / np.linalg.norm(first)
+    second = second - (second @ along) * along - (second @ first) * first
+    return np.stack([first, second / np.linalg.norm(second)])

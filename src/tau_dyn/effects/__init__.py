@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from tau_dyn.effects.armature import Armature
 from tau_dyn.effects.backlash import Backlash
 from tau_dyn.effects.cart_tilt import CartTilt
 from tau_dyn.effects.coulomb_asymmetry import CoulombAsymmetry
@@ -11,10 +12,13 @@ from tau_dyn.effects.cyclic_ripple import CyclicRipple
 from tau_dyn.effects.delay import Delay
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.effects.drive_gain import DriveGain
+from tau_dyn.effects.drive_lag import DriveLag
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.friction import AsymmetricFriction, SymmetricFriction, TorqueOffset
 from tau_dyn.effects.friction_change import FrictionChange
+from tau_dyn.effects.gravity_direction import GravityDirection
 from tau_dyn.effects.guideway_compliance import GuidewayCompliance
+from tau_dyn.effects.guideway_nonparallel import GuidewayNonparallel
 from tau_dyn.effects.hysteresis import Hysteresis
 from tau_dyn.effects.joint_compliance import JointCompliance
 from tau_dyn.effects.jointwise import JointwiseEffect
@@ -33,6 +37,7 @@ from tau_dyn.effects.structural_compliance import StructuralCompliance
 from tau_dyn.effects.thermal_drift import ThermalDrift
 from tau_dyn.effects.transmission_error import TransmissionError
 from tau_dyn.effects.viscous_asymmetry import ViscousAsymmetry
+from tau_dyn.effects.viscous_curvature import ViscousCurvature
 from tau_dyn.exceptions import UnknownName
 
 _IN_ORDER: tuple[type[Effect], ...] = (
@@ -47,17 +52,22 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     ThermalDrift,
     PassiveJointFriction,
     QuadraticDrag,
+    ViscousCurvature,
     TorqueOffset,
     DriveGain,
     CyclicRipple,
     Delay,
+    DriveLag,
     Backlash,
     Hysteresis,
     TransmissionError,
     ReducerCoupling,
     PinionScale,
+    GravityDirection,
+    Armature,
     StructuralCompliance,
     JointCompliance,
+    GuidewayNonparallel,
     GuidewayCompliance,
     CartTilt,
     FrictionChange,
@@ -87,6 +97,7 @@ def friction_model(name: str, joints: Iterable[str], units: Iterable[str]) -> tu
 
 
 __all__ = [
+    "Armature",
     "AsymmetricFriction",
     "Backlash",
     "CartTilt",
@@ -95,11 +106,14 @@ __all__ = [
     "Delay",
     "DisplacementEffect",
     "DriveGain",
+    "DriveLag",
     "EFFECTS",
     "Effect",
     "FRICTION_MODELS",
     "FrictionChange",
+    "GravityDirection",
     "GuidewayCompliance",
+    "GuidewayNonparallel",
     "Hysteresis",
     "JointCompliance",
     "JointMotion",
@@ -121,6 +135,7 @@ __all__ = [
     "TorqueOffset",
     "TransmissionError",
     "ViscousAsymmetry",
+    "ViscousCurvature",
     "friction_model",
     "register",
 ]

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from math import isfinite
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -48,6 +48,8 @@ class Effect(ABC):
         nonnegative: Whether only amplitudes from zero up make sense (a Stribeck term of the other sign is not one).
         plausible: The ranges that its amplitudes lie in on real machines; nothing outside of them is confirmed.
         refined: Settings that diagnosis adjusts beyond its grid.
+        matched: Setting -> the only amplitude, that it agrees with at the solution; diagnosis fits them as one number.
+        confirmed_as: Status of a finding that held-out data confirm; `parameter` where it corrects a number of the robot file.
         open_ends: Setting -> `low`, `high` or `both`: ends of its grid beyond which the true value may lie.
         defaults: Name -> value of each setting.
         setting_units: Name -> unit of each setting; V stands for the speed unit, Q for that of the position.
@@ -64,9 +66,11 @@ class Effect(ABC):
     reference: ClassVar[str] = ""
     reveals: ClassVar[str] = ""
     mistaken_for: ClassVar[tuple[str, ...]] = ()
-    equivalent: ClassVar[tuple[str, ...]] = ()
+    equivalent: tuple[str, ...] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     refined: tuple[str, ...] = ()
+    matched: ClassVar[Mapping[str, str]] = {}
+    confirmed_as: ClassVar[Literal["confirmed", "parameter"]] = "confirmed"
     open_ends: ClassVar[Mapping[str, str]] = {}
     nonnegative: ClassVar[bool] = False
     plausible: ClassVar[tuple[PlausibleRange, ...]] = ()
@@ -114,6 +118,11 @@ class Effect(ABC):
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return the settings worth trying on these joints; none where the motion cannot show the effect."""
         return [{}]
+
+    @classmethod
+    def propose(cls, scene: Scene, joints: tuple[str, ...]) -> float | None:
+        """Return the value of its matched setting that a fit of the whole baseline proposes; None where there is none."""
+        return None
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:

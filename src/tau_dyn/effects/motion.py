@@ -26,7 +26,7 @@ class Motion:
             `damping` (N, na) growth of friction with speed, `weight_gradient` (N, na, na) change of the weights with the
             positions, `rigid_force` (N, na) force of the rigid bodies, `force` (N, na) force of the model without the effect,
             `temperature` (N, na) [degC], `reversal` (N, na) distance since each joint's last reversal [m or rad], `campaign`
-            (N,) number of the log.
+            (N,) number of the log, `gravity_turn` (N, na, 2) forces at rest per turn of gravity.
     """
 
     joints: tuple[str, ...]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,6 +29,7 @@ class Scene:
         structure: Whether these modes are the structure's as a whole, and no single joint's.
         scales: Each joint's own forces, of which plausible amplitudes are shares.
         coupled: Pairs of joints that a shared motor may drive: neighbours in the chain, or declared by the robot file.
+        timing: Joint -> delay and time constant [s] of its logged force that fit the baseline best; empty where none is long.
         often: Positions below and above which the joints are rarely trained on (2, na); None where all of it counts.
     """
 
@@ -46,6 +48,7 @@ class Scene:
     often: np.ndarray | None = None
     scales: JointScales = field(default_factory=dict)
     coupled: tuple[tuple[str, str], ...] = ()
+    timing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""

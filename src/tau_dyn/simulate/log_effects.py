@@ -15,8 +15,11 @@ import numpy as np
 
 from tau_dyn.effects import Delay, DisplacementEffect, Motion
 from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
+from tau_dyn.effects.drive_lag import lowpass_first_order
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
+from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.effects.state import on_recording
+from tau_dyn.effects.timing import TimingEffect
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.names import ROOM_TEMPERATURE
 from tau_dyn.model import COMPUTED, Model
@@ -62,7 +65,7 @@ def recorded(run: PlantRun) -> PlantRun:
         InputError: An effect is neither of the robot nor of its sensors.
     """
     model = run.model
-    odd = [e for e in model.effects if on_recording(e) and not isinstance(e, DisplacementEffect | Delay)]
+    odd = [e for e in model.effects if on_recording(e) and not isinstance(e, DisplacementEffect | TimingEffect)]
     if odd:
         raise InputError(f"effect {odd[0].name} cannot be simulated")
     yielding = _yielding(run)
@@ -103,15 +106,17 @@ def _yielding(run: PlantRun) -> np.ndarray:
 
 
 def _late(run: PlantRun) -> np.ndarray | None:
-    """Return forces (N, na) as they are logged where they are logged late or early; the ends keep the last known ones."""
-    late = np.zeros(run.model.robot.na)
+    """Return forces (N, na) as they are logged where they are low-passed, late or early; the ends keep the last known ones."""
+    late, lag = np.zeros((2, run.model.robot.na))
     for effect in run.model.effects:
-        if isinstance(effect, Delay):
+        if isinstance(effect, TimingEffect):
             index = [run.model.robot.actuated.index(j) for j in effect.joints]
-            late[index] += run.model.effect_parameters[effect.parameters.names[0]].value
-    if not late.any():
+            total = late if isinstance(effect, Delay) else lag
+            total[index] += run.model.effect_parameters[effect.parameters.names[0]].value
+    if not (late.any() or lag.any()):
         return None
-    return np.column_stack([np.interp(run.t - d, run.t, force) for d, force in zip(late, run.tau.T, strict=True)])
+    shown = [lowpass_first_order(force, run.t, x) for x, force in zip(lag, run.tau.T, strict=True)]
+    return np.column_stack([np.interp(run.t - d, run.t, force) for d, force in zip(late, shown, strict=True)])
 
 
 def _shifted_tool(run: PlantRun) -> np.ndarray | None:
@@ -120,7 +125,12 @@ def _shifted_tool(run: PlantRun) -> np.ndarray | None:
     effects = [e for e in run.model.effects if isinstance(e, CartShift)]
     if not effects or robot.tool_frame is None:
         return None
-    signals = {SENSITIVITY: mechanism.cart_sensitivity(run.q), SIDE_FORCE: mechanism.guide_force(run.q, run.v, run.a)}
+    across = mechanism.guide_across()
+    signals = {
+        SENSITIVITY: mechanism.cart_sensitivity(run.q),
+        SIDE_FORCE: mechanism.guide_force(run.q, run.v, run.a),
+        GUIDE_ACROSS: np.broadcast_to(across, (len(run.q), *across.shape)),
+    }
     motion = Motion.of(robot.actuated, run.q, run.v, run.a, signals=signals)
     tool, still = run.tool, np.zeros((len(run.q), 3, robot.na))
     for effect in effects:

@@ -1,0 +1,312 @@
+r"""What one body at the end of a robot, one force scale or one wrong mass makes of base parameters, and which of them it was.
+
+    d = beta - E pi_0 ~ N(B x, S),     S = cov(beta) + E P E'
+
+with `beta` the base parameters of a fit, `E` the combinations they are, `pi_0` trusted values with covariance `P`. Each
+explanation has columns `B` and amplitudes `x`, estimated by generalised least squares (Aitken 1936):
+
+- payload: the ten inertial numbers of a rigid body fixed to the last link, about that link's joint frame;
+- link mass: one link's mass, alone or with its whole inertia in proportion;
+- force scale: the force of one joint times a factor, as far as a refit of the log's own motion takes it for bodies;
+- drive gain: all forces times one factor, so all base parameters.
+
+The explanation with the least misfit for its number of amplitudes is taken, if it explains nearly all of the difference.
+Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.estimate import Estimate
+from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot import INERTIAL, NOT_GIVEN, Robot
+from tau_dyn.robot.robot import NOMINAL_MASS_STDERR, LinkInertia
+
+SIGNIFICANCE_LEVEL = 0.01
+"""Chance, over all explanations (Bonferroni), at which a fit of bodies as trusted gives one so much."""
+MIN_LEFT_P_VALUE = 1e-3
+"""Chance of what an explanation leaves, above which it explains all."""
+MIN_EXPLAINED_SHARE = 0.95
+"""Or share of the squared difference that it explains: errors of the fit that its covariance does not know of remain."""
+PENALTY = 4.0
+"""Price of an amplitude in units of twice the log-likelihood: chance at 5 %."""
+TWIN_MARGIN = 8.0
+"""Difference of penalised misfits below which two explanations are not told apart: odds of 50 to 1, as of causes."""
+MIN_AMPLITUDE_Z = 4.0
+"""Standard errors that the mass or the factor must be off."""
+_RELATIVE_RANK = 1e-9
+"""Part of the largest eigenvalue of an explanation's information below which a direction of its amplitudes is not seen."""
+_MIN_EFFECT = 1e-8
+"""Size of a column, relative to the largest parameter's, below which it is rounding: what hides behind a drive's inertia."""
+_MIN_LENGTH_M = 0.05
+"""Length that stands for a link whose centre and inertia are not given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A fit's inertial base parameters against trusted values.
+
+    Attributes:
+        d: Fit minus trusted (r,).
+        S: Covariance of both together (r, r).
+        combine: Base parameters per unit of each parameter (r, p).
+        names: Parameters' names (p,).
+        estimate: The fit.
+        select: What makes them of the fit's base parameters (r, all).
+        trusted: Trusted values by name.
+    """
+
+    d: np.ndarray
+    S: np.ndarray
+    combine: np.ndarray
+    names: tuple[str, ...]
+    estimate: Estimate
+    select: np.ndarray
+    trusted: Parameters
+
+    @property
+    def misfit(self) -> float:
+        """Squared difference in units of its covariance."""
+        return float(self.d @ np.linalg.solve(self.S, self.d))
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """One cause of a difference.
+
+    Attributes:
+        cause: Its name.
+        place: Link or joint, empty for all.
+        amplitudes: Estimates (k,).
+        cov: Their covariance (k, k); infinite variances where data tell nothing.
+        left: Squared difference that it leaves.
+        rank: Amplitudes that count.
+        dof: Base parameters less those.
+        p: Chance of it, as one of all that were tried.
+        twins: Causes that explain as much.
+    """
+
+    cause: str
+    place: str
+    amplitudes: np.ndarray
+    cov: np.ndarray
+    left: float
+    rank: int
+    dof: int
+    p: float = 1.0
+    twins: tuple[str, ...] = ()
+
+    @property
+    def penalised(self) -> float:
+        """Misfit and price."""
+        return self.left + PENALTY * self.rank
+
+    def p_value(self, whole: float, n_tried: int) -> float:
+        """Return the chance of what it explains of a squared difference, as one of several (Bonferroni)."""
+        return min(1.0, n_tried * float(stats.chi2.sf(whole - self.left, self.rank)))
+
+    def explains(self, whole: float) -> bool:
+        """Return whether it explains all of a squared difference, or nearly all."""
+        all_of_it = self.dof > 0 and float(stats.chi2.sf(self.left, self.dof)) > MIN_LEFT_P_VALUE
+        sure = abs(self.amplitudes[0]) > MIN_AMPLITUDE_Z * float(np.sqrt(self.cov[0, 0]))
+        possible = self.cause != "payload" or self.amplitudes[0] > 0
+        return sure and possible and (all_of_it or self.left < (1 - MIN_EXPLAINED_SHARE) * whole)
+
+
+def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) -> Difference:
+    """Return how far the bodies of a fit are from trusted values.
+
+    Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
+    well as this fit's: a model file keeps no covariance. Else a link's numbers are known to its mass' error in proportion, and
+    what a drive's inertia that nobody gave can make of them is left out.
+    """
+    base = estimate.base
+    bodies = {n for n in robot.parameters.names if not n.endswith(".gravity_mass")}
+    E = np.zeros((base.rank, len(base.names)))
+    E[range(base.rank), base.kept] = 1.0
+    E[:, base.dropped] = base.K
+    inertial = np.array([name in bodies for name in base.names])
+    rows = np.flatnonzero(inertial[base.kept] & ~(E[:, ~inertial] != 0).any(axis=1))
+    identified = any(trusted[n].stderr is not None for n in base.names if n in bodies)
+    unknown = [] if identified else [j for j in robot.actuated if not _is_given(trusted[f"{j}.armature"])]
+    select = _complement([_refit(estimate, _column(estimate, f"{j}.armature"))[rows] for j in unknown], len(rows))
+    select = select @ np.eye(base.rank)[rows]
+    E = select @ E
+    values = _values(trusted, base.names)
+    own = estimate.stderr / np.sqrt(np.maximum(np.diag(estimate.cov), 1e-300))
+    cov = select @ (estimate.cov * np.outer(own, own)) @ select.T
+    if identified:
+        S = 2 * cov
+    else:
+        spread = np.array([_trusted_stderr(robot, trusted, n) if n in bodies else 0.0 for n in base.names])
+        S = cov + (E * spread**2) @ E.T
+    return Difference(select @ estimate.beta_plain - E @ values, S, E, base.names, estimate, select, trusted)
+
+
+def find_explanation(robot: Robot, difference: Difference) -> Explanation | None:
+    """Return the significant explanation of a difference, with its twins; None where none explains it."""
+    if not len(difference.d):
+        return None
+    found = [one for row in _candidates(robot, difference) if (one := _fit(difference, *row)) is not None]
+    whole = difference.misfit
+    fit = [one for one in found if one.explains(whole) and one.p_value(whole, len(found)) < SIGNIFICANCE_LEVEL]
+    if not fit:
+        return None
+    best = min(fit, key=lambda one: one.penalised)
+    near = [one.cause for one in fit if one.penalised < best.penalised + TWIN_MARGIN and one.cause != best.cause]
+    extra = ["link_mass"] if best.cause == "payload" and trusted_from_file(robot, difference.trusted) else []
+    return replace(best, p=best.p_value(whole, len(found)), twins=tuple(dict.fromkeys([*near, *extra])))
+
+
+def trusted_from_file(robot: Robot, trusted: Parameters) -> bool:
+    """Return whether trusted values are a robot file's and were not identified."""
+    return all(trusted[n].stderr is None for n in robot.parameters.names if n in trusted)
+
+
+def end_link(robot: Robot) -> LinkInertia | None:
+    """Return the link that carries the tool, or the only one on which nothing hangs; None where that is not one."""
+    by_joint = {link.joint_id: link for link in robot.links}
+    if robot.tool_frame is not None:
+        joint = int(robot.model.frames[robot.tool_frame].parentJoint)
+        if joint in by_joint:
+            return by_joint[joint]
+    parents = set(robot.model.parents)
+    leaves = [link for joint, link in by_joint.items() if joint not in parents]
+    return leaves[0] if len(leaves) == 1 else None
+
+
+def payload_parameters(explanation: Explanation, joint: str) -> tuple[Parameter, ...]:
+    """Return a payload's mass and its centre in the frame of the last joint, with standard errors."""
+    m, first = float(explanation.amplitudes[0]), explanation.amplitudes[1:4]
+    cov = explanation.cov
+    rows = [Parameter("payload.mass", m, "kg", stderr=_error(cov[0, 0]), origin="payload")]
+    if len(explanation.amplitudes) == 10:
+        for k, axis in enumerate("xyz"):
+            slope = np.zeros(len(cov))
+            slope[0], slope[1 + k] = -first[k] / m**2, 1 / m
+            error = _error(float(slope @ cov @ slope)) if np.isfinite(cov[1 + k, 1 + k]) else None
+            name = f"payload.centre_{axis}"
+            rows.append(Parameter(name, float(first[k]) / m, "m", stderr=error, origin=f"in the frame of {joint}"))
+    return tuple(rows)
+
+
+def _candidates(robot: Robot, difference: Difference) -> list[tuple[str, str, np.ndarray]]:
+    found: list[tuple[str, str, np.ndarray]] = []
+    last = end_link(robot)
+    if last is not None:
+        found.append(("payload", last.link, _columns(difference, last)))
+    pi = _values(difference.trusted, difference.names)
+    for link in robot.links:
+        columns = _columns(difference, link)
+        found.append(("link_mass", link.link, columns[:, :1]))
+        scaled = np.array([n.startswith(f"{link.link}.") for n in difference.names])
+        mass = difference.trusted[f"{link.link}.mass"].value if f"{link.link}.mass" in difference.trusted else 0.0
+        if mass > 0:
+            found.append(("link_mass", link.link, (difference.combine @ np.where(scaled, pi, 0.0) / mass)[:, None]))
+    whole = difference.combine @ pi
+    scales = [_force_scale(difference, k) for k in range(robot.na)]
+    if robot.na > 1:
+        found.append(("drive_gain", "", whole[:, None]))
+    found += [("force_scale", joint, column[:, None]) for joint, column in zip(robot.actuated, scales, strict=True)]
+    return found
+
+
+def _values(parameters: Parameters, names: Sequence[str]) -> np.ndarray:
+    """Return parameters' values (p,), zero for those of effects that are not among them."""
+    return np.array([parameters[n].value if n in parameters else 0.0 for n in names])
+
+
+def _columns(difference: Difference, link: LinkInertia) -> np.ndarray:
+    """Return the base parameters (r, n) per unit of a link's own numbers: all ten, or its mass alone."""
+    places = [difference.names.index(n) if n in difference.names else None for n in link.names]
+    columns = [np.zeros(len(difference.d)) if k is None else difference.combine[:, k] for k in places]
+    return np.column_stack(columns)
+
+
+def _force_scale(difference: Difference, joint: int) -> np.ndarray:
+    """Return what a refit makes of one joint's predicted force (r,): base parameters per unit of its factor less one."""
+    estimate = difference.estimate
+    names = estimate.regression.parameters.names
+    theta = np.where(np.isin(names, estimate.base.names), estimate.theta, 0.0)
+    weight = np.arange(len(estimate.sigma)) == joint
+    return difference.select @ _refit(estimate, [(run.W @ theta) * weight for run in estimate.regression.runs])
+
+
+def _column(estimate: Estimate, name: str) -> list[np.ndarray]:
+    """Return the column (n, m) of a parameter in each run, fitted or not."""
+    k = estimate.regression.parameters.names.index(name)
+    return [run.W[:, :, k] for run in estimate.regression.runs]
+
+
+def _refit(estimate: Estimate, forces: Sequence[np.ndarray]) -> np.ndarray:
+    """Return what the fit's least squares make of forces (n, m) of each run: base parameters (all,)."""
+    base, runs = estimate.base, estimate.regression.runs
+    names = estimate.regression.parameters.names
+    kept = [names.index(base.names[k]) for k in base.kept]
+    weight = [(1 / estimate.sigma) * np.ones(run.usable.shape) for run in runs]
+    W = np.concatenate([(run.W[:, :, kept] * w[:, :, None])[run.usable] for run, w in zip(runs, weight, strict=True)])
+    y = np.concatenate([(f * w)[run.usable] for run, f, w in zip(runs, forces, weight, strict=True)])
+    norm = np.linalg.norm(W, axis=0)
+    unit = np.where(norm > 0, norm, 1.0)
+    return np.linalg.lstsq(W / unit, y, rcond=1e-10)[0] / unit
+
+
+def _complement(directions: Sequence[np.ndarray], n: int) -> np.ndarray:
+    """Return an orthonormal basis (n - u, n), as rows, of what is across u independent directions (n,)."""
+    if not directions:
+        return np.eye(n)
+    scaled = [x / np.linalg.norm(x) for x in directions if np.linalg.norm(x) > 0]
+    values, vectors = np.linalg.eigh(sum((np.outer(x, x) for x in scaled), np.zeros((n, n))))
+    return vectors[:, values < _RELATIVE_RANK * max(float(values.max(initial=0.0)), 1e-300)].T
+
+
+def _is_given(armature: Parameter) -> bool:
+    """Return whether somebody gave a drive's inertia: a robot file or a user."""
+    return armature.origin != NOT_GIVEN and not armature.origin.startswith("within")
+
+
+def _fit(difference: Difference, cause: str, place: str, B: np.ndarray) -> Explanation | None:
+    """Return an explanation's amplitudes by generalised least squares; None where it has no effect."""
+    norm = np.linalg.norm(B, axis=0)
+    if not norm[0] > _MIN_EFFECT * np.linalg.norm(difference.combine, axis=0).max():
+        return None
+    unit = np.where(norm > 0, norm, 1.0)
+    C = np.linalg.solve(difference.S, B / unit)
+    information = (B / unit).T @ C
+    values, vectors = np.linalg.eigh(information)
+    seen = values > _RELATIVE_RANK * values.max()
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    x = inverse @ (C.T @ difference.d)
+    blind = (vectors[:, ~seen] ** 2).sum(axis=1) > 0.01
+    cov = inverse / np.outer(unit, unit)
+    cov[blind, blind] = np.inf
+    e = difference.d - B / unit @ x
+    rank = int(seen.sum())
+    return Explanation(cause, place, x / unit, cov, float(e @ np.linalg.solve(difference.S, e)), rank, len(e) - rank)
+
+
+def _trusted_stderr(robot: Robot, trusted: Parameters, name: str) -> float:
+    """Return how well a robot file's inertial number is known: its own error, else its link's in proportion."""
+    p = trusted[name]
+    if p.prior_stderr is not None:
+        return p.prior_stderr
+    owner, _, quantity = name.rpartition(".")
+    if quantity == "armature":
+        return NOMINAL_MASS_STDERR * abs(p.value)
+    link = next(link for link in robot.links if link.link == owner)
+    mass = float(link.nominal[0])
+    prior = trusted[f"{owner}.mass"].prior_stderr if f"{owner}.mass" in trusted else None
+    share = NOMINAL_MASS_STDERR if prior is None or mass == 0 else prior / mass
+    trace = float(link.nominal[4] + link.nominal[6] + link.nominal[9])
+    length = max(float(np.sqrt(max(trace, 0.0) / mass)) if mass > 0 else 0.0, _MIN_LENGTH_M)
+    power = {0: 0, 1: 1, 2: 1, 3: 1}.get(INERTIAL.index(quantity), 2)
+    return share * mass * length**power
+
+
+def _error(variance: float) -> float | None:
+    return float(np.sqrt(variance)) if np.isfinite(variance) and variance > 0 else None

@@ -1,0 +1,62 @@
+"""Viscous friction that does not grow in proportion to the speed.
+
+    tau += viscous_curvature sign(v) x (1 + x^2)^((power - 1) / 2),     x = |v| / knee
+
+in proportion to the speed well below the knee and to its `power` well above it: the Carreau law of a lubricant that thins (power
+below 1; at 0 it levels off) or of drag that sets in (power 1.5). It stands beside Coulomb and viscous friction; with an amplitude
+from zero up the whole stays dissipative. A drag of the speed's square is `quadratic_drag`; a peak at low speeds, which falls with
+speed, is `stribeck`. Reference: Carreau 1972; Bair & Winer 1979 and Bittencourt & Gunnarsson 2012 for geared joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects.motion import JointMotion
+from tau_dyn.effects.plausible import PlausibleRange
+from tau_dyn.effects.scene import Scene
+from tau_dyn.effects.words import amount
+from tau_dyn.parameters import Parameter
+
+_KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
+"""Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline has;
+of a power 0.5 with a knee further up the curve is that of power 0."""
+
+
+class ViscousCurvature(JointwiseEffect):
+    """Friction whose growth with speed levels off or speeds up."""
+
+    name = "viscous_curvature"
+    cause = True
+    equation = "tau += viscous_curvature sign(v) x (1 + x^2)^((power - 1) / 2), x = |v| / knee"
+    reference = "Carreau 1972; Bittencourt & Gunnarsson 2012"
+    reveals = "constant-speed strokes at ten speeds or more up to the highest, in both directions"
+    mistaken_for = ("quadratic_drag", "stribeck", "thermal_drift", "viscous_asymmetry")
+    # Of geared joints at speed all friction is less than the largest force; the viscous part is up to all of it
+    plausible = (PlausibleRange("viscous_curvature", 0.0, 1.0, of="force"),)
+    quantities = (("viscous_curvature", "F"),)
+    nonnegative = True
+    defaults = {"knee": 0.1, "power": 0.0}
+    setting_units = {"knee": "V"}
+    positive = ("knee",)
+    refined = ("knee",)
+
+    def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
+        """Return the curved law."""
+        x = np.abs(joint.v) / self.settings["knee"]
+        return [joint.sign * x * (1 + x**2) ** ((self.settings["power"] - 1) / 2)]
+
+    def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
+        """Return the part of the friction that is not in proportion to the speed, and from which speed."""
+        how, knee = "more" if self.settings["power"] > 1 else "less", self.setting("knee", joint)
+        size = amount(values["viscous_curvature"])
+        return f"viscous friction of {size} that grows {how} than the speed does above {knee}"
+
+    @classmethod
+    def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
+        """Return knees below the fast speeds for each power; none for a joint that stands still."""
+        fast = float(scene.fast[scene.index(joints[0])])
+        return [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]
