@@ -104,3 +104,15 @@ def test_a_robot_file_that_trusts_its_mass_less_is_believed(one):
     row = Parameters([Parameter("block_link.mass", 6.0, "kg", stderr=0.01)])
     assert parameter_findings(one, vague, row) == []
     assert len(parameter_findings(one, one.parameters, row)) == 1
+
+
+def test_a_number_that_no_machine_has_is_suspected():
+    """A carriage a hundred times as heavy as its file says is a unit, not a payload; one of twice its mass may be loaded."""
+    robot = load_robot("linear_axis")
+    model = Model.of(robot)
+    nominal = model.parameters
+    mass = nominal["carriage_link.mass"].value
+    for factor, status in ((2.0, "parameter"), (100.0, "suspected")):
+        changes = {"carriage_link.mass": {"value": factor * mass, "stderr": 0.001 * factor * mass}}
+        (finding,) = parameter_findings(model, nominal, nominal.update(changes))
+        assert finding.status == status and ("plausible" in finding.why_not_confirmed) == (status == "suspected")

@@ -9,6 +9,7 @@ many numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
@@ -25,9 +26,14 @@ from tau_dyn.effects.words import quantity
 from tau_dyn.estimate import Estimate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot import Robot
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 
 LEVEL = 0.01
+MAX_GAIN_RANGE = (0.5, 2.0)
+"""Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
+MAX_MASS_SHARE = 2.0
+"""Payload or mass over the mass of all bodies; no robot carries more than twice its own mass."""
 
 
 def parameter_findings(
@@ -41,6 +47,11 @@ def parameter_findings(
         fitted: Values of the final model, with standard errors.
         estimate: The fit behind them, of which base parameters are compared; None to compare masses alone.
     """
+    found = _find_deviations(model, nominal, fitted, estimate)
+    return [_suspect_implausible(finding, model.robot, nominal) for finding in found]
+
+
+def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, estimate: Estimate | None) -> list[Finding]:
     if estimate is not None and any(len(link.own) > 1 for link in model.robot.links):
         difference = compare_with_trusted(model.robot, nominal, estimate)
         explanation = find_explanation(model.robot, difference)
@@ -57,6 +68,20 @@ def parameter_findings(
     if len(rows) > 1 and len(off) > 1 and _common_factor(rows):
         return [_gain(rows, float(np.min(p_values)) * len(rows))]
     return [_mass(model, *rows[k], float(z[k]), float(p_values[k]) * len(rows), len(rows) == 1) for k in off]
+
+
+def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) -> Finding:
+    """Return a finding as `suspected` where no machine has its first amplitude, with the reason."""
+    first = finding.parameters[0]
+    total = sum(nominal[f"{link.link}.mass"].value for link in robot.links if f"{link.link}.mass" in nominal)
+    ranges = {"drive_gain": MAX_GAIN_RANGE, "force_scale": MAX_GAIN_RANGE}
+    if first.unit == "kg" and total > 0:
+        ranges |= {"payload": (0.0, MAX_MASS_SHARE * total), "link_mass": (-total, MAX_MASS_SHARE * total)}
+    low, high = ranges.get(finding.cause, (-np.inf, np.inf))
+    if low <= first.value <= high:
+        return finding
+    why = f"{first.name} = {quantity(first.value, first.unit)} is outside of its plausible range ({low:.3g} to {high:.3g})"
+    return replace(finding, status="suspected", why_not_confirmed=why)
 
 
 def _trusted(p: Parameter, nominal: Parameters) -> bool:
