@@ -29,10 +29,13 @@ IN_THE_ROBOT = {
     "cyclic_ripple": {"ripple_sin": 3, "ripple_cos": 1},
     "hysteresis": {"hysteresis": 15},
     "reducer_coupling": {"inertia": 3, "coulomb": 4},
+    "viscous_curvature": {"viscous_curvature": 25},
+    "gravity_direction": {"base.tilt_y": 0.1},
+    "armature": {"armature_error": 3},
 }
 IN_THE_LOG = {
     "delay", "backlash", "transmission_error", "pinion_scale", "joint_compliance", "structural_compliance",
-    "guideway_compliance", "cart_tilt",
+    "guideway_compliance", "guideway_nonparallel", "cart_tilt", "drive_lag",
 }  # fmt: skip
 SETTINGS = {"stribeck": {"speed": 0.1}, "position_friction": {"half": 0.3}, "thermal_drift": {"lag": 0.5}}
 
@@ -108,6 +111,17 @@ def test_a_change_between_campaigns_needs_a_campaign(make, tmp_path) -> None:
     state = np.zeros(1), np.array([0.5])
     other, changed = (SampledForces(model, Surroundings(campaign=k)).bounds(*state)[1] for k in (0.0, 1.0))
     assert_allclose(changed - other, 7)
+
+
+def test_forces_are_logged_behind_a_low_pass(make, tmp_path) -> None:
+    """20 ms: `T dy/dt = tau - y` between samples, and the robot moves as it did."""
+    model = hidden(make, tmp_path, "drive_lag", {"axis.time_constant": 0.02})
+    plain = model.with_values({"axis.time_constant": 0.0})
+    slow, fast = (simulate(m, there_and_back(m)) for m in (model, plain))
+    y, tau, dt = slow.channels["tau_axis"], fast.channels["tau_axis"], float(np.mean(np.diff(slow.t)))
+    middle = (y[1:] + y[:-1]) / 2, (tau[1:] + tau[:-1]) / 2
+    assert_allclose(0.02 * np.diff(y) / dt, middle[1] - middle[0], atol=0.005 * np.ptp(tau))
+    assert_allclose(slow.channels["q_axis"], fast.channels["q_axis"], atol=0)
 
 
 def test_forces_are_logged_late(make, tmp_path) -> None:

@@ -35,6 +35,8 @@ _INDEPENDENT = 1e-9
 
 _MAX_ROWS = 8000
 """Samples from which values are made: many times the number of parameters."""
+_MIN_RELATIVE_NORM = 1e-7
+"""Size of a column, relative to the largest, below which it is a rounding of the robot file."""
 _WEIGHING = ("mass", "mx", "my", "mz")
 _STIFFNESS = 30.0
 """How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
@@ -257,7 +259,7 @@ def _gravity_turns(
     W, e = W[::every], e[::every]
     free = np.append(model.parameters.free, [True, True])
     norm = np.linalg.norm(W, axis=0) * free
-    unit = np.where(norm > 0, norm, np.inf)
+    unit = np.where(norm > _MIN_RELATIVE_NORM * norm.max(initial=0.0), norm, np.inf)
     unit[:-2] *= np.where([n.rsplit(".", 1)[-1] in _WEIGHING for n in model.parameters.names], _STIFFNESS, 1.0)
     change = (np.linalg.lstsq(W / unit, e, rcond=1e-4)[0] / unit)[:-2]
     near = model.with_parameters(model.parameters.with_values(nominal + change))

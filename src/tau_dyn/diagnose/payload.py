@@ -159,7 +159,10 @@ def find_explanation(robot: Robot, difference: Difference) -> Explanation | None
         return None
     best = min(fit, key=lambda one: one.penalised)
     near = [one.cause for one in fit if one.penalised < best.penalised + TWIN_MARGIN and one.cause != best.cause]
-    extra = ["link_mass"] if best.cause == "payload" and trusted_from_file(robot, difference.trusted) else []
+    heavier = best.cause == "payload" and trusted_from_file(robot, difference.trusted)
+    extra = (
+        ["link_mass"] if heavier or best.cause == "drive_gain" else []
+    )  # all masses off alike are all forces off alike
     return replace(best, p=best.p_value(whole, len(found)), twins=tuple(dict.fromkeys([*near, *extra])))
 
 

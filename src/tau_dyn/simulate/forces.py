@@ -101,7 +101,7 @@ class SampledForces:
             )
         if "force" in effect.needs:
             self._scaled.append((effect, values))
-        elif isinstance(effect, JointwiseEffect) and _by_joint(effect):
+        elif isinstance(effect, JointwiseEffect) and _by_joint(effect) and not self._feels_acceleration(effect, values):
             index = np.array([self.joints.index(j) for j in effect.joints])
             self._jointwise.append(_Jointwise(effect, index, values))
         else:
@@ -114,8 +114,8 @@ class SampledForces:
         return (force[1:] - force[0]).T
 
     def _feels_acceleration(self, effect: Effect, values: np.ndarray) -> bool:
-        if {"passive"} & set(effect.needs):
-            return False  # turns with the speeds alone, and not every state by chance closes the loops
+        if {"passive", "gravity_turn"} & set(effect.needs):
+            return False  # feel speeds or places alone, and not every state by chance closes the loops
         states = np.random.default_rng(0).uniform(-1, 1, (_PROBES, 2, self.na))
         return any(np.any(self._per_acceleration(effect, values, q, v) != 0) for q, v in states)
 
