@@ -140,13 +140,18 @@ class Effect(ABC):
         """
         for p in parameters.select(self.parameters.names):
             owner, _, name = p.name.rpartition(".")
-            row = next((row for row in self.plausible if row.covers(name.removesuffix(self.label), p.unit)), None)
+            name = name.removesuffix(self.label)
+            row = next((row for row in self.plausible if not row.setting and row.covers(name, p.unit)), None)
             if row is None:
                 continue
             bounds = np.array([row.bounds(joint, scales) for joint in owner.split("+")])
             low, high = margin * bounds[:, 0].min(), margin * bounds[:, 1].max()
             if not low <= p.value <= high:
                 return f"{p.name} = {quantity(p.value, p.unit)} is outside of its plausible range ({row.describe()})"
+        for row in (row for row in self.plausible if row.setting):
+            for key in (key for key in self.refined if row.covers(key, "")):
+                if not row.low <= self.settings[key] <= margin * row.high:
+                    return f"{key} = {self.settings[key]:.3g} is outside of its plausible range ({row.describe()})"
         return ""
 
     def lookalikes(self) -> list[Effect]:

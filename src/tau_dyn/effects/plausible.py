@@ -37,6 +37,7 @@ class PlausibleRange:
         high: Upper bound.
         unit: Unit that it holds for, such as `m` or `rad`, as parameters have it; empty for any.
         of: What the bounds are shares of, one of `REFERENCES`; empty for SI units.
+        setting: Whether it is that of a setting and no parameter's.
     """
 
     quantity: str
@@ -44,6 +45,7 @@ class PlausibleRange:
     high: float
     unit: str = ""
     of: str = ""
+    setting: bool = False
 
     def covers(self, name: str, unit: str) -> bool:
         """Return whether the range is that of a parameter, by the part of its name after the joint and by its unit."""

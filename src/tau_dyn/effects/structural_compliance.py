@@ -23,7 +23,7 @@ from scipy import signal
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.plausible import slide_and_hinge
+from tau_dyn.effects.plausible import PlausibleRange, slide_and_hinge
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount, spelled
 from tau_dyn.exceptions import InputError
@@ -53,7 +53,11 @@ class StructuralCompliance(JointwiseDisplacement):
     reveals = "a multisine around the suspected resonance, riding on a stroke of constant speed"
     mistaken_for = ("joint_compliance", "delay", "payload", "drive_gain")
     # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987)
-    plausible = tuple(slide_and_hinge("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)))
+    # Modes of frames and arms are damped by 0.5 to 5 %, with reducers up to 10 % (Ewins 2000, 3.8); beyond it nothing rings
+    plausible = (
+        *slide_and_hinge("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)),
+        PlausibleRange("damping", 0.0, 0.1, setting=True),
+    )
     needs = (*JointwiseDisplacement.needs, "rigid_force")
     nonnegative = True
     quantities = (("structural_compliance", "Q/F"),)
