@@ -53,10 +53,10 @@ class StructuralCompliance(JointwiseDisplacement):
     reveals = "a multisine around the suspected resonance, riding on a stroke of constant speed"
     mistaken_for = ("joint_compliance", "delay", "payload", "drive_gain")
     # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987)
-    # Modes of frames and arms are damped by 0.5 to 5 %, with reducers up to 10 % (Ewins 2000, 3.8); beyond it nothing rings
+    # Modes of frames and arms are damped by 0.5 to 5 %, with reducers up to 15 % (Ewins 2000, 3.8); beyond it nothing rings
     plausible = (
         *slide_and_hinge("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)),
-        PlausibleRange("damping", 0.0, 0.1, setting=True),
+        PlausibleRange("damping", 0.0, 0.15, setting=True),
     )
     needs = (*JointwiseDisplacement.needs, "rigid_force")
     nonnegative = True
