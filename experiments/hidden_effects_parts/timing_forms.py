@@ -1,6 +1,6 @@
 """What hides in recordings, speed and mounting: a low-pass, a long delay, friction that levels off, a base that leans.
 
-Each is written here once more, in another form than the library's: the low-pass by the bilinear transform on the true motion at
+Each is written here once more, in another form than the library's: the low-pass by its transfer function on the true motion at
 1 kHz, friction as an arctan or a power of the speed, the tilt by Pinocchio's gravity torque under gravity turned by a matrix.
 """
 
@@ -10,12 +10,14 @@ from typing import Self
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import bilinear, lfilter
 
 from hidden_effects_parts.drive_forms import Delay
 from hidden_effects_parts.forms import Added, Form, Places, log_uniform, one
 from hidden_effects_parts.recording import RATE_HZ, Recording
 from hidden_effects_parts.robots import Rig
+
+_PAD = 5000
+"""Samples of rest before and after, so that the transform's end does not reach its beginning."""
 
 
 class Lag(Form):
@@ -32,9 +34,10 @@ class Lag(Form):
         """Return the run with low-passed forces."""
         m = run.motion
         force = run.rig.force(m.q, m.v, m.a)
-        b, a = bilinear([1.0], [amplitude, 1.0], RATE_HZ)
-        late = force[0] + np.asarray(lfilter(b, a, force - force[0], axis=0))
-        return run.plus((late - force)[:: run.step])
+        padded = np.concatenate([np.repeat(force[:1], _PAD, axis=0), force, np.repeat(force[-1:], _PAD, axis=0)])
+        w = 2 * np.pi * np.fft.rfftfreq(len(padded), 1 / RATE_HZ)
+        late = np.fft.irfft(np.fft.rfft(padded, axis=0) / (1 + 1j * w * amplitude)[:, None], len(padded), axis=0)
+        return run.plus((late[_PAD : len(force) + _PAD] - force)[:: run.step])
 
     def truth(self, amplitude: float) -> dict[str, float]:
         """Return the time constant, which a delay of the same length imitates."""
