@@ -2,6 +2,7 @@
 
 from xml.etree.ElementTree import fromstring
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -116,3 +117,17 @@ def test_what_a_format_cannot_carry_is_said():
     dynamics = fromstring(made.text).find("joint[@name='axis']/dynamics")
     assert dynamics is not None and float(dynamics.get("friction", "")) == 22.0
     assert "carriage_link.mass" in made.nominal  # no data determined it
+
+
+def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
+    """A UR5's file names meshes of a package that is not there; its bodies do not need them, and what is left out is said."""
+    shape = '<visual><geometry><mesh filename="package://nowhere/base.dae"/></geometry></visual>'
+    urdf = (
+        f'<robot name="arm"><link name="base_link">{shape}</link><link name="arm_link">{shape}<inertial><origin xyz="0.2 0 0"/>'
+        '<mass value="2"/><inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="turn" type="revolute"><parent link="base_link"/><child link="arm_link"/><axis xyz="0 1 0"/>'
+        '<limit lower="-2" upper="2" velocity="2" effort="50"/></joint></robot>'
+    )
+    made = mjcf_of(Model.of(robot_from_urdf(urdf, "arm", actuated=["turn"])))
+    assert "mesh" not in made.text and any("2 visual shapes" in sentence for sentence in made.left_out)
+    assert mujoco.MjModel.from_xml_string(made.text).nbody == 2

@@ -17,6 +17,7 @@ def verdict_sentence(
     confirmed = [f for f in findings if f.status == "confirmed"]
     if confirmed:
         text = f"{missed}; with {_listed(confirmed)} it misses {after.relative_error_percent:.2g} %."
+        text += "".join(f" {f.sentence}" for f in findings if f.status == "parameter" and f.cause == "payload")
     elif verdict in ("named", "cannot_tell"):
         f = next(f for f in findings if f.status == "parameter")
         text = f"{missed}. {f.sentence}"

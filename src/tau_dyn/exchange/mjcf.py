@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement
 
 import numpy as np
 import pinocchio as pin
+from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import Exported, body_of, friction_of, header, left_out, nominal
@@ -96,8 +97,8 @@ def _joint(model: Model, joint: Joint) -> dict[str, str]:
 def _draw(model: Model, bodies: list[Element]) -> list[str]:
     """Add the visual boxes, cylinders and spheres, which touch nothing; say which meshes are left out."""
     robot = model.robot
-    geometry = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.GeometryType.VISUAL)
-    missing = 0
+    urdf, missing = _without_meshes(robot.urdf)
+    geometry = pin.buildGeomFromUrdfString(robot.model, urdf, pin.GeometryType.VISUAL)
     for item in geometry.geometryObjects.tolist():
         shape = _shape(item.geometry)
         if shape is None or item.parentJoint >= len(bodies):
@@ -107,6 +108,17 @@ def _draw(model: Model, bodies: list[Element]) -> list[str]:
         pose = {"pos": _numbers(place), "quat": _numbers([turn.w, turn.x, turn.y, turn.z])}
         SubElement(bodies[item.parentJoint], "geom", {**shape, **pose, **_SEEN_ONLY})
     return [f"{missing} visual shapes that are no box, cylinder or sphere are left out"] if missing else []
+
+
+def _without_meshes(urdf: str) -> tuple[str, int]:
+    """Return a URDF without the shapes that stand in files of their own, which need not be there, and their number."""
+    root, count = fromstring(urdf, forbid_dtd=True), 0
+    for link in root.iter("link"):
+        for tag in ("visual", "collision"):
+            for shape in [x for x in link.findall(tag) if x.find("geometry/mesh") is not None]:
+                link.remove(shape)
+                count += tag == "visual"
+    return ElementTree.tostring(root, encoding="unicode"), count
 
 
 def _shape(shape: Any) -> dict[str, str] | None:
