@@ -2,7 +2,6 @@
 
 from xml.etree.ElementTree import fromstring
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -128,6 +127,7 @@ def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
         '<joint name="turn" type="revolute"><parent link="base_link"/><child link="arm_link"/><axis xyz="0 1 0"/>'
         '<limit lower="-2" upper="2" velocity="2" effort="50"/></joint></robot>'
     )
+    mujoco = pytest.importorskip("mujoco")
     made = mjcf_of(Model.of(robot_from_urdf(urdf, "arm", actuated=["turn"])))
     assert "mesh" not in made.text and any("2 visual shapes" in sentence for sentence in made.left_out)
     assert mujoco.MjModel.from_xml_string(made.text).nbody == 2
