@@ -67,6 +67,10 @@ MAX_FINE_SHARE = 0.15
 MIN_POWER_DROP = 0.5
 """Share of the residual's power that an alternative leaves of some joint: a model error is not repaired by rewiring."""
 
+MAX_MENDED_SHARE = 0.3
+"""Residual that a mend may leave of the joints concerned, as a share of their force; sound robots leave 2 to 15 %. Where a joint
+swings nearly free, its force is the small difference of large terms, and no reading of the log explains it."""
+
 SPARED_NATS = 15.0
 """Gain of the prior alone from which an alternative counts without a better fit: bodies as in the file instead of absurd ones."""
 
@@ -253,7 +257,7 @@ class _Judge:
         found = []
         for change, _ in tried[:N_FINALISTS]:
             other = self.fit(change)
-            if other is not None and self.accepts(fit, other):
+            if other is not None and self.accepts(fit, other) and self.is_mended(change, other):
                 found.append((change, other, other.log_p - (0.0 if fit is None else fit.log_p)))
         found.sort(key=lambda item: -item[2])
         codes: dict[str, tuple[Rewiring, _Fit, float]] = {}
@@ -261,6 +265,12 @@ class _Judge:
             if found[0][2] - item[2] < ALIAS_NATS:
                 codes.setdefault(item[0].code, item)
         return list(codes.values())
+
+    def is_mended(self, change: Rewiring, other: _Fit) -> bool:
+        """Tell whether the robot explains the forces of the joints concerned once they are read as an alternative says."""
+        size = self.size[list(change.tau_from)]
+        which = list(change.joints) or list(range(self.robot.na))
+        return bool(np.sum(other.power[which]) <= MAX_MENDED_SHARE**2 * np.sum(size[which] ** 2))
 
     def accepts(self, fit: _Fit | None, other: _Fit) -> bool:
         """Tell whether an alternative is to be named: it gains much, and it mends a joint or spares the bodies."""
