@@ -44,6 +44,7 @@ def scene_along(
     seen = q if trained is None else q[np.concatenate(trained)]
     often = np.quantile(seen, (_RARE, 1 - _RARE), axis=0)
     ends = q.min(axis=0), q.max(axis=0)
+    hard = fast_speeds(np.concatenate([motion.a for motion in motions]))
     return Scene(
         joints,
         units,
@@ -56,6 +57,7 @@ def scene_along(
         campaigns,
         often=often,
         coupled=coupled,
+        hard=hard,
     )
 
 

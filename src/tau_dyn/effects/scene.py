@@ -27,6 +27,7 @@ class Scene:
         campaigns: Number of logs, which `campaign` counts from zero.
         resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
         structure: Whether these modes are the structure's as a whole, and no single joint's.
+        hard: An acceleration that the joint exceeds in 2 % of the samples (na,); None where it is not known.
         scales: Each joint's own forces, of which plausible amplitudes are shares.
         coupled: Pairs of joints that a shared motor may drive: neighbours in the chain, or declared by the robot file.
         timing: Joint -> delay and time constant [s] of its logged force that fit the baseline best; empty where none is long.
@@ -46,6 +47,7 @@ class Scene:
     resonances: tuple[tuple[float, float], ...] = ()
     structure: bool = False
     often: np.ndarray | None = None
+    hard: np.ndarray | None = None
     scales: JointScales = field(default_factory=dict)
     coupled: tuple[tuple[str, str], ...] = ()
     timing: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -21,6 +21,8 @@ from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
 
+_MEMORY_PERIODS = 4.0
+"""Periods of the low-pass' cutoff over which a step is smeared, two to each side."""
 _KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
 """Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline has;
 of a power 0.5 with a knee further up the curve is that of power 0."""
@@ -43,6 +45,7 @@ class ViscousCurvature(JointwiseEffect):
     setting_units = {"knee": "V"}
     positive = ("knee",)
     refined = ("knee",)
+    open_ends = {"knee": "both"}
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the curved law."""
@@ -57,6 +60,13 @@ class ViscousCurvature(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return knees below the fast speeds for each power; none for a joint that stands still."""
-        fast = float(scene.fast[scene.index(joints[0])])
-        return [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]
+        """Return knees below the fast speeds for each power; none for a joint that stands still.
+
+        A knee that a start passes within the low-pass' memory is not told from a start's own transient.
+        """
+        k = scene.index(joints[0])
+        fast, least = float(scene.fast[k]), 0.0
+        if scene.hard is not None and np.isfinite(scene.cutoff_hz):
+            least = _MEMORY_PERIODS * float(scene.hard[k]) / scene.cutoff_hz
+        rows = [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]
+        return [row for row in rows if row["knee"] > least]
