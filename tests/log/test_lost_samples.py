@@ -86,3 +86,11 @@ def test_a_measured_clock_is_believed(axis_log, rng) -> None:
     keep = np.flatnonzero(rng.random(axis_log.n_samples) > 0.01)
     log = Log(axis_log.t[keep], {key: x[keep] for key, x in axis_log.channels.items()})
     assert codes(log) == set()
+
+
+def test_a_quick_reversal_is_no_loss(rng):
+    """A joint that turns back with a jump of its acceleration leaps over nothing."""
+    t = np.arange(0, 40, 0.004)
+    v = 0.04 * np.clip(4 * np.sin(2 * np.pi * t / 2.4), -1, 1)
+    q = np.cumsum(v) * 0.004 + 2e-6 * rng.standard_normal(len(t))
+    assert not find_lost_samples(Log(t, {"q_a": q}, "strokes.csv")).alarm

@@ -40,6 +40,9 @@ MAX_STRETCH = 30
 MAX_MENDED_SHARE = 0.01
 """Above this share of events among moving steps the clock is not mended: each unseen loss shifts what follows."""
 
+MIN_NET_SHARE = 0.8
+"""Net over travelled way in a window from which a joint counts: about a reversal a way back looks like many samples lost."""
+
 _WINDOWS = ((3, 2), (6, 3), (12, 3))
 """Samples on each side and degree of the polynomial: short for fast motions, long for noisy encoders."""
 
@@ -188,6 +191,8 @@ def _stretches(
         residual = windows - (windows @ orthogonal) @ orthogonal.T
         turned = ((windows @ with_jump.T) @ slopes.T) * behind
         turned -= (turned @ orthogonal) @ orthogonal.T
+        onward = np.abs(windows[:, -1] - windows[:, 0]) > MIN_NET_SHARE * np.abs(np.diff(windows, axis=1)).sum(axis=1)
+        turned, residual = turned * onward[:, None], residual * onward[:, None]
         squares = np.einsum("ni,ni->n", residual, residual)
         moving = np.ptp(windows, axis=1) > 0
         usual = float(np.median(squares[moving])) / (freedom - 0.6) if moving.any() else 0.0
