@@ -114,7 +114,7 @@ def trial(name: str, seed: int) -> list[dict]:
         p = e.parameters[rod]
         rows.append({"motion": name, "seed": seed, "rod": rod, "truth": truth.parameters[rod].value, "stderr": p.stderr,
                      "plain": plain[names.index(rod)], "consistent": p.value, "cond": e.cond,
-                     "named": any(text.startswith(rod) for text in found.warnings),
+                     "at_bound": p.at_bound, "named": any(text.startswith(rod) for text in found.warnings),
                      **{key: float(np.sqrt(np.mean(x**2))) for key, x in errors.items()}})  # fmt: skip
     return rows
 

@@ -118,11 +118,11 @@ def test_joints_that_share_a_motor_keep_their_law_outside_the_width(two_link) ->
 SIZES = {
     "coulomb_asymmetry": 20.0, "viscous_asymmetry": 40.0, "stribeck": 30.0, "load_friction": 0.05, "position_friction": 10.0,
     "passive_joint_friction": 2.0, "quadratic_drag": 40.0, "torque_offset": 4.0, "drive_gain": 0.05, "cyclic_ripple": 5.0,
-    "reducer_coupling": 6.0,
+    "reducer_coupling": 6.0, "viscous_curvature": 20.0, "armature": 3.0, "gravity_direction": 0.01,
 }  # fmt: skip
 NOT_BY_A_STATE = {
     "delay", "thermal_drift", "hysteresis", "friction_change", "backlash", "transmission_error", "pinion_scale",
-    "joint_compliance", "structural_compliance", "guideway_compliance", "cart_tilt",
+    "joint_compliance", "structural_compliance", "guideway_compliance", "cart_tilt", "drive_lag", "guideway_nonparallel",
 }  # fmt: skip
 ROBOTS = ("gantry_tau", "linear_axis")
 

@@ -22,14 +22,16 @@ def experiment():
 def test_a_negative_rod_mass_becomes_possible_and_is_named(experiment, motion, worse):
     """Plain least squares gives a rod a negative mass, by a hidden ball-joint friction (A) or by noise alone (B).
 
-    The consistent estimate has none, a warning names each negative one, and on a motion that is not dull the constraint costs
-    less than 5 % where the truth is outside the model, and helps where it is inside.
+    The consistent estimate has none, each negative one stays at its bound, and a warning names those more than three standard
+    errors below it. On a motion that is not dull the constraint costs less than 5 % where the truth is outside the model, and
+    helps where it is inside.
     """
     rows = experiment.trial(motion, 0)
     negative = [row for row in rows if row["plain"] < 0]
     assert negative
     assert all(row["consistent"] >= 0 for row in rows)
-    assert all(row["named"] for row in negative)
+    assert all(row["at_bound"] for row in negative)
+    assert all(row["named"] == (-row["plain"] > 3 * row["stderr"]) for row in negative)
     assert rows[0]["rms_consistent"] < worse * rows[0]["rms_plain"]
     assert rows[0]["cond"] > 200  # which is said as well
 

@@ -22,10 +22,12 @@ AMPLITUDES = {
     "drive_gain": (0.1, {}), "cyclic_ripple": (8.0, {"period": 0.05}), "delay": (5e-3, {"about": 5e-3}),
     "hysteresis": (25.0, {"distance": 0.01}), "transmission_error": (1e-4, {"period": 0.05}), "reducer_coupling": (15.0, {}),
     "joint_compliance": (1e-6, {}), "structural_compliance": (1e-6, {"frequency": 8.0}), "friction_change": (10.0, {"number": 1}),
+    "drive_lag": (8e-3, {"about": 8e-3}), "viscous_curvature": (25.0, {"knee": 0.15}),
 }  # fmt: skip
 UNSEEN = {
     "coulomb_asymmetry", "viscous_asymmetry", "torque_offset",  # the friction below has them already
-    "backlash", "pinion_scale", "guideway_compliance", "cart_tilt",  # forces do not show them
+    "backlash", "pinion_scale", "guideway_compliance", "cart_tilt", "guideway_nonparallel",  # forces do not show them
+    "armature", "gravity_direction",  # masses have them already
 }  # fmt: skip
 NOT_ON = {("axis", "reducer_coupling"), ("axis", "load_friction"), ("axis", "passive_joint_friction")}
 CASES = [(r, c) for r in ROBOTS for c in AMPLITUDES if (r, c) not in NOT_ON]

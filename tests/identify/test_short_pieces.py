@@ -100,7 +100,7 @@ def test_a_log_of_a_few_seconds_gets_an_answer_with_wide_limits(axis) -> None:
     short, long = identify(axis, made(2.0)), identify(axis, made(30.0))
     one, other = (f.estimate.parameters["carriage_link.mass"] for f in (short, long))
     assert said(short, "short_log") and not said(long, "short_log")
-    assert one.stderr > 2 * other.stderr
+    assert one.stderr > 1.5 * other.stderr  # the uncertainty of the clock is a part of both
     assert abs(one.value - MASS) < 5 * one.stderr
 
 

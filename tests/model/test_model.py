@@ -223,7 +223,11 @@ def test_forces_at_states_are_given_or_refused_by_name(name: str, cause: str) ->
     v, a = np.full_like(q, 0.2), np.full_like(q, 0.3)
     try:
         assert np.all(np.isfinite(model.torque(q, v, a)))
-        assert cause in {e.name for e in model.steady().effects} | {"guideway_compliance", "cart_tilt"}
+        assert cause in {e.name for e in model.steady().effects} | {
+            "guideway_compliance",
+            "guideway_nonparallel",
+            "cart_tilt",
+        }
     except InputError as fault:
         assert cause not in {e.name for e in model.steady().effects}
         assert str(fault).startswith(f"effect {cause} ") and "\n" not in str(fault)

@@ -115,7 +115,7 @@ def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
         ):
             commands = " and commands" if log.has("cmd", robot.actuated[:1]) else ""
             raise InputError(
-                f"{log.name} holds positions{commands} and no force; log each drive's force as tau_J, or its current, which "
-                "a column map scales by torque constant and gear ratio; tool positions (x_tool, y_tool, z_tool) are diagnosed "
-                "without forces"
+                f"{log.name} holds positions{commands} and no force; log each drive's force (tau_{robot.actuated[0]}), or its "
+                "current, which a column map scales by torque constant and gear ratio; tool positions (x_tool, y_tool, z_tool) "
+                "are diagnosed without forces"
             )

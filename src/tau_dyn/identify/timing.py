@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from tau_dyn.effects import Delay
 from tau_dyn.estimate import Estimate, Physics, Regression, solve_least_squares
+from tau_dyn.estimate.prior import prior_rows
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.regression import prepare
 from tau_dyn.log import Log
@@ -134,11 +135,12 @@ def widen_by_offset(estimate: Estimate, columns: Sequence[np.ndarray], offset: F
         use = run.usable
         rows.append((run.W[:, :, kept] / estimate.sigma[:, None])[use])
         target.append((x / estimate.sigma)[use])
-    W = np.concatenate(rows)
+    known, _ = prior_rows(parameters.select(base.names))  # what was measured beforehand does not move
+    W = np.concatenate([*rows, known[:, base.kept]])
     norm = np.where((size := np.linalg.norm(W, axis=0)) > 0, size, 1.0)
-    slope = np.linalg.lstsq(W / norm, np.concatenate(target), rcond=1e-10)[0] / norm
+    slope = np.linalg.lstsq(W / norm, np.concatenate([*target, np.zeros(len(known))]), rcond=1e-10)[0] / norm
     more = np.outer(slope, slope) * offset.stderr**2
     wider = replace(estimate, cov=estimate.cov + more, scatter=estimate.scatter + more)
-    known = base.by_name(wider.stderr)
-    changes = {name: {"stderr": x} for name, x in known.items() if estimate.parameters[name].stderr is not None}
+    alone = base.by_name(wider.stderr)
+    changes = {name: {"stderr": x} for name, x in alone.items() if estimate.parameters[name].stderr is not None}
     return replace(wider, parameters=estimate.parameters.update(changes))
