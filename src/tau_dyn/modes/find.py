@@ -86,7 +86,7 @@ def find_modes(
     chosen, why = _method(method, data, feedback)
     kind = PREDICTED if chosen == "pbsid" else SIMULATED
     late = _late(data, chosen, kind, asked, fixed, sensor, say)
-    highest = max(HIGHEST, asked or 0)
+    highest = max(20, asked or 0)
 
     def start(records: Sequence[Record]) -> Callable[[int], StateSpace]:
         return starter(chosen, records, delay=late.delay, highest=highest)
@@ -185,7 +185,7 @@ def _late(
 ) -> DelayChoice:
     if fixed is not None:
         return DelayChoice(fixed, (), float("nan"), f"a delay of {fixed} samples was asked for")
-    orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, HIGHEST)})
+    orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, 20)})
     decays = era_factors(data.train, delay=MOST) if method == "era" else None
     most = MOST
     if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
@@ -206,7 +206,7 @@ def _refined(
 ) -> tuple[Refined, str]:
     """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
     order = states.order
-    tried = [t.model for t in states.trials if t.order == order]
+    tried = [t.model for t in states.refined if t.order == order]
     starts = [(method, lambda: tried[0])] if tried else []
     alone = alone or kind == PREDICTED or data.kind == "impulse"
     names = (method,) if alone else tuple(dict.fromkeys((method, "n4sid", "arx")))
