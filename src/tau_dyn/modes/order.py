@@ -21,7 +21,7 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.modes.checks import fit_of, whiteness
-from tau_dyn.modes.leftover import SIMULATED, criteria, free_count, leftovers, loss_of, worse
+from tau_dyn.modes.leftover import SIMULATED, criteria, free_count, leftovers, loss_of, spread_of, worse
 from tau_dyn.modes.methods import Start
 from tau_dyn.modes.modal import Mode, modes_of
 from tau_dyn.modes.record import Record, shortened
@@ -41,6 +41,8 @@ BEYOND = 4
 """Orders that are refined above the leading one: a diagram needs them, a choice does not."""
 MOST_REFINED = 14
 """Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
+MANY_NUMBERS = 100
+"""Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
 ROUNDS = 4
 TOLERANCE = 2.0
 PATIENCE = 16
@@ -65,6 +67,7 @@ class OrderTrial:
         modes: Its modes, with standard errors.
         model: The model itself.
         refined: Whether it was refined; first models are shown, but not chosen from.
+        plain: Whether refinement was tried and made the simulation of other data worse, so that the first model stands.
     """
 
     order: int
@@ -78,6 +81,7 @@ class OrderTrial:
     modes: tuple[Mode, ...]
     model: StateSpace
     refined: bool = True
+    plain: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for the JSON result."""
@@ -104,6 +108,11 @@ class OrderChoice:
     why: str
     chosen: bool = True
     limit: int = 0
+
+    @property
+    def taken(self) -> OrderTrial | None:
+        """The trial of the order taken; None where there is none."""
+        return next((t for t in self.refined if t.order == self.order), None)
 
     @property
     def refined(self) -> tuple[OrderTrial, ...]:
@@ -140,7 +149,7 @@ def choose_order(
     Raises:
         CannotAnswer: No order gives a stable model.
     """
-    fitted, kept = _pulses(records) if pulses else _parts(records)
+    fitted, kept = select_pulses(records) if pulses else select_parts(records)
     make, apart = start(fitted), kept is not fitted
     search = _Search(fitted, kept, make, kind, apart, progress)
     scanned: list[_Row] = []
@@ -238,13 +247,13 @@ def _refine_near(search: _Search, scanned: Sequence[_Row], asked: int | None) ->
     while search.rows:
         before = len(search.tried)
         leading = search.leading() if asked is None else asked
-        above = [leading + 2, leading + BEYOND] if leading <= SMALL else [leading + 2]
-        for order in (leading - 2, *above, leading - 1, leading + 1):
+        around = (leading - 2, leading + 2)
+        if leading <= SMALL:
+            around = (*around, leading + BEYOND, leading - 1, leading + 1)
+        for order in around:
             search.refine(order)
         if len(search.tried) == before:
             return
-    for order in sorted({2, 4, 6, first - 2, first + 2} - search.tried):
-        search.refine(order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,15 +269,26 @@ class _Row:
     model: StateSpace
     modes: tuple[Mode, ...]
     refined: bool = False
+    plain: bool = False
 
 
 def _try(fitted: Sequence[Record], kept: Sequence[Record], make: Start, order: int, kind: str) -> _Row | None:
-    """Return a refined model of an order, or None where the method or the refinement finds none."""
+    """Return a refined model of an order, or None where the method or the refinement finds none.
+
+    Where refinement makes the simulation of other data worse, the first model stands: likelihood under white errors and
+    correlated outputs is not what a simulation is asked for.
+    """
     try:
-        refined = refine(make(order), fitted, kind=kind, maximum_rounds=ROUNDS)
+        first = make(order)
+        p, m = first.D.shape
+        refined = refine(first, fitted, kind=kind, maximum_rounds=ROUNDS, covariance=order * (p + m) <= MANY_NUMBERS)
     except (TauDynError, np.linalg.LinAlgError):
         return None
     row = _judge(refined.model, fitted, kept, kind)
+    if kind == SIMULATED and kept is not fitted:
+        plain = _judge(first, fitted, kept, kind)
+        if plain is not None and (row is None or worse(row.kept, plain.kept) > TOLERANCE):
+            return replace(plain, refined=True, plain=True)
     return None if row is None else replace(row, modes=tuple(refined.modes), refined=True)
 
 
@@ -285,13 +305,13 @@ def _judge(model: StateSpace, fitted: Sequence[Record], kept: Sequence[Record], 
     measured = [r.y[model.delay :] for r in kept]
     fit = float(np.mean(fit_of(measured, [y - e for y, e in zip(measured, others, strict=True)])))
     n = sum(len(e) for e in errors)
-    return _Row(model.order, k, n, loss_of(errors), loss_of(others), others, fit, white, model, modes_of(model))
+    return _Row(model.order, k, n, loss_of(errors), spread_of(others), others, fit, white, model, modes_of(model))
 
 
 def _trial(row: _Row, best: _Row) -> OrderTrial:
     aic, bic = criteria(row.loss, row.n, row.k)
     behind = 0.0 if row is best else worse(row.kept, best.kept)
-    return OrderTrial(row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model, row.refined)
+    return OrderTrial(row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model, row.refined, row.plain)
 
 
 def _by(trials: Sequence[OrderTrial]) -> dict[str, int]:
@@ -320,7 +340,7 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
     return OrderChoice(simple, tuple(trials), by, f"{why}; BIC would take {bic.order}, but what is left is not white")
 
 
-def _pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
+def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
     """Return pulses to fit on and the last quarter to compare on, if what is left still hits every input; else all twice."""
     records = shortened(records, LONGEST, PULSE)
     kept = max(1, round(SELECT_SHARE * len(records)))
@@ -331,7 +351,7 @@ def _pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Recor
     return records, records
 
 
-def _parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     """Return what to fit on and what to compare on: the last quarter of each record."""
     records = shortened(records, LONGEST)
     fitted = [r.window(slice(0, round((1 - SELECT_SHARE) * r.n_samples))) for r in records]
