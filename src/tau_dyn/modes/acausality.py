@@ -52,7 +52,7 @@ class Acausality:
     output: int = 0
 
 
-def test_acausality(residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray]) -> Acausality:
+def find_acausality(residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray]) -> Acausality:
     """Test whether inputs follow residuals.
 
     Args:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.modes.acausality import Acausality, test_acausality
+from tau_dyn.modes.acausality import Acausality, find_acausality
 from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.feedback import Feedback
 from tau_dyn.modes.leftover import SIMULATED, leftovers
@@ -57,13 +57,13 @@ class Candidate:
         return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
 
 
-def test_candidate(candidate: Candidate, data: Prepared) -> Acausality:
+def check_candidate(candidate: Candidate, data: Prepared) -> Acausality:
     """Return whether the inputs follow what a candidate leaves of the training data."""
     trial = candidate.states.taken
     if trial is None:
         return Acausality(1.0, 0.0)
     errors = leftovers(trial.model, data.train, SIMULATED)
-    return test_acausality(errors, [late_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
+    return find_acausality(errors, [late_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
 
 
 def settle(
@@ -77,7 +77,7 @@ def settle(
         plain: The open-loop candidate.
         make: Makes the candidate that bears feedback; None where the method gives no model.
     """
-    found = test_candidate(plain, data)
+    found = check_candidate(plain, data)
     named = any(r.reference is not None for r in data.train)
     sure = named or found.p_value < SURE
     if not sure and not before.suspected:

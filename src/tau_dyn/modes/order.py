@@ -35,6 +35,8 @@ PULSE = 500
 """Samples of each pulse that are kept in any case."""
 HIGHEST = 60
 """Highest order that is looked at unless one is asked for: thirty modes in the band of one test."""
+HIGHEST_PREDICTED = 24
+"""The same where one-step predictions are compared, whose first models cost a factorisation each."""
 SMALL = 8
 """Up to this order all even ones below are refined, which costs little and fills the stabilisation diagram."""
 BEYOND = 4
@@ -157,7 +159,7 @@ def choose_order(
         for order in _affordable(fitted, orders):
             search.refine(order)
     else:
-        wanted = _affordable(fitted, [1, 2, 3, *range(4, max(HIGHEST, asked or 0) + 1, 2)])
+        wanted = _affordable(fitted, [1, 2, 3, *range(4, max(HIGHEST if kind == SIMULATED else HIGHEST_PREDICTED, asked or 0) + 1, 2)])
         scanned = _scan(search, wanted)
         _refine_near(search, scanned, asked)
     rows = sorted(search.rows, key=lambda row: row.order)
@@ -296,6 +298,8 @@ def _judge(model: StateSpace, fitted: Sequence[Record], kept: Sequence[Record], 
     """Return how a model does on what it was fitted to and on what it was not; None where it is not stable."""
     if model.spectral_radius() >= 1:
         return None
+    if kind != SIMULATED and np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max(initial=0) >= 1:
+        return None  # its predictor runs away
     errors, others = leftovers(model, fitted, kind), leftovers(model, kept, kind)
     if not all(np.isfinite(e).all() for e in (*errors, *others)):
         return None
