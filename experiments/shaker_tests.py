@@ -20,7 +20,6 @@ from scipy.signal import butter, lfilter, sosfilt
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes import find_modes
-from tau_dyn.modes.checks import fit_percent
 
 RATE_HZ, OVERSAMPLING = 1000, 16
 """Sampling rate of the log; the continuous world is computed 16 times finer."""
@@ -88,7 +87,9 @@ def _poles(test: Shaker, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def _driven(test: Shaker, force: np.ndarray, dt: float) -> np.ndarray:
     """Return modal accelerations-scaled displacements (N, modes), each of about unit size."""
     z, s, w = _poles(test, dt)
-    out = [np.imag(lfilter([0, 1], [1, -pole], force.astype(complex)) * w_k * dt) for pole, w_k in zip(z, w, strict=True)]
+    out = [
+        np.imag(lfilter([0, 1], [1, -pole], force.astype(complex)) * w_k * dt) for pole, w_k in zip(z, w, strict=True)
+    ]
     return np.column_stack(out)
 
 

@@ -94,10 +94,14 @@ def settle(
         )
     if other is not None and ratio <= WORST_RATIO:
         p = min(found.p_value, before.p_value)
-        closed = replace(before, suspected=True, possible=True, p_value=p, share=max(found.share, before.share), why=why)
+        closed = replace(
+            before, suspected=True, possible=True, p_value=p, share=max(found.share, before.share), why=why
+        )
         closed = replace(closed, input=closed.input or ("" if named else first.inputs[found.input]))
         return other, closed, f"{why}, so pbsid, which bears feedback"
-    lost = "pbsid gives no model" if other is None else f"pbsid leaves {ratio:.3g} times the error of n4sid in simulation"
+    lost = (
+        "pbsid gives no model" if other is None else f"pbsid leaves {ratio:.3g} times the error of n4sid in simulation"
+    )
     if sure:
         closed = replace(before, suspected=True, possible=True, p_value=min(found.p_value, before.p_value), why=why)
         return plain, closed, f"{why}, but {lost}, so n4sid; standard errors allow for the loop"
@@ -106,4 +110,3 @@ def settle(
     )
     text = "no input follows what a causal model leaves of the outputs"
     return plain, replace(calm, why=text), f"{text}, and {lost}, so n4sid"
-

@@ -159,7 +159,9 @@ def choose_order(
         for order in _affordable(fitted, orders):
             search.refine(order)
     else:
-        wanted = _affordable(fitted, [1, 2, 3, *range(4, max(HIGHEST if kind == SIMULATED else HIGHEST_PREDICTED, asked or 0) + 1, 2)])
+        wanted = _affordable(
+            fitted, [1, 2, 3, *range(4, max(HIGHEST if kind == SIMULATED else HIGHEST_PREDICTED, asked or 0) + 1, 2)]
+        )
         scanned = _scan(search, wanted)
         _refine_near(search, scanned, asked)
     rows = sorted(search.rows, key=lambda row: row.order)
@@ -315,7 +317,9 @@ def _judge(model: StateSpace, fitted: Sequence[Record], kept: Sequence[Record], 
 def _trial(row: _Row, best: _Row) -> OrderTrial:
     aic, bic = criteria(row.loss, row.n, row.k)
     behind = 0.0 if row is best else worse(row.kept, best.kept)
-    return OrderTrial(row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model, row.refined, row.plain)
+    return OrderTrial(
+        row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model, row.refined, row.plain
+    )
 
 
 def _by(trials: Sequence[OrderTrial]) -> dict[str, int]:
