@@ -34,6 +34,8 @@ PULSE_GAIN = 0.1
 """Share by which a delay must lower what pulse tests leave, to be believed."""
 FEW_ROUNDS = 15
 """Rounds of refinement for models of many free numbers; they begin at a trial that was refined."""
+NEIGHBOURS = 4
+"""States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 PULSE_ROUNDS = 15
 """Rounds of refinement for pulse tests, which can hold more modes than a model and then creep."""
 Progress = Callable[[str], None]
@@ -137,7 +139,9 @@ def _widened(final: Refined, refined: Refined, data: Prepared, best: Candidate, 
     taken = best.states.taken
     pairs = []
     if taken is not None:
-        others = [t for t in best.states.refined if 0 < abs(t.order - taken.order) <= 2 and t.behind <= TOLERANCE]
+        others = [
+            t for t in best.states.refined if 0 < abs(t.order - taken.order) <= NEIGHBOURS and t.behind <= TOLERANCE
+        ]
         pairs = [(taken.modes, t.modes) for t in others]
     if feedback.possible and best.kind == SIMULATED:
         try:
