@@ -22,12 +22,12 @@ from tau_dyn.modes.preparation import Prepared
 from tau_dyn.modes.simulate import late_inputs
 
 SURE = 1e-3
-"""p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests."""
+"""p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""
 POSSIBLE = 0.2
 """p-value below which feedback cannot be excluded, and standard errors allow for it."""
 WORST_RATIO = 1.15
-"""Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes up to
-about this share of a disturbance that comes back through the input, and hardly more."""
+"""Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
+a disturbance that comes back through the input. A judgement, not calibrated by a study."""
 
 
 @dataclass(frozen=True, eq=False)
