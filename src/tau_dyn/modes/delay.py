@@ -31,7 +31,10 @@ LONGEST = 6_000
 """Samples that the delays are compared on."""
 MOST = 20
 """The longest delay that is tried."""
-ORDERS = (2, 4, 6, 8, 12)
+ORDERS = (2, 4, 6, 8, 12, 20, 28)
+"""Orders tried for every delay: modes that all of them lack would look like a delay."""
+HIGHEST_REFINED = 12
+"""Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
 COARSE = 4
 """Step of the first look."""
 CLOSE = 100.0
@@ -118,8 +121,8 @@ def choose_delay(
         for d in sorted(d for d, (bic, _) in found.items() if d < best and bic <= lowest + room):
             if _refined(few, firsts[d], d, order, kind, most) <= after + room:
                 return _enough(found, d)
-    if len(close) > 1:
-        order = found[close[0][1]][1]
+    order = found[close[0][1]][1]
+    if len(close) > 1 and order <= HIGHEST_REFINED:
         refined = {d: _refined(few, firsts[d], d, order, kind, most) for _, d in close}
     return _chosen(found, {d: bic for d, bic in refined.items() if np.isfinite(bic)})
 

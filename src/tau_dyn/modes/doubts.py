@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.modes.result import Modes
 
 POOR_FIT = 50.0
@@ -17,14 +18,23 @@ FEW_PERIODS = 10
 
 def doubts(found: Modes) -> Modes:
     """Return the result with its doubts among the warnings."""
-    sentences = [*_feedback(found), *_band(found), *_modes(found), *_fits(found), *_tests(found)]
+    sentences = [*_feedback(found), *_order(found), *_band(found), *_modes(found), *_fits(found), *_tests(found)]
     return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, *sentences))))
 
 
 def _feedback(found: Modes) -> list[str]:
     if found.feedback.suspected and found.feedback.input:
-        return [f"{found.feedback.why}: a loop was closed; log its reference and name it with --reference"]
+        said = f"{found.feedback.why}: a loop was closed; log its reference and name it with --reference"
+        return [CodedWarning("feedback_found", said)]
     return []
+
+
+def _order(found: Modes) -> list[str]:
+    limit = found.order_choice.limit
+    if not limit:
+        return []
+    said = f"order {limit} is the highest that was looked at, and more states may help; try --order {2 * limit}"
+    return [CodedWarning("order_at_limit", said)]
 
 
 def _band(found: Modes) -> list[str]:

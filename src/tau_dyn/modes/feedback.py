@@ -46,6 +46,7 @@ class Feedback:
         share: Largest share of an input's variance that past innovations foretell beyond its own past.
         why: The reason, as a sentence.
         input: The input concerned; empty where none is.
+        possible: Whether feedback cannot be excluded, so that standard errors have to allow for it.
     """
 
     suspected: bool
@@ -53,10 +54,12 @@ class Feedback:
     share: float
     why: str
     input: str = ""
+    possible: bool = False
 
     def to_dict(self) -> dict:
         """Return it for the JSON result."""
-        return {"suspected": self.suspected, "p_value": self.p_value, "share": self.share, "why": self.why}
+        names = ("suspected", "possible", "p_value", "share", "why")
+        return {name: getattr(self, name) for name in names}
 
 
 def feedback_suspected(records: Sequence[Record]) -> Feedback:

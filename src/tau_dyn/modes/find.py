@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
+from tau_dyn.modes.contest import Candidate, settle
 from tau_dyn.modes.delay import MOST, ORDERS, DelayChoice, choose_delay
 from tau_dyn.modes.era import era_factors
 from tau_dyn.modes.feedback import Feedback, feedback_suspected
@@ -21,16 +23,19 @@ from tau_dyn.modes.judge import judged
 from tau_dyn.modes.leftover import PREDICTED, SIMULATED
 from tau_dyn.modes.methods import METHODS, first_look, starter
 from tau_dyn.modes.onset import first_answer
-from tau_dyn.modes.order import HIGHEST, OrderChoice, choose_order
+from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
 from tau_dyn.modes.preparation import Prepared, prepare
-from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import Refined, refine
 from tau_dyn.modes.result import Modes
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes.widen import widen_modes
 
 HIGHEST_ASKED = 200
 PULSE_GAIN = 0.1
 """Share by which a delay must lower what pulse tests leave, to be believed."""
+FEW_ROUNDS = 15
+"""Rounds of refinement for models of many free numbers; they begin at a trial that was refined."""
+NEIGHBOURS = 4
+"""States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 PULSE_ROUNDS = 15
 """Rounds of refinement for pulse tests, which can hold more modes than a model and then creep."""
 Progress = Callable[[str], None]
@@ -84,20 +89,74 @@ def find_modes(
     say("looking for feedback")
     feedback = _feedback(data)
     chosen, why = _method(method, data, feedback)
-    kind = PREDICTED if chosen == "pbsid" else SIMULATED
-    late = _late(data, chosen, kind, asked, fixed, sensor, say)
-    highest = max(HIGHEST, asked or 0)
 
-    def start(records: Sequence[Record]) -> Callable[[int], StateSpace]:
-        return starter(chosen, records, delay=late.delay, highest=highest)
+    def candidate(name: str) -> Candidate:
+        kind = PREDICTED if name == "pbsid" else SIMULATED
+        late = _late(data, name, kind, asked, fixed, sensor, say)
+        start = partial(starter, name, delay=late.delay, highest=max(20, asked or 0))
+        pulses = data.kind == "impulse"
+        states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
+        return Candidate(name, kind, late, states)
 
-    states = choose_order(data.train, start, kind=kind, asked=asked, pulses=data.kind == "impulse", progress=say)
+    def bearing_feedback() -> Candidate | None:
+        say("trying pbsid")
+        try:
+            return candidate("pbsid")
+        except (TauDynError, np.linalg.LinAlgError):
+            return None
+
+    best = candidate(chosen)
+    if method == "auto" and data.kind != "impulse":
+        best, feedback, why = settle(data, feedback, best, bearing_feedback)
+    late, states = best.late, best.states
     say(f"refining order {states.order}")
-    refined, how = _refined(data, chosen, kind, late.delay, states, alone=method != "auto")
+    refined, how = _refined(data, best.method, best.kind, late.delay, states, alone=method != "auto")
+    say("fitting all data")
+    final, whole = _refitted(refined, data, best, how)
+    final = _widened(final, refined, data, best, feedback)
     say("judging")
-    found = judged(refined, data, feedback, late, states, sensor=sensor, collocated=places)
-    reasons = {"method": why, "delay": late.why, "order": states.why, "refinement": how}
-    return replace(found, method=chosen, why=reasons, seed=seed)
+    found = judged(refined, data, feedback, late, states, final=final, sensor=sensor, collocated=places)
+    reasons = {"method": why, "delay": late.why, "order": states.why, "refinement": f"{how}; {whole}"}
+    return replace(found, method=best.method, why=reasons, seed=seed)
+
+
+def _refitted(refined: Refined, data: Prepared, best: Candidate, how: str) -> tuple[Refined, str]:
+    """Return the model fitted to all data, held-out ones included, and what was done; the one given where that fails."""
+    if not data.whole or not data.holdout:
+        return refined, "nothing was left to add"
+    rounds = 0 if best.states.taken is not None and best.states.taken.plain else _rounds(data, refined.model.order)
+    try:
+        final = refine(refined.model, data.whole, kind=best.kind, maximum_rounds=rounds)
+    except (TauDynError, np.linalg.LinAlgError):
+        return refined, "a fit to all data failed"
+    if final.model.spectral_radius() >= 1 or not np.isfinite(final.loss):
+        return refined, "a fit to all data failed"
+    return final, "the model was then fitted to all data; the held-out fit is that of the model of the training data"
+
+
+def _widened(final: Refined, refined: Refined, data: Prepared, best: Candidate, feedback: Feedback) -> Refined:
+    """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
+    taken = best.states.taken
+    pairs = []
+    if taken is not None:
+        others = [
+            t for t in best.states.refined if 0 < abs(t.order - taken.order) <= NEIGHBOURS and t.behind <= TOLERANCE
+        ]
+        pairs = [(taken.modes, t.modes) for t in others]
+    if feedback.possible and best.kind == SIMULATED:
+        try:
+            other = refine(refined.model, data.train, kind=PREDICTED, maximum_rounds=15)
+            pairs.append((refined.modes, other.modes))
+        except (TauDynError, np.linalg.LinAlgError):
+            pass
+    return replace(final, modes=widen_modes(final.modes, pairs))
+
+
+def _rounds(data: Prepared, order: int) -> int:
+    """Return how many rounds of refinement a model is given."""
+    if data.kind == "impulse":
+        return PULSE_ROUNDS
+    return FEW_ROUNDS if order * sum(data.train[0].u.shape[1:] + data.train[0].y.shape[1:]) > MANY_NUMBERS else 40
 
 
 def _several(logs: Log | Sequence[Log]) -> list[Log]:
@@ -160,7 +219,7 @@ def _feedback(data: Prepared) -> Feedback:
 
 
 def _method(method: str, data: Prepared, feedback: Feedback) -> tuple[str, str]:
-    """Return the method and why."""
+    """Return the method to begin with, and why."""
     if method == "era" and data.kind != "impulse":
         raise CannotAnswer(
             "era needs impulse tests, and these inputs are not short pulses followed by rest",
@@ -175,8 +234,6 @@ def _method(method: str, data: Prepared, feedback: Feedback) -> tuple[str, str]:
         return method, f"{method} was asked for{bears}"
     if data.kind == "impulse":
         return "era", "the inputs are short pulses followed by free decay, so era"
-    if feedback.suspected:
-        return "pbsid", f"{feedback.why}, so pbsid, which bears feedback"
     return "n4sid", f"{feedback.why}, so n4sid"
 
 
@@ -185,7 +242,7 @@ def _late(
 ) -> DelayChoice:
     if fixed is not None:
         return DelayChoice(fixed, (), float("nan"), f"a delay of {fixed} samples was asked for")
-    orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, HIGHEST)})
+    orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, 20)})
     decays = era_factors(data.train, delay=MOST) if method == "era" else None
     most = MOST
     if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
@@ -205,14 +262,18 @@ def _refined(
     data: Prepared, method: str, kind: str, delay: int, states: OrderChoice, *, alone: bool
 ) -> tuple[Refined, str]:
     """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
-    order = states.order
-    tried = [t.model for t in states.trials if t.order == order]
-    starts = [(method, lambda: tried[0])] if tried else []
-    alone = alone or kind == PREDICTED or data.kind == "impulse"
+    order, taken = states.order, states.taken
+    rounds = _rounds(data, order)
+    if taken is not None and taken.plain:
+        first = starter(method, data.train, delay=delay, highest=order)(order)
+        made = refine(first, data.train, kind=kind, maximum_rounds=0)
+        if made.model.spectral_radius() < 1 and np.isfinite(made.loss):
+            return made, f"{method} alone: refinement made the simulation of other data worse"
+    starts = [(method, lambda: taken.model)] if taken is not None else []
+    alone = alone or kind == PREDICTED or data.kind == "impulse" or rounds == FEW_ROUNDS
     names = (method,) if alone else tuple(dict.fromkeys((method, "n4sid", "arx")))
-    if not (tried and data.kind == "impulse"):
+    if not (taken is not None and (data.kind == "impulse" or rounds == FEW_ROUNDS)):
         starts += [(n, lambda n=n: starter(n, data.train, delay=delay, highest=order)(order)) for n in names]
-    rounds = PULSE_ROUNDS if data.kind == "impulse" else 40
     found: list[tuple[float, str, Refined]] = []
     fault: Exception | None = None
     for name, first in starts:

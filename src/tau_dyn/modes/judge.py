@@ -40,28 +40,31 @@ def judged(
     delay: DelayChoice,
     order: OrderChoice,
     *,
+    final: Refined | None = None,
     sensor: str = "displacement",
     collocated: Sequence[tuple[int, int]] | None = None,
 ) -> Modes:
     """Return the result with everything that says how far to trust it.
 
     Args:
-        refined: The model.
+        refined: The model of the training data, which held-out data may judge.
         data: What it was fitted to, and what was held out.
         feedback: Whether the inputs answer to the outputs.
         delay: How the delay was chosen.
         order: How the order was chosen.
+        final: The model of all data, which is the answer; None takes the one of the training data.
         sensor: What the outputs are: `displacement`, `velocity` or `acceleration`.
         collocated: Pairs of an input's and an output's number at one place.
     """
-    model, modes = refined.model, tuple(refined.modes)
+    final = final or refined
+    model, modes = refined.model, tuple(final.modes)
     noise = noise_model(leftovers(model, data.train))
     held = data.holdout or data.train
     white, free = _tests(model, noise, held, used=0 if data.holdout else model.order)
     narrow = min((2 * m.damping_ratio * m.frequency_hz for m in modes), default=0.0)
     empirical = empirical_response(data.train, impulses=data.kind == "impulse", resolve=narrow)
     complete = bool(free) and all(t.passed for t in free)
-    mechanical, why_not = _mechanical(refined, sensor, collocated, complete)
+    mechanical, why_not = _mechanical(final, sensor, collocated, complete)
     first = data.train[0]
     found = Modes(
         inputs=first.inputs,
@@ -70,10 +73,10 @@ def judged(
         order=model.order,
         delay=model.delay,
         method="",
-        model=model,
+        model=final.model,
         modes=modes,
-        poles=poles_of(model, modes),
-        zeros=zeros_of(model),
+        poles=poles_of(final.model, modes),
+        zeros=zeros_of(final.model),
         train=_fit(model, noise, data.train),
         holdout=_fit(model, noise, data.holdout) if data.holdout else None,
         whiteness=white,
@@ -84,7 +87,7 @@ def judged(
         order_choice=order,
         stabilisation=stabilisation({t.order: t.modes for t in order.trials}),
         empirical=empirical,
-        response=_response(refined, empirical),
+        response=_response(final, empirical),
         impulse=impulse_responses(model, held, modes, kind=data.kind, held_out=bool(data.holdout)),
         traces=_traces(model, data),
         mechanical=mechanical,

@@ -44,6 +44,12 @@ def loss_of(errors: Sequence[np.ndarray]) -> float:
     return float(value) if sign > 0 else float("-inf")
 
 
+def spread_of(errors: Sequence[np.ndarray]) -> float:
+    """Return the sum of the outputs' log mean squares: what fits an output at a time judge; infinite where one ran away."""
+    power = np.diag(covariance(errors))
+    return float(np.sum(np.log(np.maximum(power, 1e-300)))) if np.all(np.isfinite(power)) else float("inf")
+
+
 def free_count(order: int, p: int, m: int, *, direct: bool, predicts: bool) -> int:
     """Return the free numbers of a model: its states' freedom of basis taken out (McKelvey & Helmersson 2004)."""
     return order * (p + m) + (p * m if direct else 0) + (order * p if predicts else 0)
@@ -57,14 +63,14 @@ def criteria(loss: float, n_samples: int, k: int) -> tuple[float, float]:
 def worse(errors: Sequence[np.ndarray], best: Sequence[np.ndarray], blocks: int = 20) -> float:
     """Return by how many standard errors some errors are larger than the best ones on the same samples.
 
-    Both are weighed by the covariance of the best. Blocks of time are compared in pairs, so neither colour nor what
+    Every output is weighed by its best errors. Blocks of time are compared in pairs, so neither colour nor what
     both miss counts; and in ratios, so that a decay's loud beginning does not hide the rest.
     """
-    weight = np.linalg.pinv(covariance(best), hermitian=True)
+    weight = 1 / np.maximum(np.diag(covariance(best)), 1e-300)
     length = max(20, sum(len(e) for e in best) // blocks)
     rows = []
     for e, b in zip(errors, best, strict=True):
-        pair = np.column_stack([np.einsum("ti,ij,tj->t", x, weight, x) for x in (e, b)])
+        pair = np.column_stack([x**2 @ weight for x in (e, b)])
         parts = [part.mean(axis=0) for part in np.array_split(pair, max(1, len(pair) // length))]
         rows += [float(np.log(one / other)) for one, other in parts if one > 0 and other > 0]
     if not np.all(np.isfinite(rows)):

@@ -1,7 +1,8 @@
 """How many states: no single number says it, so several are looked at together.
 
-Models of even orders, and of those next to the best, are refined on three quarters of the training data and simulate
-the last quarter (the held-out data stay out of it). Among the stable ones,
+One factorisation of three quarters of the training data gives first models of all orders up to a high one; each simulates the
+last quarter (the held-out data stay out of it). Near the one that does best, models are refined and compared again, until the
+neighbours of the leading order are known. Among the refined and stable ones,
 
 1. the smallest order that simulates that quarter as well as the best, within two standard errors of paired blocks, is taken;
 2. where BIC asks for more states, they are granted if they do not simulate worse and what is left is white, which is what BIC
@@ -13,16 +14,16 @@ Hannan & Deistler 1988 on what the criteria can and cannot tell.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.modes.checks import fit_of, whiteness
-from tau_dyn.modes.leftover import SIMULATED, criteria, free_count, leftovers, loss_of, worse
+from tau_dyn.modes.leftover import SIMULATED, criteria, free_count, leftovers, loss_of, spread_of, worse
 from tau_dyn.modes.methods import Start
-from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.modal import Mode, modes_of
 from tau_dyn.modes.record import Record, shortened
 from tau_dyn.modes.refine import refine
 from tau_dyn.modes.state_space import StateSpace
@@ -32,11 +33,24 @@ LONGEST = 6_000
 """Samples that the orders are compared on."""
 PULSE = 500
 """Samples of each pulse that are kept in any case."""
-HIGHEST = 20
+HIGHEST = 60
+"""Highest order that is looked at unless one is asked for: thirty modes in the band of one test."""
+HIGHEST_PREDICTED = 24
+"""The same where one-step predictions are compared, whose first models cost a factorisation each."""
+SMALL = 8
+"""Up to this order all even ones below are refined, which costs little and fills the stabilisation diagram."""
 BEYOND = 4
-"""Orders that are still looked at above the best so far: a diagram needs them, a choice does not."""
+"""Orders that are refined above the leading one: a diagram needs them, a choice does not."""
+MOST_REFINED = 14
+"""Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
+MANY_NUMBERS = 100
+"""Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
 ROUNDS = 4
 TOLERANCE = 2.0
+PATIENCE = 16
+"""Orders without any gain after which the scan stops, once it has explained most of what moves."""
+GOOD_FIT_PERCENT = 80.0
+"""Fit from which on patience counts: modes that come in late show only when most of them are in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +68,8 @@ class OrderTrial:
         white: Whether what it leaves is white.
         modes: Its modes, with standard errors.
         model: The model itself.
+        refined: Whether it was refined; first models are shown, but not chosen from.
+        plain: Whether refinement was tried and made the simulation of other data worse, so that the first model stands.
     """
 
     order: int
@@ -66,10 +82,12 @@ class OrderTrial:
     white: bool
     modes: tuple[Mode, ...]
     model: StateSpace
+    refined: bool = True
+    plain: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for the JSON result."""
-        names = ("order", "loss", "aic", "bic", "fit_percent", "behind", "stable", "white")
+        names = ("order", "loss", "aic", "bic", "fit_percent", "behind", "stable", "white", "refined")
         return {name: getattr(self, name) for name in names}
 
 
@@ -83,6 +101,7 @@ class OrderChoice:
         by: What each criterion alone would have taken: `aic`, `bic`, `simulation`.
         why: The reason, as a sentence.
         chosen: Whether it was chosen here; False where it was asked for.
+        limit: The highest order that was looked at, where more states may help; 0 where it does not bind.
     """
 
     order: int
@@ -90,10 +109,22 @@ class OrderChoice:
     by: dict[str, int]
     why: str
     chosen: bool = True
+    limit: int = 0
+
+    @property
+    def taken(self) -> OrderTrial | None:
+        """The trial of the order taken; None where there is none."""
+        return next((t for t in self.refined if t.order == self.order), None)
+
+    @property
+    def refined(self) -> tuple[OrderTrial, ...]:
+        """The trials that were refined, lowest first."""
+        return tuple(t for t in self.trials if t.refined)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for the JSON result."""
-        return {"chosen": self.chosen, "by": self.by, "why": self.why, "trials": [t.to_dict() for t in self.trials]}
+        trials = [t.to_dict() for t in self.trials]
+        return {"chosen": self.chosen, "by": self.by, "why": self.why, "limit": self.limit, "trials": trials}
 
 
 def choose_order(
@@ -111,7 +142,7 @@ def choose_order(
     Args:
         records: Training records, inputs and outputs as deviations.
         start: Gives, for records, a function from an order to a first model.
-        orders: Orders to try; the even ones up to 20, and the neighbours of the best, where not given.
+        orders: Orders to refine; the neighbourhood of the best up to 60, where not given.
         kind: `output_error` or `prediction_error`.
         asked: An order that is wanted in any case; the trials then only show what it is among.
         pulses: Whether each record is a pulse and its decay, which must not be cut.
@@ -120,27 +151,113 @@ def choose_order(
     Raises:
         CannotAnswer: No order gives a stable model.
     """
-    fitted, kept = _pulses(records) if pulses else _parts(records)
-    wanted = _affordable(fitted, orders or range(2, max(HIGHEST, asked or 0) + 1, 2))
+    fitted, kept = select_pulses(records) if pulses else select_parts(records)
     make, apart = start(fitted), kept is not fitted
-    rows: list[_Row] = []
-    for order in wanted:
-        _add(rows, fitted, kept, make, order, kind, progress)
-        if orders is None and rows and order >= max(_leading(rows, apart), asked or 0) + BEYOND:
-            break
-    if orders is None and rows:
-        for order in _affordable(
-            fitted, sorted({_leading(rows, apart) - 1, _leading(rows, apart) + 1} - {0}), strict=False
-        ):
-            _add(rows, fitted, kept, make, order, kind, progress)
-    rows.sort(key=lambda row: row.order)
+    search = _Search(fitted, kept, make, kind, apart, progress)
+    scanned: list[_Row] = []
+    if orders is not None:
+        for order in _affordable(fitted, orders):
+            search.refine(order)
+    else:
+        wanted = _affordable(
+            fitted, [1, 2, 3, *range(4, max(HIGHEST if kind == SIMULATED else HIGHEST_PREDICTED, asked or 0) + 1, 2)]
+        )
+        scanned = _scan(search, wanted)
+        _refine_near(search, scanned, asked)
+    rows = sorted(search.rows, key=lambda row: row.order)
     if not rows:
         raise CannotAnswer("no order gave a stable model", "a longer log, with more excitation against the noise")
     best = min(rows, key=lambda row: row.lost)
+    done = {row.order for row in rows}
+    rows = sorted([*rows, *(r for r in scanned if r.order not in done)], key=lambda row: row.order)
     trials = tuple(_trial(row, best) for row in rows)
     if asked is not None:
         return OrderChoice(asked, trials, _by(trials), f"order {asked} was asked for", chosen=False)
-    return _chosen(trials, apart)
+    choice = _chosen(trials, apart)
+    highest = max((t.order for t in trials), default=0)
+    if orders is None and search.at_limit(choice.order, highest):
+        why = f"{choice.why}; {highest} is the highest that was looked at, and more may help"
+        return replace(choice, why=why, limit=highest)
+    return choice
+
+
+@dataclass(eq=False)
+class _Search:
+    """What refines orders, and what it has found so far."""
+
+    fitted: Sequence[Record]
+    kept: Sequence[Record]
+    make: Start
+    kind: str
+    apart: bool
+    progress: Callable[[str], None] | None
+
+    def __post_init__(self) -> None:
+        self.rows: list[_Row] = []
+        self.tried: set[int] = set()
+        self.affordable = set(_affordable(self.fitted, range(1, 401), strict=False))
+
+    def refine(self, order: int) -> None:
+        """Add a refined model of an order, once, where the data can pay for it."""
+        if order < 1 or order in self.tried or order not in self.affordable or len(self.tried) >= MOST_REFINED:
+            return
+        self.tried.add(order)
+        if self.progress is not None:
+            self.progress(f"order {order}")
+        row = _try(self.fitted, self.kept, self.make, order, self.kind)
+        if row is not None:
+            self.rows.append(row)
+
+    def leading(self) -> int:
+        """Return the order that would be taken so far."""
+        best = min(self.rows, key=lambda row: row.lost)
+        return _chosen([_trial(row, best) for row in self.rows], self.apart).order
+
+    def at_limit(self, order: int, highest: int) -> bool:
+        """Tell whether an order is the highest there was, though neither BIC nor the data asked to stop."""
+        return order >= highest - 1 and len(self.rows) > 1
+
+
+def _scan(search: _Search, orders: Sequence[int]) -> list[_Row]:
+    """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
+    if search.progress is not None:
+        search.progress("scanning orders")
+    rows: list[_Row] = []
+    for order in orders:
+        try:
+            row = _judge(search.make(order), search.fitted, search.kept, search.kind)
+        except (TauDynError, np.linalg.LinAlgError):
+            continue
+        if row is None:
+            continue
+        rows.append(row)
+        best = min(rows, key=lambda r: r.lost)
+        if best.fit > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
+            break
+    return rows
+
+
+def _refine_near(search: _Search, scanned: Sequence[_Row], asked: int | None) -> None:
+    """Refine the neighbourhood of the order that first models favour, until the leading order's neighbours are known."""
+    first = asked or 4
+    if scanned:
+        best = min(scanned, key=lambda row: row.lost)
+        first = min(row.order for row in scanned if row is best or worse(row.kept, best.kept) <= TOLERANCE)
+        first = asked or first
+    if first <= SMALL:
+        for order in range(2, first + 1, 2):
+            search.refine(order)
+    search.refine(first)
+    while search.rows:
+        before = len(search.tried)
+        leading = search.leading() if asked is None else asked
+        around = (leading - 2, leading + 2)
+        if leading <= SMALL:
+            around = (*around, leading + BEYOND, leading - 1, leading + 1)
+        for order in around:
+            search.refine(order)
+        if len(search.tried) == before:
+            return
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,56 +272,58 @@ class _Row:
     white: bool
     model: StateSpace
     modes: tuple[Mode, ...]
-
-
-def _add(
-    rows: list[_Row],
-    fitted: Sequence[Record],
-    kept: Sequence[Record],
-    make: Start,
-    order: int,
-    kind: str,
-    progress: Callable[[str], None] | None,
-) -> None:
-    if progress is not None:
-        progress(f"order {order}")
-    row = _try(fitted, kept, make, order, kind)
-    if row is not None:
-        rows.append(row)
-
-
-def _leading(rows: Sequence[_Row], apart: bool) -> int:
-    """Return the order that would be taken so far."""
-    best = min(rows, key=lambda row: row.lost)
-    return _chosen([_trial(row, best) for row in rows], apart).order
+    refined: bool = False
+    plain: bool = False
 
 
 def _try(fitted: Sequence[Record], kept: Sequence[Record], make: Start, order: int, kind: str) -> _Row | None:
-    """Return a model of an order, or None where the method or the refinement finds none."""
+    """Return a refined model of an order, or None where the method or the refinement finds none.
+
+    Where refinement makes the simulation of other data worse, the first model stands: likelihood under white errors and
+    correlated outputs is not what a simulation is asked for.
+    """
     try:
-        refined = refine(make(order), fitted, kind=kind, maximum_rounds=ROUNDS)
+        first = make(order)
+        p, m = first.D.shape
+        refined = refine(first, fitted, kind=kind, maximum_rounds=ROUNDS, covariance=order * (p + m) <= MANY_NUMBERS)
     except (TauDynError, np.linalg.LinAlgError):
         return None
-    model = refined.model
+    row = _judge(refined.model, fitted, kept, kind)
+    if kind == SIMULATED and kept is not fitted:
+        plain = _judge(first, fitted, kept, kind)
+        if plain is not None and (row is None or worse(row.kept, plain.kept) > TOLERANCE):
+            return replace(plain, refined=True, plain=True)
+    return None if row is None else replace(row, modes=tuple(refined.modes), refined=True)
+
+
+def _judge(model: StateSpace, fitted: Sequence[Record], kept: Sequence[Record], kind: str) -> _Row | None:
+    """Return how a model does on what it was fitted to and on what it was not; None where it is not stable."""
     if model.spectral_radius() >= 1:
         return None
+    if kind != SIMULATED and np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max(initial=0) >= 1:
+        return None  # its predictor runs away
     errors, others = leftovers(model, fitted, kind), leftovers(model, kept, kind)
+    if not all(np.isfinite(e).all() for e in (*errors, *others)):
+        return None
     p, m = model.D.shape
-    k = free_count(order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
+    k = free_count(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
     white = min(t.p_value for t in whiteness(errors, [""] * p)) * p > 0.001
     measured = [r.y[model.delay :] for r in kept]
     fit = float(np.mean(fit_of(measured, [y - e for y, e in zip(measured, others, strict=True)])))
     n = sum(len(e) for e in errors)
-    return _Row(order, k, n, loss_of(errors), loss_of(others), others, fit, white, model, tuple(refined.modes))
+    return _Row(model.order, k, n, loss_of(errors), spread_of(others), others, fit, white, model, modes_of(model))
 
 
 def _trial(row: _Row, best: _Row) -> OrderTrial:
     aic, bic = criteria(row.loss, row.n, row.k)
     behind = 0.0 if row is best else worse(row.kept, best.kept)
-    return OrderTrial(row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model)
+    return OrderTrial(
+        row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model, row.refined, row.plain
+    )
 
 
 def _by(trials: Sequence[OrderTrial]) -> dict[str, int]:
+    trials = [t for t in trials if t.refined]
     good = [t for t in trials if t.behind <= TOLERANCE]
     return {
         "simulation": min(t.order for t in good),
@@ -218,7 +337,7 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
     if not apart:
         why = f"order {by['bic']} is what BIC takes; there was no second pulse to compare on"
         return OrderChoice(by["bic"], tuple(trials), by, why)
-    simple, bic = by["simulation"], next(t for t in trials if t.order == by["bic"])
+    simple, bic = by["simulation"], next(t for t in trials if t.refined and t.order == by["bic"])
     why = f"order {simple} is the smallest that simulates data it was not fitted to as well as any"
     if bic.order <= simple:
         agree = "; BIC agrees" if bic.order == simple else f"; BIC would take {bic.order}"
@@ -229,7 +348,7 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
     return OrderChoice(simple, tuple(trials), by, f"{why}; BIC would take {bic.order}, but what is left is not white")
 
 
-def _pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
+def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
     """Return pulses to fit on and the last quarter to compare on, if what is left still hits every input; else all twice."""
     records = shortened(records, LONGEST, PULSE)
     kept = max(1, round(SELECT_SHARE * len(records)))
@@ -240,7 +359,7 @@ def _pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Recor
     return records, records
 
 
-def _parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     """Return what to fit on and what to compare on: the last quarter of each record."""
     records = shortened(records, LONGEST)
     fitted = [r.window(slice(0, round((1 - SELECT_SHARE) * r.n_samples))) for r in records]

@@ -45,6 +45,7 @@ class Prepared:
         kind: `driven`, or `impulse` where each record is a short pulse and its decay.
         how_held: What was held out, in words.
         warnings: Sentences.
+        whole: What the final model is fitted to: all data, but for logs that were given to judge on; empty means `train`.
     """
 
     train: tuple[Record, ...]
@@ -52,6 +53,7 @@ class Prepared:
     kind: str
     how_held: str
     warnings: tuple[str, ...] = ()
+    whole: tuple[Record, ...] = ()
 
     @property
     def n_train(self) -> int:
@@ -93,7 +95,9 @@ def prepare(
         return Prepared(tuple(_centred(r, r) for r in train), kept, "driven", "the logs given", tuple(warnings))
     pairs = [_cut(r) for r in train]
     kept = tuple(_centred(b, a) for a, b in pairs if b.n_samples)
-    return Prepared(tuple(_centred(a, a) for a, _ in pairs), kept, "driven", "the last 30 %", tuple(warnings))
+    parts = tuple(_centred(a, a) for a, _ in pairs)
+    whole = tuple(_centred(r, a) for r, (a, _) in zip(train, pairs, strict=True))
+    return Prepared(parts, kept, "driven", "the last 30 %", tuple(warnings), whole)
 
 
 def pulses_of(record: Record) -> list[Record]:
@@ -119,7 +123,7 @@ def _is_pulses(record: Record) -> bool:
 def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> Prepared:
     pulses = [_settled(p) for r in train for p in pulses_of(r)]
     kept = [_settled(p) for r in held for p in (pulses_of(r) if _is_pulses(r) else [r])]
-    how = "the logs given"
+    how, everything = "the logs given", pulses
     if not kept and len(pulses) > 1:
         n = max(1, round((1 - TRAIN_SHARE) * len(pulses)))
         if _spans_inputs(pulses[:-n]):
@@ -130,7 +134,8 @@ def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> Pre
             *warnings,
             "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice",
         ]
-    return Prepared(tuple(shortened(pulses, PULSES, 5 * PULSE_ROOM)), tuple(kept), "impulse", how, tuple(warnings))
+    parts, whole = (tuple(shortened(some, PULSES, 5 * PULSE_ROOM)) for some in (pulses, everything))
+    return Prepared(parts, tuple(kept), "impulse", how, tuple(warnings), whole)
 
 
 def _spans_inputs(pulses: list[Record]) -> bool:

@@ -1,0 +1,112 @@
+"""Methods tried side by side: what each finds, whether a loop was closed, and which one the data bear out.
+
+The open-loop method (`n4sid`) is tried first, and its residuals tell whether the inputs follow them (`acausality.py`). Where
+that, an older trace of feedback (`feedback.py`) or a named reference says so, `pbsid` is tried too. Under feedback the error
+of a simulation favours the open-loop method, which fits the disturbance too; so `pbsid` may lose a little, but not much: a
+model that cannot simulate is no answer, whatever the reason for trying it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.modes.acausality import Acausality, find_acausality
+from tau_dyn.modes.delay import DelayChoice
+from tau_dyn.modes.feedback import Feedback
+from tau_dyn.modes.leftover import SIMULATED, leftovers
+from tau_dyn.modes.order import OrderChoice, select_parts
+from tau_dyn.modes.preparation import Prepared
+from tau_dyn.modes.simulate import late_inputs
+
+SURE = 1e-3
+"""p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""
+POSSIBLE = 0.2
+"""p-value below which feedback cannot be excluded, and standard errors allow for it."""
+WORST_RATIO = 1.15
+"""Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
+a disturbance that comes back through the input. A judgement, not calibrated by a study."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """What one method made of the training data.
+
+    Attributes:
+        method: `n4sid` or `pbsid`.
+        kind: What its refinement minimises.
+        late: Its delay.
+        states: Its order, with the models of the trials.
+    """
+
+    method: str
+    kind: str
+    late: DelayChoice
+    states: OrderChoice
+
+    def simulation_errors(self, data: Prepared) -> float:
+        """Return the geometric mean over outputs of simulation errors on the quarter kept apart; infinite without a model."""
+        trial = self.states.taken
+        if trial is None:
+            return float("inf")
+        _, kept = select_parts(data.train)
+        errors = leftovers(trial.model, kept, SIMULATED)
+        power = sum(np.sum(e**2, axis=0) for e in errors) / sum(len(e) for e in errors)
+        return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
+
+
+def check_candidate(candidate: Candidate, data: Prepared) -> Acausality:
+    """Return whether the inputs follow what a candidate leaves of the training data."""
+    trial = candidate.states.taken
+    if trial is None:
+        return Acausality(1.0, 0.0)
+    errors = leftovers(trial.model, data.train, SIMULATED)
+    return find_acausality(errors, [late_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
+
+
+def settle(
+    data: Prepared, before: Feedback, plain: Candidate, make: Callable[[], Candidate | None]
+) -> tuple[Candidate, Feedback, str]:
+    """Return the candidate to go on with, what is known of feedback, and why.
+
+    Args:
+        data: Training data.
+        before: What the innovations say of feedback, or a reference that was named.
+        plain: The open-loop candidate.
+        make: Makes the candidate that bears feedback; None where the method gives no model.
+    """
+    found = check_candidate(plain, data)
+    named = any(r.reference is not None for r in data.train)
+    sure = named or found.p_value < SURE
+    if not sure and not before.suspected:
+        quiet = replace(before, possible=found.p_value < POSSIBLE, p_value=found.p_value, share=found.share)
+        return plain, quiet, f"{quiet.why}, so n4sid"
+    other = make()
+    ratio = np.inf if other is None else other.simulation_errors(data) / plain.simulation_errors(data)
+    first = data.train[0]
+    why = before.why
+    if not named and found.p_value < SURE:
+        why = (
+            f"input '{first.inputs[found.input]}' follows what a causal model leaves of '{first.outputs[found.output]}' "
+            f"(p = {found.p_value:.1g})"
+        )
+    if other is not None and ratio <= WORST_RATIO:
+        p = min(found.p_value, before.p_value)
+        closed = replace(
+            before, suspected=True, possible=True, p_value=p, share=max(found.share, before.share), why=why
+        )
+        closed = replace(closed, input=closed.input or ("" if named else first.inputs[found.input]))
+        return other, closed, f"{why}, so pbsid, which bears feedback"
+    lost = (
+        "pbsid gives no model" if other is None else f"pbsid leaves {ratio:.3g} times the error of n4sid in simulation"
+    )
+    if sure:
+        closed = replace(before, suspected=True, possible=True, p_value=min(found.p_value, before.p_value), why=why)
+        return plain, closed, f"{why}, but {lost}, so n4sid; standard errors allow for the loop"
+    calm = replace(
+        before, suspected=False, possible=found.p_value < POSSIBLE, p_value=found.p_value, share=found.share, input=""
+    )
+    text = "no input follows what a causal model leaves of the outputs"
+    return plain, replace(calm, why=text), f"{text}, and {lost}, so n4sid"

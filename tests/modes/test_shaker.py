@@ -1,0 +1,91 @@
+"""Ordinary shaker tests: band-limited force and anti-alias filters are no feedback, and many modes need many states."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tau_dyn.modes import find_modes
+from tau_dyn.modes.acausality import find_acausality
+from tau_dyn.modes.feedback import feedback_suspected
+from tau_dyn.modes.leftover import leftovers
+from tau_dyn.modes.methods import starter
+from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.order import choose_order
+from tau_dyn.modes.preparation import prepare
+from tau_dyn.modes.result import Modes
+from tau_dyn.modes.widen import widen_modes
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[2] / "experiments"))
+from recordings import recorded, structure
+from shaker_tests import TESTS, Shaker, record_shaker
+
+
+@pytest.fixture(scope="module")
+def found() -> Modes:
+    """Three modes under a force that ends at 400 Hz, filtered and sampled at 1 kHz."""
+    return find_modes(record_shaker(TESTS["three_short"]), ["force"], ["place1"], delay=0)
+
+
+def test_an_ordinary_shaker_test_is_followed(found):
+    """The default explains 99 % of unseen data and finds 60, 150 and 280 Hz, each with 1 % damping."""
+    assert found.method == "n4sid" and not found.feedback.suspected and found.holdout.mean > 99
+    for f in (60, 150, 280):
+        mode = min(found.modes, key=lambda m: abs(m.frequency_hz - f))
+        assert mode.frequency_hz == pytest.approx(f, rel=2e-3) and mode.damping_ratio == pytest.approx(0.01, rel=0.03)
+
+
+def test_the_innovations_alone_would_be_misled(found):
+    """A band-limited force can be foreseen from the response, so the older trace of feedback speaks though no loop is closed."""
+    data = prepare([record_shaker(TESTS["three_short"])], ["force"], ["place1"])
+    assert feedback_suspected(data.train).suspected
+    assert "pbsid leaves" in found.why["method"]
+
+
+def test_the_final_model_rests_on_all_data(found):
+    """The model answers for the held-out part too: it leaves less of all data than that of the first 70 % does."""
+    assert "fitted to all data" in found.why["refinement"]
+    assert found.holdout.n_samples == 900 and found.train.n_samples == 2100
+
+
+def _acausality(gain: float, seed: int, order: int = 6) -> float:
+    test = Shaker(gain=gain, disturbance=0.5, n=6000)
+    data = prepare([record_shaker(test, seed)], ["force"], ["place1"])
+    model = starter("n4sid", data.train)(order)
+    return find_acausality(leftovers(model, data.train), [r.u for r in data.train]).p_value
+
+
+def test_a_disturbed_open_loop_raises_no_alarm():
+    """A disturbance of half the force's size, and two modes that the model lacks, are no feedback."""
+    assert min(_acausality(0.0, 0), _acausality(0.0, 1), _acausality(0.0, 0, order=2)) > 1e-3
+
+
+def test_an_input_that_follows_the_disturbance_is_seen():
+    """A force that repeats the response's disturbance 40 samples later was fed back; one that comes before it was not."""
+    rng = np.random.default_rng(0)
+    v, r = rng.normal(size=(2, 4000))
+    after, before = (r + 0.3 * np.roll(v, shift) for shift in (40, -40))
+    assert find_acausality([v[:, None]], [after[:, None]]).p_value < 1e-3
+    assert find_acausality([v[:, None]], [before[:, None]]).p_value > 1e-3
+
+
+def test_many_modes_get_many_states():
+    """Twelve modes need 24 states: the scan does not stop where the first twenty explain nothing more."""
+    hz = tuple(np.linspace(3, 44, 12))
+    whole = structure(hz, (0.01,) * 12)
+    record = recorded(replace(whole, B=whole.B[:, :1], C=whole.C[:2], D=whole.D[:2, :1]), 4000, 50)
+    choice = choose_order([record], lambda records: starter("n4sid", records), orders=None)
+    assert 24 <= choice.order <= 26 and not choice.limit
+
+
+def test_standard_errors_cover_other_models():
+    """A neighbouring order that puts a mode ten standard errors away widens its interval to reach it; one within does not."""
+    mode = Mode(10.0, 0.01, 0.01, 0.0001, np.ones(1), 0.0)
+    far, near = replace(mode, frequency_hz=10.1), replace(mode, frequency_hz=10.001)
+    assert widen_modes([mode], [([mode], [far])])[0].frequency_stderr == pytest.approx(0.1, rel=0.05)
+    assert widen_modes([mode], [([mode], [near])])[0] == mode
