@@ -15,6 +15,11 @@ from tau_dyn.diagnose.search import Search, effects_of
 from tau_dyn.diagnose.trials import columns_of
 from tau_dyn.diagnose.unknown import ALIKE, Structure, others_alike
 
+MIN_GAINING_SHARE = 0.5
+"""Share of a predicted force that must be true for its prediction to lower the error."""
+MIN_Z = 1.96
+"""Standard errors that the share must be above zero: of a name there are fewer candidates than of smooth functions."""
+
 
 @dataclass(frozen=True, eq=False)
 class Told:
@@ -78,7 +83,7 @@ def unexplained_of(channel: Channel, hunt: Search, told: Told | None) -> tuple[U
 
 
 def _borne_out(channel: Channel, hunt: Search, told: Told) -> bool:
-    """Tell whether the last part shows some of it too, as it has to of a cause; unless it could not be heard there.
+    """Tell whether the last part shows it significantly, and enough of it to be predicted better; unless it cannot show it.
 
     Of another log's drift, it has to show what the confirmation part of that log says.
     """
@@ -86,4 +91,5 @@ def _borne_out(channel: Channel, hunt: Search, told: Told) -> bool:
         return True
     others = columns_of(hunt.library, effects_of(hunt.found))
     known = CONFIRM if _drifts_anew(channel, told.structure) else TRAIN
-    return confirm(channel, hunt.noise, [told.structure.columns], others, GAIN, fitted_on=(known,)).share > 0
+    shown = confirm(channel, hunt.noise, [told.structure.columns], others, GAIN, fitted_on=(known,))
+    return shown.share > max(MIN_GAINING_SHARE, MIN_Z * shown.stderr)
