@@ -17,8 +17,7 @@ from tau_dyn.diagnose.unknown import ALIKE, Structure, others_alike
 
 MIN_GAINING_SHARE = 0.5
 """Share of a predicted force that must be true for its prediction to lower the error."""
-MIN_Z = 1.96
-"""Standard errors that the share must be above zero: of a name there are fewer candidates than of smooth functions."""
+Z95 = 1.959964
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +82,11 @@ def unexplained_of(channel: Channel, hunt: Search, told: Told | None) -> tuple[U
 
 
 def _borne_out(channel: Channel, hunt: Search, told: Told) -> bool:
-    """Tell whether the last part shows it significantly, and enough of it to be predicted better; unless it cannot show it.
+    """Tell whether the last part is predicted better, with the 95 % interval above zero, as it has to be with a cause.
 
     Of another log's drift, it has to show what the confirmation part of that log says.
     """
-    if told.test.within:
-        return True
     others = columns_of(hunt.library, effects_of(hunt.found))
     known = CONFIRM if _drifts_anew(channel, told.structure) else TRAIN
     shown = confirm(channel, hunt.noise, [told.structure.columns], others, GAIN, fitted_on=(known,))
-    return shown.share > max(MIN_GAINING_SHARE, MIN_Z * shown.stderr)
+    return shown.share - Z95 * shown.stderr > MIN_GAINING_SHARE
