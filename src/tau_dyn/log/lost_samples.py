@@ -191,12 +191,12 @@ def _stretches(
         residual = windows - (windows @ orthogonal) @ orthogonal.T
         turned = ((windows @ with_jump.T) @ slopes.T) * behind
         turned -= (turned @ orthogonal) @ orthogonal.T
-        onward = np.abs(windows[:, -1] - windows[:, 0]) > MIN_NET_SHARE * np.abs(np.diff(windows, axis=1)).sum(axis=1)
-        turned, residual = turned * onward[:, None], residual * onward[:, None]
         squares = np.einsum("ni,ni->n", residual, residual)
         moving = np.ptp(windows, axis=1) > 0
         usual = float(np.median(squares[moving])) / (freedom - 0.6) if moving.any() else 0.0
         scale = max(usual, float(floor[j]) ** 2)
+        onward = np.abs(windows[:, -1] - windows[:, 0]) > MIN_NET_SHARE * np.abs(np.diff(windows, axis=1)).sum(axis=1)
+        turned, squares = turned * onward[:, None], squares * onward
         top += np.einsum("ni,ni->n", turned, residual) / scale
         bottom += np.einsum("ni,ni->n", turned, turned) / scale
         power += squares / scale
