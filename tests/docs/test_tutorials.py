@@ -22,6 +22,7 @@ SLOW = ("docs/tutorials/identify.md", "docs/tutorials/diagnose.md", "docs/tutori
 OUTSIDE = ROOT / "tests" / "outside"
 
 
+@pytest.mark.timeout(900)  # a page is a sequence of commands, one of them a whole diagnosis of a six-axis arm
 @pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
 def test_what_a_page_shows_is_what_appears(name):
     """Every step ends well, or is refused as shown, and what appears agrees to the digits shown."""

@@ -225,5 +225,6 @@ def _extend(model: Model, effects: Sequence, values: dict[str, float]) -> Model:
 def _show(console, made: Made, found, written: dict[str, str]) -> None:
     from tau_dyn.report import print_diagnosis
 
-    console.print(f"Hidden in the made logs: {made.said}.")
     print_diagnosis(console, found, written)
+    claims = " ".join(f.sentence for f in found.findings if f.status in ("confirmed", "parameter"))
+    console.print(f"Hidden in the made logs: {made.said}.\nFound: {claims or 'nothing.'}")
