@@ -58,20 +58,40 @@ def build_robot(name: str) -> Robot:
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A sound log, with its machine and what is true of it."""
+    """A sound log, with its machine and what is true of it.
+
+    Attributes:
+        robot: The robot file.
+        log: The log.
+        truth: Parameters by name.
+        position: Logged positions (N, na).
+        force: Logged forces (N, na).
+        motion: True positions, velocities and accelerations, each (N, na).
+        rigid: Forces of bodies and rotors (N, na).
+    """
 
     robot: Robot
     log: Log
     truth: Mapping[str, float]
     position: np.ndarray
     force: np.ndarray
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray]
+    rigid: np.ndarray
 
 
-def make_log(name: str, seed: int, *, spread: float = 0.15, gravity: np.ndarray = GRAVITY, noise: float = 0.01) -> Made:
+def make_log(
+    name: str,
+    seed: int,
+    *,
+    spread: float = 0.15,
+    gravity: np.ndarray = GRAVITY,
+    noise: float = 0.01,
+    duration_s: float = DURATION_S,
+) -> Made:
     """Return a log of a machine whose bodies differ from the file by up to `spread`, with its own friction and motion."""
     rng = np.random.default_rng([MACHINES.index(name), seed])
     robot = build_robot(name)
-    t = np.arange(round(RATE_HZ * DURATION_S)) / RATE_HZ
+    t = np.arange(round(RATE_HZ * duration_s)) / RATE_HZ
     q, v, a = draw_motion(robot, t, rng)
     factors = {link.link: rng.uniform(1 - spread, 1 + spread) for link in robot.links}
     values = {p.name: p.value for p in robot.parameters}
@@ -86,7 +106,7 @@ def make_log(name: str, seed: int, *, spread: float = 0.15, gravity: np.ndarray 
     elif name == "linear_axis":
         rigid = values["carriage_link.mass"] * (a - gravity[0])
     else:
-        rigid = _serial_forces(robot, values, q, v, a, gravity) + armature * a
+        rigid = forces_of_bodies(robot, values, q, v, a, gravity) + armature * a
     values |= {f"{j}.armature": x for j, x in zip(robot.actuated, armature, strict=True)}
     size = np.sqrt(np.mean(rigid**2, axis=0)) + 0.05 * np.abs(rigid).max()
     force = rigid.copy()
@@ -99,7 +119,9 @@ def make_log(name: str, seed: int, *, spread: float = 0.15, gravity: np.ndarray 
         values |= {f"{joint}.viscous_pos": fv[0], f"{joint}.viscous_neg": fv[1]}
     position = q + 5e-6 * rng.normal(size=q.shape)
     force = force + noise * np.sqrt(np.mean(force**2, axis=0)) * rng.normal(size=q.shape)
-    return Made(robot, as_log(robot, t, position, force, f"{name}_{seed}.csv"), values, position, force)
+    return Made(
+        robot, as_log(robot, t, position, force, f"{name}_{seed}.csv"), values, position, force, (q, v, a), rigid
+    )
 
 
 def as_log(robot: Robot, t: np.ndarray, q: np.ndarray, tau: np.ndarray, name: str) -> Log:
@@ -125,7 +147,7 @@ def draw_motion(robot: Robot, t: np.ndarray, rng: np.random.Generator) -> tuple[
     return q, v, a
 
 
-def _serial_forces(
+def forces_of_bodies(
     robot: Robot, values: Mapping[str, float], q: np.ndarray, v: np.ndarray, a: np.ndarray, gravity: np.ndarray
 ) -> np.ndarray:
     model = robot.model.copy()

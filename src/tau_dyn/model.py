@@ -237,6 +237,7 @@ class Model(Shown):
                 "source": self.robot.source,
                 "arguments": dict(self.robot.arguments),
                 "actuated": list(self.robot.actuated),
+                "tool": self.robot.tool,
                 "sha256": self.robot.sha256,
             },
             "effects": [effect.to_dict() for effect in self.effects],
@@ -264,12 +265,13 @@ class Model(Shown):
         for key, kind in (("untied", list), ("provenance", dict)):
             _expect({key: kind(), **content}, key, kind, str(path))
         about = content["robot"]
-        for key, kind in (("actuated", list), ("arguments", dict)):
+        for key, kind in (("actuated", list), ("arguments", dict), ("tool", str)):
             _expect({key: kind(), **about}, key, kind, f"{path}: robot")
         robot = robot_from_urdf(
             content["urdf"],
             str(about.get("source", path)),
             actuated=about.get("actuated"),
+            tool=about.get("tool") or None,
             arguments=about.get("arguments"),
             sha256=str(about.get("sha256", "")),
         ).untied(str(name) for name in content.get("untied", []))

@@ -8,6 +8,7 @@ import pytest
 from tau_dyn.cli import main
 from tau_dyn.control import Feedforward
 from tau_dyn.model import Model
+from tau_dyn.robot import short_names
 
 
 @pytest.fixture(scope="module")
@@ -161,3 +162,16 @@ def test_the_report_is_one_page_that_names_every_parameter(folder, result):
     assert page.lstrip().lower().startswith("<!doctype html")
     for row in result["parameters"]:
         assert row["name"] in page
+
+
+def test_robots_and_causes_are_listed(tmp_path, capsys):
+    """Every robot that a command takes by name and every cause is in the list; a slip is answered with the near one."""
+    robots, causes = tmp_path / "robots.json", tmp_path / "causes.json"
+    assert main(["robots", "--json", str(robots)]) == 0 and main(["causes", "--json", str(causes)]) == 0
+    named = {row["name"]: row for row in json.loads(robots.read_text())["robots"]}
+    assert set(short_names()) <= set(named) and named["delta"]["about"].startswith("Delta")
+    rows = json.loads(causes.read_text())["causes"]
+    assert {"stribeck", "payload", "force_scale", "rod_length"} <= {row["cause"] for row in rows}
+    assert all(row["equation"] for row in rows)
+    capsys.readouterr()
+    assert main(["causes", "stribek"]) == 2 and "did you mean stribeck" in capsys.readouterr().err

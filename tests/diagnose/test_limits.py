@@ -133,7 +133,7 @@ def test_absorbed_causes_are_untestable_and_say_why(make, rng):
     assert "temperature" in why["thermal_drift"]
     assert "only one log" in why["friction_change"]
     assert "absorbs" in why["pinion_scale"]
-    assert "too small a range" in why["stribeck"]
+    assert "no setting" in why["stribeck"]
     assert all(u.experiment for u in untestable)
 
 

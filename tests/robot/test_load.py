@@ -185,4 +185,42 @@ def test_the_arguments_of_a_file_are_kept(pendulum) -> None:
     """As text, and none where none were given."""
     assert dict(load_robot("gantry_tau", prototype="l2").arguments) == {"prototype": "l2"}
     assert dict(load_robot("gantry_tau").arguments) == dict(pendulum.arguments) == {}
-    assert load_robot("gantry_tau").tool_frame is not None and pendulum.tool_frame is None
+    assert load_robot("gantry_tau").tool_frame is not None
+
+
+def test_the_tool_frame_is_named_or_evident(write) -> None:
+    """A lone leaf is the tool; of two leaves the usual name counts; two strange ones leave it open; a name decides."""
+    chain = (write.rod("rod_link", 3.0, 0.4), write.joint("j", "revolute", "base_link", "rod_link"), write.drive("j"))
+    lone = robot_from_urdf(write.text("rod", *chain), "rod")
+    assert lone.tool == "rod_link" and lone.model.frames[lone.tool_frame].name == "rod_link"
+    ends = [
+        f'<link name="{n}"/>{write.joint(f"to_{n}", "fixed", "rod_link", n)}'
+        for n in ("camera_link", "tool0", "x_link")
+    ]
+    assert robot_from_urdf(write.text("rod", *chain, *ends), "rod").tool == "tool0"
+    open_ended = write.text("rod", *chain, ends[0], ends[2])
+    assert robot_from_urdf(open_ended, "rod").tool_frame is None
+    assert robot_from_urdf(open_ended, "rod", tool="camera_link").tool == "camera_link"
+    with pytest.raises(UnknownName, match="no frame named 'camra_link'"):
+        robot_from_urdf(open_ended, "rod", tool="camra_link")
+
+
+def test_a_model_file_keeps_the_tool_frame(write, tmp_path) -> None:
+    """The frame that was named at the command line is the tool of the model read back."""
+    from tau_dyn.model import Model
+
+    ends = [f'<link name="{n}"/>{write.joint(f"to_{n}", "fixed", "rod_link", n)}' for n in ("camera_link", "x_link")]
+    text = write.text("rod", write.rod("rod_link", 3.0, 0.4), write.joint("j", "revolute", "base_link", "rod_link"),
+                      write.drive("j"), *ends)  # fmt: skip
+    Model.of(robot_from_urdf(text, "rod", tool="camera_link"), []).save(tmp_path / "model.yaml")
+    assert Model.load(tmp_path / "model.yaml").robot.tool == "camera_link"
+
+
+def test_a_stock_arm_is_known_by_its_name() -> None:
+    """`ur5` is the file of `example-robot-data`, where that is installed; its tool frame is evident."""
+    from tau_dyn.robot import list_robots, stock_names
+
+    if "ur5" not in stock_names():
+        pytest.skip("example-robot-data is not installed")
+    assert load_robot("ur5").tool == "tool0" and load_robot("ur5").na == 6
+    assert list(list_robots())[0] == "delta"  # those that come along stand first

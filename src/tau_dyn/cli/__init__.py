@@ -18,6 +18,7 @@ from tau_dyn.cli.ending import (  # first: from here on Ctrl-C is answered
 from tau_dyn.cli import (
     accuracy,
     calibrate,
+    causes,
     check,
     compare,
     demo,
@@ -31,6 +32,7 @@ from tau_dyn.cli import (
     modes,
     plan_motion,
     plan_poses,
+    robots,
     see,
     simulate,
     view,
@@ -61,6 +63,8 @@ COMMANDS = {
     "ik": ik,
     "accuracy": accuracy,
     "workspace": workspace,
+    "robots": robots,
+    "causes": causes,
 }
 
 

@@ -61,7 +61,7 @@ def add_common(parser: argparse.ArgumentParser) -> None:
 def add_robot(parser: argparse.ArgumentParser, *, or_model: str = "") -> None:
     """Add the robot and what belongs to loading it; where a model file is taken as well, `or_model` says what it brings."""
     code = "(a xacro is code: it evaluates Python)"
-    text = f"a .urdf or .urdf.xacro file, or the short name of a robot that comes along {code}"
+    text = f"a .urdf or .urdf.xacro file, or a short name that `tau-dyn robots` lists {code}"
     if or_model:
         text = text.replace("file, or", "file,") + f", or a model file MODEL.yaml of identify or diagnose, {or_model}"
     parser.add_argument("robot", metavar="ROBOT", help=text)
@@ -79,6 +79,9 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         help="actuated joints, if not those with a <transmission>",
+    )
+    parser.add_argument(
+        "--tool", metavar="FRAME", help="tool frame, if not tool, tool0, flange, ee_link or the tree's only leaf"
     )
     parser.add_argument(
         "--no-xacro",
@@ -101,7 +104,9 @@ def load_robot_from(args: argparse.Namespace):
         raise InputError("--set actuated=...: actuated joints are named with --actuated JOINT ...")
     if "xacro" in given:
         raise InputError("--set xacro=...: --no-xacro refuses every xacro")
-    return load_robot(args.robot, actuated=args.actuated, xacro=not args.no_xacro, **given)
+    if "tool" in given:
+        raise InputError("--set tool=...: the tool frame is named with --tool FRAME")
+    return load_robot(args.robot, actuated=args.actuated, tool=args.tool, xacro=not args.no_xacro, **given)
 
 
 def is_model_file(path: str | Path) -> bool:

@@ -1,6 +1,7 @@
 """What a simulation gets wrong, which physical cause explains it, and how much better the model is with it."""
 
 from tau_dyn.diagnose.diagnose import diagnose
+from tau_dyn.diagnose.nominal import PARAMETER_CAUSES
 from tau_dyn.diagnose.propose import propose_motion
 from tau_dyn.diagnose.result import (
     Diagnosis,
@@ -17,6 +18,7 @@ from tau_dyn.diagnose.result import (
 from tau_dyn.diagnose.simulated import with_simulation
 
 __all__ = [
+    "PARAMETER_CAUSES",
     "Diagnosis",
     "Errors",
     "Finding",

@@ -40,7 +40,11 @@ def limits_of(
         if reason is not None:
             untestable.append(Untestable(cls.name, *reason))
         elif cls.name not in tried:
-            untestable.append(Untestable(cls.name, "this motion covers too small a range to show it", cls.reveals))
+            untestable.append(
+                Untestable(
+                    cls.name, "this motion offers no setting at which it could be told from the baseline", cls.reveals
+                )
+            )
         else:
             limit = _limit(channel, search.library, search.ground, tried[cls.name], len(search.last))
             if isinstance(limit, str):

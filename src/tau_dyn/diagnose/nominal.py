@@ -29,6 +29,12 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 
+PARAMETER_CAUSES = {
+    "payload": "tau += Y_last(q, v, a) (ten inertial numbers of the payload)",
+    "link_mass": "a link's mass differs from its nominal value",
+    "force_scale": "tau_log = force_scale tau, of one joint",
+}
+"""Causes that only a trusted nominal value shows, with their equations; `drive_gain` is an effect, too."""
 LEVEL = 0.01
 MAX_GAIN_RANGE = (0.5, 2.0)
 """Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
@@ -142,12 +148,12 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
             errors = [c.stderr for c in centre if c.stderr is not None]
             sentence += f" at ({place}) m" + (f", each ± {max(errors):.2g} m," if errors else "")
             sentence += f" in the frame of {joint}"
-        equation, where = "tau += Y_last(q, v, a) (ten inertial numbers of the payload)", (found.place,)
+        where = (found.place,)
         experiment = "record the same motion without the payload"
     elif found.cause == "link_mass":
         parameters = (Parameter(f"{found.place}.mass_error", float(found.amplitudes[0]), "kg", stderr=stderr),)
         sentence = f"{found.place} is off its nominal mass by {quantity(parameters[0].value, 'kg', stderr)}"
-        equation, where = f"{found.place}.mass differs from its nominal value", (found.place,)
+        where = (found.place,)
         experiment = f"weigh {found.place}"
     else:
         owner = found.place or "drive"
@@ -156,9 +162,9 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
         if found.cause == "force_scale":  # its share is of the force as it was logged
             factor, stderr, name = 1 / (1 - share), stderr / (1 - share) ** 2, "force_scale"
         parameters = (Parameter(f"{owner}.{name}", factor, "1", stderr=stderr, origin="bodies over nominal bodies"),)
-        whose = f"the force of {owner}" if found.place else "all forces"
-        sentence = f"Logged, {whose} is {quantity(factor, '1', stderr)} times what the nominal bodies need"
-        equation, where = "tau_log = factor tau", (found.place,) if found.place else ()
+        whose = f"logged force of {owner} is" if found.place else "logged forces are"
+        sentence = f"The {whose} {quantity(factor, '1', stderr)} times what the nominal bodies need"
+        where = (found.place,) if found.place else ()
         experiment = "record the motion without and with a weighed payload, its mass fixed by --fix"
     return Finding(
         found.cause,
@@ -169,7 +175,7 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
         parameters,
         None,
         found.twins,
-        equation,
+        PARAMETER_CAUSES.get(found.cause, "tau_log = gain tau"),
         sentence + ".",
         experiment,
     )

@@ -69,7 +69,9 @@ def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
 def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
     """Return which setting lies at an open end of its grid, as a phrase; empty where none does."""
     for effect in effects:
-        grid = type(effect).grid(scene, effect.joints)
+        free = {*effect.refined, *effect.open_ends}
+        fixed = {key: value for key, value in effect.settings.items() if key not in free}
+        grid = [s for s in type(effect).grid(scene, effect.joints) if all(s.get(k, x) == x for k, x in fixed.items())]
         for key, end in effect.open_ends.items():
             values = sorted({setting[key] for setting in grid if key in setting})
             if len(values) < 2 or key not in effect.settings:

@@ -23,6 +23,8 @@ from tau_dyn.parameters import Parameter
 
 _MEMORY_PERIODS = 4.0
 """Periods of the low-pass' cutoff over which a step is smeared, two to each side."""
+_KNEE_AT_SPEED = 0.2
+"""Share of the fast speeds from which a knee is seen at speed, whatever happens at starts and reversals."""
 _KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
 """Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline has;
 of a power 0.5 with a knee further up the curve is that of power 0."""
@@ -62,11 +64,12 @@ class ViscousCurvature(JointwiseEffect):
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return knees below the fast speeds for each power; none for a joint that stands still.
 
-        A knee that a start passes within the low-pass' memory is not told from a start's own transient.
+        A low knee of friction that levels off differs from Coulomb friction at starts and reversals alone. Where those pass it
+        within the low-pass' memory, it is not told from their own transient.
         """
         k = scene.index(joints[0])
         fast, least = float(scene.fast[k]), 0.0
         if scene.hard is not None and np.isfinite(scene.cutoff_hz):
-            least = _MEMORY_PERIODS * float(scene.hard[k]) / scene.cutoff_hz
+            least = min(_MEMORY_PERIODS * float(scene.hard[k]) / scene.cutoff_hz, _KNEE_AT_SPEED * fast)
         rows = [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]
-        return [row for row in rows if row["knee"] > least]
+        return [row for row in rows if row["power"] > 1 or row["knee"] > least]

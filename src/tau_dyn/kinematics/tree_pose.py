@@ -23,7 +23,7 @@ class TreePose:
     """Solves one robot."""
 
     def __init__(self, robot: Robot) -> None:
-        """Prepare for a robot with a frame `tool`.
+        """Prepare for a robot with a tool frame.
 
         Raises:
             InputError: It has no tool frame, or a joint of several freedoms.
@@ -31,7 +31,8 @@ class TreePose:
         """
         if robot.tool_frame is None:
             raise InputError(
-                f"{robot.source}: has no frame 'tool' whose pose could be computed; add a fixed joint 'tool'"
+                f"{robot.source}: has no evident tool frame whose pose could be computed; name one with --tool FRAME "
+                '(load_robot(..., tool="FRAME"))'
             )
         joints = joints_of(robot.model)
         if joints is None:

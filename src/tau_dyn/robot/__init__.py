@@ -1,7 +1,7 @@
 """Robots: from a xacro file to a tree with loops, actuated joints and nominal parameters."""
 
 from tau_dyn.robot.annotations import Spring
-from tau_dyn.robot.expand import short_names
+from tau_dyn.robot.expand import describe_robot, list_robots, short_names, stock_names
 from tau_dyn.robot.load import load_robot, robot_from_urdf
 from tau_dyn.robot.robot import INERTIAL, NOT_GIVEN, LinkInertia, Loop, Robot
 
@@ -12,7 +12,10 @@ __all__ = [
     "Loop",
     "Robot",
     "Spring",
+    "describe_robot",
+    "list_robots",
     "load_robot",
     "robot_from_urdf",
     "short_names",
+    "stock_names",
 ]

@@ -69,6 +69,7 @@ class Annotations:
 
     joints: dict[str, str]  # movable joint -> child link
     links: tuple[str, ...]
+    leaves: tuple[str, ...]  # links that carry no other
     loops: tuple[BallConstraint, ...]
     transmissions: tuple[Transmission, ...]
     mass_only: frozenset[str]
@@ -104,6 +105,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     return Annotations(
         joints=reader.joints,
         links=tuple(reader.links),
+        leaves=reader.leaves(),
         loops=reader.loops(),
         transmissions=reader.transmissions(),
         mass_only=frozenset(reader.link_of(e, "name") for e in reader.ours("link") if e.get("parameters") == "mass"),
@@ -130,6 +132,10 @@ class _Reader:
         both = set(self.links) & {e.get("name", "") for e in root.findall("joint")}
         if both:
             raise InputError(f"{where}: '{min(both)}' names both a link and a joint; end link names in _link")
+
+    def leaves(self) -> tuple[str, ...]:
+        parents = {e.get("link") for e in self.root.findall("joint/parent")}
+        return tuple(link for link in self.links if link not in parents)
 
     def _child(self, joint: Element) -> str:
         child = joint.find("child")

@@ -9,9 +9,13 @@ neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
 from __future__ import annotations
 
 import io
+import re
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr
+from functools import cache
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import files as files_of
 from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
@@ -49,12 +53,39 @@ def short_names() -> dict[str, Path]:
     return {path.name.split(".")[0]: path for path in sorted(urdf_folder().glob("*.urdf*"))}
 
 
+@cache
+def stock_names() -> dict[str, Path]:
+    """Return the robots of the installed package `example-robot-data`: name -> file; empty where it is not installed."""
+    found: dict[str, Path] = {}
+    try:
+        listed = files_of("example-robot-data") or ()
+    except PackageNotFoundError:
+        return found
+    for file in listed:
+        if file.suffix == ".urdf" and "robots" in file.parts:
+            found.setdefault(file.stem.removesuffix("_robot"), Path(str(file.locate())))
+    return found
+
+
+def list_robots() -> dict[str, Path]:
+    """Return every robot that a name may mean: name -> file."""
+    return {**short_names(), **{n: p for n, p in sorted(stock_names().items()) if n not in short_names()}}
+
+
+def describe_robot(path: Path) -> str:
+    """Return the first sentence of the first comment in a robot file; empty where it has none."""
+    head = path.read_text(encoding="utf-8", errors="replace")[:4000]
+    comment = re.search(r"<!--(.*?)-->", head, re.DOTALL)
+    words = " ".join(comment.group(1).split()) if comment and path in short_names().values() else ""
+    return re.split(r"[:;.](?= |$)", words, maxsplit=1)[0]
+
+
 def find_robot(robot: str | Path) -> Path:
     """Return the file that a path or a short name means.
 
     Raises:
         InputError: The file does not exist or is not a robot file.
-        UnknownName: A bare word that is no short name.
+        UnknownName: A bare word that is no name of a robot.
     """
     path = Path(robot)
     try:
@@ -71,10 +102,12 @@ def find_robot(robot: str | Path) -> Path:
         raise InputError(
             f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau"
         )
-    known = short_names()
-    if str(robot) not in known:
-        raise UnknownName("robot", str(robot), known)
-    return known[str(robot)]
+    ours = short_names()
+    if str(robot) in ours:
+        return ours[str(robot)]
+    if str(robot) in stock_names():
+        return stock_names()[str(robot)]
+    raise UnknownName("robot", str(robot), [*ours, *stock_names()])
 
 
 def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluate: bool = True) -> str:

@@ -22,29 +22,39 @@ from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotati
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, inertial_parameters
 
+TOOL_NAMES = ("tool", "tool0", "flange", "tcp", "ee_link", "end_effector")
+"""Usual names of a tool frame, the first that exists counts: our own files', ROS-Industrial's, and those of common arms."""
 MOST_FREEDOMS = 300
 """Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
 
 
 def load_robot(
-    robot: str | Path, /, *, actuated: Iterable[str] | None = None, xacro: bool = True, **arguments: object
+    robot: str | Path,
+    /,
+    *,
+    actuated: Iterable[str] | None = None,
+    tool: str | None = None,
+    xacro: bool = True,
+    **arguments: object,
 ) -> Robot:
     """Load a robot from a file or by its short name.
 
     Args:
-        robot: Path to a `.urdf` or `.urdf.xacro`, or the short name of a robot that comes with the package.
+        robot: Path to a `.urdf` or `.urdf.xacro`, or the short name of a robot that comes with the package or with
+            `example-robot-data`.
         actuated: Names of the actuated joints; by default those with a `<transmission>`.
+        tool: Name of the tool frame; by default the first of `TOOL_NAMES`, or the only leaf of the tree.
         xacro: Whether a xacro may be evaluated; False takes plain URDF only, for a file from people you do not trust.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
         InputError: The file cannot be read, expanded or understood; a looped robot names no actuated joints.
-        UnknownName: An unknown robot, xacro argument or joint.
+        UnknownName: An unknown robot, xacro argument, joint or frame.
     """
     path = find_robot(robot)
     urdf = expand(path, arguments, evaluate=xacro)
     given = {k: str(v) for k, v in arguments.items()}
-    return robot_from_urdf(urdf, str(robot), actuated=actuated, arguments=given, sha256=sha256_of(path))
+    return robot_from_urdf(urdf, str(robot), actuated=actuated, tool=tool, arguments=given, sha256=sha256_of(path))
 
 
 def robot_from_urdf(
@@ -52,6 +62,7 @@ def robot_from_urdf(
     source: str,
     *,
     actuated: Iterable[str] | None = None,
+    tool: str | None = None,
     arguments: Mapping[str, str] | None = None,
     sha256: str = "",
     lock_springs: bool = True,
@@ -100,6 +111,7 @@ def robot_from_urdf(
         warnings=tuple(warnings),
         springs=notes.springs,
         shared_drives=notes.shared_drives,
+        tool=_find_tool(model, notes, tool, source),
     )
 
 
@@ -175,6 +187,16 @@ def _actuated(
         if model.joints[model.getJointId(name)].nv != 1:
             raise InputError(f"{where}: actuated joint '{name}' must have one degree of freedom")
     return tuple(n for n in movable if n in names)
+
+
+def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: str) -> str:
+    """Return the tool frame's name; empty where none was named and none is evident."""
+    if wanted is not None:
+        if not model.existFrame(wanted):
+            raise UnknownName("frame", wanted, [f.name for f in model.frames[1:]], where)
+        return wanted
+    named = next((name for name in TOOL_NAMES if model.existFrame(name)), "")
+    return named or (notes.leaves[0] if len(notes.leaves) == 1 and not notes.loops else "")
 
 
 def _add_loop(model: pin.Model, k: int, ball: BallConstraint, where: str) -> Loop:

@@ -88,6 +88,7 @@ class Robot(Shown):
         warnings: Sentences about doubtful input.
         springs: Joints that yield; `model` holds them locked at zero, `dynamics.FlexibleModel` frees them.
         shared_drives: Pairs of joints that the file gives one transmission.
+        tool: Name of the tool frame; empty where the file has none.
     """
 
     name: str
@@ -107,6 +108,7 @@ class Robot(Shown):
     warnings: tuple[str, ...] = ()
     springs: tuple[Spring, ...] = ()
     shared_drives: tuple[tuple[str, str], ...] = ()
+    tool: str = ""
 
     @property
     def coupled_pairs(self) -> tuple[tuple[str, str], ...]:
@@ -175,8 +177,8 @@ class Robot(Shown):
 
     @property
     def tool_frame(self) -> int | None:
-        """Index of the frame `tool`, or None."""
-        return self.model.getFrameId("tool") if self.model.existFrame("tool") else None
+        """Index of the tool frame, or None."""
+        return self.model.getFrameId(self.tool) if self.tool else None
 
     def with_parameters(self, parameters: Parameters) -> Robot:
         """Return the robot with other values, bounds or freedoms for its parameters; names must be the same."""

@@ -34,7 +34,7 @@ class Sensors:
         force_ar: Coefficients of `x_k = sum_i c_i x_{k-i} + e_k` that colour the force noise.
         force_power_law: Exponent b of a spectral density `1 / f^b` instead; 0 is white, 1 pink.
         tool_noise: Standard deviation of the tool position's noise, each axis [m].
-        tool: Whether the log has the tool's position, where the robot has a `tool` frame.
+        tool: Whether the log has the tool's position, where the robot has a frame `tool`; a stock arm's flange is seldom tracked.
         log_rate_hz: Rate of the log [Hz], an integer part of the control rate; None for the control rate.
     """
 
@@ -126,7 +126,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
     joints = run.model.robot.actuated
     channels = {f"{key}_{j}": values[:, k] for key, values in signals.items() for k, j in enumerate(joints)}
     channels |= temperatures(run)
-    if sensors.tool and run.model.robot.tool_frame is not None:
+    if sensors.tool and run.model.robot.tool == "tool":
         tool = (run.tool if run.tool_shown is None else run.tool_shown) + sensors.tool_noise * rng.standard_normal(
             run.tool.shape
         )

@@ -50,7 +50,8 @@ def end_positions(
 def _reached(robot: Robot, position: np.ndarray, name: str, near: np.ndarray | None) -> np.ndarray:
     if robot.tool_frame is None:
         raise InputError(
-            f"{robot.source}: there is no frame named tool; give start and end as positions of the actuated joints"
+            f"{robot.source}: there is no evident tool frame; name one with --tool FRAME, or give start and end as positions "
+            "of the actuated joints"
         )
     found = inverse_kinematics(robot, poses_at(robot, position[None]), start=None if near is None else near[None])
     if not found.ok[0]:
