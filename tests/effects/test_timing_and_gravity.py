@@ -9,9 +9,9 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+from tau_dyn.diagnose.plausibility import find_edge
 from tau_dyn.dynamics import GantryTauMechanism, TreeMechanism, build_mechanism
 from tau_dyn.dynamics.mechanism import axes_across
-from tau_dyn.diagnose.plausibility import find_edge
 from tau_dyn.effects import EFFECTS, Delay, DriveLag, Effect, GuidewayNonparallel, Motion, Scene
 from tau_dyn.effects.cart_shift import SENSITIVITY
 from tau_dyn.effects.drive_lag import lowpass_first_order
