@@ -4,8 +4,8 @@
 
 In: nothing. UR5 and Panda of `example-robot-data`; bodies differ from the file by up to 15 %, rotors of 0.05 to 1 kg m2 are not
 in it. Forces come from Pinocchio's recursive Newton-Euler along a sum of sines of 60 s (`spoiled_logs_parts/machines.py`);
-effects are written here, in other forms than the library's. Out: `stock_arms.csv`, a row a log: confirmed causes, whether the true one is
-among them with its joint, false ones; a summary.
+effects are written here, in other forms than the library's. Out: `stock_arms.csv`, a row a log: confirmed causes, whether the
+true one is among them with its joint, false ones; a summary.
 """
 
 import argparse

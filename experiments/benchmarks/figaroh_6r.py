@@ -19,8 +19,8 @@ from bench import show, stop_watch
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import Totals, find_base
 from tau_dyn.identify import choose_preparation
-from tau_dyn.identify.regression import columns_of, even_pieces, prepare
-from tau_dyn.log import read_log
+from tau_dyn.identify.regression import columns_of, prepare
+from tau_dyn.log import even_segments, read_log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 
@@ -98,7 +98,7 @@ def synthetic(model: Model, samples: int) -> tuple[np.ndarray, ...]:
 def measured(model: Model) -> tuple[np.ndarray, ...]:
     """Return the TX40 log as our filters prepare it."""
     log = read_log(DATA, HERE.parents[1] / "identification" / "columns" / "tx40.yaml")
-    (piece,) = even_pieces(log)
+    (piece,) = even_segments(log)
     ready = prepare(model, piece, choose_preparation(model.robot, [piece]))
     return ready.motion.q, ready.motion.v, ready.motion.a, ready.force
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, ensure_even, examine_clock, segments
+from tau_dyn.log import Log, ensure_even, even_segments, examine_clock, segments
 
 RATE = 250.0
 
@@ -72,6 +72,16 @@ def test_two_lost_samples_are_no_gap_and_three_are_one(lossy):
     """The limit lies between them."""
     assert len(segments(lossy([700, 701]))) == 1
     assert len(segments(lossy([700, 701, 702]))) == 2
+
+
+def test_a_part_whose_own_step_is_shorter_is_not_cut_again():
+    """Steps of 2 ms, then of 1.6 ms: a hole of 5.7 ms is short of a gap beside the whole log's step, so it is interpolated."""
+    steps = np.concatenate([np.full(2000, 0.002), [0.02], np.full(300, 0.0016), [0.0057], np.full(300, 0.0016)])
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    parts = even_segments(Log(t, {"q_axis": np.sin(t)}, name="tuesday.csv"))
+    assert len(parts) == 2 and examine_clock(parts[1]).even
+    with pytest.raises(InputError, match="gap"):
+        ensure_even(segments(Log(t, {"q_axis": np.sin(t)}))[1])
 
 
 def test_scraps_between_gaps_are_left_out(lossy):

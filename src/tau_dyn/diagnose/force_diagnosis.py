@@ -52,11 +52,10 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.log_integrity import check_integrity, spoils_diagnosis
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import even_pieces
 from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, list_crumbs, list_information_warnings
 from tau_dyn.identify.structure import physics_of
-from tau_dyn.log import Log, mend_log, motion_band
+from tau_dyn.log import Log, even_segments, mend_log, motion_band
 from tau_dyn.model import Model
 
 Progress = Callable[[str], None]
@@ -127,7 +126,7 @@ def gather(
     """
     joints = model.robot.actuated
     train, held = (
-        [piece for log in logs for piece in even_pieces(mend_log(log, joints))] for logs in (train_logs, held_logs)
+        [piece for log in logs for piece in even_segments(mend_log(log, joints))] for logs in (train_logs, held_logs)
     )
     warnings += check_integrity(model.robot, [*train_logs, *held_logs], exclude)
     warnings += [*model.robot.warnings, *log_warnings(model.robot, [*train, *held])]

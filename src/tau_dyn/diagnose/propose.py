@@ -24,8 +24,7 @@ from tau_dyn.diagnose.proposal_words import notes_of
 from tau_dyn.diagnose.question import Question, beyond_motion, other_experiment, question_of
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.regression import even_pieces
-from tau_dyn.log import Log
+from tau_dyn.log import Log, even_segments
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory, concatenate
 
@@ -129,7 +128,7 @@ def _prepared(setting: Setting, trajectory: Trajectory, needs: frozenset[str]) -
 
 def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> list[Prepared]:
     """Return the measured motions, at most two minutes of them."""
-    stretches = [piece for log in logs for piece in even_pieces(log)]
+    stretches = [piece for log in logs for piece in even_segments(log)]
     if not stretches:
         return []
     smooth_hz, found = smooth_cutoff(setting.model.robot, stretches), []

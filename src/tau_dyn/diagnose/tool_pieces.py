@@ -18,8 +18,8 @@ from tau_dyn.effects.guideway_compliance import SIDE_FORCE
 from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import SLOWEST_HZ, Preparation
-from tau_dyn.identify.regression import even_pieces, measured_signals
-from tau_dyn.log import Log, decimate, differentiate, lowpass
+from tau_dyn.identify.regression import measured_signals
+from tau_dyn.log import Log, decimate, differentiate, even_segments, lowpass
 from tau_dyn.model import Model
 
 OUTPUTS = ("x_tool", "y_tool", "z_tool")
@@ -88,7 +88,7 @@ def cut(log: Log) -> list[Log]:
         return [replace(log, t=log.t[seen], channels={key: x[seen] for key, x in log.channels.items()})]
     if not seen.all():
         raise InputError(f"{log.name}: the tool is missing in {np.sum(~seen)} samples; cut the log there")
-    return even_pieces(log)
+    return even_segments(log)
 
 
 def held_still(log: Log) -> bool:

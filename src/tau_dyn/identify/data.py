@@ -16,10 +16,10 @@ from tau_dyn.identify.choices import scale_outputs
 from tau_dyn.identify.log_integrity import check_integrity
 from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import ROUNDING, Preparation
-from tau_dyn.identify.regression import build_regression, even_pieces
+from tau_dyn.identify.regression import build_regression
 from tau_dyn.identify.short_pieces import list_crumbs, refuse_short
 from tau_dyn.identify.streaming import Engine, Progress, channels, even_stretches, refuse_missing, stream_regression
-from tau_dyn.log import Log, Recording, mend_log
+from tau_dyn.log import Log, Recording, even_segments, mend_log
 from tau_dyn.log.resample import MIN_SEGMENT
 from tau_dyn.model import Model
 
@@ -63,7 +63,7 @@ class Data:
 
     def _mended(self, log: Log | Recording) -> list[Log]:
         """Return a log's even pieces, its few lost samples being gaps in the clock."""
-        return even_pieces(mend_log(log, self.model.robot.actuated)) if isinstance(log, Log) else []
+        return even_segments(mend_log(log, self.model.robot.actuated)) if isinstance(log, Log) else []
 
     def warnings(self) -> list[str]:
         """Return what is doubtful about the logs, what spoils them first; of a large one, about a stretch in its middle."""
@@ -80,7 +80,7 @@ class Data:
                     found.append(part.with_warnings(*log.warnings, *stretch.warnings))
                     whole.append(part)
             else:
-                found += even_pieces(log)
+                found += even_segments(log)
         spoilt = check_integrity(self.model.robot, whole, self.exclude)
         return [*spoilt, *log_warnings(self.model.robot, [*self.pieces, *found])]
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from tau_dyn.coded_warning import CodedWarning, get_code
-from tau_dyn.exceptions import InputError
 from tau_dyn.identify.excerpt import make_excerpt
 from tau_dyn.identify.force_timing import check_timing
 from tau_dyn.identify.wiring import check_wiring
-from tau_dyn.log import Log, ensure_even, list_data_warnings, mend_log, segments
+from tau_dyn.log import Log, even_segments, list_data_warnings, mend_log
 from tau_dyn.robot import Robot
 
 SPOILING = frozenset(
@@ -57,7 +56,7 @@ def _against_robot(
             sound = mend_log(log, robot.actuated)
             if sound is log or spoils_diagnosis(list_data_warnings(sound, robot.actuated)):
                 continue
-        excerpt = make_excerpt(robot, _even_pieces(sound), exclude)
+        excerpt = make_excerpt(robot, even_segments(sound), exclude)
         if excerpt is not None:
             found += check_wiring(robot, excerpt, log.name) or check_timing(robot, excerpt, log.name)
     return list(dict.fromkeys(found))
@@ -66,10 +65,3 @@ def _against_robot(
 def spoils_diagnosis(warnings: Iterable[str]) -> bool:
     """Return whether a warning says that the log would make false physics, so that no cause may be confirmed from it."""
     return any(get_code(warning) in SPOILING for warning in warnings)
-
-
-def _even_pieces(log: Log) -> list[Log]:
-    try:
-        return [ensure_even(piece) for piece in segments(log)]
-    except InputError:
-        return []

@@ -26,7 +26,7 @@ from tau_dyn.identify.gate import excluded, gate_of, refuse_jumps
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
 from tau_dyn.identify.signals import measured_signals, refuse_missing_campaign, refuse_missing_temperature
-from tau_dyn.log import Log, decimate, differentiate, edge_samples, ensure_even, lowpass, segments
+from tau_dyn.log import Log, decimate, differentiate, edge_samples, even_segments, lowpass
 from tau_dyn.log.resample import MIN_SEGMENT
 from tau_dyn.model import Model
 
@@ -58,7 +58,7 @@ def build_regression(
         CannotAnswer: No piece is long enough for the filters, or the masks leave nothing.
     """
     logs = list(logs)
-    pieces = [piece for log in logs for piece in even_pieces(log)]
+    pieces = [piece for log in logs for piece in even_segments(log)]
     if not logs:
         raise InputError("no log was given")
     if not pieces:
@@ -78,11 +78,6 @@ def build_regression(
     if regression.n_samples == 0:
         raise _nothing_left(model, pieces, preparation)
     return regression
-
-
-def even_pieces(log: Log) -> list[Log]:
-    """Return a log's stretches without gaps, each on an even clock."""
-    return [ensure_even(piece) for piece in segments(log)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,8 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.identify.blocks import Block, Computed, Work, channels, cut, refuse_memory
 from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
-from tau_dyn.identify.regression import even_pieces
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
-from tau_dyn.log import Log, Recording
+from tau_dyn.log import Log, Recording, even_segments
 from tau_dyn.log.stretch import InMemory, Stretch, stretches
 from tau_dyn.model import Model
 from tau_dyn.scale.run_many import in_order, run_on_workers
@@ -187,7 +186,7 @@ def refuse_missing(model: Model, recordings: Sequence[Recording], exclude: tuple
 
 
 def _pieces(log: Log | Recording) -> Sequence[Stretch | InMemory]:
-    return even_stretches(log) if isinstance(log, Recording) else [InMemory(piece) for piece in even_pieces(log)]
+    return even_stretches(log) if isinstance(log, Recording) else [InMemory(piece) for piece in even_segments(log)]
 
 
 @lru_cache(maxsize=8)

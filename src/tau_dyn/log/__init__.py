@@ -12,7 +12,7 @@ from tau_dyn.log.motions import split_by_motion
 from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step, velocity_noise
 from tau_dyn.log.read import read_log
 from tau_dyn.log.recording import Recording
-from tau_dyn.log.resample import ensure_even, examine_clock, segments, short_segments
+from tau_dyn.log.resample import ensure_even, even_segments, examine_clock, segments, short_segments
 from tau_dyn.log.stream import open_log
 from tau_dyn.log.stretch import Stretch, stretches
 from tau_dyn.log.table import Table, read_table
@@ -34,6 +34,7 @@ __all__ = [
     "edge_samples",
     "encoder_noise",
     "ensure_even",
+    "even_segments",
     "examine_clock",
     "lowpass",
     "motion_band",

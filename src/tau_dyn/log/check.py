@@ -7,6 +7,8 @@ is one, and `data_integrity.py` for losses on the way to the file. Wiring and th
 
 from typing import Any
 
+import numpy as np
+
 from tau_dyn.coded_warning import UNCODED, get_code
 from tau_dyn.log.check_clock import check_clock
 from tau_dyn.log.check_motion import check_motion, moving_mask
@@ -16,7 +18,7 @@ from tau_dyn.log.findings import Finding, LogCheck, Severity, fault_of
 from tau_dyn.log.jumps import jump_finding
 from tau_dyn.log.log import Log
 from tau_dyn.log.names import listed
-from tau_dyn.log.resample import ensure_even, segments
+from tau_dyn.log.resample import even_segments, segments
 from tau_dyn.log.units import JointLimits, unit_warnings
 
 
@@ -40,8 +42,8 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     if not parts:
         lost = f"{log.name}: no stretch of it is without a gap."
         return LogCheck(log.name, (*findings, Finding("fault", "gaps", lost, "Record it again.")), numbers)
-    raw = max(parts, key=lambda p: p.n_samples)
-    part = ensure_even(raw)
+    longest = int(np.argmax([part.n_samples for part in parts]))
+    raw, part = parts[longest], even_segments(log)[longest]
     moving = {joint: moving_mask(part, joint) for joint in log.joints("q")} if part.n_samples == raw.n_samples else {}
     findings += _jumps(raw, robot)
     for more, figures in (check_signals(raw, moving), check_motion(part)):

@@ -71,6 +71,14 @@ def segments(log: Log) -> list[Log]:
     return [log.window(a, b).with_warnings(gap_sentence(log, clock)) for a, b in spans]
 
 
+def even_segments(log: Log) -> list[Log]:
+    """Return a log's parts between gaps, each on an even clock.
+
+    What is a gap is decided by the whole log's step: a part's own may be a little shorter.
+    """
+    return [_resample(part, examine_clock(part)) for part in segments(log)]
+
+
 def short_segments(log: Log) -> tuple[int, float]:
     """Return how many parts between gaps `segments` leaves out, and how long they are together [s]."""
     clock = examine_clock(log)
@@ -88,7 +96,7 @@ def ensure_even(log: Log) -> Log:
     """Return the log on an even clock, untouched where it has one already.
 
     Args:
-        log: A log without gaps, such as one of its `segments`.
+        log: A log without gaps.
 
     Returns:
         The log, or its samples on a grid of as many steps between its first and last time, with a warning sentence.
@@ -99,6 +107,10 @@ def ensure_even(log: Log) -> Log:
     clock = examine_clock(log)
     if clock.gaps:
         raise InputError(gap_sentence(log, clock) + " Pass the parts as separate logs.")
+    return _resample(log, clock)
+
+
+def _resample(log: Log, clock: Clock) -> Log:
     if clock.even and not clock.rounded:
         return log
     n_steps = log.n_samples - 1 if clock.rounded else round(log.duration / clock.dt)
