@@ -115,11 +115,16 @@ def test_low_knees_are_tried_only_where_starts_pass_them_slowly() -> None:
 
 
 def test_a_setting_is_at_the_edge_of_what_was_tried_with_the_others_the_same() -> None:
-    """Knees of power 0 begin at 0.25 there, so 0.25 is an edge though power 1.5 was tried from 0.1 on; 0.4 is none."""
+    """Knees of power 0 begin at 0.25 there, so 0.25 is an edge though others were tried from 0.03 on; 0.4 is none.
+
+    The least knee of another power is none either: below it the law is the plain power.
+    """
     one = np.ones(1)
     scene = Scene(("x",), ("N",), 0 * one, one, 0.01 * one, one, 35.0, 120.0, hard=20 * one)
     assert "edge" in find_edge([cause("viscous_curvature", knee=0.25, power=0.0)], scene)
     assert not find_edge([cause("viscous_curvature", knee=0.4, power=0.0)], scene)
+    assert not find_edge([cause("viscous_curvature", knee=0.03, power=0.5)], scene)
+    assert "edge" in find_edge([cause("viscous_curvature", knee=0.1, power=0.5)], scene)
 
 
 def test_a_rotors_error_acts_with_the_acceleration() -> None:

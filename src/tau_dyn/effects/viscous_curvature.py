@@ -10,7 +10,7 @@ speed, is `stribeck`. Reference: Carreau 1972; Bair & Winer 1979 and Bittencourt
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -49,6 +49,14 @@ class ViscousCurvature(JointwiseEffect):
     refined = ("knee",)
     open_ends = {"knee": "both"}
 
+    def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
+        """Let the friction act on these joints; see `Effect.__init__`.
+
+        A low knee of a power other than zero is no edge: below it the law is the plain power.
+        """
+        super().__init__(joints, units, label=label, **settings)
+        self.open_ends = {"knee": "both" if self.settings["power"] == 0 else "high"}
+
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the curved law."""
         x = np.abs(joint.v) / self.settings["knee"]
@@ -64,12 +72,12 @@ class ViscousCurvature(JointwiseEffect):
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return knees below the fast speeds for each power; none for a joint that stands still.
 
-        A low knee of friction that levels off differs from Coulomb friction at starts and reversals alone. Where those pass it
-        within the low-pass' memory, it is not told from their own transient.
+        Friction that levels off to a constant (power 0) at a low knee differs from Coulomb friction at starts and reversals
+        alone. Where those pass it within the low-pass' memory, it is not told from their own transient.
         """
         k = scene.index(joints[0])
         fast, least = float(scene.fast[k]), 0.0
         if scene.hard is not None and np.isfinite(scene.cutoff_hz):
             least = min(_MEMORY_PERIODS * float(scene.hard[k]) / scene.cutoff_hz, _KNEE_AT_SPEED * fast)
         rows = [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]
-        return [row for row in rows if row["power"] > 1 or row["knee"] > least]
+        return [row for row in rows if row["power"] != 0 or row["knee"] > least]
