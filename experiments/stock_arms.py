@@ -44,9 +44,9 @@ def stribeck(made: Made, joint: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def load_friction(made: Made, joint: int, rng: np.random.Generator) -> np.ndarray:
-    """Coulomb friction in proportion to the transmitted torque."""
+    """Coulomb friction in proportion to the torque that the gear transmits: that of the bodies."""
     v = made.motion[1][:, joint]
-    return _one(made, joint, 0.12 * np.abs(made.rigid[:, joint]) * np.tanh(v / 0.003))
+    return _one(made, joint, 0.12 * np.abs(made.bodies[:, joint]) * np.tanh(v / 0.003))
 
 
 def position_friction(made: Made, joint: int, rng: np.random.Generator) -> np.ndarray:

@@ -67,7 +67,7 @@ class Made:
         position: Logged positions (N, na).
         force: Logged forces (N, na).
         motion: True positions, velocities and accelerations, each (N, na).
-        rigid: Forces of bodies and rotors (N, na).
+        bodies: Forces of the bodies, without rotors and friction (N, na).
     """
 
     robot: Robot
@@ -76,7 +76,7 @@ class Made:
     position: np.ndarray
     force: np.ndarray
     motion: tuple[np.ndarray, np.ndarray, np.ndarray]
-    rigid: np.ndarray
+    bodies: np.ndarray
 
 
 def make_log(
@@ -102,11 +102,12 @@ def make_log(
     if name in ("ur5", "panda"):
         armature = rng.uniform(0.05, 1.0, robot.na)
     if name == "gantry_tau":
-        rigid = _gantry_forces(robot, values, q, v, a, gravity)
+        bodies = _gantry_forces(robot, values, q, v, a, gravity)
     elif name == "linear_axis":
-        rigid = values["carriage_link.mass"] * (a - gravity[0])
+        bodies = values["carriage_link.mass"] * (a - gravity[0])
     else:
-        rigid = forces_of_bodies(robot, values, q, v, a, gravity) + armature * a
+        bodies = forces_of_bodies(robot, values, q, v, a, gravity)
+    rigid = bodies + armature * a
     values |= {f"{j}.armature": x for j, x in zip(robot.actuated, armature, strict=True)}
     size = np.sqrt(np.mean(rigid**2, axis=0)) + 0.05 * np.abs(rigid).max()
     force = rigid.copy()
@@ -120,7 +121,7 @@ def make_log(
     position = q + 5e-6 * rng.normal(size=q.shape)
     force = force + noise * np.sqrt(np.mean(force**2, axis=0)) * rng.normal(size=q.shape)
     return Made(
-        robot, as_log(robot, t, position, force, f"{name}_{seed}.csv"), values, position, force, (q, v, a), rigid
+        robot, as_log(robot, t, position, force, f"{name}_{seed}.csv"), values, position, force, (q, v, a), bodies
     )
 
 
