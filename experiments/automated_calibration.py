@@ -24,17 +24,17 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.calibrate.fit import fit
 from tau_dyn.calibrate.frames import Frame
+from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses import Plan, plan_campaign
 from tau_dyn.calibrate.poses.camera import Camera, Pattern, facing, looking
 from tau_dyn.calibrate.poses.devices import seen
-from tau_dyn.calibrate.poses.gate import draw_robot
+from tau_dyn.calibrate.poses.monte_carlo import draw_robot
 from tau_dyn.calibrate.poses.progress_file import run_campaign
 from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.kinematics.obstacles import surroundings_from
-from tau_dyn.kinematics.workspace.demands import Demands
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.robot import load_robot
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -62,7 +62,7 @@ def camera() -> Camera:
 def plan(n: int | str, seed: int, *, weighted: bool) -> Plan:
     """Return a plan and say what it found."""
     start = time.process_time()
-    demands = Demands(surroundings=surroundings_from(LAB, "the lab"))
+    demands = PoseRequirements(surroundings=surroundings_from(LAB, "the lab"))
     made = plan_campaign(load_robot("gantry_tau"), camera(), n, demands=demands, weighted=weighted, seed=seed)  # type: ignore[arg-type]
     print(
         f"plan ({'weighed' if weighted else 'plain'}): {len(made.visible.index)} of {made.reachable.n} poses in reach are seen, "
@@ -103,7 +103,7 @@ def campaign(made: Plan, theta: np.ndarray, index: np.ndarray, rng: np.random.Ge
 def judged(made: Plan, theta: np.ndarray, poses: PoseSet, index: np.ndarray, *, weighed: bool) -> tuple[float, float]:
     """Return the mean error [m] of the calibrated robot at other places, and the mean distance from its own measurements."""
     design, device = made.choice.design, made.device
-    fitted = fit(design.geometry, poses)
+    fitted = fit_geometry_to_poses(design.geometry, poses)
     if weighed:
         fitted = refine(fitted, device.covariance(design.tool.take(index)))
     places = seen(device.frames, design.geometry.forward(theta, design.workspace).poses)

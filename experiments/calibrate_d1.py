@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.calibrate import PoseSet, fit
+from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.candidates import Options
-from tau_dyn.calibrate.choose import climb
+from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, carried_by
 from tau_dyn.calibrate.frames import Frames
-from tau_dyn.calibrate.geometry import tie
-from tau_dyn.calibrate.laws import Bends, carried_by
+from tau_dyn.calibrate.geometry import constrain_parameters
+from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
@@ -89,14 +89,14 @@ def machine(rng: np.random.Generator) -> Machine:
     return Machine(rods, whole, np.array(list(value.values())))
 
 
-def _bow(rods: Rods, k: int, home: float, rng: np.random.Generator) -> Bends:
+def _bow(rods: Rods, k: int, home: float, rng: np.random.Generator) -> GuideBendLaw:
     knots = home + np.linspace(RANGE[0] - 0.3, RANGE[1] + 0.3, 501)
     along = TURN[k] * np.sin(2 * np.pi * knots / CIRCUMFERENCE + rng.uniform(0, 2 * np.pi))
     across = np.cross(rods.numbers.joints[k].direction, rng.standard_normal(3))
     shape = np.sin(np.pi * (knots - knots[0]) / np.ptp(knots) * rng.uniform(1.2, 2.0))
     base = BOW[k] * shape[:, None] * across / np.linalg.norm(across) + along[:, None] * rods.numbers.joints[k].direction
     name = rods.robot.actuated[k]
-    return Bends(name, k, carried_by(rods, k), rods.n, knots, base)
+    return GuideBendLaw(name, k, carried_by(rods, k), rods.n, knots, base)
 
 
 def grid() -> np.ndarray:
@@ -129,9 +129,11 @@ def guideways(true: Machine, rng: np.random.Generator) -> dict[int, np.ndarray]:
 
 def measured_bends(
     rods: Rods, q: np.ndarray, measured: dict[int, np.ndarray], which: tuple[int, ...]
-) -> tuple[Bends, ...]:
+) -> tuple[GuideBendLaw, ...]:
     """Return guideways as measured (5.7)."""
-    return tuple(Bends(rods.robot.actuated[k], k, carried_by(rods, k), rods.n, q[:, k], measured[k]) for k in which)
+    return tuple(
+        GuideBendLaw(rods.robot.actuated[k], k, carried_by(rods, k), rods.n, q[:, k], measured[k]) for k in which
+    )
 
 
 def models(
@@ -154,11 +156,13 @@ def models(
         drifts = () if rods.translates else tuple(family._drifts())
         whole = RodGeometry(rods, (), (*drifts, *measured_bends(rods, knots, measured, which)))
         bends = [n for n in whole.parameters.names if ".bend_" in n]
-        found = fit(
-            tie(whole, {}, bends), train if not rods.translates else train.without_rotation(), what=f"model {name}"
+        found = fit_geometry_to_poses(
+            constrain_parameters(whole, {}, bends),
+            train if not rods.translates else train.without_rotation(),
+            what=f"model {name}",
         )
         out[name] = _sizes(found.errors(test))
-    taken, _, _ = climb(RodFamily(six, train), train, Options())
+    taken, _, _ = select_model(RodFamily(six, train), train, Options())
     out[f"auto: {taken[-1].name}"] = _sizes(taken[-1].fit.errors(test))
     return out
 

@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate import fit
+from tau_dyn.calibrate import fit_geometry_to_poses
 from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -98,7 +98,7 @@ def study(seed: int) -> None:
     unseen = simulate_poses(geometry, theta, np.delete(q, best, axis=0)[:300], rng, noise=NOISE)
     family = RodFamily(rods, poses)
     for structure in ("frames", "complete"):
-        found = fit(family.build(Spec(structure)), poses)
+        found = fit_geometry_to_poses(family.build(Spec(structure)), poses)
         p, r = found.errors(unseen).position_size, found.errors(unseen).orientation_size
         assert r is not None
         print(

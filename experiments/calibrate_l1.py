@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.candidates import Options, fit_spec
-from tau_dyn.calibrate.choose import climb
-from tau_dyn.calibrate.laws import Bends, carried_by
+from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, carried_by
+from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
@@ -64,13 +64,13 @@ def machine(rods: Rods, q: np.ndarray, rng: np.random.Generator) -> tuple[RodGeo
     return geometry, np.array(list(value.values()))
 
 
-def _crooked(rods: Rods, k: int, x: np.ndarray, rng: np.random.Generator) -> Bends:
+def _crooked(rods: Rods, k: int, x: np.ndarray, rng: np.random.Generator) -> GuideBendLaw:
     knots = np.linspace(x.min() - 0.05, x.max() + 0.05, 401)
     across = np.cross([1.0, 0.0, 0.0], rng.standard_normal(3))
     bow = BOW[k] * np.sin(np.pi * rng.uniform(1.5, 2.5) * (knots - knots[0]) / np.ptp(knots) + rng.uniform(0, 6))
     wave = WAVE[k] * np.sin(2 * np.pi * knots / PERIOD + rng.uniform(0, 6))
     base = bow[:, None] * across / np.linalg.norm(across) + wave[:, None] * np.array([1.0, 0.0, 0.0])
-    return Bends(rods.robot.actuated[k], k, carried_by(rods, k), rods.n, knots, base)
+    return GuideBendLaw(rods.robot.actuated[k], k, carried_by(rods, k), rods.n, knots, base)
 
 
 def study(seed: int) -> None:
@@ -100,7 +100,7 @@ def study(seed: int) -> None:
     )
     every = np.arange(poses.n)
     train, test = poses.take(every[1::2]), poses.take(every[::2])
-    taken, _, _ = climb(RodFamily(rods, train), train, Options())
+    taken, _, _ = select_model(RodFamily(rods, train), train, Options())
     for model in taken:
         size = model.fit.errors(test).position_size
         print(f"  auto, held out: {model.name:<70} mean {1e6 * size.mean:.0f} um  largest {1e6 * size.max:.0f} um")

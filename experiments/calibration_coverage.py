@@ -15,10 +15,10 @@ import time
 
 import numpy as np
 
-from tau_dyn.calibrate import fit
+from tau_dyn.calibrate import fit_geometry_to_poses
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.result import weak
+from tau_dyn.calibrate.result import list_weak_parameters
 from tau_dyn.calibrate.simulated import simulate_poses
 from tau_dyn.kinematics.rods import build_rods
 from tau_dyn.robot import load_robot
@@ -47,7 +47,7 @@ def study(name: str, arguments: dict[str, str], structure: str, n: int, reach: f
         found = simulate_poses(geometry, theta, q, rng, noise=NOISE, turned=turned)
         return found.take(np.arange(min(n, found.n)))
 
-    seen = fit(geometry, poses(geometry.parameters.values, first, n))
+    seen = fit_geometry_to_poses(geometry, poses(geometry.parameters.values, first, n))
     blind = [seen.identifiability.names[k] for k in seen.identifiability.dropped]
     scale = np.array([0.0 if p.name in blind else OFF[p.unit] for p in geometry.parameters])
     hits = total = 0
@@ -57,9 +57,9 @@ def study(name: str, arguments: dict[str, str], structure: str, n: int, reach: f
         theta = geometry.parameters.values + scale * rng.standard_normal(len(scale))
         measured = poses(theta, rng, n)
         begun = time.process_time()
-        found = fit(geometry, measured, fix=blind)
+        found = fit_geometry_to_poses(geometry, measured, fix=blind)
         seconds.append(time.process_time() - begun)
-        loose = set(weak(found))
+        loose = set(list_weak_parameters(found))
         for p, true in zip(found.parameters, theta, strict=False):
             interval = found.interval(p)
             if interval is not None and p.name not in loose:

@@ -19,17 +19,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.fit import fit
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses.automation import geometry_of
 from tau_dyn.calibrate.poses.choice import choose_from
 from tau_dyn.calibrate.poses.criteria import NAMES, indices
 from tau_dyn.calibrate.poses.design import Design, build_design
 from tau_dyn.calibrate.poses.devices import UniformDevice, seen
-from tau_dyn.calibrate.poses.enough import doubling_gain
 from tau_dyn.calibrate.poses.exchange import leave_one_out
-from tau_dyn.calibrate.poses.gate import draw_robot, measured_by
+from tau_dyn.calibrate.poses.monte_carlo import draw_robot, measured_by
+from tau_dyn.calibrate.poses.pose_count import doubling_gain
 from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
 from tau_dyn.kinematics.poses import Poses
@@ -102,7 +102,7 @@ def achieved(case: Case, draw, runs: int, seed: int) -> np.ndarray:  # noqa: ANN
     for rng in np.random.default_rng(seed).spawn(runs):
         q = design.q[draw(rng)]
         theta = draw_robot(geometry, np.vstack([q, design.workspace]), scales, rng)
-        fitted = fit(geometry, measured_by(case.device, geometry, theta, q, rng))
+        fitted = fit_geometry_to_poses(geometry, measured_by(case.device, geometry, theta, q, rng))
         places = seen(case.device.frames, geometry.forward(theta, design.workspace).poses)
         out.append(fitted.errors(PoseSet(design.workspace, places.position)).position_size.rms)
     return np.array(out)

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.calibrate.compensation import Compensation, build_compensation
-from tau_dyn.calibrate.fit import Fit, fit
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
@@ -76,7 +76,7 @@ def told(robot: Robot, geometry: TreeGeometry, rng: np.random.Generator) -> None
                 print(f"   {NAMES[k]} = {' '.join(parts) or 'no effect'}")
 
 
-def below(poses: PoseSet, fitted: Fit, depth: float) -> np.ndarray:
+def below(poses: PoseSet, fitted: GeometryFit, depth: float) -> np.ndarray:
     """Return the error (N,) [m] of the point `depth` below the measured target, along the tool's z."""
     seen = fitted.seen(poses)
     rotation = seen.rotation if fitted.geometry.orients else seen.rotation @ fitted._target()
@@ -95,7 +95,7 @@ def compared(geometry: TreeGeometry, robot: Robot, runs: int, rng: np.random.Gen
         train, held = poses.take(np.arange(60)), poses.take(np.arange(60, poses.n))
         for name, model, fix in (("complete", geometry, ()), ("simplified", simple, ()), ("nominal", geometry, NAMES)):
             start = time.process_time()
-            found = fit(model, train, fix=fix)
+            found = fit_geometry_to_poses(model, train, fix=fix)
             cost.append(time.process_time() - start) if name == "complete" else None
             rows[name].append([float(np.sqrt(np.mean(below(held, found, h) ** 2))) for h in (0.0, 0.2)])
         rank = found.identifiability.rank

@@ -32,7 +32,7 @@ from recovery import true_plant
 from tau_dyn.estimate import solve_least_squares
 from tau_dyn.estimate.position_noise import PositionNoise
 from tau_dyn.identify import Preparation, build_model, build_regression
-from tau_dyn.identify.instrumental import refine
+from tau_dyn.identify.full_rate_estimators import estimate_full_rate
 from tau_dyn.log import Log, noise_gain
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
@@ -169,7 +169,7 @@ def rows(scenario: Scenario, seed: int, plants: int, estimators: list[str], fold
             wide = widest(regression.settings["preparation"], log, scenario.encoder_noise)
             e = solve_least_squares(build_regression(model, [log], preparation=wide))
         else:
-            e = refine(model, [log], first, name).estimate
+            e = estimate_full_rate(model, [log], first, name).estimate
         for parameter, value, stderr, x, least in zip(names, e.beta_plain, e.stderr, sought, limit, strict=True):
             row = {"scenario": scenario.name, "seed": seed, "estimator": name, "parameter": parameter, "truth": x}
             yield row | {"value": value, "stderr": stderr, "bound": least}

@@ -17,12 +17,12 @@ from ilc_parts.bench import AXES, DT, models, motion, plant, printed_actuators
 from ilc_parts.laws import laws, motor_law
 
 from tau_dyn.control.iterative import (
-    Learning,
+    LearningHistory,
     LearningLaw,
     MotorSide,
     TimeShift,
     ToolSide,
-    convergence,
+    analyse_convergence,
     learn,
     low_pass,
 )
@@ -33,19 +33,19 @@ THESIS_SINGULAR = {"1": "0.90, 0.91, 0.93", "2A": "0.86", "2B": "0.93", "3": "0.
 TABLE_7_2 = {"1": (13.3, 36.1), "2A": (12.6, 23.9), "2B": (13.3, 25.2), "3": (10.3, 24.9)}
 
 
-def study(seed: int, runs: int, iterations: int) -> tuple[dict[str, list[Learning]], dict]:
+def study(seed: int, runs: int, iterations: int) -> tuple[dict[str, list[LearningHistory]], dict]:
     robot, found = plant(seed), models(seed)
     fits = {name: fit.round(1).tolist() for name, fit in found.fit.items()}
     print(f"identified, held-out fit of x, y [%]: {fits}")
     path = motion(robot)
     known = laws(robot, found, robot.run(path.q, 5_000))
-    learnt: dict[str, list[Learning]] = {}
+    learnt: dict[str, list[LearningHistory]] = {}
     for name, law in known.items():
         learnt[name] = [learn(robot, path, law, iterations, first_trial=100 * run) for run in range(runs)]
     return learnt, known
 
 
-def table(learnt: dict[str, list[Learning]]) -> None:
+def table(learnt: dict[str, list[LearningHistory]]) -> None:
     print(
         "\n| case | largest singular value | thesis | x, mean of trials 5 to 10 | y | thesis x | y | RMS after, x, y [um] |"
     )
@@ -105,7 +105,7 @@ def refused(seed: int) -> None:
         "case 3, low-pass at 10 Hz": LearningLaw(tool, (low_pass(10, DT),) * 2, TimeShift(0.9, 5, DT)),
     }
     for name, law in tries.items():
-        seen = convergence(law, path)
+        seen = analyse_convergence(law, path)
         assert seen.picture is not None
         try:
             learn(robot, path, law, 1)

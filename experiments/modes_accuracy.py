@@ -18,13 +18,13 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
+from tau_dyn.modes.covariance_propagation import propagate_covariance
 from tau_dyn.modes.delay import choose_delay
 from tau_dyn.modes.gauss_newton import evaluate, normal_equations
 from tau_dyn.modes.methods import first_look
 from tau_dyn.modes.modal import modes_of
 from tau_dyn.modes.modal_form import free_numbers, modal_form
 from tau_dyn.modes.pbsid import pbsid
-from tau_dyn.modes.propagation import propagated
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import refine
 from tau_dyn.modes.simulate import simulate, states
@@ -80,7 +80,9 @@ def bound(model: StateSpace, record: Record, snr_db: float, coloured: bool = Fal
     normal = normal_equations(point, free_numbers(form, direct), np.diag(1 / power))
     scale = np.sqrt(np.diag(normal.H))
     inverse = np.linalg.inv(normal.H / np.outer(scale, scale)) / np.outer(scale, scale)
-    covariance = propagated(form, inverse[: normal.n_model, : normal.n_model], direct, lambda f: f.state_space())
+    covariance = propagate_covariance(
+        form, inverse[: normal.n_model, : normal.n_model], direct, lambda f: f.state_space()
+    )
     return np.array([(mode.frequency_stderr, mode.damping_stderr) for mode in modes_of(model, covariance)])
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.fit import fit
+from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import simulate_poses
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
 from tau_dyn.robot import Robot, load_robot, robot_from_urdf
@@ -56,7 +56,7 @@ def told(geometry: TreeGeometry, rng: np.random.Generator) -> tuple[str, ...]:
         poses = simulate_poses(
             geometry, geometry.parameters.values, spread(robot, 60, rng), rng, noise=NOISE, turned=turned
         )
-        found = fit(geometry, poses).identifiability
+        found = fit_geometry_to_poses(geometry, poses).identifiability
         print(f"{'poses' if turned else 'positions'}: {found.rank} of {len(found.names)} unknowns, frames included")
         for k, depends in zip(found.dropped, found.depends_on, strict=True):
             print(f"   {found.names[k]} cannot be told from {', '.join(depends)}") if not turned else None
@@ -73,9 +73,9 @@ def accuracy(geometry: TreeGeometry, runs: int, rng: np.random.Generator) -> Non
         poses = simulate_poses(geometry, truth, spread(robot, 260, rng), rng, noise=NOISE, turned=False)
         train, held = poses.take(np.arange(60)), poses.take(np.arange(60, 260))
         start = time.process_time()
-        fitted = fit(geometry, train)
+        fitted = fit_geometry_to_poses(geometry, train)
         cost.append(time.process_time() - start)
-        nominal = fit(geometry, train, fix=geometry.parameters.names)
+        nominal = fit_geometry_to_poses(geometry, train, fix=geometry.parameters.names)
         rows.append([nominal.errors(held).position_size.rms, fitted.errors(held).position_size.rms, fitted.noise[0]])
     before, after, noise = 1e6 * np.median(rows, axis=0)
     print(
@@ -94,7 +94,7 @@ def honesty(geometry: TreeGeometry, names: tuple[str, ...], runs: int, rng: np.r
     only = replace(only.only(names), parameters=only.parameters.select(names))
     for _ in range(runs):
         truth = only.parameters.values + rng.normal(0, ERROR, len(names))
-        fitted = fit(
+        fitted = fit_geometry_to_poses(
             only, simulate_poses(only, truth, spread(geometry.shape.robot, 60, rng), rng, noise=NOISE, turned=False)
         )
         known = fitted.parameters

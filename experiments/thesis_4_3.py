@@ -21,14 +21,14 @@ import pandas as pd
 
 from tau_dyn.kinematics.accuracy import (
     ActuatorError,
-    Errors,
+    ErrorBounds,
     Section,
     accuracy_study,
     device_of,
-    grow,
     lay_grid,
     positioning_errors,
     same_in_all_directions,
+    scale_errors,
 )
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics
@@ -37,8 +37,8 @@ from tau_dyn.kinematics.rods import build_rods
 from tau_dyn.robot import load_robot
 
 CASES = {  # Table 4.2
-    "case 1": Errors({f"cart{i}": same_in_all_directions(r) for i, r in ((1, 32e-6), (2, 77e-6), (3, 54e-6))}),
-    "case 2": Errors({
+    "case 1": ErrorBounds({f"cart{i}": same_in_all_directions(r) for i, r in ((1, 32e-6), (2, 77e-6), (3, 54e-6))}),
+    "case 2": ErrorBounds({
         "cart1": ActuatorError(axes=(11e-6, 28e-6, 28e-6)),
         "cart2": ActuatorError(axes=(58e-6, 38e-6, 38e-6)),
         "cart3": ActuatorError(axes=(19e-6, 47e-6, 47e-6)),
@@ -127,7 +127,7 @@ def claims(rods, found: dict, line: pd.DataFrame) -> list[dict]:
     return rows
 
 
-def faces(robot, rods, errors: Errors) -> pd.DataFrame:
+def faces(robot, rods, errors: ErrorBounds) -> pd.DataFrame:
     """Return the areas of the parallelepiped's faces from guideway 3 to guideway 2 (Figure 4.9)."""
     (_, (_, y1, z1), (_, y0, z0)) = guideways(rods)
     share = np.linspace(0.02, 0.96, 60)
@@ -146,7 +146,7 @@ def enlarged(robot, rods, home: Poses) -> pd.DataFrame:
     """Return every bound at home with all errors of Table 4.2 times a factor, in mm."""
     rows = []
     for case, errors in CASES.items():
-        grown = grow(robot, rods, errors, robot.home, home, METHODS[:-1])
+        grown = scale_errors(robot, rods, errors, robot.home, home, METHODS[:-1])
         for k, factor in enumerate(grown.factors):
             rows.append({"case": case, "factor": factor} | {m: 1e3 * x[k] for m, x in grown.largest.items()})
     return pd.DataFrame(rows)

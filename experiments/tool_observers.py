@@ -18,7 +18,7 @@ from ilc_parts.bench import AXES, DT, motion, plant
 from tau_dyn.control.observers import (
     ComplementaryToolObserver,
     KalmanToolObserver,
-    extended,
+    extend_model,
     tune_complementary,
     tune_kalman,
     whiteness,
@@ -46,7 +46,7 @@ def errors(estimate: Estimate, trials: list[Trial]) -> np.ndarray:
 def thesis_kalman(trial: Trial) -> KalmanToolObserver:
     """(7.21), (7.22) as printed: R1 = r I with r "by inspection", here the best of a grid against the gauges."""
     model = load_state_space(MODEL).model
-    eye = np.eye(len(extended(model).A))
+    eye = np.eye(len(extend_model(model).A))
     tried = [KalmanToolObserver(model, r * eye, 0.07**2, aligned=False, predict=True) for r in FACTORS]
     return min(tried, key=lambda k: float(np.mean((k.estimate(*signals(trial)) - trial.tool[:, AXES]) ** 2)))
 

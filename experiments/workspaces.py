@@ -19,7 +19,7 @@ import pandas as pd
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.kinematics.obstacles import surroundings_from
-from tau_dyn.kinematics.workspace import Demands, find_workspace
+from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace
 from tau_dyn.kinematics.workspace.study import study
 from tau_dyn.report.workspace_page import workspace_page
 from tau_dyn.robot import load_robot
@@ -60,7 +60,7 @@ def main(out: Path, quick: bool) -> None:
 def l1_figures() -> pd.DataFrame:
     robot, rows = load_robot("gantry_tau"), []
     for angle in (None, 40.0):
-        asked = Demands(ball_angle=np.pi if angle is None else np.deg2rad(angle), collisions=False)
+        asked = PoseRequirements(ball_angle=np.pi if angle is None else np.deg2rad(angle), collisions=False)
         found = study(robot, demands=asked, sections=["x=1.75"], resolution=0.04)
         cut = found.sections[0]
         u, v = cut.u[cut.inside.any(axis=1)], cut.v[cut.inside.any(axis=0)]
@@ -70,10 +70,12 @@ def l1_figures() -> pd.DataFrame:
         )
         rows.append((words, "area [m^2]", f"{cut.area:.2f}", ""))
     ball = np.deg2rad(30.0)
-    kinematic = find_workspace(robot, resolution=0.1, demands=Demands(ball_angle=ball, collisions=False))
-    fine = find_workspace(robot, resolution=0.02, demands=Demands(ball_angle=ball, collisions=False))
-    border = find_workspace(robot, resolution=0.02, demands=Demands(ball_angle=ball, collisions=False, border=0.1))
-    lab = Demands(ball_angle=ball, collisions=False, border=0.1, surroundings=surroundings_from(LAB, "lab"))
+    kinematic = find_workspace(robot, resolution=0.1, demands=PoseRequirements(ball_angle=ball, collisions=False))
+    fine = find_workspace(robot, resolution=0.02, demands=PoseRequirements(ball_angle=ball, collisions=False))
+    border = find_workspace(
+        robot, resolution=0.02, demands=PoseRequirements(ball_angle=ball, collisions=False, border=0.1)
+    )
+    lab = PoseRequirements(ball_angle=ball, collisions=False, border=0.1, surroundings=surroundings_from(LAB, "lab"))
     rest = find_workspace(robot, resolution=0.02, demands=lab)
     sides = " x ".join(f"{x:.2f}" for x in fine.upper - fine.lower)
     rows += [

@@ -17,9 +17,9 @@ import numpy as np
 from bench import show, stop_watch
 
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
-from tau_dyn.estimate import Totals, find_base
+from tau_dyn.estimate import SufficientStatistics, find_base
 from tau_dyn.identify import choose_preparation
-from tau_dyn.identify.regression import columns_of, prepare
+from tau_dyn.identify.regression import columns_of, prepare_segment
 from tau_dyn.log import even_segments, read_log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
@@ -39,10 +39,10 @@ def six_axes() -> Model:
 def ours(model: Model, data: tuple[np.ndarray, ...], fresh: tuple[np.ndarray, ...]) -> tuple[np.ndarray, float, float]:
     """Return the predicted torque (N, na), and wall and processor time [s] of the identification."""
     with stop_watch() as watch:
-        total = Totals.zero(model.robot.na, len(model.parameters))
+        total = SufficientStatistics.zero(model.robot.na, len(model.parameters))
         for start in range(0, len(data[0]), BLOCK):
             q, v, a, tau = (x[start : start + BLOCK] for x in data)
-            total = total + Totals.of(columns_of(model, Motion.of(model.robot.actuated, q, v, a)), tau)
+            total = total + SufficientStatistics.of(columns_of(model, Motion.of(model.robot.actuated, q, v, a)), tau)
         rows = total.R.reshape(-1, total.R.shape[2])
         base = find_base(rows[:, :-1], model.parameters.names)
         beta = np.linalg.lstsq(rows[:, base.kept], rows[:, -1], rcond=None)[0]
@@ -99,7 +99,7 @@ def measured(model: Model) -> tuple[np.ndarray, ...]:
     """Return the TX40 log as our filters prepare it."""
     log = read_log(DATA, HERE.parents[1] / "identification" / "columns" / "tx40.yaml")
     (piece,) = even_segments(log)
-    ready = prepare(model, piece, choose_preparation(model.robot, [piece]))
+    ready = prepare_segment(model, piece, choose_preparation(model.robot, [piece]))
     return ready.motion.q, ready.motion.v, ready.motion.a, ready.force
 
 

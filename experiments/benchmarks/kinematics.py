@@ -22,7 +22,7 @@ from tau_dyn.kinematics import (
     jacobian,
 )
 from tau_dyn.kinematics.chain_inverse import NewtonChain, chains_of
-from tau_dyn.kinematics.engines import rods_of
+from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import Robot, load_robot
 
 ROBOTS = {
@@ -63,7 +63,7 @@ def positions(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
 
 def there_and_back(name: str, robot: Robot, runs: int, seed: int) -> dict[str, object]:
     """Return the largest errors of one robot."""
-    rng, rods = np.random.default_rng(seed), rods_of(robot)
+    rng, rods = np.random.default_rng(seed), get_rods(robot)
     q = positions(robot, runs if rods is not None or not robot.loops else SLOW, rng)
     forward = forward_kinematics(robot, q)
     ok = forward.ok
@@ -123,7 +123,7 @@ def speed(robot: Robot, n: int) -> float:
 
 def cost(robot: Robot, n: int, seed: int) -> tuple[int, float, float]:
     """Return how many of n poses around home are reached, and the CPU time [ms] a pose of those and of the others."""
-    rods, rng = rods_of(robot), np.random.default_rng(seed)
+    rods, rng = get_rods(robot), np.random.default_rng(seed)
     home = forward_kinematics(robot, robot.home[None]).poses
     wide = 1.0 if rods is None else float(np.mean(rods.lengths))
     poses = Poses(home.position + wide * rng.uniform(-1, 1, (n, 3)), np.repeat(home.rotation, n, axis=0))
@@ -151,7 +151,7 @@ def main() -> None:
         for name, (file, arguments) in ROBOTS.items():
             if args.only in name:
                 robot = load_robot(file, **arguments)
-                reached, inside, outside = cost(robot, args.runs if rods_of(robot) else 100, args.seed)
+                reached, inside, outside = cost(robot, args.runs if get_rods(robot) else 100, args.seed)
                 print(f"{name}: {reached} reached, {inside:.3f} ms; the others {outside:.3f} ms a pose", flush=True)
         return
     if not args.only:

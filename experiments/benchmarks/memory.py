@@ -17,12 +17,12 @@ from bench import made_recording, show
 CHILD = """
 import json, resource, sys, time
 began, cpu = time.perf_counter(), time.process_time()
-from tau_dyn.identify import Engine, identify
+from tau_dyn.identify import BlockExecutor, identify
 from tau_dyn.log import open_log
 from tau_dyn.robot import load_robot
 ready = time.perf_counter() - began
 found = identify(load_robot("gantry_tau", prototype="l1"), open_log(sys.argv[1]), model="symmetric", estimator="wls",
-                 engine=Engine(int(sys.argv[2])))
+                 engine=BlockExecutor(int(sys.argv[2])))
 print(json.dumps({"wall": time.perf_counter() - began - ready, "cpu": time.process_time() - cpu,
                   "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
                   "plate": found.parameters["plate_link.mass"].value,

@@ -18,7 +18,7 @@ from bench import show, stop_watch
 from tau_dyn.dynamics import TreeMechanism, build_mechanism
 from tau_dyn.dynamics.samplewise import SamplewiseTree
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
-from tau_dyn.estimate import Totals
+from tau_dyn.estimate import SufficientStatistics
 from tau_dyn.identify.regression import columns_of
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -46,13 +46,13 @@ def motion_of(model: Model, samples: int) -> tuple[np.ndarray, ...]:
     return q, *rng.standard_normal((3, samples, na))
 
 
-def step(model: Model, data: tuple[np.ndarray, ...]) -> Totals:
+def step(model: Model, data: tuple[np.ndarray, ...]) -> SufficientStatistics:
     """Return the totals of one block."""
     q, v, a, tau = data
-    return Totals.of(columns_of(model, Motion.of(model.robot.actuated, q, v, a)), tau)
+    return SufficientStatistics.of(columns_of(model, Motion.of(model.robot.actuated, q, v, a)), tau)
 
 
-def whole(models: list[Model], data: tuple[np.ndarray, ...]) -> Totals:
+def whole(models: list[Model], data: tuple[np.ndarray, ...]) -> SufficientStatistics:
     """Return the totals of all samples, block by block, one thread a model."""
     parts, threads, model = (
         [tuple(x[s : s + BLOCK] for x in data) for s in range(0, len(data[0]), BLOCK)],
@@ -60,12 +60,14 @@ def whole(models: list[Model], data: tuple[np.ndarray, ...]) -> Totals:
         models[0],
     )
 
-    def some(k: int) -> list[Totals]:
+    def some(k: int) -> list[SufficientStatistics]:
         return [step(models[k], part) for part in parts[k::threads]]
 
     with ThreadPoolExecutor(threads) as pool:
         found = list(pool.map(some, range(threads)))
-    return sum((t for totals in found for t in totals), Totals.zero(model.robot.na, len(model.parameters)))
+    return sum(
+        (t for totals in found for t in totals), SufficientStatistics.zero(model.robot.na, len(model.parameters))
+    )
 
 
 def limit(model: Model, samples: int) -> None:

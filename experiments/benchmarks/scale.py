@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from bench import made_recording, show
 
-from tau_dyn.identify import Engine, identify
+from tau_dyn.identify import BlockExecutor, identify
 from tau_dyn.log import open_log
 from tau_dyn.robot import load_robot
 from tau_dyn.scale.run_many import connected, run_many
@@ -53,7 +53,7 @@ def study(client, seeds: int, kill: bool) -> tuple[float, np.ndarray]:
 def identification(client, path: Path) -> tuple[float, np.ndarray]:
     """Return the time [s] and the estimates from a recording."""
     began = time.perf_counter()
-    engine = Engine(cluster=client.scheduler.address)
+    engine = BlockExecutor(cluster=client.scheduler.address)
     found = identify(load_robot("gantry_tau", prototype="l1"), open_log(path), estimator="wls", engine=engine)
     return time.perf_counter() - began, np.concatenate([found.estimate.beta, found.estimate.stderr])
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 from ilc_parts.bench import AXES
 
-from tau_dyn.control.iterative import Learning, picture
+from tau_dyn.control.iterative import LearningHistory, compute_frequency_condition
 from tau_dyn.control.iterative.law import Law
 
 COLOURS = {"1": "0.5", "2A": "tab:blue", "2B": "tab:red", "3": "tab:green", "3, norm-optimal": "tab:purple"}
 
 
-def draw(folder: Path, learnt: dict[str, list[Learning]], known: dict[str, Law]) -> None:
+def draw(folder: Path, learnt: dict[str, list[LearningHistory]], known: dict[str, Law]) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -32,7 +32,7 @@ def draw(folder: Path, learnt: dict[str, list[Learning]], known: dict[str, Law])
 
     figure, axes = plt.subplots(1, 3, figsize=(9, 3), sharey=True)
     for name, axis in zip(("2A", "2B", "3"), axes, strict=True):
-        seen = picture(known[name], np.geomspace(0.5, 60, 300))
+        seen = compute_frequency_condition(known[name], np.geomspace(0.5, 60, 300))
         if seen is None:
             continue
         axis.loglog(seen.frequency, seen.bound[:, 0], "k", lw=1.2, label="1 / |Q|")

@@ -10,8 +10,8 @@ import numpy as np
 
 from parallelogram_parts.explicit import ERRORS, NAMES, NOMINAL, forward
 from tau_dyn.calibrate.compensation import build_compensation
-from tau_dyn.calibrate.fit import Fit, fit
-from tau_dyn.calibrate.geometry import Tied
+from tau_dyn.calibrate.geometry import ConstrainedGeometry
+from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
 from tau_dyn.parameters import Parameter, Parameters
@@ -43,7 +43,7 @@ _TIES = {
 
 
 @cache
-def machine(h: float) -> tuple[Robot, Tied]:
+def machine(h: float) -> tuple[Robot, ConstrainedGeometry]:
     """Return the robot file with tool length `h` [m] and its geometry in the paper's nine parameters."""
     robot = load_robot(FILE, h=h)
     tree: TreeGeometry = tree_geometry(robot)
@@ -54,7 +54,7 @@ def machine(h: float) -> tuple[Robot, Tied]:
     units = ["rad"] + ["m"] * 8
     rows = Parameters([Parameter(n, float(v), u) for n, v, u in zip(NAMES, NOMINAL, units, strict=True)])
     priority = np.array([0 if name in BASE else 1 for name in NAMES])
-    return robot, Tied(tree, rows, matrix, priority)
+    return robot, ConstrainedGeometry(tree, rows, matrix, priority)
 
 
 def measure(rng: np.random.Generator, k: np.ndarray = NOMINAL + ERRORS, h: float = 0.1) -> PoseSet:
@@ -79,7 +79,7 @@ def classical(poses: PoseSet) -> tuple[float, float]:
     return q0, length
 
 
-def linear(geometry: Tied, poses: PoseSet, weights: tuple[float, float]) -> np.ndarray:
+def linear(geometry: ConstrainedGeometry, poses: PoseSet, weights: tuple[float, float]) -> np.ndarray:
     """Return the nine parameters by (23) to (26): one linear least squares at the nominal mechanism, base parameters alone."""
     columns = geometry.tool_by_parameter(NOMINAL, poses.q, poses.poses)[:, [0, 2, 4]]
     nominal = geometry.forward(NOMINAL, poses.q).poses
@@ -94,18 +94,18 @@ def linear(geometry: Tied, poses: PoseSet, weights: tuple[float, float]) -> np.n
     return k
 
 
-def six(geometry: Tied, poses: PoseSet) -> Fit:
+def six(geometry: ConstrainedGeometry, poses: PoseSet) -> GeometryFit:
     """Return the nonlinear fit of the six base parameters."""
     others = [name for name in NAMES if name not in BASE]
-    return fit(geometry, poses, fix=others, device=False, tool=False, noise=NOISE)
+    return fit_geometry_to_poses(geometry, poses, fix=others, device=False, tool=False, noise=NOISE)
 
 
-def nine(geometry: Tied, poses: PoseSet, prior: dict[str, float] | None = None) -> Fit:
+def nine(geometry: ConstrainedGeometry, poses: PoseSet, prior: dict[str, float] | None = None) -> GeometryFit:
     """Return the nonlinear fit of all nine, held by the fit's own prior (10 mm, 10 mrad) or by a closer one."""
     if prior is not None:
         known = {p.name: {"prior_stderr": prior.get(p.name, prior["*"])} for p in geometry.parameters}
         geometry = replace(geometry, parameters=geometry.parameters.update(known))
-    return fit(geometry, poses, device=False, tool=False, noise=NOISE)
+    return fit_geometry_to_poses(geometry, poses, device=False, tool=False, noise=NOISE)
 
 
 def tcp_error(h: float, corrected: np.ndarray, k: np.ndarray = NOMINAL + ERRORS) -> np.ndarray:

@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import Spec, family_at, measured, rods_of, spoiled
 
 from tau_dyn.calibrate import calibrate, causes, read_poses
-from tau_dyn.calibrate.candidates import Options, evaluate
-from tau_dyn.calibrate.crossvalidation import LEVER
+from tau_dyn.calibrate.candidates import Options, fit_and_cross_validate
+from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M
 from tau_dyn.calibrate.families import family_of
 from tau_dyn.calibrate.frames import Frame, Frames
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -132,10 +132,10 @@ def test_models_without_a_cause_keep_what_the_user_fixed(monkeypatch):
     rods = rods_of()
     poses, _ = measured(rods, "nonparallel", 40, 5)
     family, options = family_at(rods), Options(fix=("arm1.length",))
-    chosen = evaluate(family, family.spec("nonparallel"), poses, options)
+    chosen = fit_and_cross_validate(family, family.spec("nonparallel"), poses, options)
     smaller = []
     monkeypatch.setattr(causes, "cross_validate", lambda fitted, seed: smaller.append(fitted) or chosen.unseen)
-    causes.find_causes(family, chosen, None, options, LEVER)
+    causes.find_causes(family, chosen, None, options, ORIENTATION_LEVER_M)
     free = [dict(zip(f.unknowns.names, f.unknowns.free.tolist(), strict=True)) for f in smaller]
     assert any("arm1.length" in row and any(row.values()) for row in free)
     assert not any(row.get("arm1.length", False) for row in free)

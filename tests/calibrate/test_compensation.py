@@ -9,7 +9,7 @@ import pytest
 
 from tau_dyn.calibrate.compensation import Compensation, build_compensation
 from tau_dyn.calibrate.compensation_file import load_compensation, save_compensation
-from tau_dyn.calibrate.geometry import Geometry, tie
+from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
@@ -92,7 +92,7 @@ def test_parallelogram_tied_parameters() -> None:
     """Tied parameters, here two equal rods, are compensated like their originals: rods 1 mm longer on both sides."""
     robot = load_robot(URDF / "parallelogram.urdf.xacro")
     tree = tree_geometry(robot)
-    tied = tie(tree, {"rods": ["rod2.length"]}, left_out=["crank.offset"])
+    tied = constrain_parameters(tree, {"rods": ["rod2.length"]}, left_out=["crank.offset"])
     theta = tied.parameters.with_values({"rods": 0.951, "plate_turn.origin_z": -0.951}).values
     q = np.linspace(-0.6, 0.6, 5)[:, None]
     found = build_compensation(robot, tied, theta)(q)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.calibrate.fit import fit
 from tau_dyn.calibrate.frames import Frame, Frames
+from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import tree_geometry
 from tau_dyn.robot import robot_from_urdf
@@ -36,7 +36,7 @@ def test_a_blind_target_stays_where_the_file_has_it_and_takes_no_dimension_along
     q = rng.uniform([0.2, -2.2, 0.05, -2.2], [1.4, -0.3, 0.25, 2.2], (60, 4))
     seat = Frame(TRACKER.tool[0].rotation, np.array([0.02, -0.01, 0.0]))  # beside the file's tool, but no higher
     frames = Frames(TRACKER.device, (seat,))
-    found = fit(geometry, simulate_poses(geometry, theta, q, rng, frames=frames, noise=(NOISE, 1e-4)))
+    found = fit_geometry_to_poses(geometry, simulate_poses(geometry, theta, q, rng, frames=frames, noise=(NOISE, 1e-4)))
     blind = {found.identifiability.names[k] for k in found.identifiability.dropped}
     assert "tool.z" in blind and abs(found.parameters["tool.z"].value) < 1e-12
     for name in set(truth) - blind:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tau_dyn.calibrate.fit import fit
+from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
 from tau_dyn.robot import robot_from_urdf
@@ -48,7 +48,7 @@ def spread(n: int, rng: np.random.Generator) -> np.ndarray:
 def identifiable(arm: TreeGeometry) -> tuple[str, ...]:
     """Return which of the arm's own parameters positions tell beside the frames."""
     rng = np.random.default_rng(1)
-    found = fit(
+    found = fit_geometry_to_poses(
         arm, simulate_poses(arm, arm.parameters.values, spread(60, rng), rng, noise=(NOISE, 1e-4), turned=False)
     )
     kept = [found.identifiability.names[k] for k in found.identifiability.kept]
@@ -60,7 +60,9 @@ def test_what_parallel_axes_leave_untold(arm: TreeGeometry) -> None:
     rng = np.random.default_rng(2)
     truth = arm.parameters.values
     for turned, rank in ((False, 27), (True, 30)):
-        found = fit(arm, simulate_poses(arm, truth, spread(60, rng), rng, noise=(NOISE, 1e-4), turned=turned))
+        found = fit_geometry_to_poses(
+            arm, simulate_poses(arm, truth, spread(60, rng), rng, noise=(NOISE, 1e-4), turned=turned)
+        )
         told = found.identifiability
         assert told.rank == rank
         depends = {told.names[k]: d for k, d in zip(told.dropped, told.depends_on, strict=True)}
@@ -77,8 +79,8 @@ def test_error_at_the_noise(arm: TreeGeometry) -> None:
     truth = arm.parameters.values + rng.normal(0, 1e-3, len(free)) * free
     poses = simulate_poses(arm, truth, spread(160, rng), rng, noise=(NOISE, 1e-4), turned=False)
     train, held = poses.take(np.arange(60)), poses.take(np.arange(60, 160))
-    fitted = fit(arm, train)
-    nominal = fit(arm, train, fix=arm.parameters.names)
+    fitted = fit_geometry_to_poses(arm, train)
+    nominal = fit_geometry_to_poses(arm, train, fix=arm.parameters.names)
     assert fitted.converged
     assert nominal.errors(held).position_size.rms > 1e-3
     # 27 numbers from 180 leave noise * sqrt(1 + 27 / 180) in what is predicted
@@ -93,7 +95,7 @@ def test_standard_errors_hold(arm: TreeGeometry, identifiable: tuple[str, ...]) 
     total, inside, count = 0.0, 0, 0
     for rng in np.random.default_rng(4).spawn(15):
         truth = only.parameters.values + rng.normal(0, 5e-4, len(identifiable))
-        fitted = fit(
+        fitted = fit_geometry_to_poses(
             only, simulate_poses(only, truth, spread(40, rng), rng, noise=(NOISE, 1e-4), turned=False, frames=TRACKER)
         )
         names = list(fitted.identifiability.names)

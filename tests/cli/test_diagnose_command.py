@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.cli import main
-from tau_dyn.diagnose.result import Diagnosis, Errors, Step
+from tau_dyn.diagnose.result import Diagnosis, OutputErrors, Step
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -19,7 +19,7 @@ ROOM = import_module("tau_dyn.diagnose")  # `tau_dyn.diagnose` itself is the fun
 
 def _answer(robot, verdict: str) -> Diagnosis:
     model = build_model(robot, "asymmetric")
-    errors = Errors(robot.actuated, np.array([2.0]), np.array([[1.9, 2.2]]), 5.0)
+    errors = OutputErrors(robot.actuated, np.array([2.0]), np.array([[1.9, 2.2]]), 5.0)
     steps = tuple(Step(name, errors) for name in ("nominal", "refitted", "noise_floor"))
     return Diagnosis(
         verdict=verdict, sentence="An answer.", channel="force", outputs=robot.actuated, units=robot.force_units,

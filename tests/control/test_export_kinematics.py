@@ -10,7 +10,7 @@ import pytest
 from tau_dyn.control import build_kinematics, kinematics_source
 from tau_dyn.control import export_kinematics_check as check
 from tau_dyn.control.export_c_text import identifiers
-from tau_dyn.control.export_check import reachable_positions
+from tau_dyn.control.export_check import draw_reachable_positions
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import build_rods, forward_kinematics, inverse_kinematics, jacobian
 from tau_dyn.robot import load_robot, robot_from_urdf
@@ -67,7 +67,7 @@ def robot_named(name: str):
 
 def same(kin: Kinematics, source, atol: float, rng) -> None:
     """Compare with Python over random positions, each call from home."""
-    q = reachable_positions(source, POSITIONS, rng)
+    q = draw_reachable_positions(source, POSITIONS, rng)
     poses, J = forward_kinematics(source, q).poses, jacobian(source, q)
     expected = inverse_kinematics(source, poses)
     assert expected.ok.all()
@@ -115,7 +115,7 @@ def test_a_serial_arm_follows_a_path_in_one_branch(compiled, rng) -> None:
     """From near by, the inverse of a six-joint arm finds the very joints, where the wrist is bent."""
     arm = load_robot(IRB140, actuated=[f"joint{k}" for k in range(1, 7)])
     kin = Kinematics(build_kinematics(arm), compiled)
-    q = reachable_positions(arm, POSITIONS, rng)
+    q = draw_reachable_positions(arm, POSITIONS, rng)
     q[:, 4] = rng.uniform(0.5, 1.2, POSITIONS)
     poses = forward_kinematics(arm, q).poses
     for k in range(len(q)):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose.channel import refuse_scarce
-from tau_dyn.diagnose.parts import CONFIRM, EVERY, GAIN, TRAIN
+from tau_dyn.diagnose.data_split import EVERY, TEST, TRAIN, VALIDATION
 from tau_dyn.exceptions import CannotAnswer
 
 
@@ -16,7 +16,9 @@ def channel(counts: dict[int, int]) -> Any:
     return cast(Any, SimpleNamespace(masks=lambda part: [np.ones((counts[part] - 1, 1), bool), np.ones((1, 1), bool)]))
 
 
-@pytest.mark.parametrize(("part", "use"), [(TRAIN, "train on"), (CONFIRM, "confirm on"), (GAIN, "measure the gain on")])
+@pytest.mark.parametrize(
+    ("part", "use"), [(TRAIN, "train on"), (VALIDATION, "confirm on"), (TEST, "measure the gain on")]
+)
 def test_the_part_with_too_little_is_named(part: int, use: str) -> None:
     """One value less than needed in one part of three is refused, and the sentence says what it would have been for."""
     counts = dict.fromkeys(EVERY, 12)

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from tau_dyn.diagnose.confirm import confirm
-from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
+from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.effects import PositionFriction, Stribeck, ViscousAsymmetry
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
@@ -23,7 +23,7 @@ def test_of_a_true_effect_all_of_it_is_seen(make):
         for seed in range(40)
     ]
     share, stderr = np.array([(c.share, c.stderr) for c in found]).T
-    assert all(c.holds for c in found)
+    assert all(c.is_confirmed for c in found)
     assert_allclose(np.median(share), 1.0, atol=0.1)
     # the training amplitude is uncertain as well, three times as long as the confirming part
     assert 0.8 < np.std((share - 1) / stderr) < 1.6
@@ -51,7 +51,7 @@ def test_p_is_uniform_where_nothing_hides(clean):
     """The t-test's p-value is uniform on clean logs, and 2 % of them are confirmed, within 2.5 sigma."""
     p = [c.p_value for c in clean]
     assert stats.kstest(p, "uniform").pvalue > 0.01
-    assert np.mean([c.holds for c in clean]) < 0.02 + 2.5 * np.sqrt(0.02 * 0.98 / 200)
+    assert np.mean([c.is_confirmed for c in clean]) < 0.02 + 2.5 * np.sqrt(0.02 * 0.98 / 200)
 
 
 def test_what_only_the_training_part_has_is_not_confirmed(make):
@@ -61,14 +61,14 @@ def test_what_only_the_training_part_has_is_not_confirmed(make):
         here = make.turns(4000) == TRAIN
         channel = make.bench(rng, lambda m, here=here: 15 * np.abs(m.v) * here[:, None])
         found = confirmed(make, channel)
-        assert not found.holds
+        assert not found.is_confirmed
         assert abs(found.share) < 4 * found.stderr < 0.9
 
 
 def test_half_of_an_effect_is_half(make, rng):
     """An effect that is half as strong in the confirming blocks has a share of one half."""
     part = make.turns(8000)
-    size = np.where(part == CONFIRM, 10.0, 20.0)[:, None]
+    size = np.where(part == VALIDATION, 10.0, 20.0)[:, None]
     found = confirmed(make, make.bench(rng, lambda m: size * np.abs(m.v), n=8000))
     assert_allclose(found.share, 0.5, atol=4 * found.stderr)
     assert found.stderr < 0.1
@@ -78,7 +78,7 @@ def test_the_part_that_measures_the_gain_is_not_looked_at(make, rng):
     """Whatever the third part holds, training and confirmation do not know."""
     channel = make.bench(rng, lambda m: 12 * np.abs(m.v))
     y = channel.runs[0].y.copy()
-    y[channel.parts[0] == GAIN] = 1e6
+    y[channel.parts[0] == TEST] = 1e6
     assert confirmed(make, make.measuring(channel, y)) == confirmed(make, channel)
 
 
@@ -87,11 +87,11 @@ def test_only_what_the_baseline_leaves_of_an_effect_counts(make, rng):
     effect = Stribeck(("x",), ("N",), speed=0.1)
     channel = make.bench(rng, lambda m: 12 * effect.columns(m)[:, :, 0], n=6000)
     found = confirmed(make, channel, effect)
-    assert found.holds
+    assert found.is_confirmed
     assert_allclose(found.share, 1.0, atol=4 * found.stderr)
     assert 0.02 < found.stderr < 0.5
     absorbed = confirm(channel, (make.noise,), [[channel.runs[0].W[:, :, :1]]], ())
-    assert not absorbed.holds
+    assert not absorbed.is_confirmed
 
 
 def test_another_cause_takes_its_own(make, rng):
@@ -99,8 +99,8 @@ def test_another_cause_takes_its_own(make, rng):
     peak = Stribeck(("x",), ("N",), speed=0.1)
     mimic = peak.with_settings(speed=0.2)
     channel = make.bench(rng, lambda m: 12 * peak.columns(m)[:, :, 0], n=6000)
-    assert confirmed(make, channel, mimic).holds
-    assert not confirmed(make, channel, mimic, [channel.columns(peak)]).holds
+    assert confirmed(make, channel, mimic).is_confirmed
+    assert not confirmed(make, channel, mimic, [channel.columns(peak)]).is_confirmed
 
 
 def test_noise_that_is_larger_than_stated_makes_the_error_larger(make):
@@ -128,7 +128,7 @@ def test_a_law_is_confirmed_by_what_the_training_part_knows_of_it(make):
     for seed in range(6):
         rng = np.random.default_rng(seed)
         found = confirmed(make, elsewhere(make, rng, lambda m: PLACES.columns(m) @ law), PLACES)
-        assert found.holds and found.stderr < 0.3
+        assert found.is_confirmed and found.stderr < 0.3
         assert_allclose(found.share, 1.0, atol=4 * found.stderr)
 
 

@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.deflection import deflection_channel, diagnose_deflection
-from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
+from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.stiffness import stiffness_readings
 from tau_dyn.effects import EFFECTS
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import ColumnMap, Log
-from tau_dyn.log.names import signal_and_joint
+from tau_dyn.log.column_names import signal_and_joint
 from tau_dyn.robot import robot_from_urdf
 
 JOINTS = ("shoulder", "elbow", "wrist")  # the wrist has no encoder on its load side
@@ -173,10 +173,12 @@ def test_quick_scan_explains_what_the_exact_columns_do(rng) -> None:
     load = q.copy()
     load[:, 1] -= 2e-5 * np.sin(2 * np.pi * q[:, 1] / 0.04)
     channel = deflection_channel(robot, [recorded(t, q, tau, load, rng)])
-    ground = Ground.of(channel, (0,), noise_models(channel, (0,)))
+    ground = NullModel.of(channel, (0,), noise_models(channel, (0,)))
     make = EFFECTS["transmission_error"]
     effects = [make(["elbow"], ["N m"], **s) for s in make.grid(channel.scene, ("elbow",))]
-    quick = channel.scan(effects, ground, np.column_stack([ground.e, ground.draws(8, np.random.default_rng(0))]))
+    quick = channel.scan(
+        effects, ground, np.column_stack([ground.e, ground.draw_null_residuals(8, np.random.default_rng(0))])
+    )
     assert quick is not None
     best = effects[int(np.argmax(quick[:, 0]))]
     assert best.settings["period"] == pytest.approx(0.04, rel=0.05)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.findings import better_words, uncertain
-from tau_dyn.diagnose.trials import Library
+from tau_dyn.diagnose.candidate_scan import ColumnCache
+from tau_dyn.diagnose.findings import estimate_uncertainty, format_reduction
 from tau_dyn.effects import JointwiseEffect
 from tau_dyn.parameters import Parameters
 
@@ -30,14 +30,14 @@ def test_what_the_baseline_absorbs_has_no_standard_error(make, rng):
     channel = make.bench(rng, lambda m: 40.0 * m.v * np.abs(m.v))
     ground, effect = make.ground(channel), Motor(("x",), ("N",))
     values = Parameters([p for p in effect.parameters])
-    found = uncertain(SimpleNamespace(library=Library(channel)), ground, [effect], values, 1.0)
+    found = estimate_uncertainty(SimpleNamespace(library=ColumnCache(channel)), ground, [effect], values, 1.0)
     inertia, drag = found
     assert inertia.stderr is None
-    column = ground.rows([c[:, :, 1:] for c in channel.columns(effect)])
+    column = ground.whiten_columns([c[:, :, 1:] for c in channel.columns(effect)])
     assert_allclose(drag.stderr, ground.gram(column)[0, 0] ** -0.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("percent", "says"), [(12.4, "12 % better"), (0.34, "0.3 % better"), (-0.6, "no better")])
 def test_a_weak_cause_is_not_said_to_predict_better_than_it_does(percent, says):
     """White rows may be sure of a cause that takes nothing off the raw error; the sentence says so."""
-    assert better_words(percent) == says
+    assert format_reduction(percent) == says

@@ -128,13 +128,13 @@ def test_the_scan_sees_through_whitening_gaps_and_a_refitted_baseline(make, rng)
     channel = make.bench(rng, lambda m: 0.6 * np.sin(2 * np.pi * m.q / period), n=8000)
     ground = make.ground(channel)
     grid = [{"period": x} for x in lines_of(channel.motions[0].q, most=40.0)]
-    both = np.column_stack([ground.e, ground.draws(24, rng)])
+    both = np.column_stack([ground.e, ground.draw_null_residuals(24, rng)])
     (u,) = carried_back(ground.whiten.rows, both)
     motion, mask = channel.motions[0], channel.masks(0)[0][:, 0]
     periods = np.array([s["period"] for s in grid])
     T = explained_by_periods(motion.q[:, 0], motion.v[:, 0], u, mask, periods, OPEN_HZ, of_force(motion.q))[:, 0]
     best = int(np.argmax(T))
-    C = ground.rows(channel.columns(CyclicRipple(("x",), ("N",), **grid[best])))
+    C = ground.whiten_columns(channel.columns(CyclicRipple(("x",), ("N",), **grid[best])))
     s = C.T @ ground.e
     assert_allclose(T[best], s @ np.linalg.solve(ground.gram(C), s), rtol=0.2)
     assert abs(1 / periods[best] - 1 / period) < 0.5 / np.ptp(motion.q)

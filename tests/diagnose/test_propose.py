@@ -12,8 +12,8 @@ from tau_dyn.diagnose.candidates import candidate_pieces
 from tau_dyn.diagnose.design import Setting, flattened, force, gram, planned, refitted, seen
 from tau_dyn.diagnose.diagnose import diagnose
 from tau_dyn.diagnose.plan import pair_plan, scene_of
-from tau_dyn.diagnose.propose import exchanged, propose_motion
-from tau_dyn.diagnose.question import Question, Suspect, question_of
+from tau_dyn.diagnose.propose import optimise_by_exchange, propose_motion
+from tau_dyn.diagnose.question import CauseHypothesis, DesignGoal, find_design_goal
 from tau_dyn.diagnose.result import Diagnosis, Finding
 from tau_dyn.effects import DriveGain, QuadraticDrag, Stribeck
 from tau_dyn.estimate import Autoregression, fit_autoregression
@@ -127,9 +127,9 @@ def test_lambda_is_what_least_squares_leaves(confused):
     setting = Setting.of(confused)
     setting = replace(setting, noise=(Autoregression(np.zeros(0), setting.noise[0].variance),))
     drag = QuadraticDrag((JOINT,), (UNIT,))
-    suspect = Suspect("quadratic_drag", (drag,), Parameters([replace(p, value=200.0) for p in drag.parameters]))
+    suspect = CauseHypothesis("quadratic_drag", (drag,), Parameters([replace(p, value=200.0) for p in drag.parameters]))
     motion, counts = planned(setting, slow_motion(model, 20.0, 1, speed=0.1))
-    plan = pair_plan(setting, Question(((suspect, "stribeck"),)), scene_of(setting, [motion], frozenset()))
+    plan = pair_plan(setting, DesignGoal(((suspect, "stribeck"),)), scene_of(setting, [motion], frozenset()))
     (found,) = plan.strengths(gram(setting, motion, counts, plan.things))
     used, sigma = counts[:, 0], np.sqrt(setting.noise[0].variance)
     B = refitted(model, ())(motion)[used, 0] / sigma
@@ -152,16 +152,16 @@ def test_the_exchange_finds_the_best_combination(confused):
     peak, drag = Stribeck((JOINT,), (UNIT,), speed=SPEED), QuadraticDrag((JOINT,), (UNIT,))
     values = [Parameters([replace(p, value=x) for p in e.parameters]) for e, x in ((peak, PEAK), (drag, 5.0))]
     pairs = (
-        (Suspect("stribeck", (peak,), values[0]), "quadratic_drag"),
-        (Suspect("quadratic_drag", (drag,), values[1]), "stribeck"),
+        (CauseHypothesis("stribeck", (peak,), values[0]), "quadratic_drag"),
+        (CauseHypothesis("quadratic_drag", (drag,), values[1]), "stribeck"),
     )
     pieces = candidate_pieces(model, 10.0, 8, np.random.default_rng(2))
     motions = [planned(setting, piece) for piece in pieces]
-    plan = pair_plan(setting, Question(pairs), scene_of(setting, [m for m, _ in motions], frozenset()))
+    plan = pair_plan(setting, DesignGoal(pairs), scene_of(setting, [m for m, _ in motions], frozenset()))
     grams = np.array([gram(setting, m, counts, plan.things) for m, counts in motions])
     most = plan.most(grams)
     every = [plan.merit(grams[i] + grams[j], most) for i in range(8) for j in range(i, 8)]
-    first, second = exchanged(plan, grams, 2)
+    first, second = optimise_by_exchange(plan, grams, 2)
     assert plan.merit(grams[first] + grams[second], most) > 0.98 * max(every) > 1.5 * np.median(every)
 
 
@@ -219,16 +219,16 @@ def test_suspects_are_told_from_each_other(confused):
     """Of two causes that held-out data left open each one is the other's rival; one alone is told from chance."""
     drag = _finding(QuadraticDrag((JOINT,), (UNIT,)), 100.0, (), "suspected")
     peak = _finding(Stribeck((JOINT,), (UNIT,)), 3.0, (), "suspected")
-    both = question_of(replace(confused, findings=(drag, peak)), {"reversal"})
+    both = find_design_goal(replace(confused, findings=(drag, peak)), {"reversal"})
     assert [(s.cause, rival) for s, rival in both.pairs] == [
         ("quadratic_drag", "stribeck"),
         ("stribeck", "quadratic_drag"),
     ]
-    alone = question_of(replace(confused, findings=(peak,)), {"reversal"})
+    alone = find_design_goal(replace(confused, findings=(peak,)), {"reversal"})
     assert [(s.cause, rival) for s, rival in alone.pairs] == [("stribeck", "")]
-    sure = question_of(replace(confused, findings=(replace(drag, status="confirmed"), peak)), {"reversal"})
+    sure = find_design_goal(replace(confused, findings=(replace(drag, status="confirmed"), peak)), {"reversal"})
     assert [e.name for e in sure.others] == ["quadratic_drag"]
-    elsewhere = question_of(replace(confused, findings=(replace(peak, channel="tool"),)), {"reversal"})
+    elsewhere = find_design_goal(replace(confused, findings=(replace(peak, channel="tool"),)), {"reversal"})
     assert not elsewhere.pairs and elsewhere.causes  # what tool positions show is no question to forces
 
 

@@ -15,7 +15,7 @@ import structural_resonances as study
 
 from tau_dyn.diagnose import Diagnosis, diagnose
 from tau_dyn.diagnose.force import ForceChannel
-from tau_dyn.diagnose.force_diagnosis import gather
+from tau_dyn.diagnose.force_diagnosis import fit_baseline
 from tau_dyn.diagnose.noise import noise_models
 from tau_dyn.diagnose.resonances import proposed, with_band, with_resonances
 from tau_dyn.effects import Motion, Scene, StructuralCompliance
@@ -37,7 +37,7 @@ def found() -> Diagnosis:
 def channel_of(seed: int, pendulums: tuple = TRUTH) -> ForceChannel:
     """Return the force channel of one such log."""
     model, log = study.axis_log(seed, pendulums=pendulums, duration=30.0)
-    case = gather(build_model(model.robot, "symmetric"), [log], [], None, (), lambda step: None, [])
+    case = fit_baseline(build_model(model.robot, "symmetric"), [log], [], None, (), lambda step: None, [])
     assert isinstance(case.channel, ForceChannel)
     return case.channel
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.result import Diagnosis, Errors
+from tau_dyn.diagnose.result import Diagnosis, OutputErrors
 from tau_dyn.diagnose.simulated import with_simulation
 from tau_dyn.effects import TorqueOffset, friction_model
 from tau_dyn.exceptions import InputError
@@ -18,7 +18,7 @@ OFFSET = 30.0  # [N]
 
 
 def _answer(model: Model, extended: Model) -> Diagnosis:
-    robot, errors = model.robot, Errors(model.robot.actuated, np.ones(1), np.ones((1, 2)), 5.0)
+    robot, errors = model.robot, OutputErrors(model.robot.actuated, np.ones(1), np.ones((1, 2)), 5.0)
     return Diagnosis(
         verdict="named", sentence="An answer.", channel="force", outputs=robot.actuated, units=robot.force_units,
         baseline=errors, extended=errors, noise_floor=errors, waterfall=(), findings=(), unexplained=(), limits=(),

@@ -9,10 +9,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, fit_group, scan_causes
 from tau_dyn.diagnose.force_timing import find_timing
-from tau_dyn.diagnose.ground import weigh
-from tau_dyn.diagnose.refine import amplitudes, refined
-from tau_dyn.diagnose.trials import DRAWS, Library, fit_group, try_all
+from tau_dyn.diagnose.null_model import compute_score_test
+from tau_dyn.diagnose.settings_refinement import estimate_amplitudes, refine_settings
 from tau_dyn.effects import Delay, DriveLag, Motion, QuadraticDrag, Stribeck, ViscousCurvature
 from tau_dyn.estimate import Run
 
@@ -29,9 +29,9 @@ def found(make, rng, hidden, causes, noise=1.0):
     """Return the causes tried on a bench with a hidden force, strongest first, and their library and ground."""
     motion = pushed(make.moving(rng, ("x",), 6000, size=2.0))
     channel = make.bench(rng, hidden, motions=(motion,), causes=causes, noise=noise)
-    ground, library = make.ground(channel), Library(channel)
-    candidates = try_all(library, ground, ground.draws(DRAWS, rng), causes, set())
-    return sorted(candidates, key=lambda c: -c.merit), library, ground
+    ground, library = make.ground(channel), ColumnCache(channel)
+    candidates = scan_causes(library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), causes, set())
+    return sorted(candidates, key=lambda c: -c.penalised_statistic), library, ground
 
 
 def late_by(seconds: float):
@@ -49,10 +49,10 @@ def late_by(seconds: float):
 def test_a_delay_below_a_sample_and_above_comes_out(make, rng, seconds) -> None:
     """0.3 to 3 samples of 20 ms, either way: setting and amplitude agree with the truth."""
     ranked, library, ground = found(make, rng, late_by(seconds), (Delay,))
-    best = refined(ranked[0], library, ground).fits[0].effect
-    (amplitude,) = amplitudes(best, library, ground)
-    C = ground.rows(library.columns(best))
-    stderr = 1 / np.sqrt(weigh(ground, C, np.zeros(1, bool))[2][0, 0])
+    best = refine_settings(ranked[0], library, ground).fits[0].effect
+    (amplitude,) = estimate_amplitudes(best, library, ground)
+    C = ground.whiten_columns(library.columns(best))
+    stderr = 1 / np.sqrt(compute_score_test(ground, C, np.zeros(1, bool))[2][0, 0])
     assert abs(amplitude - seconds) < 3 * stderr + 0.03 * abs(seconds)
     assert best.settings["about"] == pytest.approx(seconds, abs=3 * stderr + 0.03 * abs(seconds))
 
@@ -76,7 +76,7 @@ def test_a_lag_and_a_delay_are_told_apart_where_data_are_plenty(make, rng) -> No
     for hidden, first, time in ((lagging_by(0.04), "drive_lag", 0.04), (late_by(0.04), "delay", 0.04)):
         ranked, library, ground = found(make, rng, hidden, (Delay, DriveLag), noise=0.3)
         assert ranked[0].cause == first
-        effect = refined(ranked[0], library, ground).fits[0].effect
+        effect = refine_settings(ranked[0], library, ground).fits[0].effect
         assert effect.settings["about"] == pytest.approx(time, rel=0.06)
 
 
@@ -101,9 +101,9 @@ def test_bent_friction_is_predicted_by_its_amplitude(make, rng) -> None:
     ranked, library, ground = found(
         make, rng, lambda m: hidden.columns(m)[:, :, 0] * 12, (ViscousCurvature,), noise=0.3
     )
-    effect = refined(ranked[0], library, ground).fits[0].effect
+    effect = refine_settings(ranked[0], library, ground).fits[0].effect
     assert effect.settings["power"] == 0.0 and effect.settings["knee"] == pytest.approx(0.15, rel=0.25)
-    assert amplitudes(effect, library, ground)[0] == pytest.approx(12, rel=0.25)
+    assert estimate_amplitudes(effect, library, ground)[0] == pytest.approx(12, rel=0.25)
 
 
 def test_a_clean_bench_has_no_timing(make, rng) -> None:
@@ -111,9 +111,9 @@ def test_a_clean_bench_has_no_timing(make, rng) -> None:
     channel = make.bench(rng, motions=(pushed(make.moving(rng, ("x",), 4000)),))
     values = np.array([20.0, 15.0, 30.0, 5.0])
     assert find_timing(channel.runs, values, np.ones(4, bool)) is None
-    ground, library = make.ground(channel), Library(channel)
+    ground, library = make.ground(channel), ColumnCache(channel)
     for cls in (Delay, DriveLag, ViscousCurvature):
-        fit = fit_group(library, ground, ground.draws(DRAWS, rng), cls, ("x",))
+        fit = fit_group(library, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), cls, ("x",))
         assert fit is not None and fit.p_value > 1e-3
 
 

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.aliases import alias_periods
 from tau_dyn.diagnose.filters import diagnosis_preparation
-from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import noise_models
+from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.tool import tool_channel
 from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.diagnose.tool_pieces import piece_of
@@ -159,7 +159,7 @@ def test_a_cyclic_error_at_places_too_far_apart_has_no_known_period(rng) -> None
     assert "steps of" in found.experiment and "uneven" in found.experiment and "50 mm" in found.sentence
     assert not found.extended_model.effects
     channel = tool_channel(model, [log])
-    ground = Ground.of(channel, (0,), noise_models(channel, (0,)))
+    ground = NullModel.of(channel, (0,), noise_models(channel, (0,)))
     periods = np.array(alias_periods(channel, ground, found.findings[0].effects[0]))
     assert len(periods) > 10
     assert np.abs(periods / PERIOD - 1).min() < 0.01  # the truth is among them
@@ -207,10 +207,10 @@ def test_quick_columns_are_the_exact_ones_through_the_filter(rng) -> None:
     load = q.copy()
     load[:, 2] -= cyclic(q[:, 2])
     channel = tool_channel(model, [recorded(t, q, tool_at(load), rng)])
-    ground = Ground.of(channel, (0,), noise_models(channel, (0,)))
+    ground = NullModel.of(channel, (0,), noise_models(channel, (0,)))
     effect = EFFECTS["transmission_error"](["cart3"], ["N"], period=PERIOD)
     quick = channel.scan([effect], ground, ground.e[:, None])
-    C = ground.rows(channel.columns(effect))
+    C = ground.whiten_columns(channel.columns(effect))
     s = C.T @ ground.e
     assert quick is not None
     assert quick[0, 0] == pytest.approx(s @ np.linalg.solve(ground.gram(C), s), rel=0.1)

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache
 from tau_dyn.diagnose.confirm import Confirmation
+from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.dependence import Dependence, dependences
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.noise import WHOLE_TIME
-from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
-from tau_dyn.diagnose.search import Search
-from tau_dyn.diagnose.trials import DRAWS, Library
-from tau_dyn.diagnose.unexplained import told_apart, unexplained_of
-from tau_dyn.diagnose.unknown import find_structure
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
+from tau_dyn.diagnose.unexplained import discriminate_structures, unexplained_of
+from tau_dyn.diagnose.unknown_structure import find_structure
 from tau_dyn.effects import Motion
 
 JOINTS = ("one", "two", "three")
@@ -36,9 +36,9 @@ def told(make, rng, motion, hidden):
     """Return the structure that a bench with a hidden force shows, and what is said of it."""
     channel = make.bench(rng, hidden, motions=(motion,))
     ground = make.ground(channel)
-    found = find_structure(channel, ground, ground.draws(DRAWS, rng), 0.05)
-    hunt = Search((), (make.noise,) * 3, ground, (), Library(channel), 1)
-    said = told_apart(channel, hunt, found)
+    found = find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
+    hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
+    said = discriminate_structures(channel, hunt, found)
     return found, said, unexplained_of(channel, hunt, said)[0]
 
 
@@ -51,7 +51,7 @@ def by_third(m):
 def test_joints_that_move_as_one_in_training_are_told_apart_where_they_do_not(make, seed):
     """Joints two and three train together and confirm apart: the force of joint three's speed is said to be joint three's."""
     rng = np.random.default_rng(seed)
-    found, said, item = told(make, rng, together(make, rng, (CONFIRM, GAIN)), by_third)
+    found, said, item = told(make, rng, together(make, rng, (VALIDATION, TEST)), by_third)
     assert {on.on.variables for on in found.alike} | {found.variables} >= {("v_two",), ("v_three",)}
     assert item.depends_on == ("v_three",) and item.status == "confirmed"
     assert ("v_two",) not in item.indistinguishable_from
@@ -71,10 +71,10 @@ def test_the_last_part_has_a_veto_on_what_has_no_name(make, last, status):
     rng = np.random.default_rng(6)
 
     def hidden(m):
-        return np.where(make.turns(len(m.t)) == GAIN, last, 1.0)[:, None] * by_third(m)
+        return np.where(make.turns(len(m.t)) == TEST, last, 1.0)[:, None] * by_third(m)
 
     _, said, item = told(make, rng, make.moving(rng, JOINTS, 9000), hidden)
-    assert said.test.holds and item.status == status
+    assert said.test.is_confirmed and item.status == status
 
 
 def drifting(make, rng, motions, drift, parts):
@@ -85,11 +85,11 @@ def drifting(make, rng, motions, drift, parts):
 
     channel = make.bench(rng, hidden, motions=motions, parts=parts)
     ground = make.ground(channel)
-    found = find_structure(channel, ground, ground.draws(DRAWS, rng), 0.05)
+    found = find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
     assert found is not None and found.variables == ("t",)
-    hunt = Search((), (make.noise,) * 3, ground, (), Library(channel), 1)
-    said = told_apart(channel, hunt, found)
-    return said.test.holds, unexplained_of(channel, hunt, said)[0].status
+    hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
+    said = discriminate_structures(channel, hunt, found)
+    return said.test.is_confirmed, unexplained_of(channel, hunt, said)[0].status
 
 
 @pytest.mark.parametrize(("elsewhere", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])
@@ -98,7 +98,7 @@ def test_a_drift_is_the_same_wherever_one_log_is_looked_at(make, elsewhere, stat
     rng = np.random.default_rng(8)
 
     def drift(t, part):
-        return np.where(part == CONFIRM, elsewhere, 1.0) * 3 * t / t[-1]
+        return np.where(part == VALIDATION, elsewhere, 1.0) * 3 * t / t[-1]
 
     motions = (make.moving(rng, JOINTS, 9000),)
     assert drifting(make, rng, motions, drift, make.turns) == (status == "confirmed", status)
@@ -116,7 +116,7 @@ def test_another_log_drifts_its_own_way_in_all_its_parts(make, last, status):
 
     def drift(t, part):
         rise = 3 * t / t[-1] if len(t) == 9000 else 3 - 6 * t / t[-1]
-        return np.where(part == GAIN, last, 1.0) * rise
+        return np.where(part == TEST, last, 1.0) * rise
 
     assert drifting(make, rng, motions, drift, parts) == (True, status)
 
@@ -126,7 +126,7 @@ def test_as_many_sets_as_are_tried_count_in_the_chance(make, monkeypatch):
     module = importlib.import_module("tau_dyn.diagnose.unexplained")
     monkeypatch.setattr(module, "structure_confirmation", lambda *parts: Confirmation(1.0, 0.3, 1e-3))
     rng = np.random.default_rng(7)
-    found, said, _ = told(make, rng, together(make, rng, (CONFIRM,)), by_third)
+    found, said, _ = told(make, rng, together(make, rng, (VALIDATION,)), by_third)
     assert found.alike and said.test.p_value == pytest.approx(1e-3 * (1 + len(found.alike)))
 
 

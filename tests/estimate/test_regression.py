@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import Regression, Run
-from tau_dyn.estimate.totals import Totals, triangle
+from tau_dyn.estimate.sufficient_statistics import SufficientStatistics, triangle
 from tau_dyn.parameters import Parameter, Parameters
 
 THETA = np.array([2.0, -1.0, 0.5])
@@ -80,4 +80,4 @@ def test_a_factor_of_many_rows_is_that_of_all_of_them(rng) -> None:
     size = np.linalg.norm(whole, axis=0)
     assert_allclose(R.T @ R, whole.T @ whole, atol=1e-11 * np.outer(size, size).max())
     assert_allclose(R / np.where(size > 0, size, 1), np.triu(R) / np.where(size > 0, size, 1), atol=1e-12)
-    assert_allclose(Totals.of(W[:, None], y[:, None]).power(), [y @ y])
+    assert_allclose(SufficientStatistics.of(W[:, None], y[:, None]).power(), [y @ y])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tau_dyn.estimate.robust import BISQUARE, bisquare, inflation, robust_scale
+from tau_dyn.estimate.robust import BISQUARE, bisquare, compute_robust_covariance_factor, robust_scale
 
 
 def test_far_samples_weigh_nothing_and_near_ones_all():
@@ -34,6 +34,6 @@ def test_the_inflation_is_that_of_a_repeated_fit():
         means.append(centre)
         e = x - centre
         w = bisquare(e)
-        said.append(inflation(e) * np.sqrt(np.sum((w * e) ** 2)) / np.sum(w))
+        said.append(compute_robust_covariance_factor(e) * np.sqrt(np.sum((w * e) ** 2)) / np.sum(w))
     assert np.mean(said) == pytest.approx(np.std(means), rel=0.1)
     assert np.std(means) * 20 == pytest.approx(1 / np.sqrt(0.95), rel=0.1)

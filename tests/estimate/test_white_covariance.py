@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from tau_dyn.estimate.white_covariance import score_middles
+from tau_dyn.estimate.white_covariance import estimate_score_covariance
 
 N, DT = 8000, 0.002
 
@@ -15,7 +15,7 @@ def middles(colour: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
     Z = np.stack([np.ones(N), np.sin(2 * np.pi * 0.5 * t)], axis=1)[:, None, :]
     e = lfilter([np.sqrt(1 - colour**2)], [1, -colour], rng.normal(size=(N, 1)), axis=0)
     keep = np.ones((N, 1), bool)
-    coloured, scattered = score_middles([t], [Z], [e], [keep])
+    coloured, scattered = estimate_score_covariance([t], [Z], [e], [keep])
     return coloured, scattered, np.einsum("nmr,nm->r", Z, e)
 
 
@@ -38,7 +38,7 @@ def test_memory_is_seen_by_both():
 def test_blocks_are_a_tenth_of_a_second_and_two_seconds_long():
     """A residual of one throughout: every block's score is its number of samples, B blocks scatter by `B n^2 B / (B - 1)`."""
     t, one = DT * np.arange(N), np.ones((N, 1))
-    coloured, scattered = score_middles([t], [one[:, :, None]], [one], [np.ones((N, 1), bool)])
+    coloured, scattered = estimate_score_covariance([t], [one[:, :, None]], [one], [np.ones((N, 1), bool)])
     for found, seconds, free in ((coloured, 0.1, 1 - 1 / N), (scattered, 2.0, 1.0)):
         size = seconds / DT
         blocks = N / size

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import open_log, read_log, stream, text_chunks
+from tau_dyn.log import log_opening, open_log, read_log, text_chunks
 
 N = 4000
 T = np.arange(N) / 1000
@@ -28,8 +28,8 @@ def text(n: int = N, form: str = "%.12g") -> str:
 @pytest.fixture
 def large(monkeypatch) -> None:
     """Let small files take the way of large ones."""
-    monkeypatch.setattr(stream, "LARGE", 100)
-    monkeypatch.setattr(stream, "TEXT_BYTES", 1000)
+    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_BYTES", 1000)
     monkeypatch.setattr(text_chunks, "CHUNK_BYTES", 20_000)
 
 

@@ -30,7 +30,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.poses import from_quaternions
 from tau_dyn.log import read_log
 from tau_dyn.log.copies import copy_groups
-from tau_dyn.modes.delay import First, choose_delay
+from tau_dyn.modes.delay import InitialModels, choose_delay
 from tau_dyn.modes.methods import first_look
 from tau_dyn.modes.record import Record, records_of
 
@@ -212,7 +212,7 @@ def test_delays_without_a_model_are_tried_once(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_bytes(seed_motions.shaken())
     records, asked = records_of(read_log(tmp_path / "log.csv"), ["tau_axis"], ["q_axis"]), Counter[int]()
 
-    def first(some: Sequence[Record], delay: int) -> First:
+    def first(some: Sequence[Record], delay: int) -> InitialModels:
         asked[delay] += 1
         assert asked[delay] == 1, f"delay {delay} was tried before"
         if delay in (1, 2):

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tau_dyn.effects import EFFECTS
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Preparation, blocks, build_model
-from tau_dyn.identify.blocks import Block, Work, channels, cut, overlap, refuse_memory
-from tau_dyn.identify.regression import prepare
+from tau_dyn.identify.blocks import Block, Work, channels, overlap, refuse_memory, split_blocks
+from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import Log, edge_samples
-from tau_dyn.log.stretch import InMemory
+from tau_dyn.log.even_segments import InMemorySegment
 from tau_dyn.model import Model
 
 RATE = 1000.0
@@ -31,8 +31,8 @@ def stretch_of(n: int) -> Any:
 def test_blocks_hold_every_decimated_sample_once(monkeypatch, n: int, share: float) -> None:
     """In order, none empty or larger than asked; a first part, a gap as wide as the filters' memory, and the rest."""
     monkeypatch.setattr(blocks, "SIZE", 10_000)
-    monkeypatch.setattr(blocks, "FEWEST", 50)
-    found = cut(stretch_of(n), 3, FILTERS, 4, share)
+    monkeypatch.setattr(blocks, "MIN_BLOCK_ROWS", 50)
+    found = split_blocks(stretch_of(n), 3, FILTERS, 4, share)
     places = np.concatenate([np.arange(b.start, b.stop) for b in found])
     total = -(-n // 10)  # decimated by ten: 100 Hz
     assert_array_equal(places, np.arange(total))
@@ -46,8 +46,8 @@ def test_blocks_hold_every_decimated_sample_once(monkeypatch, n: int, share: flo
 def test_a_block_has_rows_enough_however_many_columns_there_are(monkeypatch) -> None:
     """Not mostly neighbourhood: at least so many, though its columns then hold more numbers."""
     monkeypatch.setattr(blocks, "SIZE", 100)
-    for b in cut(stretch_of(100_000), 0, FILTERS, 1000, 0.7):
-        assert b.section == 1 or blocks.FEWEST / 2 < b.stop - b.start <= blocks.FEWEST
+    for b in split_blocks(stretch_of(100_000), 0, FILTERS, 1000, 0.7):
+        assert b.section == 1 or blocks.MIN_BLOCK_ROWS / 2 < b.stop - b.start <= blocks.MIN_BLOCK_ROWS
 
 
 def test_what_is_read_around_a_block_is_what_filters_and_gate_remember() -> None:
@@ -65,7 +65,7 @@ def work(axis) -> Work:
     q = 0.2 * np.sin(2 * t) + 0.05 * np.sin(7 * t)
     log = Log(t, {"q_axis": q + 1e-6 * rng.normal(size=t.size), "tau_axis": 50 * np.cos(2 * t)}, "made.csv")
     model = build_model(axis, "asymmetric")
-    pieces = (InMemory(log.window(0, 4000)), InMemory(log.window(4000, 12_000)))
+    pieces = (InMemorySegment(log.window(0, 4000)), InMemorySegment(log.window(4000, 12_000)))
     return Work(model, model, pieces, (0, 0), FILTERS, np.array([1.1]))
 
 
@@ -73,7 +73,7 @@ def work(axis) -> Work:
 def test_a_blocks_rows_are_those_of_the_whole_stretch(work, start: int, stop: int) -> None:
     """Columns, forces times their factor, masks and times, at its ends too; totals and what is shown are of the same rows."""
     block = Block(1, start, stop, 0)
-    whole = prepare(work.at, work.stretches[1].log, FILTERS).run(work.model)
+    whole = prepare_segment(work.at, work.stretches[1].log, FILTERS).run(work.model)
     found = work.compute(block)
     part = slice(start, stop)
     assert_allclose(found.rows.t, whole.t[part], rtol=0, atol=1e-12)

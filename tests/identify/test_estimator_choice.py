@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import build_model
-from tau_dyn.identify.estimators import Estimator, noise_explains
+from tau_dyn.identify.estimators import Estimator, is_residual_white
 from tau_dyn.log import Log
 
 N, RATE, CUTOFF = 40_000, 1000.0, 50.0
@@ -35,9 +35,9 @@ def test_white_residuals_are_explained(white) -> None:
     """At any size, and with gaps in which no equation counts."""
     keep = (np.arange(N)[:, None] % 300 > 40) & np.ones((N, 2), bool)
     assert (
-        noise_explains(residual(white))
-        and noise_explains(residual(7e-4 * white))
-        and noise_explains(residual(white, keep))
+        is_residual_white(residual(white))
+        and is_residual_white(residual(7e-4 * white))
+        and is_residual_white(residual(white, keep))
     )
 
 
@@ -48,16 +48,16 @@ def test_neighbours_that_are_alike_are_not(white, phi: float) -> None:
     def of(memory: float) -> np.ndarray:
         return np.column_stack([white[:, 0], lfilter([1.0], [1.0, -memory], white[:, 1])])
 
-    assert not noise_explains(residual(of(phi))) and noise_explains(residual(of(phi / 6)))
+    assert not is_residual_white(residual(of(phi))) and is_residual_white(residual(of(phi / 6)))
 
 
 @pytest.mark.parametrize("hz", [0.5, 7.0])
 def test_slow_waves_below_the_noise_are_seen(white, hz: float) -> None:
     """A wave of 0.21 in noise of 1 has a hundredth of its power, which in a tenth of the band makes half as much again."""
     wave = np.sin(2 * np.pi * hz * np.arange(N)[:, None] / RATE)
-    assert not noise_explains(residual(white + 0.21 * wave * [0, 1]))
-    assert noise_explains(residual(white + 0.05 * wave))
-    assert noise_explains(
+    assert not is_residual_white(residual(white + 0.21 * wave * [0, 1]))
+    assert is_residual_white(residual(white + 0.05 * wave))
+    assert is_residual_white(
         residual(white + 0.21 * np.sin(2 * np.pi * 270 * np.arange(N)[:, None] / RATE))
     )  # above the motion
 

@@ -11,8 +11,8 @@ import pytest
 from tau_dyn.estimate import solve_least_squares
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import build_model, build_regression, choose_preparation, identify
-from tau_dyn.identify.estimators import Estimator, noise_explains
-from tau_dyn.identify.instrumental import refine
+from tau_dyn.identify.estimators import Estimator, is_residual_white
+from tau_dyn.identify.full_rate_estimators import estimate_full_rate
 from tau_dyn.log import Log
 
 SEEDS = 10
@@ -75,7 +75,7 @@ def trials(model):
             first = solve_least_squares(build_regression(model, [log]))
             plain = solve_least_squares(build_regression(model, [log], preparation=widened(model, log)))
             results = {"wls": first, "plain": plain}
-            results |= {kind: refine(model, [log], first, kind).estimate for kind in ("ml", "iv")}
+            results |= {kind: estimate_full_rate(model, [log], first, kind).estimate for kind in ("ml", "iv")}
             for kind, e in results.items():
                 found.setdefault((feedback, kind), []).append(z_of(e))
     return {key: np.array(z) for key, z in found.items()}
@@ -104,7 +104,7 @@ def test_ml_needs_no_reference_and_iv_says_that_it_does(model):
     log = drive(0, feedback=False)
     bare = Log(log.t, {k: x for k, x in log.channels.items() if "ref" not in k}, "bare.csv")
     first = solve_least_squares(build_regression(model, [bare]))
-    assert abs(z_of(refine(model, [bare], first, "ml").estimate)[0]) < 4
+    assert abs(z_of(estimate_full_rate(model, [bare], first, "ml").estimate)[0]) < 4
     with pytest.raises(InputError, match=r"bare\.csv has no q_ref"):
         Estimator("iv", model, [bare])
 
@@ -164,7 +164,7 @@ def test_outliers_do_not_move_the_robust_estimate(model):
         spoilt = log.with_channels(tau_axis=wild)
         first = solve_least_squares(build_regression(model, [spoilt]))
         clean = solve_least_squares(build_regression(model, [log]))
-        robust = refine(model, [spoilt], first, "robust").estimate
+        robust = estimate_full_rate(model, [spoilt], first, "robust").estimate
         z.append(z_of(robust))
         sizes.append([np.mean(e.stderr / clean.stderr) for e in (first, robust)])
     assert np.max(np.abs(np.mean(z, axis=0))) < 3.3 / np.sqrt(SEEDS)
@@ -176,15 +176,15 @@ def test_outliers_do_not_move_the_robust_estimate(model):
 def test_the_whitened_residual_is_white_only_if_the_noise_is_as_assumed(model):
     """Force noise with memory is told from white force noise."""
     log = drive(3, feedback=False)
-    assert noise_explains(refined(model, log))
+    assert is_residual_white(refined(model, log))
     rng, tau = np.random.default_rng(7), np.array(log.channels["tau_axis"])
     wander = np.convolve(rng.normal(size=len(tau)), np.ones(400) / 4, "same")
-    assert not noise_explains(refined(model, log.with_channels(tau_axis=tau + wander)))
+    assert not is_residual_white(refined(model, log.with_channels(tau_axis=tau + wander)))
 
 
 def refined(model, log):
     """Return the maximum-likelihood fit of one log."""
-    return refine(model, [log], solve_least_squares(build_regression(model, [log])), "ml")
+    return estimate_full_rate(model, [log], solve_least_squares(build_regression(model, [log])), "ml")
 
 
 def test_what_was_measured_beforehand_counts(axis):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate.position_noise import REACH, accelerations
 from tau_dyn.identify import build_model, choose_preparation
-from tau_dyn.identify.full_rate import INERTIA_EVERY, SURE, full_rate
+from tau_dyn.identify.full_rate import INERTIA_EVERY, SIGN_THRESHOLD_RATIO, build_full_rate_equations
 from tau_dyn.identify.full_rate import _inertia as inertia_of
 from tau_dyn.identify.full_rate import _sure as sure_of
 from tau_dyn.log import Log, edge_samples
@@ -36,7 +36,7 @@ def arm(two_link) -> tuple[Model, Log]:
 def test_columns_hold_the_accelerations_of_raw_positions(arm) -> None:
     """Mass columns by second differences, friction by the low-passed speed; other accelerations go into the same columns."""
     model, log = arm
-    found = full_rate(model, log, choose_preparation(model.robot, [log]))
+    found = build_full_rate_equations(model, log, choose_preparation(model.robot, [log]))
     q, v = found.smooth
     raw = log.joint("q", model.robot.actuated)
     assert_array_equal(found.position, raw)
@@ -56,16 +56,16 @@ def test_equations_count_where_signs_are_sure_and_nothing_is_flagged(arm) -> Non
     """Not at the filter's ends, not near a reversal of a joint, not within an acceleration's reach of a flagged sample."""
     model, log = arm
     chosen = choose_preparation(model.robot, [log], ("flag",))
-    found = full_rate(model, log, chosen)
+    found = build_full_rate_equations(model, log, chosen)
     edge = edge_samples(chosen.position_cutoff_hz, RATE)
     assert not found.keep[:edge].any() and not found.keep[N - edge :].any()
     assert found.keep[edge : edge + 20].any() and found.keep[N - edge - 20 : N - edge].any()
     assert not found.keep[1500 - REACH : 1510 + REACH].any()
-    plain = full_rate(model, log, choose_preparation(model.robot, [log]))
+    plain = build_full_rate_equations(model, log, choose_preparation(model.robot, [log]))
     around = [1500 - REACH - 1, 1510 + REACH]
     assert_array_equal(found.keep[around], plain.keep[around])
     _, v = found.smooth
-    slow = np.abs(v) < SURE * chosen.speed_threshold
+    slow = np.abs(v) < SIGN_THRESHOLD_RATIO * chosen.speed_threshold
     assert not found.keep[slow].any() and 0.8 < found.keep[edge : N - edge].mean() < 1
 
 

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tau_dyn.effects import EFFECTS, Motion
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Preparation, choose_preparation
-from tau_dyn.identify.gate import excluded, gate_of
-from tau_dyn.identify.preparation import FEWEST
+from tau_dyn.identify.gate import compute_gate, find_excluded_samples
+from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES
 from tau_dyn.log import Log, encoder_noise, motion_band, noise_gain
 from tau_dyn.model import Model
 
@@ -24,7 +24,7 @@ def gate(two_link, v: np.ndarray, *effects, preparation: Preparation = FILTERS, 
     zero = np.zeros((N, 2))
     log = Log(np.arange(N) / RATE, {"tau_shoulder": zero[:, 0], "tau_elbow": zero[:, 1], **channels}, "made.csv")
     motion = Motion.of(two_link.actuated, zero, v, zero)
-    return gate_of(log, motion, Model.of(two_link, effects), preparation, RATE)
+    return compute_gate(log, motion, Model.of(two_link, effects), preparation, RATE)
 
 
 def shut_around(first: int, last: int) -> np.ndarray:
@@ -84,15 +84,15 @@ def test_flags_shut_all_joints_and_limits_their_own(two_link) -> None:
     log = Log(np.arange(5.0), {"tau_shoulder": tau[:, 0], "tau_elbow": tau[:, 1], "flag": np.array([0, 0, 0, 0, -0.5]),
                                "hole": np.array([np.nan, 0, 0, 0, 0])}, "made.csv")  # fmt: skip
     expected = np.array([[0, 0], [1, 0], [1, 0], [0, 1], [0, 0]], bool)
-    assert_array_equal(excluded(log, joints, limit, ()), expected)
+    assert_array_equal(find_excluded_samples(log, joints, limit, ()), expected)
     flagged = expected.copy()
     flagged[4] = True
-    assert_array_equal(excluded(log, joints, limit, ("flag",)), flagged)
+    assert_array_equal(find_excluded_samples(log, joints, limit, ("flag",)), flagged)
     flagged[0] = True
-    assert_array_equal(excluded(log, joints, limit, ("flag", "hole")), flagged)
-    assert not excluded(log, joints, np.full(2, np.inf), ()).any()
+    assert_array_equal(find_excluded_samples(log, joints, limit, ("flag", "hole")), flagged)
+    assert not find_excluded_samples(log, joints, np.full(2, np.inf), ()).any()
     with pytest.raises(InputError, match="^made.csv has no column bad to exclude samples by$"):
-        excluded(log, joints, limit, ("bad",))
+        find_excluded_samples(log, joints, limit, ("bad",))
 
 
 T = np.arange(20_000) / RATE
@@ -146,8 +146,10 @@ def test_logs_without_a_motion_a_clock_or_samples_have_no_filters(axis) -> None:
         choose_preparation(axis, [axis_log(q=np.zeros(5000), noise=1e-5)])
     with pytest.raises(InputError, match="log0 is sampled at 1 Hz; t must be in s"):
         choose_preparation(axis, [axis_log(rate_hz=1.0)])
-    with pytest.raises(InputError, match=f"log0 has {FEWEST - 1} samples in a row; {FEWEST} are needed"):
-        choose_preparation(axis, [axis_log(1), axis_log(q=Q[: FEWEST - 1])])
+    with pytest.raises(
+        InputError, match=f"log0 has {MIN_SEGMENT_SAMPLES - 1} samples in a row; {MIN_SEGMENT_SAMPLES} are needed"
+    ):
+        choose_preparation(axis, [axis_log(1), axis_log(q=Q[: MIN_SEGMENT_SAMPLES - 1])])
 
 
 @pytest.mark.parametrize(

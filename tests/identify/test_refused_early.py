@@ -130,7 +130,7 @@ def test_instruments_come_first_and_what_cannot_answer_makes_room_for_the_next(
     }
     object.__setattr__(chosen, "found", found)
     object.__setattr__(chosen, "asked", [])
-    monkeypatch.setattr(estimators, "noise_explains", lambda refined: refined.white)
+    monkeypatch.setattr(estimators, "is_residual_white", lambda refined: refined.white)
     first = fit(1.0)
     first = replace(first, regression=replace(first.regression, runs=(None,)))
     answer = chosen(first)

@@ -9,17 +9,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify import Engine, identify
-from tau_dyn.log import Recording, open_log, read_log, stream
+from tau_dyn.identify import BlockExecutor, identify
+from tau_dyn.log import Recording, log_opening, open_log, read_log
 from tau_dyn.report import write_report
 
 
 @pytest.fixture
 def large(monkeypatch):
     """Let small files take the way of large ones, in many blocks."""
-    monkeypatch.setattr(stream, "LARGE", 100)
+    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
     monkeypatch.setattr(sys.modules["tau_dyn.identify.blocks"], "SIZE", 1)
-    monkeypatch.setattr(sys.modules["tau_dyn.identify.blocks"], "FEWEST", 61)
+    monkeypatch.setattr(sys.modules["tau_dyn.identify.blocks"], "MIN_BLOCK_ROWS", 61)
 
 
 def stored(folder, log, name: str = "log.parquet", rows: int = 1999):
@@ -57,7 +57,7 @@ def test_blocks_give_what_the_whole_log_gives(tmp_path, made, large, monkeypatch
     recording = open_log(path)
     assert isinstance(recording, Recording)
     whole = identify(robot, read_log(path), estimator="wls")
-    found = identify(robot, recording, estimator="wls", engine=Engine(2))
+    found = identify(robot, recording, estimator="wls", engine=BlockExecutor(2))
     same(found, whole)
     write_report(tmp_path / "page.html", found)
     assert len(found.estimate.regression.runs) > 3, "the page shows blocks of the recording"
@@ -72,8 +72,8 @@ def test_who_computes_and_how_files_are_cut_changes_no_bit(tmp_path, made, large
     half = log.n_samples // 3
     stored(folder, log.window(0, half), "a.parquet")
     stored(folder, log.window(half, log.n_samples), "b.parquet", rows=700)
-    one = identify(robot, open_log(stored(tmp_path, log)), estimator="wls", engine=Engine(1))
-    two = identify(robot, open_log(folder), estimator="wls", engine=Engine(2))
+    one = identify(robot, open_log(stored(tmp_path, log)), estimator="wls", engine=BlockExecutor(1))
+    two = identify(robot, open_log(folder), estimator="wls", engine=BlockExecutor(2))
     assert np.array_equal(one.estimate.beta, two.estimate.beta)
     assert np.array_equal(one.estimate.cov, two.estimate.cov)
 
@@ -83,8 +83,8 @@ def test_a_cluster_gives_the_same_bits(tmp_path, made, large) -> None:
     """Blocks computed by other processes are summed in the same order here."""
     robot, log = made
     path = stored(tmp_path, log)
-    here = identify(robot, open_log(path), estimator="wls", engine=Engine(1))
-    there = identify(robot, open_log(path), estimator="wls", engine=Engine(2, "local"))
+    here = identify(robot, open_log(path), estimator="wls", engine=BlockExecutor(1))
+    there = identify(robot, open_log(path), estimator="wls", engine=BlockExecutor(2, "local"))
     assert np.array_equal(here.estimate.beta, there.estimate.beta)
 
 

@@ -11,9 +11,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly import assembly_modes
 from tau_dyn.kinematics.assembly.certificate import apart, certify
 from tau_dyn.kinematics.assembly.equations import Hexapod, magnitudes, normalised, points_of, poses_of, quadrics
+from tau_dyn.kinematics.assembly.homotopy import track_homotopy
 from tau_dyn.kinematics.assembly.monodromy import distinct
 from tau_dyn.kinematics.assembly.start import general_hexapod, start_system
-from tau_dyn.kinematics.assembly.tracking import track
 
 BASE = np.array(  # Dietmaier 1998, Advances in Robot Kinematics, p. 7
     [[0, 0, 0], [1.107915, 0, 0], [0.549094, 0.756063, 0]]
@@ -166,8 +166,8 @@ def test_tracking_there_and_back_returns_every_solution(rng) -> None:
     """Forty paths to another general hexapod and back end where they began, none lost and none doubled."""
     start, x = start_system()
     assert_allclose(np.einsum("ni,kij,nj->nk", x, quadrics(start), x), 0, atol=1e-13)
-    there = track(start, general_hexapod(rng), x)
+    there = track_homotopy(start, general_hexapod(rng), x)
     assert there.regular.all() and len(distinct(there.x)) == 40
     end = Hexapod(*general_hexapod(np.random.default_rng(5)))
-    back = track(end, start, track(start, end, x).x)
+    back = track_homotopy(end, start, track_homotopy(start, end, x).x)
     assert_allclose(np.abs((back.x.conj() * x).sum(axis=1)), 1, atol=1e-10)

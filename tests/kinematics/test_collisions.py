@@ -7,15 +7,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tau_dyn.kinematics.collisions import Placed, between, standing, touch
+from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, find_collisions, standing
 from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
 
 SOLIDS = [Box((0.3, 0.2, 0.5)), Cylinder(0.1, 0.4), Sphere(0.15), Capsule(0.05, 0.6)]
 
 
-def at_random(shape: Shape, rng: np.random.Generator, n: int) -> Placed:
+def at_random(shape: Shape, rng: np.random.Generator, n: int) -> PlacedSolid:
     turns = np.array([pin.Quaternion(*(q / np.linalg.norm(q))).matrix() for q in rng.normal(size=(n, 4))])
-    return Placed(shape, turns, rng.uniform(-0.5, 0.5, (n, 3)))
+    return PlacedSolid(shape, turns, rng.uniform(-0.5, 0.5, (n, 3)))
 
 
 @pytest.mark.parametrize("other", [*SOLIDS, HalfSpace()])
@@ -28,23 +28,23 @@ def test_arrays_agree_with_coal_pose_by_pose(shape: Shape, other: Shape, rng: np
         request, result = coal.CollisionRequest(), coal.CollisionResult()
         request.security_margin = 0.01
         expected.append(bool(coal.collide(*a.for_coal(k), *b.for_coal(k), request, result)))
-    np.testing.assert_array_equal(touch(a, b, 0.01), expected)
+    np.testing.assert_array_equal(find_collisions(a, b, 0.01), expected)
 
 
 def test_parallel_rods_touch_at_the_sum_of_their_radii() -> None:
     """Rods of 20 and 30 mm radius side by side touch when their axes are 50 mm apart, not at 51."""
     start, end = np.zeros((2, 3)), np.tile([0.0, 0.0, 1.0], (2, 1))
     aside = np.array([[0.0499, 0, 0], [0.0501, 0, 0]])
-    one, two = between(0.02, 1.0, start, end), between(0.03, 1.0, start + aside, end + aside)
-    np.testing.assert_array_equal(touch(one, two), [True, False])
-    np.testing.assert_array_equal(touch(one, two, 0.001), [True, True])
+    one, two = build_capsule(0.02, 1.0, start, end), build_capsule(0.03, 1.0, start + aside, end + aside)
+    np.testing.assert_array_equal(find_collisions(one, two), [True, False])
+    np.testing.assert_array_equal(find_collisions(one, two, 0.001), [True, True])
 
 
 def test_telescopic_leg_is_as_long_as_its_joints_are_apart() -> None:
     """A leg drawn 1 m long that is pulled out to 2 m touches a ball that stands at 1.9 m."""
     start, end = np.zeros((2, 3)), np.array([[0, 0, 1.0], [0, 0, 2.0]])
     ball = standing(Sphere(0.05), pin.SE3(np.eye(3), np.array([0.03, 0, 1.9])))
-    np.testing.assert_array_equal(touch(between(0.01, 1.0, start, end), ball), [False, True])
+    np.testing.assert_array_equal(find_collisions(build_capsule(0.01, 1.0, start, end), ball), [False, True])
 
 
 @pytest.mark.parametrize("shape", SOLIDS)

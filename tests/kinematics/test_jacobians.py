@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import acceleration_bias, chains, forward_kinematics, inverse_jacobian, jacobian, singularity
-from tau_dyn.kinematics.engines import rods_of
+from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import load_robot
 
 ROBOTS = ["gantry_tau", "gantry_tau_f1", "gantry_tau_queensland", "delta", "stewart", "hexarot", "h4", "linear_axis"]
@@ -58,7 +58,7 @@ def test_a_sample_without_numbers_leaves_the_acceleration_of_its_neighbours_alon
 def test_rods_stay_closed(name, rng):
     """`G_x J + G_q = 0`: the gap does not open as the actuators move."""
     robot = load_robot(name)
-    rods = rods_of(robot)
+    rods = get_rods(robot)
     assert rods is not None
     q = robot.home + 0.03 * rng.standard_normal((10, robot.na))
     total = inverse_jacobian(robot, q) @ jacobian(robot, q) + rods.gap_by_q(q, forward_kinematics(robot, q).plate)
@@ -70,7 +70,7 @@ def test_singularities_show():
     robot = load_robot("gantry_tau")
     usual = singularity(robot, robot.home)
     assert usual.parallel[0] > 0.2 and usual.serial[0] > 0.5
-    rods = rods_of(robot)
+    rods = get_rods(robot)
     assert rods is not None
     from tau_dyn.kinematics.sliding_plate import SlidingPlate
 
@@ -98,5 +98,5 @@ def test_a_slide_on_a_turn_has_its_coriolis_acceleration(rng):
     carried = chains.Carried((2, 1), rng.standard_normal((2, 3)))
     q, v, h = rng.standard_normal((3, 4)), rng.standard_normal((3, 4)), 1e-4
     before, here, after = (chains.points(joints, carried, q + s * h * v) for s in (-1, 0, 1))
-    bias = chains.accelerations(joints, carried, chains.placed(joints, q), here, v)
+    bias = chains.accelerations(joints, carried, chains.compute_joint_frames(joints, q), here, v)
     assert_allclose(bias, (before - 2 * here + after) / h**2, atol=1e-5 * np.abs(bias).max())

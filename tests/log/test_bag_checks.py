@@ -12,7 +12,7 @@ import pytest
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import bag_checks
 from tau_dyn.log.bag_checks import bounded, check_database, check_definitions, check_profiles
-from tau_dyn.log.inflated import Inflated
+from tau_dyn.log.decompression_limit import DecompressionLimit
 
 GOOD = (
     "CREATE TABLE topics(id INTEGER, name TEXT, offered_qos_profiles TEXT)",
@@ -154,7 +154,7 @@ def test_chunks_open_no_further_than_what_is_left(tmp_path, kind: str) -> None:
         data = pytest.importorskip("lz4.frame").compress(plain)
     assert data is not None
     (tmp_path / "run.bag").write_bytes(b"x")
-    inflated = Inflated(tmp_path / "run.bag")
+    inflated = DecompressionLimit(tmp_path / "run.bag")
     inflated.left = 2**20 + 10
     calls = []
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import attenuation, decimate, differentiate, edge_samples, lowpass, reversals
+from tau_dyn.log import attenuation, decimate, differentiate, edge_samples, find_reversals, lowpass
 
 RATE = 1000.0
 T = np.arange(4000) / RATE
@@ -103,4 +103,4 @@ def test_decimation_keeps_the_first_sample():
 def test_reversals_ignore_noise_below_the_threshold(rng):
     """One stroke back and forth has one reversal, whatever trembles at rest."""
     v = np.concatenate([np.ones(100), 0.01 * rng.standard_normal(50), -np.ones(100)])
-    assert_array_equal(reversals(v, 0.1), [150])
+    assert_array_equal(find_reversals(v, 0.1), [150])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.log import Log, check_log
-from tau_dyn.log.jumps import jump_finding, jumps_of
+from tau_dyn.log.jumps import find_jumps, jump_finding
 
 
 def said(log: Log, **known) -> str:
@@ -32,7 +32,7 @@ def test_lost_readings_are_named_with_their_time(axis_log, lost: int):
     q = axis_log.channels["q_axis"].copy()
     for k in (1503, 7204):
         q[k : k + lost] = 0.0
-    assert list(jumps_of(q)) == [1502, 1502 + lost, 7203, 7203 + lost]
+    assert list(find_jumps(q)) == [1502, 1502 + lost, 7203, 7203 + lost]
     sentence = said(axis_log.with_channels(q_axis=q), revolute=False)
     assert "jumps 4 times" in sentence and "after t = 1.502 s" in sentence and "readings were lost" in sentence
 
@@ -54,7 +54,7 @@ def test_no_motion_is_called_a_jump(rate: int, grain: float, rng) -> None:
     q = 0.5 * np.where(np.mod(t // 6, 2) == 0, stroke, 1 - stroke) + 0.01 * np.sin(2 * np.pi * 0.3 * t)
     held = np.repeat(q[::4], 4) if rate >= 50 else q
     for x in (q, held, q + 1e-5 * rng.standard_normal(len(q))):
-        assert not jumps_of(np.round(x / grain) * grain if grain else x).size
+        assert not find_jumps(np.round(x / grain) * grain if grain else x).size
 
 
 def test_a_quick_move_seen_by_three_samples_is_motion() -> None:
@@ -64,9 +64,9 @@ def test_a_quick_move_seen_by_three_samples_is_motion() -> None:
     for k in range(50, 3900, 200):
         steps[k : k + 3] = [0.02, 0.06, 0.02]
     q = np.cumsum(steps) + 1e-5 * rng.standard_normal(4000)
-    assert not jumps_of(q).size
+    assert not find_jumps(q).size
     q[2000:] += 0.1
-    assert list(jumps_of(q)) == [1999]
+    assert list(find_jumps(q)) == [1999]
 
 
 def test_a_step_within_the_joints_own_speed_is_motion(axis_log):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tau_dyn.log import unbroken
+from tau_dyn.log import find_true_runs
 
 
 @pytest.mark.parametrize(
@@ -18,5 +18,5 @@ from tau_dyn.log import unbroken
 )
 def test_stretches_end_where_the_mask_does(mask, found):
     """At the first and the last sample as well as inside."""
-    stretches = unbroken(np.array([c == "x" for c in mask], bool))
+    stretches = find_true_runs(np.array([c == "x" for c in mask], bool))
     assert [(s.start, s.stop) for s in stretches] == found

@@ -16,7 +16,7 @@ from numpy.testing import assert_array_equal
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.delimited import MOST_COLUMNS
-from tau_dyn.log.table import LARGEST, Table, read_table
+from tau_dyn.log.table import MAX_MAGNITUDE, Table, read_table
 
 
 def table(**cells: object) -> Table:
@@ -47,8 +47,8 @@ def test_numbers_are_numbers_however_they_are_kept(kind: str) -> None:
         (np.array([1.0, 2.0, -np.inf]), "log.csv, line 12, column x: -inf is not a finite number"),
         (np.array(["1", "two", "3"]), "log.csv, line 11, column x: 'two' is not a number"),
         (np.array(["1", "", "3"]), "log.csv, line 11, column x: the cell is empty"),
-        (np.array([1.0, 2 * LARGEST, 3.0]), "log.csv, line 11, column x: 2000000000000000.0 is beyond 1e[+]15"),
-        (np.array([-LARGEST, 2.0, 3.0]), "log.csv, line 10, column x: -1000000000000000.0 is beyond"),
+        (np.array([1.0, 2 * MAX_MAGNITUDE, 3.0]), "log.csv, line 11, column x: 2000000000000000.0 is beyond 1e[+]15"),
+        (np.array([-MAX_MAGNITUDE, 2.0, 3.0]), "log.csv, line 10, column x: -1000000000000000.0 is beyond"),
         (np.array([True, False]), "log.csv, line 10, column x: 'True' is not a number"),
         (np.array([10**400, 1, 2], object), "log.csv, line 10, column x: 1000.* is beyond"),
         (np.array(["2020-01-01"] * 3, "M8[s]"), "log.csv, line 10, column x: '2020-01-01.* is a date"),
@@ -63,8 +63,8 @@ def test_a_cell_that_is_no_number_is_named(cells: np.ndarray, said: str) -> None
 
 def test_a_size_is_judged_in_our_units() -> None:
     """A foreign number larger than any quantity may be one of ours times 1e9, and the other way round."""
-    big = table(x=[1e3 * LARGEST, 1.0])
-    assert_array_equal(big.numbers("x", 1e-4), [1e3 * LARGEST, 1.0])
+    big = table(x=[1e3 * MAX_MAGNITUDE, 1.0])
+    assert_array_equal(big.numbers("x", 1e-4), [1e3 * MAX_MAGNITUDE, 1.0])
     for scale in (1.0, -1e-3, 1e-3):
         with pytest.raises(InputError, match="line 10, column x"):
             big.numbers("x", scale)

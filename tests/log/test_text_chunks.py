@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import open_log, read_log, stream, text_chunks
+from tau_dyn.log import log_opening, open_log, read_log, text_chunks
 from tau_dyn.log.text_chunks import text_chunks as chunks
 
 HEADER = "# from the cell next door\n\nt,q_axis\n"
@@ -101,8 +101,8 @@ def test_a_large_text_log_carries_the_hash_of_its_file(tmp_path, monkeypatch) ->
     """The same as the log read at once; not that of the copy that it is read from."""
     path = written(tmp_path, HEADER + "".join(ROWS))
     whole = read_log(path)
-    monkeypatch.setattr(stream, "LARGE", 100)
-    monkeypatch.setattr(stream, "TEXT_BYTES", 1000)
+    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_SAMPLES", 100)
+    monkeypatch.setattr(log_opening, "MAX_IN_MEMORY_BYTES", 1000)
     recording = open_log(path)
     assert recording.sha256 == whole.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert_array_equal(recording.window(0, 400, ("q_axis",)).channels["q_axis"], whole.channels["q_axis"])

@@ -7,8 +7,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.resample import GAP_STEPS
-from tau_dyn.log.topic_clock import FEWEST, UNTOLD, on_clock, untold
+from tau_dyn.log.resample import MIN_GAP_STEPS
+from tau_dyn.log.topic_clock import (
+    MAX_INTERPOLATION_ERROR,
+    MIN_CLOCK_SAMPLES,
+    estimate_interpolation_error,
+    resample_to_clock,
+)
 
 STEP = 0.01
 T = STEP * np.arange(200)
@@ -18,10 +23,10 @@ def test_its_own_times_give_its_own_samples_without_a_word() -> None:
     """All of them, some of them, or one, however few it has."""
     x = np.cos(T)
     for part in (slice(None), slice(3, 150, 7), slice(5, 6)):
-        found, said = on_clock("motor", T, x, T[part])
+        found, said = resample_to_clock("motor", T, x, T[part])
         assert said == ""
         assert_array_equal(found, x[part])
-    assert on_clock("motor", T[:2], x[:2], T[:2])[1] == ""
+    assert resample_to_clock("motor", T[:2], x[:2], T[:2])[1] == ""
 
 
 @pytest.mark.parametrize("hertz", [0.5, 5.0, 10.0])
@@ -29,7 +34,7 @@ def test_the_error_said_is_about_the_error_made(hertz: float) -> None:
     """A sine between its samples: what is said, in per cent of its spread, is of the size of what is missed."""
     wanted = T[20:-20] + 0.0037
     x = np.sin(2 * np.pi * hertz * T)
-    found, said = on_clock("motor", T, x, wanted)
+    found, said = resample_to_clock("motor", T, x, wanted)
     missed = 100 * np.sqrt(np.mean((found - np.sin(2 * np.pi * hertz * wanted)) ** 2)) / np.std(x)
     start, percent = said.removesuffix(" %").split("error about ")
     assert start == "interpolated from 100 Hz, "
@@ -39,38 +44,45 @@ def test_the_error_said_is_about_the_error_made(hertz: float) -> None:
 def test_the_first_ten_samples_are_enough_and_nine_are_not() -> None:
     """Of the signal as a whole, and of it during the log."""
     x = np.cos(T)
-    _, said = on_clock("motor", T[:FEWEST], x[:FEWEST], T[: FEWEST - 1] + 0.004)
+    _, said = resample_to_clock(
+        "motor", T[:MIN_CLOCK_SAMPLES], x[:MIN_CLOCK_SAMPLES], T[: MIN_CLOCK_SAMPLES - 1] + 0.004
+    )
     assert "interpolated" in said
     with pytest.raises(InputError, match="^motor has 9 samples, too few to be put on another topic's clock"):
-        on_clock("motor", T[: FEWEST - 1], x[: FEWEST - 1], T[: FEWEST - 2] + 0.004)
+        resample_to_clock(
+            "motor", T[: MIN_CLOCK_SAMPLES - 1], x[: MIN_CLOCK_SAMPLES - 1], T[: MIN_CLOCK_SAMPLES - 2] + 0.004
+        )
     with pytest.raises(InputError, match="^motor has 6 samples during the log, too few"):
-        on_clock("motor", T, x, T[50:55] + 0.004)
+        resample_to_clock("motor", T, x, T[50:55] + 0.004)
 
 
 @pytest.mark.parametrize(("lost", "read"), [(1, True), (2, True), (3, False), (40, False)])
 def test_a_gap_is_named_with_its_place_and_not_bridged(lost: int, read: bool) -> None:
     """Longer than three and a half steps; a gap outside the log does not matter."""
     t = np.delete(T, 100 + np.arange(lost))
-    assert ((lost + 1) > GAP_STEPS) is not read
+    assert ((lost + 1) > MIN_GAP_STEPS) is not read
     if read:
-        on_clock("motor", t, np.cos(t), T[10:-10] + 0.004)
+        resample_to_clock("motor", t, np.cos(t), T[10:-10] + 0.004)
     else:
         with pytest.raises(
             InputError, match=rf"motor has a gap of {(lost + 1) * STEP:.3g} s at t = 0.99 s \(its step is 0.01 s\)"
         ):
-            on_clock("motor", t, np.cos(t), T[10:-10] + 0.004)
-    on_clock("motor", t, np.cos(t), T[10:80] + 0.004)
+            resample_to_clock("motor", t, np.cos(t), T[10:-10] + 0.004)
+    resample_to_clock("motor", t, np.cos(t), T[10:80] + 0.004)
 
 
 def test_what_changes_too_fast_for_its_clock_is_refused(rng) -> None:
     """Noise cannot be told from its neighbours, a sine of a quarter of the rate neither; a constant has nothing to tell."""
     for x in (rng.standard_normal(200), np.sin(2 * np.pi * 25 * T + 0.5)):
-        assert untold(T, x) > UNTOLD
+        assert estimate_interpolation_error(T, x) > MAX_INTERPOLATION_ERROR
         with pytest.raises(InputError, match=r"its samples \(100 Hz\) cannot be told from their neighbours"):
-            on_clock("motor", T, x, T[10:-10] + 0.004)
-    assert untold(T, np.full(200, 3.0)) == 0.0 and untold(T, np.zeros(200)) == 0.0
-    assert untold(T, 1e9 + 1e-6 * rng.standard_normal(200)) == 0.0  # rounding of a large constant
-    found, said = on_clock("motor", T, np.full(200, 3.0), T[10:-10] + 0.004)
+            resample_to_clock("motor", T, x, T[10:-10] + 0.004)
+    assert (
+        estimate_interpolation_error(T, np.full(200, 3.0)) == 0.0
+        and estimate_interpolation_error(T, np.zeros(200)) == 0.0
+    )
+    assert estimate_interpolation_error(T, 1e9 + 1e-6 * rng.standard_normal(200)) == 0.0  # rounding of a large constant
+    found, said = resample_to_clock("motor", T, np.full(200, 3.0), T[10:-10] + 0.004)
     assert_allclose(found, 3.0)
     assert said.endswith("error about 0.01 %")
 
@@ -79,7 +91,7 @@ def test_what_is_missed_is_a_share_of_the_spread() -> None:
     """Noise of a tenth on a slow wave is missed by a tenth of the wave's spread, times what a spline makes of noise, some 1.3."""
     rng = np.random.default_rng(2)
     wave = np.sqrt(2) * np.sin(2 * np.pi * T)
-    assert untold(T, wave) < 1e-4
-    share = untold(T, wave + 0.1 * rng.standard_normal(200))
+    assert estimate_interpolation_error(T, wave) < 1e-4
+    share = estimate_interpolation_error(T, wave + 0.1 * rng.standard_normal(200))
     assert 0.1 < share < 0.17
-    assert untold(T, 50 * (wave + 0.1 * np.random.default_rng(2).standard_normal(200))) < 0.17
+    assert estimate_interpolation_error(T, 50 * (wave + 0.1 * np.random.default_rng(2).standard_normal(200))) < 0.17

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.fit import fit
+from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.simulated import simulate_poses
 from tau_dyn.calibrate.tree_geometry import tree_geometry
@@ -154,7 +154,7 @@ def poses(elbow):
     rng = np.random.default_rng(11)
     theta = geometry.parameters.values + 1e-3 * rng.standard_normal(len(geometry.parameters))
     measured = simulate_poses(geometry, theta, rng.uniform(-1.2, 1.2, (40, 3)), rng, noise=(2e-5, 1e-4))
-    return geometry, measured, fit(geometry, measured)
+    return geometry, measured, fit_geometry_to_poses(geometry, measured)
 
 
 def own(geometry, found) -> np.ndarray:
@@ -165,7 +165,7 @@ def own(geometry, found) -> np.ndarray:
 def test_a_calibration_knows_no_order_of_poses(poses) -> None:
     """Poses are evidence alike: measured in another order they give the same dimensions. 1e-9 m: where iterations stop."""
     geometry, measured, found = poses
-    again = fit(geometry, measured.take(np.random.default_rng(1).permutation(measured.n)))
+    again = fit_geometry_to_poses(geometry, measured.take(np.random.default_rng(1).permutation(measured.n)))
     assert_allclose(own(geometry, again), own(geometry, found), rtol=0, atol=1e-9)
     assert_allclose(again.noise, found.noise, rtol=1e-6)
 
@@ -181,6 +181,6 @@ def test_a_calibration_does_not_know_where_the_tracker_stands(poses) -> None:
         approach=measured.approach,
         source="moved",
     )
-    again = fit(geometry, moved)
+    again = fit_geometry_to_poses(geometry, moved)
     assert_allclose(own(geometry, again), own(geometry, found), rtol=0, atol=1e-8)
     assert_allclose(again.noise, found.noise, rtol=1e-5)

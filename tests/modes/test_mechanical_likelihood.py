@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import chain, relative_error
 
-from tau_dyn.modes.mechanical_judgement import covariance_of, unknown
 from tau_dyn.modes.mechanical_likelihood import Target, maximise, relative_frame, split, whitening
+from tau_dyn.modes.mechanical_validation import compute_worst_relative_stderr, covariance_of
 from tau_dyn.modes.places import Places
 from tau_dyn.modes.second_order import SecondOrder, pack, unpack
 
@@ -97,7 +97,10 @@ def test_relative_uncertainty_has_no_units() -> None:
     unit = np.outer([1.0, 30.0, 0.1], [1.0, 30.0, 0.1])
     upper = np.tile(unit[np.triu_indices(3)], 3)
     other = SecondOrder(truth.M * unit, truth.D * unit, truth.K * unit)
-    a, b = unknown(truth, known), unknown(other, known * np.outer(upper, upper))
+    a, b = (
+        compute_worst_relative_stderr(truth, known),
+        compute_worst_relative_stderr(other, known * np.outer(upper, upper)),
+    )
     assert_allclose([a["M"], a["K"]], [b["M"], b["K"]], rtol=1e-9)
     frame = relative_frame(truth)
     assert frame.shape == (18, 18) and np.linalg.cond(frame) < 1e6
@@ -109,5 +112,5 @@ def test_a_mass_without_trace_is_infinitely_uncertain() -> None:
     s = np.zeros(4, complex)
     H = truth.compliance(s)
     goal = Target(s, H, places, np.eye(2 * H.size), True)
-    assert unknown(truth, covariance_of(goal, truth, None))["M"] == np.inf
+    assert compute_worst_relative_stderr(truth, covariance_of(goal, truth, None))["M"] == np.inf
     assert split(H).shape == (72,)

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.dynamics import FlexibleModel
 from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.on_robot import ShapesOnRobot, assurance, sensed_places, shapes_on_robot
+from tau_dyn.modes.on_robot import ShapesOnRobot, compute_mac, sensed_places, shapes_on_robot
 from tau_dyn.report.modes_robot import robot_drawings
 from tau_dyn.robot import Robot, load_robot
 
@@ -45,7 +45,7 @@ def test_a_robots_own_modes_are_recognised(found, flexible) -> None:
         assert pair.model is not None and pair.mac == pytest.approx(1, abs=1e-4)
         assert pair.model.frequency_hz == pytest.approx(own[k].frequency_hz)
         near, far = pair.model.arrows["tool"], own[k].tool
-        assert assurance(near, far) == pytest.approx(1, abs=1e-4)
+        assert compute_mac(near, far) == pytest.approx(1, abs=1e-4)
     assert [row["mac"] for row in found.to_list()] == [pair.mac for pair in found.pairs]
 
 

@@ -14,7 +14,7 @@ from recordings import log_of, pulses, recorded, structure
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
-from tau_dyn.modes.preparation import prepare
+from tau_dyn.modes.preparation import prepare_records
 
 IN, OUT = ("force1", "force2"), ("place1", "place2")
 
@@ -27,7 +27,7 @@ def log() -> Log:
 
 def test_the_last_third_is_held_out_around_one_origin(log):
     """The last 30 % are held out, and both parts are deviations from one operating point, which is where the plant rests."""
-    data = prepare([log], IN, OUT)
+    data = prepare_records([log], IN, OUT)
     assert data.kind == "driven" and data.train[0].n_samples == 700 and data.holdout[0].n_samples == 300
     joined = np.vstack([data.train[0].y, data.holdout[0].y])
     raw = np.column_stack([log.channels[c] for c in OUT])
@@ -41,7 +41,7 @@ def test_the_last_third_is_held_out_around_one_origin(log):
 
 def test_blows_are_recognised_and_cut():
     """Hammer blows are told from lasting excitation; each becomes a record of its own, and some are held out."""
-    data = prepare([log_of(pulses(structure(), 300, 6), offset=3.0)], IN, OUT)
+    data = prepare_records([log_of(pulses(structure(), 300, 6), offset=3.0)], IN, OUT)
     assert data.kind == "impulse" and len(data.train) == 4 and len(data.holdout) == 2
     assert all(r.n_samples >= 100 for r in data.train)
 
@@ -64,24 +64,24 @@ def test_columns_that_cannot_serve_are_refused(log, inputs, outputs, word):
     hole[50] = np.nan
     odd = log.with_channels(double=2 * np.array(log.channels["force1"]), still=np.ones(1000), hole=hole)
     with pytest.raises(InputError, match=word):
-        prepare([odd], inputs, outputs)
+        prepare_records([odd], inputs, outputs)
 
 
 def test_too_few_samples_cannot_answer(log):
     """A handful of samples is refused with the number that would do."""
     with pytest.raises(CannotAnswer, match="too few"):
-        prepare([log.window(0, 60)], IN, OUT)
+        prepare_records([log.window(0, 60)], IN, OUT)
 
 
 def test_unlike_rates_are_refused(log):
     """Logs of different sampling rates make no model together."""
     other = Log(2 * log.t, log.channels, "slow.csv")
     with pytest.raises(InputError, match="slow.csv is sampled at 50 Hz"):
-        prepare([log, other], IN, OUT)
+        prepare_records([log, other], IN, OUT)
 
 
 def test_a_jittery_clock_is_mended_and_said(log):
     """Uneven stamps are interpolated onto an even clock, with a warning."""
     t = log.t + np.random.default_rng(0).uniform(-1, 1, 1000) * 2e-3
-    data = prepare([Log(t, log.channels, "jitter.csv")], IN, OUT)
+    data = prepare_records([Log(t, log.channels, "jitter.csv")], IN, OUT)
     assert any("steps vary" in w for w in data.warnings)

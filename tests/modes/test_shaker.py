@@ -11,12 +11,12 @@ import pytest
 
 from tau_dyn.modes import find_modes
 from tau_dyn.modes.acausality import find_acausality
-from tau_dyn.modes.feedback import feedback_suspected
-from tau_dyn.modes.leftover import leftovers
-from tau_dyn.modes.methods import starter
+from tau_dyn.modes.feedback_test import detect_feedback
+from tau_dyn.modes.methods import build_initial_estimator
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.order import choose_order
-from tau_dyn.modes.preparation import prepare
+from tau_dyn.modes.preparation import prepare_records
+from tau_dyn.modes.residuals import compute_residuals
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.widen import widen_modes
 
@@ -42,8 +42,8 @@ def test_an_ordinary_shaker_test_is_followed(found):
 
 def test_the_innovations_alone_would_be_misled(found):
     """A band-limited force can be foreseen from the response, so the older trace of feedback speaks though no loop is closed."""
-    data = prepare([record_shaker(TESTS["three_short"])], ["force"], ["place1"])
-    assert feedback_suspected(data.train).suspected
+    data = prepare_records([record_shaker(TESTS["three_short"])], ["force"], ["place1"])
+    assert detect_feedback(data.train).suspected
     assert "pbsid leaves" in found.why["method"]
 
 
@@ -55,9 +55,9 @@ def test_the_final_model_rests_on_all_data(found):
 
 def _acausality(gain: float, seed: int, order: int = 6) -> float:
     test = Shaker(gain=gain, disturbance=0.5, n=6000)
-    data = prepare([record_shaker(test, seed)], ["force"], ["place1"])
-    model = starter("n4sid", data.train)(order)
-    return find_acausality(leftovers(model, data.train), [r.u for r in data.train]).p_value
+    data = prepare_records([record_shaker(test, seed)], ["force"], ["place1"])
+    model = build_initial_estimator("n4sid", data.train)(order)
+    return find_acausality(compute_residuals(model, data.train), [r.u for r in data.train]).p_value
 
 
 def test_a_disturbed_open_loop_raises_no_alarm():
@@ -79,7 +79,7 @@ def test_many_modes_get_many_states():
     hz = tuple(np.linspace(3, 44, 12))
     whole = structure(hz, (0.01,) * 12)
     record = recorded(replace(whole, B=whole.B[:, :1], C=whole.C[:2], D=whole.D[:2, :1]), 4000, 50)
-    choice = choose_order([record], lambda records: starter("n4sid", records), orders=None)
+    choice = choose_order([record], lambda records: build_initial_estimator("n4sid", records), orders=None)
     assert 24 <= choice.order <= 26 and not choice.limit
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from tau_dyn.diagnose.result import (
     Diagnosis,
-    Errors,
     Finding,
     Gain,
     Limit,
+    OutputErrors,
     Signature,
     Step,
     TimeTrace,
@@ -111,10 +111,10 @@ def signature(output: str, x: np.ndarray, effect: np.ndarray, x_label: str, rng:
     return Signature(output, x_label, "residual [N]", x, y, effect)
 
 
-def errors(outputs: tuple[str, ...], rms: tuple[float, ...], percent: float) -> Errors:
+def errors(outputs: tuple[str, ...], rms: tuple[float, ...], percent: float) -> OutputErrors:
     """Return errors with intervals of about 7 %."""
     values = np.array(rms)
-    return Errors(outputs, values, np.column_stack([0.93 * values, 1.08 * values]), percent)
+    return OutputErrors(outputs, values, np.column_stack([0.93 * values, 1.08 * values]), percent)
 
 
 def _traces(outputs: tuple[str, ...], names: tuple[str, str], rng: np.random.Generator) -> tuple[TimeTrace, ...]:

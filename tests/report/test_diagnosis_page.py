@@ -16,10 +16,10 @@ from rich.console import Console
 
 from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.report import diagnosis_page, print_diagnosis, write_report
-from tau_dyn.report.diagnosis_words import chance, confirmation_words, unexplained_words, value_words
+from tau_dyn.report.diagnosis_text import confirmation_words, format_p_value, unexplained_words, value_words
 from tau_dyn.report.quantities import estimate, quantity
 from tau_dyn.report.signature import signature_charts
-from tau_dyn.report.waterfall import finding_of, ladder, ladders
+from tau_dyn.report.waterfall import build_output_series, build_total_series, finding_of
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_the_answer_stands_first(page, diagnosed):
 
 def test_every_step_shows_its_error_and_leads_to_its_card(page, diagnosed):
     """The waterfall's percentages are the result's, and a cause's bar links to the card that explains it."""
-    whole = ladder(diagnosed)
+    whole = build_total_series(diagnosed)
     assert [r.left for r in whole.rungs] == [s.errors.relative_error_percent for s in diagnosed.waterfall]
     table = page[page.index('id="waterfall"') : page.index('class="multiples"')]
     assert re.findall(r'strong">([\d.]+) %', table) == ["31", "7.4", "5.3", "2.5", "2.3"]
@@ -81,17 +81,17 @@ def test_interval_over_all_joints_is_that_of_one_joint_alone(diagnosed):
     one = replace(diagnosed.waterfall[1].errors, outputs=("a",), rms=np.array([2.0]), ci95=np.array([[1.6, 2.6]]))
     step = replace(diagnosed.waterfall[1], errors=one)
     single = replace(diagnosed, outputs=("a",), units=("N",), waterfall=(step,), traces=(), findings=())
-    rung = ladder(single).rungs[0]
+    rung = build_total_series(single).rungs[0]
     np.testing.assert_allclose([rung.low / rung.left, rung.high / rung.left], [0.8, 1.3])
     four = replace(one, outputs=tuple("abcd"), rms=np.full(4, 2.0), ci95=np.tile([1.6, 2.6], (4, 1)))
     joined = replace(single, outputs=tuple("abcd"), units=("N",) * 4, waterfall=(replace(step, errors=four),))
-    rung = ladder(joined).rungs[0]
+    rung = build_total_series(joined).rungs[0]
     np.testing.assert_allclose((rung.high / rung.left) ** 2 - 1, (1.3**2 - 1) / 2)
 
 
 def test_each_joint_in_percent_of_its_own_force(diagnosed):
     """A joint's share is its rms over the measured force of the samples that served nothing but the gain."""
-    parts = ladders(diagnosed)
+    parts = build_output_series(diagnosed)
     assert [p.output for p in parts] == list(diagnosed.outputs)
     judged = [np.concatenate([t.measured[t.usable[:, k] & (t.part == 2), k] for t in diagnosed.traces]) for k in (0, 1)]
     expected = [100 * diagnosed.baseline.rms[k] / np.sqrt(np.mean(judged[k] ** 2)) for k in (0, 1)]
@@ -181,7 +181,9 @@ def test_terminal_keeps_bars_and_numbers_whole(diagnosed, width):
     """Each step is one line with its bar and percentage, however narrow; nothing is wider than 100 columns."""
     lines = _printed(diagnosed, width, {"report": "r.html"}).splitlines()
     assert max(map(len, lines)) <= min(width, 100)
-    for rung, share in zip(ladder(diagnosed).rungs, ("31 %", "7.4 %", "5.3 %", "2.5 %", "2.3 %"), strict=True):
+    for rung, share in zip(
+        build_total_series(diagnosed).rungs, ("31 %", "7.4 %", "5.3 %", "2.5 %", "2.3 %"), strict=True
+    ):
         line = next(x for x in lines if x.strip().startswith(rung.label))
         assert share in line and re.search("[█▏▎▍▌▋▊▉]", line) and line.count("±") == line.count("± ")
     assert "report → r.html" in lines[-1]
@@ -212,7 +214,7 @@ def test_numbers_in_units_of_their_size():
 
 def test_odds_and_shares_in_words():
     """A chance reads as odds, a confirmation that falls short says so."""
-    assert [chance(p) for p in (0.0, 2e-4, 0.03, 0.9)] == [
+    assert [format_p_value(p) for p in (0.0, 2e-4, 0.03, 0.9)] == [
         "less than 1 in a million", "1 in 5 000", "1 in 33", "more likely than not"
     ]  # fmt: skip
     assert "weaker than predicted" in confirmation_words((0.3, 0.1)) and "100 % is all" in confirmation_words(

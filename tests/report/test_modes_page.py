@@ -19,7 +19,7 @@ from tau_dyn.report import modes_page, print_modes
 from tau_dyn.report.log_chart import LogChart, log_ticks
 from tau_dyn.report.modes_shapes import shape_drawing, space_axes
 from tau_dyn.report.modes_svg import between
-from tau_dyn.report.modes_words import frequency, headline, interval, verdict
+from tau_dyn.report.modes_text import frequency, headline, interval, verdict
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import re
 import pytest
 
 from tau_dyn.report import identification_page, write_report
-from tau_dyn.report.words import number, rounded, with_uncertainty
+from tau_dyn.report.formatting import number, round_to_stderr, with_uncertainty
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,10 @@ def test_every_number_is_the_results_own(page, found):
     for row in result["parameters"]:
         assert row["name"] in text
         assert with_uncertainty(row["value"], row["stderr"]) in text
-        assert f"{rounded(row['ci95'][0], row['stderr'])} … {rounded(row['ci95'][1], row['stderr'])}" in text
+        assert (
+            f"{round_to_stderr(row['ci95'][0], row['stderr'])} … {round_to_stderr(row['ci95'][1], row['stderr'])}"
+            in text
+        )
     assert f"{result['holdout']['relative_error_percent']:.1f} %" in text.replace("\u00a0", " ")
     assert number(result["condition_number"], 3) in text
 

@@ -2,22 +2,27 @@
 
 from tau_dyn.calibrate.calibrate import calibrate
 from tau_dyn.calibrate.causes import EQUATIONS as CAUSE_EQUATIONS
-from tau_dyn.calibrate.errors import Errors
-from tau_dyn.calibrate.fit import Fit, fit
-from tau_dyn.calibrate.geometry import Geometry, Predicted, tie
+from tau_dyn.calibrate.geometry import Geometry, Predicted, constrain_parameters
+from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
+from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet, read_poses
 from tau_dyn.calibrate.result import Calibration
+from tau_dyn.deprecated_names import get_deprecated
 
 __all__ = [
     "CAUSE_EQUATIONS",
     "Calibration",
-    "Errors",
-    "Fit",
     "Geometry",
+    "GeometryFit",
+    "PoseErrors",
     "PoseSet",
     "Predicted",
     "calibrate",
-    "fit",
+    "constrain_parameters",
+    "fit_geometry_to_poses",
     "read_poses",
-    "tie",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

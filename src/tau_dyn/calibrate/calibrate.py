@@ -7,17 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.candidates import Candidate, Options, Step, check_patterns, evaluate, fit_spec
+from tau_dyn.calibrate.addition_tests import strongest_periods
+from tau_dyn.calibrate.candidates import (
+    CandidateModel,
+    Options,
+    SelectionStep,
+    check_patterns,
+    fit_and_cross_validate,
+    fit_spec,
+)
 from tau_dyn.calibrate.causes import find_causes
-from tau_dyn.calibrate.choose import climb
-from tau_dyn.calibrate.crossvalidation import LEVER, compare
+from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M, compare_paired
 from tau_dyn.calibrate.families import Family, family_of
-from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.outliers import find_outliers, outlier_sentence
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
-from tau_dyn.calibrate.screening import strongest_periods
 from tau_dyn.calibrate.start import check_spread, without_duplicates
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.robot import Robot
@@ -79,7 +86,7 @@ def calibrate(
     family = family_of(robot, poses)
     taken, steps, more = _models(family, poses, model, options, progress)
     progress("looking for causes")
-    findings = find_causes(family, taken[-1], holdout, options, LEVER)
+    findings = find_causes(family, taken[-1], holdout, options, ORIENTATION_LEVER_M)
     sentences = (*poses.warnings, *warnings, *named, *more, *_doubts(taken[-1].fit))
     return Calibration(
         robot, poses, holdout, split, tuple(taken), tuple(steps), findings, tuple(dict.fromkeys(sentences)), seed
@@ -88,18 +95,18 @@ def calibrate(
 
 def _models(
     family: Family, poses: PoseSet, model: str, options: Options, progress: Callable[[str], None]
-) -> tuple[list[Candidate], list[Step], tuple[str, ...]]:
+) -> tuple[list[CandidateModel], list[SelectionStep], tuple[str, ...]]:
     if model == "auto":
-        return climb(family, poses, options, progress)
+        return select_model(family, poses, options, progress)
     progress(f"fitting {model}")
-    nominal = evaluate(family, Spec("frames"), poses, options)
+    nominal = fit_and_cross_validate(family, Spec("frames"), poses, options)
     spec = family.spec(model)
     periods = _searched_periods(family, spec, poses, options)
-    asked = evaluate(family, spec, poses, options, periods=periods)
+    asked = fit_and_cross_validate(family, spec, poses, options, periods=periods)
     if asked.spec == nominal.spec or asked.name == nominal.name:
         return [asked], [], ()
-    gain = compare(nominal.unseen, asked.unseen, LEVER, options.seed)
-    return [nominal, asked], [Step(asked.name, nominal.name, gain, True)], ()
+    gain = compare_paired(nominal.unseen, asked.unseen, ORIENTATION_LEVER_M, options.seed)
+    return [nominal, asked], [SelectionStep(asked.name, nominal.name, gain, True)], ()
 
 
 def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Options) -> dict[str, float]:
@@ -150,12 +157,12 @@ def _without_outliers(
     return poses, holdout, tuple(said)
 
 
-def _held_outliers(fitted: Fit, holdout: PoseSet) -> np.ndarray:
+def _held_outliers(fitted: GeometryFit, holdout: PoseSet) -> np.ndarray:
     usual = float(np.nanpercentile(fitted.errors(fitted.poses).distance, 90))
     return np.flatnonzero(~(fitted.errors(holdout).distance < 20 * max(usual, 3 * fitted.noise[0])))
 
 
-def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> Fit:
+def _robust(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
     """Return a robust fit of the largest structure that the poses bear.
 
     Raises:
@@ -199,7 +206,7 @@ def _same_campaigns(poses: PoseSet, holdout: PoseSet) -> PoseSet:
     return replace(holdout, campaign=number[holdout.campaign], campaigns=poses.campaigns)
 
 
-def _doubts(fitted: Fit) -> tuple[str, ...]:
+def _doubts(fitted: GeometryFit) -> tuple[str, ...]:
     said = []
     if not fitted.converged:
         said.append("the fit did not come to rest; its last values are given")

@@ -8,11 +8,11 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from tau_dyn.calibrate.crossvalidation import Gain, Unseen, cross_validate
+from tau_dyn.calibrate.crossvalidation import Gain, HeldOutErrors, cross_validate
 from tau_dyn.calibrate.families import Family
-from tau_dyn.calibrate.fit import Fit, fit
 from tau_dyn.calibrate.frames import AXES
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.residuals import State
@@ -20,7 +20,7 @@ from tau_dyn.exceptions import UnknownName
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CandidateModel:
     """A fitted model.
 
     Attributes:
@@ -32,12 +32,12 @@ class Candidate:
 
     name: str
     spec: Spec
-    fit: Fit
-    unseen: Unseen
+    fit: GeometryFit
+    unseen: HeldOutErrors
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class SelectionStep:
     """One step of the ladder.
 
     Attributes:
@@ -81,26 +81,26 @@ def fit_spec(
     spec: Spec,
     poses: PoseSet,
     options: Options,
-    start: Fit | None = None,
+    start: GeometryFit | None = None,
     periods: dict[str, float] | None = None,
-) -> Fit:
+) -> GeometryFit:
     """Fit a model, from where another one's fit stands if one is given."""
     geometry = family.build(spec, periods)
     state = None
     if start is not None:
-        state = carried_over(start, geometry.parameters.names, geometry.parameters.values, poses)
+        state = transfer_state(start, geometry.parameters.names, geometry.parameters.values, poses)
     return fit_geometry(geometry, spec, poses, options, state, f"the model {spec.name_for(family.joints)}")
 
 
 def fit_geometry(
     geometry: Geometry, spec: Spec, poses: PoseSet, options: Options, start: State | None, what: str
-) -> Fit:
+) -> GeometryFit:
     """Fit a geometry that was built for a model; patterns of `options` that mean nothing in it are passed over."""
     play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
     known = (*geometry.parameters.names, *_beside(geometry.actuated))
     fix = [p for p in options.fix if _means(p, known)]
     free = [p for p in options.free if _means(p, known)]
-    return fit(
+    return fit_geometry_to_poses(
         geometry,
         poses,
         fix=fix,
@@ -115,20 +115,20 @@ def fit_geometry(
     )
 
 
-def evaluate(
+def fit_and_cross_validate(
     family: Family,
     spec: Spec,
     poses: PoseSet,
     options: Options,
-    start: Fit | None = None,
+    start: GeometryFit | None = None,
     periods: dict[str, float] | None = None,
-) -> Candidate:
+) -> CandidateModel:
     """Fit a model and cross-validate it."""
     fitted = fit_spec(family, spec, poses, options, start, periods)
-    return Candidate(spec.name_for(family.joints), spec, fitted, cross_validate(fitted, options.seed))
+    return CandidateModel(spec.name_for(family.joints), spec, fitted, cross_validate(fitted, options.seed))
 
 
-def carried_over(start: Fit, names: Sequence[str], nominal: np.ndarray, poses: PoseSet) -> State | None:
+def transfer_state(start: GeometryFit, names: Sequence[str], nominal: np.ndarray, poses: PoseSet) -> State | None:
     """Return a state for another model's parameters: shared names keep their values, the others start at nominal ones."""
     if start.poses.n != poses.n:
         return None

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.calibrate import restrict
-from tau_dyn.calibrate.candidates import Candidate, Options, carried_over, fit_geometry
-from tau_dyn.calibrate.crossvalidation import Gain, Unseen, compare, cross_validate, of_errors
+from tau_dyn.calibrate.candidates import CandidateModel, Options, fit_geometry, transfer_state
+from tau_dyn.calibrate.crossvalidation import Gain, HeldOutErrors, compare_paired, cross_validate, of_errors
 from tau_dyn.calibrate.families import Family
-from tau_dyn.calibrate.fit import Fit
 from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -66,7 +66,7 @@ _PATTERNS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class CalibrationFinding:
     """A cause and what it costs.
 
     Attributes:
@@ -85,7 +85,7 @@ class Finding:
     parameters: tuple[str, ...]
     equation: str
 
-    def to_dict(self, fitted: Fit) -> dict[str, object]:
+    def to_dict(self, fitted: GeometryFit) -> dict[str, object]:
         """Return the finding with its parameters' values."""
         values = fitted.parameters
         rows = [
@@ -105,28 +105,30 @@ class Finding:
 
 
 def find_causes(
-    family: Family, chosen: Candidate, holdout: PoseSet | None, options: Options, lever: float
-) -> tuple[Finding, ...]:
+    family: Family, chosen: CandidateModel, holdout: PoseSet | None, options: Options, lever: float
+) -> tuple[CalibrationFinding, ...]:
     """Return the causes in a chosen model, costliest first."""
     findings = []
-    for cause, joints, geometry, spec in _without(family, chosen):
+    for cause, joints, geometry, spec in _leave_out_causes(family, chosen):
         try:
             smaller = _fitted(chosen, geometry, spec, options)
-            by_folds = compare(cross_validate(smaller, options.seed), chosen.unseen, lever, options.seed)
+            by_folds = compare_paired(cross_validate(smaller, options.seed), chosen.unseen, lever, options.seed)
         except (InputError, CannotAnswer):
             continue
-        if not by_folds.real:
+        if not by_folds.is_significant:
             continue
         gain, agrees = by_folds, False
         if holdout is not None:
-            gain = compare(_held(smaller, holdout), _held(chosen.fit, holdout), lever, options.seed)
+            gain = compare_paired(_held(smaller, holdout), _held(chosen.fit, holdout), lever, options.seed)
             agrees = gain.p_value < 0.05
         names = _parameters(cause, joints, chosen.fit)
-        findings.append(Finding(cause, joints, "confirmed" if agrees else "suspected", gain, names, EQUATIONS[cause]))
+        findings.append(
+            CalibrationFinding(cause, joints, "confirmed" if agrees else "suspected", gain, names, EQUATIONS[cause])
+        )
     return tuple(sorted(findings, key=lambda f: -f.gain.percent))
 
 
-def _without(family: Family, chosen: Candidate) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:
+def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:
     """Return every cause of the model with the geometry that leaves it out."""
     out: list[tuple[str, tuple[str, ...], Geometry, Spec]] = []
     if chosen.spec.structure != "frames":
@@ -145,7 +147,7 @@ def _without(family: Family, chosen: Candidate) -> list[tuple[str, tuple[str, ..
     return out
 
 
-def _periods(fitted: Fit) -> dict[str, float]:
+def _periods(fitted: GeometryFit) -> dict[str, float]:
     found = {}
     for p in fitted.parameters:
         joint, _, what = p.name.partition(".")
@@ -154,9 +156,9 @@ def _periods(fitted: Fit) -> dict[str, float]:
     return found
 
 
-def _fitted(chosen: Candidate, geometry: Geometry, spec: Spec, options: Options) -> Fit:
+def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Options) -> GeometryFit:
     names, nominal = geometry.parameters.names, geometry.parameters.values
-    start = carried_over(chosen.fit, names, nominal, chosen.fit.poses)
+    start = transfer_state(chosen.fit, names, nominal, chosen.fit.poses)
     if start is not None:
         frames, slack = start.frames, start.slack.copy()
         kept = [geometry.actuated.index(j) for j in spec.additions.get("backlash", ())]
@@ -169,11 +171,11 @@ def _fitted(chosen: Candidate, geometry: Geometry, spec: Spec, options: Options)
     return fit_geometry(geometry, spec, chosen.fit.poses, options, start, "this model")
 
 
-def _held(fitted: Fit, holdout: PoseSet) -> Unseen:
+def _held(fitted: GeometryFit, holdout: PoseSet) -> HeldOutErrors:
     return of_errors(fitted.errors(holdout), oriented=fitted.geometry.orients)
 
 
-def _parameters(cause: str, joints: tuple[str, ...], fitted: Fit) -> tuple[str, ...]:
+def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tuple[str, ...]:
     names = [p.name for p in fitted.parameters if p.stderr is not None]
     if cause in ("tool_frame", "base_frame"):
         owner = "tool" if cause == "tool_frame" else "device"

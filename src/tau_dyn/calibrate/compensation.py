@@ -26,7 +26,7 @@ import numpy as np
 
 from tau_dyn.calibrate.commanded_axes import checked_axes, independent_axes
 from tau_dyn.calibrate.frames import AXES, rotation_between
-from tau_dyn.calibrate.geometry import Geometry, untied
+from tau_dyn.calibrate.geometry import Geometry, expand_constraints
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.positions import checked_positions
@@ -202,7 +202,7 @@ def build_compensation(
     """
     theta = np.asarray(theta, float)
     nominal = geometry.parameters.values if nominal is None else np.asarray(nominal, float)
-    geometry, (theta, nominal) = untied(geometry, theta, nominal)
+    geometry, (theta, nominal) = expand_constraints(geometry, theta, nominal)
     p = len(geometry.parameters)
     if theta.shape != (p,) or nominal.shape != (p,):
         raise InputError(f"{robot.source}: the geometry has {p} parameters, not {theta.shape} and {nominal.shape}")

@@ -8,17 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from tau_dyn.calibrate.descent import Descent
-from tau_dyn.calibrate.errors import Errors
-from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
+from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.residuals import Problem, State
 
 FOLDS = 5
-LEVER = 0.3
+ORIENTATION_LEVER_M = 0.3
 """Length [m] at which an orientation error counts beside a position error when models are compared."""
 _DRAWS = 1000
-_SURE = 0.01
-_WORTH = 0.02  # share of the rms error that a larger model must take away
+_SIGNIFICANCE_LEVEL = 0.01
+_MIN_RELATIVE_GAIN = 0.02  # share of the rms error that a larger model must take away
 
 
 class Gain(NamedTuple):
@@ -39,9 +39,9 @@ class Gain(NamedTuple):
     p_value: float
 
     @property
-    def real(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the larger model has earned its parameters."""
-        return self.p_value < _SURE and self.percent > 100 * _WORTH
+        return self.p_value < _SIGNIFICANCE_LEVEL and self.percent > 100 * _MIN_RELATIVE_GAIN
 
     def to_dict(self) -> dict[str, object]:
         """Return it as results spell it."""
@@ -55,7 +55,7 @@ class Gain(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Unseen:
+class HeldOutErrors:
     """Errors of predictions at poses that were left out of the fit.
 
     Attributes:
@@ -85,7 +85,7 @@ def folds(n: int, seed: int, many: int = FOLDS) -> list[np.ndarray]:
     return [np.sort(part) for part in np.array_split(np.random.default_rng(seed).permutation(n), min(many, n))]
 
 
-def cross_validate(fitted: Fit, seed: int = 0) -> Unseen:
+def cross_validate(fitted: GeometryFit, seed: int = 0) -> HeldOutErrors:
     """Return errors at training poses predicted by refits without their fold."""
     poses = fitted.poses
     position = np.full((poses.n, 3), np.nan)
@@ -97,10 +97,10 @@ def cross_validate(fitted: Fit, seed: int = 0) -> Unseen:
         position[part] = errors.position
         if rotation is not None and errors.rotation is not None:
             rotation[part] = errors.rotation
-    return Unseen(position, rotation)
+    return HeldOutErrors(position, rotation)
 
 
-def _without(fitted: Fit, rest: np.ndarray) -> Fit:
+def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
     """Return a fit to some of the poses, from where the whole one stands and with its noise."""
     poses = fitted.poses.take(rest)
     problem = Problem(
@@ -108,17 +108,17 @@ def _without(fitted: Fit, rest: np.ndarray) -> Fit:
     )
     s = fitted.state
     state = State(s.theta, s.frames, s.base.take(rest), s.ok[rest], s.slack)
-    run = Descent(problem, "none", fitted.noise)
+    run = LevenbergMarquardt(problem, "none", fitted.noise)
     state, _ = run.descend(state, fitted.noise, np.arange(len(run.free)), 6)
     return replace(fitted, poses=poses, state=state)
 
 
-def of_errors(errors: Errors, *, oriented: bool) -> Unseen:
-    """Return the errors at held-out poses as `Unseen`."""
-    return Unseen(errors.position, errors.rotation if oriented else None)
+def of_errors(errors: PoseErrors, *, oriented: bool) -> HeldOutErrors:
+    """Return the errors at held-out poses as `HeldOutErrors`."""
+    return HeldOutErrors(errors.position, errors.rotation if oriented else None)
 
 
-def compare(small: Unseen, large: Unseen, lever: float, seed: int = 0) -> Gain:
+def compare_paired(small: HeldOutErrors, large: HeldOutErrors, lever: float, seed: int = 0) -> Gain:
     """Return what a larger model gains over a smaller one on the same poses."""
     a, b = small.score(lever), large.score(lever)
     difference = a - b
@@ -134,7 +134,7 @@ def compare(small: Unseen, large: Unseen, lever: float, seed: int = 0) -> Gain:
     return Gain(before, after, 100 * (1 - after / max(before, 1e-300)), (float(low), float(high)), p)
 
 
-def rms_interval(unseen: Unseen, seed: int = 0) -> tuple[float, float]:
+def rms_interval(unseen: HeldOutErrors, seed: int = 0) -> tuple[float, float]:
     """Return the 95 % interval of the rms position error [m], by bootstrap over poses."""
     squares = unseen.score(0.0)
     draws = np.random.default_rng(seed).integers(0, len(squares), (_DRAWS, len(squares)))

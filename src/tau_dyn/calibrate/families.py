@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from tau_dyn.calibrate.geometry import Geometry, tie
+from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.tree_geometry import tree_geometry
@@ -75,7 +75,7 @@ class TreeFamily:
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
         """Return the geometry of a model."""
         if spec.structure == "frames":
-            return tie(self.geometry, {}, self.geometry.parameters.names)
+            return constrain_parameters(self.geometry, {}, self.geometry.parameters.names)
         return self.geometry
 
 

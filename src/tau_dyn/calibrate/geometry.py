@@ -92,7 +92,7 @@ class Geometry(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Tied:
+class ConstrainedGeometry:
     """A geometry with fewer parameters: several of the original ones move together, or not at all.
 
     `theta = theta_0 + Z (y - y_0)`: equal rods, parallel guideways and other simplifications are such ties.
@@ -158,7 +158,9 @@ class Tied:
         return self.geometry.closure_by_joint(self.full(theta), q, poses)
 
 
-def tie(geometry: Geometry, together: Mapping[str, Sequence[str]], left_out: Sequence[str] = ()) -> Tied:
+def constrain_parameters(
+    geometry: Geometry, together: Mapping[str, Sequence[str]], left_out: Sequence[str] = ()
+) -> ConstrainedGeometry:
     """Return a geometry in which parameters move together or stay at their nominal values.
 
     Args:
@@ -188,11 +190,11 @@ def tie(geometry: Geometry, together: Mapping[str, Sequence[str]], left_out: Seq
     means = [float(np.mean(old.values[indices])) for indices in columns.values()]
     parameters = Parameters(replace(p, value=v) for p, v in zip(rows.values(), means, strict=True))
     priority = np.array([geometry.priority[indices].min() for indices in columns.values()], int)
-    return Tied(geometry, parameters, matrix, priority)
+    return ConstrainedGeometry(geometry, parameters, matrix, priority)
 
 
-def untied(geometry: Geometry, *thetas: np.ndarray) -> tuple[Geometry, tuple[np.ndarray, ...]]:
+def expand_constraints(geometry: Geometry, *thetas: np.ndarray) -> tuple[Geometry, tuple[np.ndarray, ...]]:
     """Return the original behind all ties, and vectors of parameters (each (r,)) as the original's (p,)."""
-    while isinstance(geometry, Tied):
+    while isinstance(geometry, ConstrainedGeometry):
         thetas, geometry = tuple(geometry.full(theta) for theta in thetas), geometry.geometry
     return geometry, thetas

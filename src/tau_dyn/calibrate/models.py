@@ -22,8 +22,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import Geometry, tie
-from tau_dyn.calibrate.laws import Bends, Drift, DriveLaw, GuideLaw, SoftDrive, Wave, Yielding, carried_by, guideways
+from tau_dyn.calibrate.drive_and_guide_laws import (
+    CartComplianceLaw,
+    DriveComplianceLaw,
+    DriveLaw,
+    GuideBendLaw,
+    GuideLaw,
+    PeriodicDriveLaw,
+    RodPathLaw,
+    carried_by,
+    guideways,
+)
+from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.loads import RodLoads
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
@@ -159,16 +169,18 @@ class RodFamily:
         guides: list[GuideLaw] = []
         for addition, label in (("periodic", ""), ("periodic2", "2")):
             for joint in spec.additions.get(addition, ()):
-                drives.append(Wave(joint, self.joints.index(joint), periods.get(joint + label, _PERIOD), label))
+                drives.append(
+                    PeriodicDriveLaw(joint, self.joints.index(joint), periods.get(joint + label, _PERIOD), label)
+                )
         for joint in spec.additions.get("compliant", ()):
             a, direction = self._rail(joint)
-            drives.append(SoftDrive(joint, a, direction, self.loads))
-            guides.append(Yielding(joint, a, carried_by(self.rods, a), self.rods.n, direction, self.loads))
+            drives.append(DriveComplianceLaw(joint, a, direction, self.loads))
+            guides.append(CartComplianceLaw(joint, a, carried_by(self.rods, a), self.rods.n, direction, self.loads))
         for joint in spec.additions.get("piecewise", ()):
             a, _ = self._rail(joint)
             x = self.poses.q[:, a]
             knots = np.linspace(x.min() - 1e-6, x.max() + 1e-6, _KNOTS)
-            guides.append(Bends(joint, a, carried_by(self.rods, a), self.rods.n, knots))
+            guides.append(GuideBendLaw(joint, a, carried_by(self.rods, a), self.rods.n, knots))
         return drives, guides
 
     def _rail(self, joint: str) -> tuple[int, np.ndarray]:
@@ -176,29 +188,29 @@ class RodFamily:
         d = next(j.direction for j in self.rods.numbers.joints if j.actuator == a)
         return a, d / np.linalg.norm(d)
 
-    def _drifts(self) -> list[Drift]:
+    def _drifts(self) -> list[RodPathLaw]:
         found, joints = [], self.rods.numbers.joints
         for k, carrier in enumerate(self.rods.numbers.carried.carrier):
             if carrier >= 0 and joints[carrier].slides:
-                found.append(Drift(self.rods.names[k], k, joints[carrier].actuator, self.rods.n))
+                found.append(RodPathLaw(self.rods.names[k], k, joints[carrier].actuator, self.rods.n))
         return found
 
     def _tied(self, base: RodGeometry, structure: str) -> Geometry:
         names = base.parameters.names
         own = [p for p in self.rods.geometry.names if p in names] + [n for n in names if ".turn_" in n]
         if structure == "frames":
-            return tie(base, {}, own)
+            return constrain_parameters(base, {}, own)
         if structure in ("complete", "paths"):
-            return tie(base, {}, self._superfluous(structure))
+            return constrain_parameters(base, {}, self._superfluous(structure))
         together: dict[str, list[str]] = {}
         if structure == "ideal":
             together |= self._one_direction()
         if self.rods.numbers.arms:
-            return tie(base, together)
+            return constrain_parameters(base, together)
         if structure == "ideal" and not self._simplifies():
-            return tie(base, together)
+            return constrain_parameters(base, together)
         lengths, left_out = self._one_arm_a_cart()
-        return tie(base, together | lengths, left_out)
+        return constrain_parameters(base, together | lengths, left_out)
 
     def _superfluous(self, structure: str) -> list[str]:
         """Return parameters that others say already: a slide's place where its rods are free, a turn's on a slide."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_set import PoseSet
 
 _TIMES = 6.0
 """How many times the distance that one good pose in a hundred has; a model that lacks something leaves tails, not this."""
 
 
-def find_outliers(fitted: Fit) -> np.ndarray:
+def find_outliers(fitted: GeometryFit) -> np.ndarray:
     """Return the indices of poses that a robustly fitted model misses by far more than all others.
 
     Args:
@@ -27,7 +27,7 @@ def find_outliers(fitted: Fit) -> np.ndarray:
     return np.flatnonzero(~(distance < max(_TIMES * good, 5 * crowd)))
 
 
-def outlier_sentence(poses: PoseSet, fitted: Fit, index: np.ndarray) -> str:
+def outlier_sentence(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) -> str:
     """Return the warning that names the poses left out."""
     size = np.linalg.norm(fitted.residuals[index][:, :3], axis=1)
     shown = [f"{poses.names[k]} (off by {1e3 * s:.3g} mm)" for k, s in zip(index[:5], size[:5], strict=True)]

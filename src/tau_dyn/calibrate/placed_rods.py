@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tau_dyn.calibrate.laws import DriveLaw, GuideLaw
+from tau_dyn.calibrate.drive_and_guide_laws import DriveLaw, GuideLaw
 from tau_dyn.calibrate.rod_numbers import TurnedNumbers, right_jacobian
 from tau_dyn.kinematics import chains
 from tau_dyn.kinematics.chains import ChainJoint
-from tau_dyn.kinematics.geometry import Numbers, gap_columns, leg_lengths, leg_rates
 from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.rod_dimensions import RodDimensions, gap_columns, leg_lengths, leg_rates
 
 
 class PlacedRods:
@@ -19,7 +19,7 @@ class PlacedRods:
 
     def __init__(
         self,
-        numbers: Numbers,
+        numbers: RodDimensions,
         drives: Sequence[DriveLaw],
         guides: Sequence[GuideLaw],
         laws: Mapping[int, np.ndarray],
@@ -34,7 +34,7 @@ class PlacedRods:
             self.effective[:, law.actuator] += shift.error
         self.guide_shifts = [law.guide(laws[len(drives) + k], q) for k, law in enumerate(guides)]
         self.moving = np.ascontiguousarray(self.effective.T)
-        self.frames = chains.placed(self.numbers.joints, self.moving)
+        self.frames = chains.compute_joint_frames(self.numbers.joints, self.moving)
         self.places = chains.points(self.numbers.joints, self.numbers.carried, self.moving)
         self.points = self.places.transpose(2, 0, 1) + sum(s.shift for s in self.guide_shifts)
         self.lengths = np.broadcast_to(leg_lengths(self.numbers, self.moving).T, self.points.shape[:2])

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.log.names import listed
+from tau_dyn.log.column_names import format_names
 from tau_dyn.log.table import Table, read_table
 
 POSITION = ("x_tool", "y_tool", "z_tool")
 QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
-_LONGEST = 1e3  # [m] from the device; farther is a file in mm
+_MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class PoseSet:
         return replace(self, rotation=None)
 
 
-def joined(sets: Sequence[PoseSet]) -> PoseSet:
+def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
     """Return the poses of several files as one set; campaigns of one name are one campaign.
 
     Raises:
@@ -164,13 +164,16 @@ def _check_columns(table: Table, actuated: Sequence[str]) -> None:
     missing = [name for name in wanted if name not in table.cells]
     if missing:
         raise InputError(
-            f"{table.name} has no column {listed(missing)}; calibration poses need {listed(wanted)} and, where the orientation "
-            f"was measured, {listed(QUATERNION)}; it has {listed(table.cells)}"
+            f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
+            f"and, where the orientation "
+            f"was measured, {format_names(QUATERNION)}; it has {format_names(table.cells)}"
         )
     some = [name for name in QUATERNION if name in table.cells]
     if some and len(some) < 4:
         lacking = [name for name in QUATERNION if name not in some]
-        raise InputError(f"{table.name} has {listed(some)} but not {listed(lacking)}; a quaternion needs all four")
+        raise InputError(
+            f"{table.name} has {format_names(some)} but not {format_names(lacking)}; a quaternion needs all four"
+        )
 
 
 def _numbers(table: Table, name: str) -> np.ndarray:
@@ -185,7 +188,7 @@ def _numbers(table: Table, name: str) -> np.ndarray:
 
 def _check_units(table: Table, position: np.ndarray) -> None:
     far = np.abs(position).max(axis=1)
-    if np.any(far > _LONGEST):
+    if np.any(far > _MAX_COORDINATE_M):
         k = int(np.argmax(far))
         raise InputError(f"{table.where(k)}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm")
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import Geometry, Tied, tie
+from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.parameters import Parameter, Parameters
 
 LENGTHS = (".length", ".rods_length")
@@ -64,7 +64,7 @@ def _free(geometry: Geometry) -> list[str]:
 
 
 def _left_out(geometry: Geometry, names: Sequence[str]) -> Geometry | None:
-    return tie(geometry, {}, names) if names else None
+    return constrain_parameters(geometry, {}, names) if names else None
 
 
 def _rails(geometry: Geometry) -> list[str]:
@@ -80,7 +80,7 @@ def _axes(owner: str, value: dict[str, float]) -> tuple[np.ndarray, np.ndarray, 
 
 def _recombined(
     geometry: Geometry, owners: Sequence[str], rows: list[tuple[str, dict[str, np.ndarray]]], names: Sequence[str]
-) -> Tied:
+) -> ConstrainedGeometry:
     """Return the geometry with its directions replaced by a few combinations of them."""
     directions = {f"{o}.direction_{a}" for o in owners for a in "xyz"}
     kept = [k for k, n in enumerate(names) if n not in directions]
@@ -94,4 +94,6 @@ def _recombined(
     old = list(geometry.parameters)
     parameters = Parameters([*(old[k] for k in kept), *(Parameter(n, 0.0, "1") for n, _ in rows)])
     last = int(geometry.priority.max(initial=0))
-    return Tied(geometry, parameters, matrix, np.concatenate([geometry.priority[kept], np.full(len(rows), last, int)]))
+    return ConstrainedGeometry(
+        geometry, parameters, matrix, np.concatenate([geometry.priority[kept], np.full(len(rows), last, int)])
+    )

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.candidates import Candidate, Step
-from tau_dyn.calibrate.causes import Finding
-from tau_dyn.calibrate.crossvalidation import Unseen, of_errors, rms_interval
-from tau_dyn.calibrate.errors import Errors
-from tau_dyn.calibrate.fit import Fit
-from tau_dyn.calibrate.geometry import untied
+from tau_dyn.calibrate.candidates import CandidateModel, SelectionStep
+from tau_dyn.calibrate.causes import CalibrationFinding
+from tau_dyn.calibrate.crossvalidation import HeldOutErrors, of_errors, rms_interval
+from tau_dyn.calibrate.geometry import expand_constraints
+from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.sensitivity import sensitivities
@@ -42,29 +42,29 @@ class Calibration(Shown):
     poses: PoseSet
     holdout: PoseSet | None
     split: str
-    models: tuple[Candidate, ...]
-    steps: tuple[Step, ...]
-    findings: tuple[Finding, ...]
+    models: tuple[CandidateModel, ...]
+    steps: tuple[SelectionStep, ...]
+    findings: tuple[CalibrationFinding, ...]
     warnings: tuple[str, ...]
     seed: int
 
     @property
-    def chosen(self) -> Candidate:
+    def chosen(self) -> CandidateModel:
         """The chosen model."""
         return self.models[-1]
 
     @property
-    def fit(self) -> Fit:
+    def fit(self) -> GeometryFit:
         """Its fit."""
         return self.chosen.fit
 
-    def errors(self, model: Candidate) -> Errors:
+    def errors(self, model: CandidateModel) -> PoseErrors:
         """Return a model's errors at unseen poses: held-out ones, or training poses predicted without their fold."""
         if self.holdout is not None:
             return model.fit.errors(self.holdout)
-        return Errors(model.unseen.position, model.unseen.rotation)
+        return PoseErrors(model.unseen.position, model.unseen.rotation)
 
-    def unseen(self, model: Candidate) -> Unseen:
+    def unseen(self, model: CandidateModel) -> HeldOutErrors:
         """Return the same for comparisons."""
         if self.holdout is None:
             return model.unseen
@@ -101,8 +101,8 @@ class Calibration(Shown):
             "predicted_rms": self.predicted_error(),
             "identifiability": self.fit.identifiability.to_dict(),
             "condition_number": self.fit.identifiability.condition_number,
-            "weak": weak(self.fit),
-            "correlated": correlated(self.fit),
+            "weak": list_weak_parameters(self.fit),
+            "correlated": list_correlated_pairs(self.fit),
             "frames": frame_rows(self.fit),
             "orientations": turn_rows(self.fit),
             "sensitivity": [s._asdict() for s in sensitivities(self.fit)],
@@ -117,7 +117,7 @@ class Calibration(Shown):
         models = {m.name: np.einsum("nji,nj->ni", turn, self.errors(m).position) for m in self.models}
         return {"points": np.einsum("nji,nj->ni", turn, at.position - shift), "models": models}
 
-    def _model(self, model: Candidate) -> dict[str, object]:
+    def _model(self, model: CandidateModel) -> dict[str, object]:
         return {
             "name": model.name,
             "parameters": parameter_rows(model.fit),
@@ -140,11 +140,11 @@ class Calibration(Shown):
         return rows
 
 
-def parameter_rows(fitted: Fit) -> list[dict[str, object]]:
+def parameter_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return free unknowns of a fit: value, unit, standard error, interval, nominal value."""
     nominal = {p.name: p.value for p in fitted.geometry.parameters}
     free = set(fitted.identifiability.names)
-    loose = set(weak(fitted))
+    loose = set(list_weak_parameters(fitted))
     rows = []
     for p in fitted.parameters:
         if p.name not in free:
@@ -165,7 +165,7 @@ def parameter_rows(fitted: Fit) -> list[dict[str, object]]:
     return rows
 
 
-def weak(fitted: Fit) -> list[str]:
+def list_weak_parameters(fitted: GeometryFit) -> list[str]:
     """Return identifiable parameters that these poses hold no better than the robot file's tolerance does."""
     scale = dict(zip(fitted.unknowns.names, fitted.unknowns.scales.tolist(), strict=True))
     frame = ("device", "tool")
@@ -176,7 +176,7 @@ def weak(fitted: Fit) -> list[str]:
     ]
 
 
-def correlated(fitted: Fit) -> list[dict[str, object]]:
+def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return pairs of parameters that the poses see almost only together, closest first."""
     c = np.triu(fitted.correlation, 1)
     names = fitted.identifiability.names
@@ -188,7 +188,7 @@ def correlated(fitted: Fit) -> list[dict[str, object]]:
     ]
 
 
-def frame_rows(fitted: Fit) -> list[dict[str, object]]:
+def frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return device and target as translation [m] and unit quaternion `x y z w`."""
     rows = []
     for owner, frames in (("device", fitted.frames.device), ("tool", fitted.frames.tool)):
@@ -205,9 +205,9 @@ def frame_rows(fitted: Fit) -> list[dict[str, object]]:
     return rows
 
 
-def turn_rows(fitted: Fit) -> list[dict[str, object]]:
+def turn_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return the orientations of turning joints' frames as unit quaternions `x y z w`, in their parents' frames."""
-    geometry, (theta,) = untied(fitted.geometry, fitted.theta)
+    geometry, (theta,) = expand_constraints(fitted.geometry, fitted.theta)
     if not isinstance(geometry, RodGeometry):
         return []
     return [

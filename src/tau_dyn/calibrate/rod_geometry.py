@@ -17,13 +17,13 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.calibrate.drive_and_guide_laws import DriveLaw, GuideLaw
 from tau_dyn.calibrate.geometry import Predicted
-from tau_dyn.calibrate.laws import DriveLaw, GuideLaw
 from tau_dyn.calibrate.placed_rods import PlacedRods
 from tau_dyn.calibrate.rod_numbers import TURN, numbers_at
 from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.geometry import Numbers
 from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.rod_dimensions import RodDimensions
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -135,7 +135,7 @@ class RodGeometry:
         """Return the gaps' derivative by the actuated joints (N, n, na)."""
         return self._by_joint(self._at(theta, q), self.rods.plate_poses(poses))
 
-    def numbers(self, theta: np.ndarray) -> Numbers:
+    def numbers(self, theta: np.ndarray) -> RodDimensions:
         """Return the robot's dimensions at these parameters, without the laws."""
         values = dict(zip(self.parameters.names, np.asarray(theta, float).tolist(), strict=True))
         return numbers_at(self.rods.numbers, values)

@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics import chains
 from tau_dyn.kinematics.chains import Carried
-from tau_dyn.kinematics.geometry import AXES, Numbers
+from tau_dyn.kinematics.rod_dimensions import AXES, RodDimensions
 
 TURN = "turn"
 
 
 @dataclass(frozen=True, eq=False)
-class TurnedNumbers(Numbers):
+class TurnedNumbers(RodDimensions):
     """Dimensions that remember the rotation vectors of turning joints."""
 
     turns: dict[str, np.ndarray] | None = None
@@ -25,7 +25,7 @@ class TurnedNumbers(Numbers):
         return (self.turns or {}).get(joint, np.zeros(3))
 
 
-def numbers_at(nominal: Numbers, values: dict[str, float]) -> Numbers:
+def numbers_at(nominal: RodDimensions, values: dict[str, float]) -> RodDimensions:
     """Return a robot's dimensions at parameter values, those of `kinematics.geometry` with `turn` in place of an axis."""
 
     def vector(owner: str, what: str) -> np.ndarray:
@@ -47,7 +47,7 @@ def numbers_at(nominal: Numbers, values: dict[str, float]) -> Numbers:
         joints[k] = joint._replace(origin=vector(joint.name, "origin"), direction=rotation @ own, rotation=rotation)
     return TurnedNumbers(
         **{
-            **{f: getattr(nominal, f) for f in Numbers.__dataclass_fields__},
+            **{f: getattr(nominal, f) for f in RodDimensions.__dataclass_fields__},
             "joints": tuple(joints),
             "carried": Carried(nominal.carried.carrier, np.array([vector(n, "base") for n in nominal.names])),
             "lengths": np.array([values[f"{n}.length"] for n in nominal.names]),

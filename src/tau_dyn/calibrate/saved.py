@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.families import family_of
 from tau_dyn.calibrate.frames import Frame, Frames
-from tau_dyn.calibrate.geometry import Geometry, Predicted, untied
+from tau_dyn.calibrate.geometry import Geometry, Predicted, expand_constraints
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
@@ -68,7 +68,7 @@ class CalibratedRobot:
         Raises:
             InputError: A robot of another kind.
         """
-        geometry, (theta,) = untied(self.geometry, self.theta)
+        geometry, (theta,) = expand_constraints(self.geometry, self.theta)
         if not isinstance(geometry, RodGeometry):
             raise InputError(f"{self.robot.source} is no robot of rods between carts and a plate; use `forward`")
         return geometry.rods_at(theta)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.geometry_fit import GeometryFit
 
 CHANGE = 5e-5
 """Change of each parameter in the thesis, in its own unit."""
@@ -28,7 +28,7 @@ class Sensitivity(NamedTuple):
     closure: float
 
 
-def sensitivities(fitted: Fit, change: float = CHANGE) -> tuple[Sensitivity, ...]:
+def sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[Sensitivity, ...]:
     """Return every geometric parameter's sensitivity at the fitted poses, to first order.
 
     Args:

@@ -78,10 +78,10 @@ def run(args: argparse.Namespace) -> Outcome:
     """Bound the tool's error."""
     with progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.engines import rods_of
+        from tau_dyn.kinematics.solvers import get_rods
 
         robot = load_robot_from(args)
-        rods = rods_of(robot)
+        rods = get_rods(robot)
         read, files = _measured(args, robot)
         errors, from_measured = _errors(args, robot, rods, read)
         found = (
@@ -152,14 +152,14 @@ def _only(points, robot) -> str:
 
 def _errors(args: argparse.Namespace, robot, rods, measured):
     """Return the errors, None for none at all, and whether they are from measurements."""
-    from tau_dyn.kinematics.accuracy import ActuatorError, Errors, actuator_errors, read_errors_file
+    from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, actuator_errors, read_errors_file
 
-    given = Errors()
+    given = ErrorBounds()
     if args.errors is not None:
         given = read_errors_file(args.errors, robot.actuated, () if rods is None else rods.names)
     stated = {**given.actuators, **actuator_errors(args.actuator_error, robot.actuated)}
     seen = {line.joint: ActuatorError(*line.bounds()) for line in measured.guideways if line.joint not in stated}
-    errors = Errors({**stated, **seen}, given.rods)
+    errors = ErrorBounds({**stated, **seen}, given.rods)
     if not errors.actuators and not errors.rods:
         if not args.measured:
             raise InputError("no error is given; say --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv")

@@ -108,14 +108,14 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def _held_out(args: argparse.Namespace, robot):
     from tau_dyn.calibrate import read_poses
-    from tau_dyn.calibrate.pose_set import joined
+    from tau_dyn.calibrate.pose_set import join_pose_sets
 
     same = [path for path in args.holdout if path.resolve() == args.poses.resolve()]
     said = [f"{path} is both fitted and held out; it counts as fitted only" for path in same]
     sets = [(path, read_poses(path, robot.actuated)) for path in args.holdout if path not in same]
     if not sets:
         return None, [], said
-    return joined([s for _, s in sets]), [(str(path), s.sha256) for path, s in sets], said
+    return join_pose_sets([s for _, s in sets]), [(str(path), s.sha256) for path, s in sets], said
 
 
 def _save(path: Path, found) -> None:

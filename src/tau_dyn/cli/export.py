@@ -185,7 +185,7 @@ def _kinematics(args: argparse.Namespace, out: Path) -> Made:
 
 def _motion(args: argparse.Namespace):
     """Return the model and the motion that a controller may be given."""
-    from tau_dyn.control import CommandLimits, corrected, read_correction, reference_of
+    from tau_dyn.control import CommandLimits, apply_correction, read_correction, reference_of
     from tau_dyn.simulate import Trajectory
 
     model = _model(args)
@@ -195,7 +195,7 @@ def _motion(args: argparse.Namespace):
     motion = reference_of(model, motion, period=args.period, resample=args.resample, limits=limits)
     if args.correction is not None:
         correction = read_correction(args.correction, model.robot.actuated, period=args.period)
-        motion = corrected(model, motion, correction, limits)
+        motion = apply_correction(model, motion, correction, limits)
     return model, motion
 
 

@@ -36,13 +36,18 @@ def run(args: argparse.Namespace) -> Outcome:
     """Identify."""
     with progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.identify import Engine, identify
+        from tau_dyn.identify import BlockExecutor, identify
 
         robot = load_robot_from(args)
         logs, held = open_fitting_logs(args)
         options = fitting_options(args) | {"estimator": args.estimator}
         found = identify(
-            robot, logs, holdout=held, progress=step, engine=Engine(args.jobs or cores(), args.cluster), **options
+            robot,
+            logs,
+            holdout=held,
+            progress=step,
+            engine=BlockExecutor(args.jobs or cores(), args.cluster),
+            **options,
         )
     return Outcome(
         result=found.to_dict(),

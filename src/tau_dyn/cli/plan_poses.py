@@ -187,10 +187,10 @@ def _device(args: argparse.Namespace):
 
 def _demands(args: argparse.Namespace):
     from tau_dyn.kinematics.obstacles import Surroundings, read_surroundings
-    from tau_dyn.kinematics.workspace import Demands
+    from tau_dyn.kinematics.workspace import PoseRequirements
 
     around = read_surroundings(args.obstacles) if args.obstacles else Surroundings()
-    return Demands(surroundings=around, collisions=not args.no_collisions)
+    return PoseRequirements(surroundings=around, collisions=not args.no_collisions)
 
 
 def _safety(args: argparse.Namespace):

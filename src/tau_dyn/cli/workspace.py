@@ -119,10 +119,10 @@ def _demands(args: argparse.Namespace):
     import numpy as np
 
     from tau_dyn.kinematics.obstacles import Surroundings, read_surroundings, with_limits
-    from tau_dyn.kinematics.workspace import Demands
+    from tau_dyn.kinematics.workspace import PoseRequirements
 
     around = read_surroundings(args.obstacles) if args.obstacles else Surroundings()
-    return Demands(
+    return PoseRequirements(
         ball_angle=None if args.ball_angle is None else float(np.deg2rad(args.ball_angle)),
         surroundings=with_limits(around, args.tool_limit),
         collisions=not args.no_collisions,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from tau_dyn.deprecated_names import get_deprecated
+
 if TYPE_CHECKING:
     from tau_dyn.control.export_c import c_source
     from tau_dyn.control.export_c_kinematics import kinematics_source
@@ -17,9 +19,9 @@ if TYPE_CHECKING:
     from tau_dyn.control.interface import (
         CommandLimits,
         Correction,
+        apply_correction,
+        build_correction,
         check_motion,
-        corrected,
-        correction_of,
         rapid_motion,
         read_correction,
         read_reference,
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     )
     from tau_dyn.control.iterative import (
         Convergence,
-        Learning,
+        LearningHistory,
         LearningLaw,
         MotorSide,
         NormOptimalLaw,
@@ -37,15 +39,15 @@ if TYPE_CHECKING:
         TimeShift,
         ToolSide,
         ZeroPhase,
+        analyse_convergence,
         band_stop,
+        compute_frequency_condition,
         controlled_actuators,
-        convergence,
         dip,
         learn,
         low_pass,
-        picture,
         product,
-        require,
+        require_convergence,
         robust_filter,
     )
     from tau_dyn.control.lead_through import ForceLoop, ForceSensor, LeadThrough, LeadThroughSettings
@@ -71,13 +73,14 @@ _PLACES = {
     "export_python": ("python_source",),
     "feedforward": ("Feedforward",),
     "interface": (
-        "Correction", "CommandLimits", "check_motion", "corrected", "correction_of", "rapid_motion", "read_correction",
+        "Correction", "CommandLimits", "check_motion", "apply_correction", "build_correction", "rapid_motion", "read_correction",
         "read_reference", "reference_of", "write_correction", "write_reference",
     ),
     "iterative": (
-        "Convergence", "Learning", "LearningLaw", "MotorSide", "NormOptimalLaw", "Reference", "TimeShift", "ToolSide",
-        "ZeroPhase", "band_stop", "controlled_actuators", "convergence", "dip", "learn", "low_pass", "picture", "product",
-        "require", "robust_filter",
+        "Convergence", "LearningHistory", "LearningLaw", "MotorSide", "NormOptimalLaw", "Reference", "TimeShift", "ToolSide",
+        "ZeroPhase", "band_stop", "controlled_actuators", "analyse_convergence", "dip", "learn", "low_pass",
+        "compute_frequency_condition", "product",
+        "require_convergence", "robust_filter",
     ),
     "lead_through": ("ForceLoop", "ForceSensor", "LeadThrough", "LeadThroughSettings"),
     "motion": ("MotionLimits", "MotionPlan", "plan_motion"),
@@ -103,7 +106,7 @@ __all__ = [
     "KinematicsProgram",
     "LeadThrough",
     "LeadThroughSettings",
-    "Learning",
+    "LearningHistory",
     "LearningLaw",
     "MotionLimits",
     "MotionPlan",
@@ -115,15 +118,16 @@ __all__ = [
     "ToolSide",
     "Whiteness",
     "ZeroPhase",
+    "analyse_convergence",
+    "apply_correction",
     "band_stop",
+    "build_correction",
     "build_kinematics",
     "build_program",
     "c_source",
     "check_motion",
+    "compute_frequency_condition",
     "controlled_actuators",
-    "convergence",
-    "corrected",
-    "correction_of",
     "dip",
     "kinematics_source",
     "learn",
@@ -131,7 +135,6 @@ __all__ = [
     "log_likelihood",
     "low_pass",
     "observer_source",
-    "picture",
     "plan_motion",
     "product",
     "python_source",
@@ -139,7 +142,7 @@ __all__ = [
     "read_correction",
     "read_reference",
     "reference_of",
-    "require",
+    "require_convergence",
     "robust_filter",
     "tune_complementary",
     "tune_kalman",
@@ -151,7 +154,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULE:
-        raise AttributeError(f"module 'tau_dyn.control' has no attribute '{name}'")
+        return get_deprecated(__name__, name)
     found = getattr(import_module(f"{__name__}.{_MODULE[name]}"), name)
     globals()[name] = found
     return found

@@ -11,8 +11,8 @@ from tau_dyn.control import export_c_newton as text
 from tau_dyn.control.export_c_graph import graph_lines, guard_lines, output_lines, unused_lines
 from tau_dyn.control.export_c_linear import FACTOR, SOLVE
 from tau_dyn.control.export_c_text import checked_name, header, numbers, source
-from tau_dyn.control.export_kinematics import KinematicsProgram, Piece
-from tau_dyn.control.export_kinematics_text import about_kinematics, declared, starts
+from tau_dyn.control.export_kinematics import KinematicsProgram, TracedFunction
+from tau_dyn.control.export_kinematics_text import about_kinematics, list_declarations, needs_start
 from tau_dyn.version import __version__
 
 
@@ -30,11 +30,11 @@ def kinematics_source(program: KinematicsProgram, name: str = "robot") -> tuple[
     body = "\n\n".join(_filled(part, program, name) for part in _parts(program, name))
     first = f"Kinematics of {program.robot.name}, written by tau-dyn {__version__}."
     words = [first, *about_kinematics(program, name)]
-    return source(name, first, body.splitlines()), header(name, words, declared(program, name))
+    return source(name, first, body.splitlines()), header(name, words, list_declarations(program, name))
 
 
 def _parts(program: KinematicsProgram, name: str) -> Iterator[str]:
-    follows, searches = starts(program)
+    follows, searches = needs_start(program)
     yield text.SIZES.rstrip()
     if follows or searches:
         yield from (FACTOR, SOLVE)
@@ -78,7 +78,7 @@ def _straight(program: KinematicsProgram, name: str) -> Iterator[str]:
     )
 
 
-def _function(head: str, piece: Piece, outputs: Sequence[str], kind: str) -> str:
+def _function(head: str, piece: TracedFunction, outputs: Sequence[str], kind: str) -> str:
     """Return one traced function with some of its outputs."""
     arguments = [f"const double {x}[{n}]" for x, n in piece.arguments.items() if n or kind == "int"]
     arguments += [f"double {x}[{len(piece.outputs[x])}]" for x in outputs]
@@ -153,12 +153,12 @@ def _tool_values(program: KinematicsProgram) -> dict[str, object]:
 
 def _home_side(program: KinematicsProgram) -> int:
     """Return the sign of the determinant of the rods' equations by the plate at home."""
-    from tau_dyn.control.export_kinematics_check import values
+    from tau_dyn.control.export_kinematics_check import evaluate_traced
 
     assert program.equations is not None
     na = program.robot.na
     known = {"q": program.home[None, :na], "z": program.home[None, na:]}
-    G = values(program.equations, known)["G"].reshape(program.freedoms, -1)
+    G = evaluate_traced(program.equations, known)["G"].reshape(program.freedoms, -1)
     return int(np.sign(np.linalg.det(G[:, na:])))
 
 

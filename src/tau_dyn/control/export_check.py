@@ -10,7 +10,7 @@ import numpy as np
 from tau_dyn.control.graph import Graph, Node
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import Rods, forward_kinematics
-from tau_dyn.kinematics.engines import robot_of
+from tau_dyn.kinematics.solvers import robot_of
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
@@ -27,7 +27,7 @@ def random_states(model: Model, n: int, rng: np.random.Generator) -> tuple[np.nd
     return q, v, 3 * rng.standard_normal(q.shape)
 
 
-def reachable_positions(robot: Robot | Rods, n: int, rng: np.random.Generator, share: float = 0.4) -> np.ndarray:
+def draw_reachable_positions(robot: Robot | Rods, n: int, rng: np.random.Generator, share: float = 0.4) -> np.ndarray:
     """Return random positions (n, na) around home that have a tool pose; `share` of the way to the limits, or of 1 rad or m."""
     owner = robot_of(robot)
     q = owner.home + rng.uniform(-1, 1, (4 * n, owner.na)) * _room(owner, share, min(1.0, 1.25 * share))
@@ -46,7 +46,7 @@ def _some(robot: Robot, q: np.ndarray) -> np.ndarray:
     return q
 
 
-def walked(graph: Graph, outputs: Sequence[Any], known: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def evaluate_graph(graph: Graph, outputs: Sequence[Any], known: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return outputs (N, k) and whether every guard holds (N,), by walking through a graph.
 
     Args:

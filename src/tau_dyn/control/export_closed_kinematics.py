@@ -14,8 +14,8 @@ import numpy as np
 
 from tau_dyn.control.export_rods import points, rod_equations, squares
 from tau_dyn.control.export_tree import exact
+from tau_dyn.control.expression_arrays import as_expression_array, cross
 from tau_dyn.control.graph import Node
-from tau_dyn.control.traced import cross, traced
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.chain_inverse import RootChain, chains_of
 from tau_dyn.kinematics.rods import Rods
@@ -50,7 +50,7 @@ def forward(rods: Rods, q: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     _require(height > _FLAT * float(np.max(rods.lengths)) ** 2)
     p = foot + normal * (plate.side * _root(height * inverse)) + c[0]
     at = rod_equations(rods.numbers, q, p, exact(rods.rotation))
-    J = np.linalg.inv(traced(-at.by[:, 3:6])) @ at.by[:, :3]
+    J = np.linalg.inv(as_expression_array(-at.by[:, 3:6])) @ at.by[:, :3]
     return p + exact(rods.rotation @ rods.tool.translation), exact(rods.rotation @ rods.tool.rotation), np.asarray(J)
 
 
@@ -101,7 +101,7 @@ def _angle(chain: RootChain, e: np.ndarray) -> Any:
     a, b = e @ (chain.point - along), e @ np.cross(n, chain.point)
     c = (e @ e + float(chain.point @ chain.point - chain.length**2)) * 0.5 - e @ along
     turned = _two(np.arctan2, b, a) + _two(np.arctan2, _root(a * a + b * b - c * c), c) * float(chain.home_sign)
-    away = traced([turned - chain.home * gain])
+    away = as_expression_array([turned - chain.home * gain])
     return (_two(np.arctan2, np.sin(away)[0], np.cos(away)[0]) + chain.home * gain) * (1.0 / gain)
 
 
@@ -114,11 +114,11 @@ def _require_side(rods: Rods, q: Sequence[Any], p: np.ndarray) -> None:
 
 def _root(x: Any) -> Any:
     _require(x >= 0.0)
-    return np.sqrt(traced([x]))[0]
+    return np.sqrt(as_expression_array([x]))[0]
 
 
 def _two(function: Any, x: Any, y: Any) -> Any:
-    return function(traced([x]), traced([y]))[0]
+    return function(as_expression_array([x]), as_expression_array([y]))[0]
 
 
 def _require(condition: Any) -> None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from tau_dyn.control.export_loops import Loops
 from tau_dyn.control.export_tree import Tree
+from tau_dyn.control.expression_arrays import as_expression_array
 from tau_dyn.control.graph import Graph
-from tau_dyn.control.traced import traced
 from tau_dyn.dynamics import GantryTauMechanism, Mechanism
 from tau_dyn.model import Model
 
@@ -35,7 +35,7 @@ class ClosedForm(GantryTauMechanism):
 
     def _kinematics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Any:
         """Return the same as the arrays' code, whose buffers of floats hold no expressions: `D T'' = b a - |T' - e v|^2`."""
-        D = traced(self._rods(q, self._trilaterate(q)))
+        D = as_expression_array(self._rods(q, self._trilaterate(q)))
         along, inverse = np.einsum("nij,ij->ni", D, self.direction), np.linalg.inv(D)
         J = inverse * along[:, None, :]
         relative = (J @ v[0])[:, None, :] - v[:, :, None] * self.direction
@@ -45,7 +45,7 @@ class ClosedForm(GantryTauMechanism):
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the forces (1, na) of one sample from mass matrix and bias."""
         M, h = self.mass_and_bias(q[0], v[0])
-        return traced((M @ a[0] + h)[None])
+        return as_expression_array((M @ a[0] + h)[None])
 
 
 class TreeForm(Mechanism):
@@ -68,7 +68,7 @@ class TreeForm(Mechanism):
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the forces (1, na) of one sample, drive inertia included."""
         drive = [self.tree.armature[name] for name in self.robot.actuated]
-        return traced([[x + m * y for x, m, y in zip(self._forces(q, v, a)[0], drive, a[0], strict=True)]])
+        return as_expression_array([[x + m * y for x, m, y in zip(self._forces(q, v, a)[0], drive, a[0], strict=True)]])
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return what each guide or reducer carries (1, na); see `Mechanism.guide_load`."""
@@ -78,13 +78,13 @@ class TreeForm(Mechanism):
             u = self.tree.joints[place].axis
             across = beyond[k] - u * (u @ beyond[k])
             load.append(across @ across if self.tree.joints[place].slides else tau[k])
-        rooted = [np.sqrt(traced([x]))[0] if self.tree.joints[p].slides else abs(x)
+        rooted = [np.sqrt(as_expression_array([x]))[0] if self.tree.joints[p].slides else abs(x)
                   for x, p in zip(load, self.order, strict=True)]  # fmt: skip
-        return traced([rooted])
+        return as_expression_array([rooted])
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return no bearings: there are no loops."""
-        return (), traced(np.zeros((1, 0, 3, self.robot.na)))
+        return (), as_expression_array(np.zeros((1, 0, 3, self.robot.na)))
 
     def regressor(self, q, v, a):
         raise TypeError("the regressor of a tree")
@@ -129,7 +129,7 @@ class LoopForm(TreeForm):
         held = np.array(graph.solved(factor, [tau[k] for k in loops.passive], transposed=True), dtype=object)
         driven = [self.tree.armature[n] * x for n, x in zip(self.robot.actuated, a[0], strict=True)]
         felt = np.array([tau[k] for k in loops.active], dtype=object) - J_a.T @ held + np.array(driven, dtype=object)
-        return traced(felt[None])
+        return as_expression_array(felt[None])
 
     def guide_load(self, q, v, a):
         raise TypeError("what its guides carry, on a robot whose loops are solved numerically")

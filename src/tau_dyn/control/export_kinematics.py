@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.control import export_closed_kinematics as closed_form
-from tau_dyn.control.export_check import reachable_positions
+from tau_dyn.control.export_check import draw_reachable_positions
 from tau_dyn.control.export_rods import rod_equations
 from tau_dyn.control.export_tree_kinematics import TreeKinematics
+from tau_dyn.control.expression_arrays import inputs
 from tau_dyn.control.graph import Graph
-from tau_dyn.control.traced import inputs
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import Rods, forward_kinematics, jacobian
-from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
+from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
 from tau_dyn.robot import Robot
 
 _SEED = 3
@@ -29,7 +29,7 @@ _RANK = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class TracedFunction:
     """One traced function.
 
     Attributes:
@@ -67,10 +67,10 @@ class KinematicsProgram:
     rods: Rods | None
     kind: str
     home: np.ndarray
-    forward: Piece | None = None
-    inverse: Piece | None = None
-    equations: Piece | None = None
-    tool: Piece | None = None
+    forward: TracedFunction | None = None
+    inverse: TracedFunction | None = None
+    equations: TracedFunction | None = None
+    tool: TracedFunction | None = None
     freedoms: int = 0
     rank: int = 6
     idle: bool = False
@@ -93,24 +93,24 @@ def build_kinematics(robot: Robot | Rods) -> KinematicsProgram:
         InputError: It has no tool frame, or nothing of this kind can be written out for it.
         LoopClosureError: It cannot be closed at home.
     """
-    from tau_dyn.control.export_kinematics_check import compared
+    from tau_dyn.control.export_kinematics_check import compare_with_python
 
-    rods, owner = rods_of(robot), robot_of(robot)
+    rods, owner = get_rods(robot), robot_of(robot)
     if rods is None:
         program = _of_tree(owner)
     elif closed_form.is_closed(rods):
         program = _closed(rods)
     else:
         program = _of_rods(rods)
-    return replace(program, difference=compared(program))
+    return replace(program, difference=compare_with_python(program))
 
 
-def piece(arguments: dict[str, np.ndarray], make: Callable[..., dict[str, Any]]) -> Piece:
+def trace_function(arguments: dict[str, np.ndarray], make: Callable[..., dict[str, Any]]) -> TracedFunction:
     """Trace a function of input arrays, given with their values at the reference state."""
     graph = Graph()
     made = make(*(inputs(graph, name, value) for name, value in arguments.items()))
     outputs = {name: tuple(np.ravel(np.asarray(x, dtype=object))) for name, x in made.items()}
-    return Piece(graph, {name: len(value) for name, value in arguments.items()}, outputs)
+    return TracedFunction(graph, {name: len(value) for name, value in arguments.items()}, outputs)
 
 
 def _closed(rods: Rods) -> KinematicsProgram:
@@ -120,14 +120,22 @@ def _closed(rods: Rods) -> KinematicsProgram:
         return dict(zip(("p", "R", "J"), closed_form.forward(rods, np.asarray(q)), strict=True))
 
     return KinematicsProgram(
-        robot, rods, "closed", robot.home, forward=piece({"q": robot.home}, forward), inverse=_inverse(rods), rank=3
+        robot,
+        rods,
+        "closed",
+        robot.home,
+        forward=trace_function({"q": robot.home}, forward),
+        inverse=_inverse(rods),
+        rank=3,
     )
 
 
-def _inverse(rods: Rods) -> Piece:
+def _inverse(rods: Rods) -> TracedFunction:
     home = forward_kinematics(rods, rods.robot.home[None]).poses
     values = {"p": home.position[0], "R": home.rotation[0].ravel()}
-    return piece(values, lambda p, R: {"q": closed_form.inverse(rods, np.asarray(p), np.asarray(R).reshape(3, 3))})
+    return trace_function(
+        values, lambda p, R: {"q": closed_form.inverse(rods, np.asarray(p), np.asarray(R).reshape(3, 3))}
+    )
 
 
 def _of_rods(rods: Rods) -> KinematicsProgram:
@@ -149,7 +157,7 @@ def _of_rods(rods: Rods) -> KinematicsProgram:
         rods,
         "rods",
         np.concatenate([robot.home, z]),
-        equations=piece({"q": robot.home, "z": z}, equations),
+        equations=trace_function({"q": robot.home, "z": z}, equations),
         inverse=_inverse(rods) if closed_form.inverse_is_closed(rods) else None,
         freedoms=6,
         rank=rank,
@@ -159,7 +167,7 @@ def _of_rods(rods: Rods) -> KinematicsProgram:
 
 
 def _of_tree(robot: Robot) -> KinematicsProgram:
-    engine_of(robot)  # says what is wrong with a robot that has no kinematics at all
+    get_solver(robot)  # says what is wrong with a robot that has no kinematics at all
     tree = TreeKinematics(robot)
     z = np.zeros(0) if tree.loops is None else tree.loops.home[tree.passive]
     state = {"q": robot.home, "z": z} if len(z) else {"q": robot.home}
@@ -178,8 +186,8 @@ def _of_tree(robot: Robot) -> KinematicsProgram:
         None,
         "tree",
         np.concatenate([robot.home, z]),
-        equations=piece(state, equations) if len(z) else None,
-        tool=piece(state, tool),
+        equations=trace_function(state, equations) if len(z) else None,
+        tool=trace_function(state, tool),
         freedoms=len(z),
         rank=rank,
         idle=idle,
@@ -189,7 +197,7 @@ def _of_tree(robot: Robot) -> KinematicsProgram:
 
 def _freedoms(robot: Robot | Rods) -> tuple[int, bool]:
     """Return how many freedoms the drives give the tool, and whether some motion of theirs gives it none."""
-    q = reachable_positions(robot, 8, np.random.default_rng(_SEED))
+    q = draw_reachable_positions(robot, 8, np.random.default_rng(_SEED))
     ranks = [int(np.linalg.matrix_rank(J, tol=_RANK * max(1.0, np.abs(J).max()))) for J in jacobian(robot, q)]
     return max(ranks), robot_of(robot).na > max(ranks)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.control.export_check import reachable_positions, walked
-from tau_dyn.control.export_kinematics import KinematicsProgram, Piece
+from tau_dyn.control.export_check import draw_reachable_positions, evaluate_graph
+from tau_dyn.control.export_kinematics import KinematicsProgram, TracedFunction
 from tau_dyn.control.export_tree_kinematics import TreeKinematics
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import forward_kinematics, jacobian
@@ -15,7 +15,7 @@ AGREEMENT = 1e-9
 """Largest difference from Python [m, 1, rad]; loops are closed by Python to about 1e-11 m."""
 
 
-def compared(program: KinematicsProgram) -> float:
+def compare_with_python(program: KinematicsProgram) -> float:
     """Return the largest difference of poses, Jacobians, gaps and inverse positions from Python's.
 
     Raises:
@@ -23,15 +23,15 @@ def compared(program: KinematicsProgram) -> float:
     """
     robot = program.robot
     source = robot if program.rods is None else program.rods
-    q = reachable_positions(source, _STATES, np.random.default_rng(_SEED))
+    q = draw_reachable_positions(source, _STATES, np.random.default_rng(_SEED))
     found = forward_kinematics(source, q)
     p, R, J = found.poses.position, found.poses.rotation.reshape(-1, 9), jacobian(source, q)
     differences = [0.0]
     if program.forward is not None:
-        at = values(program.forward, {"q": q})
+        at = evaluate_traced(program.forward, {"q": q})
         differences += [_apart(at["p"], p), _apart(at["R"], R), _apart(at["J"], J.reshape(len(q), -1))]
     if program.inverse is not None:
-        differences.append(_apart(values(program.inverse, {"p": p, "R": R})["q"], q))
+        differences.append(_apart(evaluate_traced(program.inverse, {"p": p, "R": R})["q"], q))
     if program.forward is None:
         differences += _by_equations(program, q, found.plate, p, R, J)
     worst = max(differences)
@@ -42,10 +42,10 @@ def compared(program: KinematicsProgram) -> float:
     return worst
 
 
-def values(piece: Piece, known: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def evaluate_traced(piece: TracedFunction, known: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return a traced function's outputs (N, k) by name; nan where a guard does not hold."""
     flat = [x for outputs in piece.outputs.values() for x in outputs]
-    found, fine = walked(piece.graph, flat, known)
+    found, fine = evaluate_graph(piece.graph, flat, known)
     found[~fine] = np.nan
     ends = np.cumsum([len(x) for x in piece.outputs.values()])[:-1]
     return dict(zip(piece.outputs, np.split(found, ends, axis=1), strict=True))
@@ -63,12 +63,12 @@ def _by_equations(program: KinematicsProgram, q, plate, p, R, J) -> list[float]:
         known["z"] = np.array([tree.loops.closed(x) for x in q])[:, tree.passive]
     out, X = [], np.zeros((len(q), nt, na))
     if program.equations is not None:
-        at = values(program.equations, known)
+        at = evaluate_traced(program.equations, known)
         G = at["G"].reshape(len(q), nt, na + nt)
         out.append(float(np.abs(at["gap"]).max()))
         X = -np.linalg.solve(G[:, :, na:], G[:, :, :na])
     if program.tool is not None:
-        at = values(program.tool, known)
+        at = evaluate_traced(program.tool, known)
         T = at["T"].reshape(len(q), 6, na + nt)
         return [*out, _apart(at["p"], p), _apart(at["R"], R), _apart(T[:, :, :na] + T[:, :, na:] @ X, J)]
     arm = p - plate.position

@@ -10,15 +10,15 @@ from tau_dyn.control.export_c_text import identifiers
 from tau_dyn.control.export_kinematics import KinematicsProgram
 
 
-def starts(program: KinematicsProgram) -> tuple[bool, bool]:
+def needs_start(program: KinematicsProgram) -> tuple[bool, bool]:
     """Return whether forward and inverse kinematics begin at a last configuration."""
     return program.kind != "closed" and program.freedoms > 0, program.inverse is None and not program.no_inverse
 
 
-def declared(program: KinematicsProgram, name: str) -> list[str]:
+def list_declarations(program: KinematicsProgram, name: str) -> list[str]:
     """Return what the header declares."""
     upper, na = name.upper(), program.robot.na
-    follows, searches = starts(program)
+    follows, searches = needs_start(program)
     start = f"double start[{upper}_START], "
     lines = [f"#define {upper}_JOINTS {na}", f"#define {upper}_ROWS {program.rows}"]
     lines += [f"#define {upper}_JOINT_{x} {k}" for k, x in enumerate(identifiers(program.robot.actuated))]
@@ -36,7 +36,7 @@ def declared(program: KinematicsProgram, name: str) -> list[str]:
 def about_kinematics(program: KinematicsProgram, name: str) -> Iterator[str]:
     """Yield what the header says: drives and units, what the functions return, how long they may take."""
     robot = program.robot
-    follows, searches = starts(program)
+    follows, searches = needs_start(program)
     yield f"Robot: {robot.source}" + (f", sha256 {robot.sha256}" if robot.sha256 else "")
     yield ""
     yield "Drives, in the order of q:"

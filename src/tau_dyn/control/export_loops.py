@@ -17,7 +17,7 @@ import pinocchio as pin
 from scipy.linalg import qr
 
 from tau_dyn.control.export_tree import LinkMotion, Tree
-from tau_dyn.control.traced import cross
+from tau_dyn.control.expression_arrays import cross
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.robot import Robot
 

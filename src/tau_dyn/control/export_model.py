@@ -1,7 +1,8 @@
 """A model's feedforward as an expression graph: the mechanism, its effects and the smoothed signs, traced as they stand.
 
 The closed form of the simplified Gantry-Tau and all effects are the very code that identification and simulation run, fed with
-expressions instead of numbers (`traced.py`). Trees come from `export_tree.py`, as Pinocchio's code cannot be traced; loops from
+expressions instead of numbers (`expression_arrays.py`). Trees come from `export_tree.py`, as Pinocchio's code cannot be
+traced; loops from
 `export_loops.py`. The finished graph is compared with the feedforward in Python before anything is written.
 """
 
@@ -12,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.export_check import random_states, walked
+from tau_dyn.control.export_check import evaluate_graph, random_states
 from tau_dyn.control.export_forms import ClosedForm, LoopForm, TracedModel, TreeForm
 from tau_dyn.control.export_loops import Loops
 from tau_dyn.control.export_tree import Tree
+from tau_dyn.control.expression_arrays import inputs
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.graph import Graph
-from tau_dyn.control.traced import inputs
 from tau_dyn.dynamics import GantryTauMechanism, Mechanism
 from tau_dyn.effects.state import beyond_a_state
 from tau_dyn.exceptions import InputError
@@ -125,7 +126,7 @@ def _compared(program: Program) -> float:
     if program.loops is not None:
         passive = np.array([program.loops.closed(x) for x in q])[:, program.loops.passive]
     known = {"q": q, "v": v, "a": a, **felt, **({} if passive is None else {"p": passive})}
-    found, fine = walked(program.graph, program.outputs, known)
+    found, fine = evaluate_graph(program.graph, program.outputs, known)
     expected = feedforward(q, v, a, signals=felt)
     difference = np.max(np.abs(found - expected)) / max(float(np.max(np.abs(expected))), 1e-300)
     if not difference < AGREEMENT or not fine.all():

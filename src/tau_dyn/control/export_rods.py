@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.control.export_tree import exact, turn
-from tau_dyn.control.traced import cross
+from tau_dyn.control.expression_arrays import cross
 from tau_dyn.kinematics import chains
-from tau_dyn.kinematics.geometry import Numbers
+from tau_dyn.kinematics.rod_dimensions import RodDimensions
 
 
-class Placed(NamedTuple):
+class ExpressionFrame(NamedTuple):
     """A chain joint: rotation (3, 3), place (3,) and direction (3,) in the world."""
 
     R: np.ndarray
@@ -41,24 +41,24 @@ class RodEquations(NamedTuple):
     by: np.ndarray
 
 
-def placed(numbers: Numbers, q: Any) -> list[Placed]:
+def trace_joint_frames(numbers: RodDimensions, q: Any) -> list[ExpressionFrame]:
     """Return every chain joint's frame at positions (na,)."""
-    out: list[Placed] = []
+    out: list[ExpressionFrame] = []
     for joint in numbers.joints:
-        above = out[joint.parent] if joint.parent >= 0 else Placed(np.eye(3), np.zeros(3), np.zeros(3))
+        above = out[joint.parent] if joint.parent >= 0 else ExpressionFrame(np.eye(3), np.zeros(3), np.zeros(3))
         d, p = above.R @ joint.direction, above.p + above.R @ joint.origin
         if joint.slides:
-            out.append(Placed(above.R @ exact(joint.rotation), p + d * q[joint.actuator], d))
+            out.append(ExpressionFrame(above.R @ exact(joint.rotation), p + d * q[joint.actuator], d))
         else:
             gain = float(np.linalg.norm(joint.direction))
             R = exact(turn(joint.direction / gain, q[joint.actuator] * gain) @ joint.rotation)
-            out.append(Placed(above.R @ R, p, d))
+            out.append(ExpressionFrame(above.R @ R, p, d))
     return out
 
 
-def points(numbers: Numbers, q: Any) -> Points:
+def points(numbers: RodDimensions, q: Any) -> Points:
     """Return the points that the chains carry, and how they move, at positions (na,)."""
-    at = placed(numbers, q)
+    at = trace_joint_frames(numbers, q)
     n = len(numbers.carried.carrier)
     places, by_q = np.zeros((n, 3), dtype=object), np.zeros((n, 3, len(q)), dtype=object)
     for k, carrier in enumerate(numbers.carried.carrier):
@@ -70,7 +70,7 @@ def points(numbers: Numbers, q: Any) -> Points:
     return Points(places, by_q)
 
 
-def squares(numbers: Numbers, q: Any) -> tuple[list[Any], np.ndarray]:
+def squares(numbers: RodDimensions, q: Any) -> tuple[list[Any], np.ndarray]:
     """Return the rods' squared lengths (n,) [m^2], and half of their derivatives by the drives (n, na) [m]."""
     out: list[Any] = [float(x) ** 2 for x in numbers.lengths]
     by_q = np.zeros((len(out), len(q)), dtype=object)
@@ -81,7 +81,7 @@ def squares(numbers: Numbers, q: Any) -> tuple[list[Any], np.ndarray]:
     return out, by_q
 
 
-def rod_equations(numbers: Numbers, q: Any, p: Any, R: Any) -> RodEquations:
+def rod_equations(numbers: RodDimensions, q: Any, p: Any, R: Any) -> RodEquations:
     """Return how far the rods are from closed with the plate at p (3,), R (3, 3)."""
     A, (square, half) = points(numbers, q), squares(numbers, q)
     gap, by = [], np.zeros((len(square), len(q) + 6), dtype=object)

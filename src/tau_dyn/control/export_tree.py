@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.control.traced import cross, traced
+from tau_dyn.control.expression_arrays import as_expression_array, cross
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot import Robot
 
@@ -180,7 +180,7 @@ def _inertial(robot: Robot) -> dict[int, np.ndarray]:
 def turn(u: np.ndarray, angle: Any) -> np.ndarray:
     """Return the rotation by an angle about a unit axis: `1 + sin K + (1 - cos) K K` (Rodrigues)."""
     K = exact(np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]], float))
-    sine, cosine = np.sin(traced([angle]))[0], np.cos(traced([angle]))[0]
+    sine, cosine = np.sin(as_expression_array([angle]))[0], np.cos(as_expression_array([angle]))[0]
     along = exact(np.outer(u, u))
     return along + (np.eye(3) - along) * cosine + K * sine
 

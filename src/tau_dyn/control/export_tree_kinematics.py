@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from tau_dyn.control.export_loops import Loops, spread
 from tau_dyn.control.export_tree import Tree, exact
-from tau_dyn.control.traced import cross
+from tau_dyn.control.expression_arrays import cross
 from tau_dyn.robot import Robot
 
 

@@ -11,7 +11,7 @@ PerJoint = float | np.ndarray | list[float] | tuple[float, ...]
 """A number for all joints, or one a joint (na,)."""
 
 
-def limit_of(robot: Robot, name: str, given: PerJoint | None, default: PerJoint) -> np.ndarray:
+def broadcast_limit(robot: Robot, name: str, given: PerJoint | None, default: PerJoint) -> np.ndarray:
     """Return one limit a joint (na,), inf for none: what is given, else the default.
 
     Raises:

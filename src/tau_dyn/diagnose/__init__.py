@@ -1,14 +1,15 @@
 """What a simulation gets wrong, which physical cause explains it, and how much better the model is with it."""
 
+from tau_dyn.deprecated_names import get_deprecated
 from tau_dyn.diagnose.diagnose import diagnose
 from tau_dyn.diagnose.nominal import PARAMETER_CAUSES
 from tau_dyn.diagnose.propose import propose_motion
 from tau_dyn.diagnose.result import (
     Diagnosis,
-    Errors,
     Finding,
     Gain,
     Limit,
+    OutputErrors,
     Signature,
     Step,
     TimeTrace,
@@ -20,10 +21,10 @@ from tau_dyn.diagnose.simulated import with_simulation
 __all__ = [
     "PARAMETER_CAUSES",
     "Diagnosis",
-    "Errors",
     "Finding",
     "Gain",
     "Limit",
+    "OutputErrors",
     "Signature",
     "Step",
     "TimeTrace",
@@ -33,3 +34,7 @@ __all__ = [
     "propose_motion",
     "with_simulation",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.choice import TWIN_MARGIN
-from tau_dyn.diagnose.ground import Ground
+from tau_dyn.diagnose.forward_step import MIN_2LOGL_DIFFERENCE
+from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.effects import Effect
 from tau_dyn.exceptions import InputError
 
@@ -20,7 +20,7 @@ _FINE = 5  # settings tried to either side of a grid point that does well
 _WORTH = 0.8  # share of the best that a grid point explains where a finer one may explain all
 
 
-def alias_periods(channel: Channel, ground: Ground, effect: Effect) -> tuple[float, ...]:
+def alias_periods(channel: Channel, ground: NullModel, effect: Effect) -> tuple[float, ...]:
     """Return the periods [m or rad] that explain as much as an effect's own, longest first; only its own where it is sure.
 
     Args:
@@ -37,14 +37,14 @@ def alias_periods(channel: Channel, ground: Ground, effect: Effect) -> tuple[flo
         return (effect.settings["period"],)
     step = float(np.median(np.abs(np.diff(lines)))) if len(lines) > 1 else 1 / travel
     rough = _explained(channel, ground, effect, lines)
-    starts = [own, *lines[rough > rough.max() * _WORTH - TWIN_MARGIN]]
+    starts = [own, *lines[rough > rough.max() * _WORTH - MIN_2LOGL_DIFFERENCE]]
     fine = np.concatenate([x + step * np.linspace(-0.5, 0.5, 2 * _FINE + 1) for x in starts])
     fine = np.concatenate([[own], fine[fine > 0]])
     found = list(zip(_explained(channel, ground, effect, fine), fine, strict=True))
     top = max(T for T, _ in found)
     kept: list[float] = []
     for T, line in sorted(found, reverse=True):
-        if T > top - TWIN_MARGIN and all(abs(line - other) > 1 / travel for other in kept):
+        if T > top - MIN_2LOGL_DIFFERENCE and all(abs(line - other) > 1 / travel for other in kept):
             kept.append(line)
     return tuple(sorted((1 / line for line in kept), reverse=True))
 
@@ -57,7 +57,7 @@ def spacing(channel: Channel, joint: str) -> float:
     return float(np.median(moved)) if len(moved) else 0.0
 
 
-def _explained(channel: Channel, ground: Ground, effect: Effect, lines: np.ndarray) -> np.ndarray:
+def _explained(channel: Channel, ground: NullModel, effect: Effect, lines: np.ndarray) -> np.ndarray:
     """Return `T` (g,) of the effect with these numbers of periods a metre or radian (g,)."""
     settings = [effect.with_settings(period=float(1 / line)) for line in lines]
     quick = channel.scan(settings, ground, ground.e[:, None])

@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
+from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.effects import Effect, Scene, StructuralCompliance
 from tau_dyn.estimate import Run
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
 if TYPE_CHECKING:
-    from tau_dyn.diagnose.ground import Ground
+    from tau_dyn.diagnose.null_model import NullModel
 
-_USES = {TRAIN: "train on", CONFIRM: "confirm on", GAIN: "measure the gain on"}
+_USES = {TRAIN: "train on", VALIDATION: "confirm on", TEST: "measure the gain on"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Channel(ABC):
         units: Units of the outputs.
         parameters: Parameters of the baseline's columns (p).
         runs: Baseline columns and measurements.
-        parts: Part of each sample (n,) of each run, as `parts.py` numbers them.
+        parts: Part of each sample (n,) of each run, as `data_split.py` numbers them.
         scene: What the motion offers.
         causes: Effects that may be found here.
     """
@@ -63,7 +63,7 @@ class Channel(ABC):
         """Return the columns without any sample left out, for drawing."""
         return self.columns(effect)
 
-    def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
+    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
         """Return what thousands of settings explain of residuals (R, d), as (g, d).
 
         Settings without a short cut are nan; without any at all the answer is None.

@@ -10,25 +10,25 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.fits import FAMILY_LEVEL
-from tau_dyn.diagnose.limits import limits_of
-from tau_dyn.diagnose.recommendation import recommend
-from tau_dyn.diagnose.result import Diagnosis, Errors, Finding, Unexplained
-from tau_dyn.diagnose.search import search
-from tau_dyn.diagnose.stages import (
+from tau_dyn.diagnose.channel_pipeline import (
     HELD_OUT,
     SHARED,
     Answer,
-    assembled,
-    confirmed,
+    build_diagnosis,
     findings_of,
-    supported,
+    select_confirmed,
+    select_supported,
 )
-from tau_dyn.diagnose.trials import DRAWS
+from tau_dyn.diagnose.detection_limits import compute_detection_limits
+from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
+from tau_dyn.diagnose.internal_validation import confirm_all
+from tau_dyn.diagnose.recommendation import recommend
+from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors, Unexplained
+from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.diagnose.unexplained import unexplained_of
-from tau_dyn.diagnose.unknown import find_structure
-from tau_dyn.diagnose.within import tests_of
+from tau_dyn.diagnose.unknown_structure import find_structure
 from tau_dyn.effects.words import quantity
 from tau_dyn.model import Model
 
@@ -54,16 +54,16 @@ def diagnose_channel(
     """
     rng = np.random.default_rng(seed)
     progress("looking for causes")
-    hunt = search(channel, rng, progress)
+    hunt = select_causes(channel, rng, progress)
     progress("confirming")
-    structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
-    tests = tests_of(channel, hunt, structure)
-    claims = confirmed(channel, hunt, tests.causes)
+    structure = find_structure(channel, hunt.ground, hunt.ground.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
+    tests = confirm_all(channel, hunt, structure)
+    claims = select_confirmed(channel, hunt, tests.causes)
     unexplained = unexplained_of(channel, hunt, tests.structure)
     progress("measuring the gain")
-    claims, bars = supported(channel, hunt, claims, rng)
+    claims, bars = select_supported(channel, hunt, claims, rng)
     findings = findings_of(channel, hunt, claims, bars, rng)
-    limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
+    limits, untestable = compute_detection_limits(channel, hunt, [f.cause for f in findings])
     named = [f for f in findings if f.status == "confirmed"]
     open_end = any(u.status == "confirmed" for u in unexplained)
     answer = Answer(
@@ -76,11 +76,17 @@ def diagnose_channel(
         untestable,
         warnings=warnings,
     )
-    return assembled(channel, hunt, claims, bars, model, answer, seed, recommend(channel, hunt, claims, bars, rng))
+    return build_diagnosis(
+        channel, hunt, claims, bars, model, answer, seed, recommend(channel, hunt, claims, bars, rng)
+    )
 
 
 def _sentence(
-    channel: Channel, before: Errors, after: Errors, named: Sequence[Finding], unexplained: Sequence[Unexplained]
+    channel: Channel,
+    before: OutputErrors,
+    after: OutputErrors,
+    named: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
 ) -> str:
     """Return what a colleague would say first."""
     one, other = (

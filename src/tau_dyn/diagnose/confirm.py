@@ -23,14 +23,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from tau_dyn.diagnose.candidate_scan import PRIOR_WEIGHT_BLOCKS
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.ground import ABSORBED, Ground, weigh
-from tau_dyn.diagnose.parts import CONFIRM, TRAIN
-from tau_dyn.diagnose.trials import PRIOR_BLOCKS
+from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 from tau_dyn.estimate import Autoregression, Whitener, unit_columns
 
-LEVEL = 0.02
-_AUDIBLE = 4.0
+SIGNIFICANCE_LEVEL = 0.02
+_MIN_EXPECTED_Z = 4.0
 """Standard errors that the whole of an effect has to amount to for its absence to count against it."""
 _LEFT = 0.01
 """Part of a column that everything else must leave for it to count."""
@@ -49,14 +49,14 @@ class Confirmation:
     within: bool = False
 
     @property
-    def holds(self) -> bool:
+    def is_confirmed(self) -> bool:
         """Whether held-out data agree."""
-        return self.p_value < LEVEL
+        return self.p_value < SIGNIFICANCE_LEVEL
 
     @property
-    def silent(self) -> bool:
+    def is_inconclusive(self) -> bool:
         """Whether these data neither show the effect nor could have been relied on to show it."""
-        return not self.holds and not self.stderr < 1 / _AUDIBLE
+        return not self.is_confirmed and not self.stderr < 1 / _MIN_EXPECTED_Z
 
 
 def confirm(
@@ -64,7 +64,7 @@ def confirm(
     noise: Sequence[Autoregression],
     effect_columns: Sequence[Sequence[np.ndarray]],
     other_columns: Sequence[Sequence[np.ndarray]],
-    part: int = CONFIRM,
+    part: int = VALIDATION,
     fitted_on: tuple[int, ...] = (TRAIN,),
 ) -> Confirmation:
     """Test one cause's columns (lists over runs of (n, m, k)) beside those of the other causes, on a part of the data."""
@@ -106,7 +106,7 @@ def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray, H: np.ndarray)
     """
     scale = np.where(own > 0, own, 1.0)
     values, vectors = np.linalg.eigh((left / scale).T @ (left / scale))
-    values, vectors = values[values > ABSORBED], vectors[:, values > ABSORBED]
+    values, vectors = values[values > MIN_UNABSORBED_SHARE], vectors[:, values > MIN_UNABSORBED_SHARE]
     s = vectors.T @ ((left / scale).T @ r)
     both = np.diag(values) + vectors.T @ (H / np.outer(scale, scale)) @ vectors
     return vectors @ (s / values) / scale, vectors @ np.linalg.solve(both, s) / scale
@@ -130,20 +130,20 @@ def _regress(
     blocks = np.bincount(held.block, along[: len(r)] * rest)
     count = len(np.unique(held.block))
     ratio = float(np.sum(blocks**2)) / (variance * square)
-    inflation = max(1.0, (count * ratio + PRIOR_BLOCKS) / (count + PRIOR_BLOCKS))
+    inflation = max(1.0, (count * ratio + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
     share, stderr = float(solution[0]) * square / seen, float(np.sqrt(inflation * variance * square)) / seen
-    dof = max(2.0, count + PRIOR_BLOCKS - 1)
+    dof = max(2.0, count + PRIOR_WEIGHT_BLOCKS - 1)
     return Confirmation(share, stderr, float(stats.t.sf(share / stderr, dof)))
 
 
-def present(
+def detect_effect(
     channel: Channel,
     noise: Sequence[Autoregression],
     effect_columns: Sequence[Sequence[np.ndarray]],
     other_columns: Sequence[Sequence[np.ndarray]],
 ) -> Confirmation:
     """Test whether columns explain anything of the held-out part, with amplitudes of their own there."""
-    ground = Ground.of(channel, (CONFIRM,), noise, other_columns)
-    C = np.concatenate([ground.rows(c) for c in effect_columns], axis=1)
-    T, _, _ = weigh(ground, C, np.zeros(C.shape[1], bool), _LEFT)
+    ground = NullModel.of(channel, (VALIDATION,), noise, other_columns)
+    C = np.concatenate([ground.whiten_columns(c) for c in effect_columns], axis=1)
+    T, _, _ = compute_score_test(ground, C, np.zeros(C.shape[1], bool), _LEFT)
     return Confirmation(1.0, np.nan, float(stats.chi2.sf(T, C.shape[1])))

@@ -17,18 +17,18 @@ import numpy as np
 
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.channel_diagnosis import diagnose_channel
+from tau_dyn.diagnose.data_split import split_by_blocks
 from tau_dyn.diagnose.deflection_clock import ClockOffset
 from tau_dyn.diagnose.deflection_pieces import Piece, joints_of, piece_of
-from tau_dyn.diagnose.filters import border_gap, diagnosis_preparation
-from tau_dyn.diagnose.ground import Ground
-from tau_dyn.diagnose.parts import divide
+from tau_dyn.diagnose.filters import compute_border_gap_s, diagnosis_preparation
+from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.periodogram import explained_by_periods, of_force, of_output
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.diagnose.scenes import scene_along, shared_signals
 from tau_dyn.effects import EFFECTS, Effect, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.logs import each_once, without_trained
+from tau_dyn.identify.log_inputs import drop_duplicate_logs, drop_trained_logs
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.log import Log, decimate, even_segments
 from tau_dyn.model import Model
@@ -54,7 +54,7 @@ class DeflectionChannel(Channel):
             raise InputError(f"effect {effect.name} does not come between two encoders of a joint")
         return self.pieces[run].passed(effect.displacement(self.pieces[run].motion))
 
-    def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
+    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
         """Scan periods by Fourier transforms over the position; see `periodogram.py`."""
         if not effects[0].dense:
             return None
@@ -106,8 +106,8 @@ def deflection_channel(
     lengths = tuple("m" if unit == "N" else "rad" for unit in units)
     parameters, columns = _zeros(pieces, joints, lengths)
     runs = tuple(piece.run(W) for piece, W in zip(pieces, columns, strict=True))
-    gap = border_gap(preparation.force_cutoff_hz, pieces[0].log.rate_hz)
-    parts = divide(runs, [out for _, out in stretches], bool(held), gap)
+    gap = compute_border_gap_s(preparation.force_cutoff_hz, pieces[0].log.rate_hz)
+    parts = split_by_blocks(runs, [out for _, out in stretches], bool(held), gap)
     scene = _scene(joints, units, pieces, preparation)
     channel = DeflectionChannel(
         "deflection",
@@ -156,8 +156,8 @@ def diagnose_deflection(
     """
     warnings: list[str] = []
     train, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
-    train = each_once(train, warnings)
-    held = each_once(without_trained(train, held, warnings), warnings)
+    train = drop_duplicate_logs(train, warnings)
+    held = drop_duplicate_logs(drop_trained_logs(train, held, warnings), warnings)
     if not train:
         raise InputError("no log was given")
     progress("columns")

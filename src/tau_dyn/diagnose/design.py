@@ -26,7 +26,7 @@ from tau_dyn.diagnose.result import Diagnosis, TimeTrace
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, Run, Whitener, fit_autoregression
 from tau_dyn.identify.regression import measured_signals
-from tau_dyn.log import Log, attenuation, decimate, differentiate, lowpass, unbroken
+from tau_dyn.log import Log, attenuation, decimate, differentiate, find_true_runs, lowpass
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.simulate import Trajectory
@@ -98,7 +98,7 @@ def noise_of(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple
             if factor > 1:
                 e = decimate(lowpass(np.where(usable, e, 0.0), 0.4 * rate / factor, rate), factor)
                 usable = decimate(usable, factor)
-            stretches += [e[s] for s in unbroken(usable)]
+            stretches += [e[s] for s in find_true_runs(usable)]
         models.append(flattened(fit_autoregression(stretches, _MOST_ORDER)))
     if rate >= _SLOWEST_HZ:
         return rate / factor, tuple(models)

@@ -15,15 +15,15 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from tau_dyn.diagnose.deflection import diagnose_deflection
-from tau_dyn.diagnose.force_diagnosis import Progress, diagnose_forces, gather
+from tau_dyn.diagnose.force_diagnosis import Progress, diagnose_forces, fit_baseline
 from tau_dyn.diagnose.kinds import has_forces, has_links, has_tool, tool_disagrees
-from tau_dyn.diagnose.merge import merged
+from tau_dyn.diagnose.merge import merge_diagnoses
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Choices, Identification
 from tau_dyn.identify.identify import build_model
-from tau_dyn.identify.logs import each_once, listed, require_forces, without_trained
+from tau_dyn.identify.log_inputs import as_log_list, drop_duplicate_logs, drop_trained_logs, require_forces
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
@@ -67,16 +67,16 @@ def diagnose(
         prepared = (choices or Choices()).apply(build_model(robot, model))
         if (choices or Choices()).gains(prepared.robot.actuated):
             raise InputError("diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map")
-        given = each_once(listed(logs), warnings)
+        given = drop_duplicate_logs(as_log_list(logs), warnings)
         train = in_memory(given)
-        held = in_memory(each_once(without_trained(given, listed(holdout), warnings), warnings))
+        held = in_memory(drop_duplicate_logs(drop_trained_logs(given, as_log_list(holdout), warnings), warnings))
         if not train:
             raise InputError("no log was given")
         found = []
         if not (has_tool(prepared.robot, train) or has_links(train)):
             require_forces(prepared.robot, train)
         if has_forces(prepared.robot, train) or not (has_tool(prepared.robot, train) or has_links(train)):
-            case = gather(prepared, train, held, preparation, exclude, progress, warnings)
+            case = fit_baseline(prepared, train, held, preparation, exclude, progress, warnings)
             found.append(diagnose_forces(case, seed, progress, warnings))
         base = found[0].model if found else prepared
         if has_tool(base.robot, train) and (not found or tool_disagrees(base, train)):
@@ -90,7 +90,7 @@ def diagnose(
                 found[0] = replace(found[0], warnings=(*found[0].warnings, more))
         if has_links(train):
             found.append(diagnose_deflection(base.robot, train, holdout=held, seed=seed, progress=progress))
-        return _forces_missed(merged(found), prepared.robot, train)
+        return _forces_missed(merge_diagnoses(found), prepared.robot, train)
     except CannotAnswer as fault:
         fault.warnings = tuple(dict.fromkeys(warnings))
         raise

@@ -16,15 +16,15 @@ from tau_dyn.diagnose.scenes import fast_speeds
 from tau_dyn.identify.preparation import NOISE_FACTOR, RATE_FACTOR, Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import CODE, Kept, TooShort, choose_from_long, keep_long, refuse_short
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, motion_band, noise_gain
-from tau_dyn.log.resample import MIN_SEGMENT
+from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0
 """Highest frequency looked at, in edges of the motion's own band; a tooth passes many times in one stroke."""
 SLOW_SHARE = 0.01
-SURE = 5.0
+MIN_DIRECTION_SNR = 5.0
 """Speeds whose direction is sure, in the velocity's noise."""
-NEAR = 1.0
+REVERSAL_GAP_PERIODS = 1.0
 """Time gated out beside a reversal, in periods of the position filter: a joint may rest for half a period unseen, its friction
 anywhere between both directions, and the filter spreads the start over as much again. Rests passed for hysteresis and delays."""
 OVERSAMPLING = 5.0
@@ -55,9 +55,14 @@ def diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str,
     edge = max(float(band.edge_hz.max()) for band in bands)
     noise_edge = min((float(e) for b in bands for e in b.noise_edge_hz[b.edge_hz > 0]), default=rate)
     force_cutoff = max(plain.force_cutoff_hz, min(0.16 * rate, BAND_FACTOR * edge, noise_edge))
-    threshold = SURE * noise * noise_gain(rate, position_cutoff)
+    threshold = MIN_DIRECTION_SNR * noise * noise_gain(rate, position_cutoff)
     return Preparation(
-        position_cutoff, force_cutoff, RATE_FACTOR * force_cutoff, threshold, NEAR / position_cutoff, exclude
+        position_cutoff,
+        force_cutoff,
+        RATE_FACTOR * force_cutoff,
+        threshold,
+        REVERSAL_GAP_PERIODS / position_cutoff,
+        exclude,
     )
 
 
@@ -77,7 +82,7 @@ def keep_diagnosable(
         TooShort: No training piece is long enough.
     """
     if not train:
-        raise refuse_short(logs, MIN_SEGMENT / min((log.rate_hz for log in logs), default=1.0))
+        raise refuse_short(logs, MIN_SEGMENT_SAMPLES / min((log.rate_hz for log in logs), default=1.0))
     long: list[Log] = []
     plain = choose_from_long(train, lambda found: choose_preparation(robot, long.extend(found) or found, exclude))
     lowest_hz = min(plain.force_cutoff_hz, clear_cutoff(robot, long), smooth_cutoff(robot, long))
@@ -95,7 +100,7 @@ def _fast(q: np.ndarray, cutoff_hz: float, log: Log) -> np.ndarray:
     return fast_speeds(v)
 
 
-def thinned_log(log: Log, cutoff_hz: float) -> Log:
+def decimate_log(log: Log, cutoff_hz: float) -> Log:
     """Return a log at a lower rate, where it is sampled far faster than a low-pass at `cutoff_hz` needs."""
     factor = int(log.rate_hz // (OVERSAMPLING * cutoff_hz))
     if factor < 2:
@@ -137,6 +142,6 @@ def clear_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     return float(max(max(band.clear_edge_hz.max(), band.edge_hz.max()) for band in bands))
 
 
-def border_gap(cutoff_hz: float, rate_hz: float) -> float:
+def compute_border_gap_s(cutoff_hz: float, rate_hz: float) -> float:
     """Return the time [s] on both sides of a border in which a low-pass at `cutoff_hz` still remembers the other side."""
     return 0.5 * edge_samples(cutoff_hz, rate_hz) / rate_hz

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tau_dyn.diagnose.candidate_scan import get_columns
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation
-from tau_dyn.diagnose.ground import ABSORBED, Ground
-from tau_dyn.diagnose.parts import CONFIRM, EVERY, TRAIN
-from tau_dyn.diagnose.refine import tangents
+from tau_dyn.diagnose.data_split import EVERY, TRAIN, VALIDATION
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Gain, Signature
-from tau_dyn.diagnose.search import Found, Search
-from tau_dyn.diagnose.trials import columns_of
+from tau_dyn.diagnose.settings_refinement import differentiate_settings
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.effects import Effect
 from tau_dyn.effects.words import spelled
 from tau_dyn.estimate import unit_columns
@@ -29,10 +29,10 @@ _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}, which is the same force by another name"
 
 
-def finding_of(
+def build_finding(
     channel: Channel,
-    search: Search,
-    found: Found,
+    search: StepwiseSelection,
+    found: SelectedCause,
     confirmation: Confirmation,
     values: Parameters,
     gain: Gain | None,
@@ -54,10 +54,10 @@ def finding_of(
     """
     place = channel.scene.joints.index
     effects = tuple(sorted(found.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
-    others = columns_of(search.library, search.others(found))
-    ground = Ground.of(channel, (TRAIN, CONFIRM), search.noise, others)
-    inflation = max(fit.inflation for fit in found.candidate.fits)
-    parameters = uncertain(search, ground, effects, values, inflation)
+    others = get_columns(search.library, search.others(found))
+    ground = NullModel.of(channel, (TRAIN, VALIDATION), search.noise, others)
+    inflation = max(fit.overdispersion for fit in found.candidate.fits)
+    parameters = estimate_uncertainty(search, ground, effects, values, inflation)
     joints = tuple(dict.fromkeys(j for effect in effects for j in effect.joints))
     twins = tuple(dict.fromkeys([*(t for e in effects for t in e.equivalent), *found.rivals]))
     first = effects[0]
@@ -71,7 +71,7 @@ def finding_of(
         cause=found.candidate.cause,
         joints=joints,
         status=first.confirmed_as if kept else "suspected",
-        score=found.candidate.T,
+        score=found.candidate.statistic,
         p_value=found.p_value,
         parameters=tuple(parameters),
         gain=gain,
@@ -86,19 +86,19 @@ def finding_of(
     )
 
 
-def uncertain(
-    search: Search, ground: Ground, effects: Sequence[Effect], values: Parameters, inflation: float
+def estimate_uncertainty(
+    search: StepwiseSelection, ground: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
 ) -> Parameters:
     """Return amplitudes and refined settings with standard errors that count each other's uncertainty.
 
     What the baseline's refit absorbs (a shared motor's inertia, which the links' inertia takes) has none: data do not tell it.
     """
     library, rows = search.library, []
-    columns = [ground.rows(library.columns(effect)) for effect in effects]
+    columns = [ground.whiten_columns(library.columns(effect)) for effect in effects]
     slopes = []
     for effect in effects:
         amplitude = values.select(effect.parameters.names).values
-        slopes += [ground.rows(x) for x in tangents(effect, amplitude, library)]
+        slopes += [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, library)]
     everything, norm = unit_columns(np.concatenate([*columns, *slopes], axis=1))
     variance = _variances(ground.gram(everything)) / norm**2
     stderr = iter(None if np.isnan(x) else float(np.sqrt(inflation * x)) for x in variance)
@@ -120,7 +120,7 @@ def _variances(gram: np.ndarray) -> np.ndarray:
     seen = values > _DEPENDENT * max(values.max(initial=0.0), 1e-300)
     variance = (vectors[:, seen] ** 2 / values[seen]).sum(axis=1)
     blind = (vectors[:, ~seen] ** 2).sum(axis=1) > _BLIND
-    return np.where(blind | (np.diag(gram) < ABSORBED), np.nan, variance)
+    return np.where(blind | (np.diag(gram) < MIN_UNABSORBED_SHARE), np.nan, variance)
 
 
 def sentence_of(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:
@@ -131,11 +131,11 @@ def sentence_of(effects: Sequence[Effect], parameters: Parameters, gain: Gain | 
         said.append(f"{where}: {effect.describe(parameters)}")
     text = "; ".join(said)
     if gain is not None:
-        text += f"; with it the model predicts held-out data {better_words(gain.reduction_percent)}"
+        text += f"; with it the model predicts held-out data {format_reduction(gain.reduction_percent)}"
     return text[0].upper() + text[1:] + "."
 
 
-def better_words(percent: float) -> str:
+def format_reduction(percent: float) -> str:
     """Return a gain in words; a weak cause may be sure by other frequencies than those that make up the raw error."""
     return f"{percent:.{0 if percent >= 1 else 1}f} % better" if percent >= 0.05 else "no better"
 

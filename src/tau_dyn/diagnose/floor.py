@@ -8,14 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.extend import Judged, errors_of
+from tau_dyn.diagnose.data_split import EVERY
+from tau_dyn.diagnose.extended_fit import EvaluatedFit, compute_errors
 from tau_dyn.diagnose.noise import rich_columns
-from tau_dyn.diagnose.parts import EVERY
-from tau_dyn.diagnose.result import Errors
+from tau_dyn.diagnose.result import OutputErrors
 from tau_dyn.estimate import unit_columns
 
 
-def noise_floor(channel: Channel, extended: Judged, rng: np.random.Generator) -> Errors:
+def noise_floor(channel: Channel, extended: EvaluatedFit, rng: np.random.Generator) -> OutputErrors:
     """Return the floor on the part used for nothing else; over all samples, the same functions are taken beyond the masks."""
     masks, variables = channel.masks(*EVERY), channel.variables()
     left = [e.copy() for e in extended.residuals]
@@ -33,4 +33,4 @@ def noise_floor(channel: Channel, extended: Judged, rng: np.random.Generator) ->
         for e, run, rich in zip(whole, runs, smooth, strict=True):
             b = np.concatenate([run.W_all[:, k], rich], axis=1)
             e[:, k] = (e[:, k] - b @ (theta / norm)) * given_back
-    return errors_of(channel, left, rng, whole=whole)
+    return compute_errors(channel, left, rng, whole=whole)

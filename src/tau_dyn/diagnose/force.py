@@ -9,11 +9,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
-from tau_dyn.diagnose.filters import border_gap
+from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION, split_by_blocks
+from tau_dyn.diagnose.filters import compute_border_gap_s
 from tau_dyn.diagnose.force_timing import Timing, find_timing
-from tau_dyn.diagnose.ground import Ground
 from tau_dyn.diagnose.noise import WHOLE_TIME
-from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN, divide
+from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.periodogram import LONG, explained_by_periods, of_displacement, of_force, of_output
 from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.scenes import scene_along, shared_signals
@@ -22,7 +22,7 @@ from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.effects.gravity_direction import GRAVITY_TURN
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import Prepared, prepare
+from tau_dyn.identify.regression import PreparedSegment, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model
 
@@ -54,7 +54,7 @@ class ForceChannel(Channel):
         preparation: Filters and masks.
     """
 
-    prepared: tuple[Prepared, ...]
+    prepared: tuple[PreparedSegment, ...]
     thinned: tuple[Motion, ...]
     preparation: Preparation
 
@@ -67,7 +67,7 @@ class ForceChannel(Channel):
         """Return the columns without any sample left out, for drawing."""
         return [piece.columns(effect.columns(piece.motion), gated=False) for piece in self.prepared]
 
-    def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
+    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
         """Scan periods by Fourier transforms over the position; long ones are left open (nan). See `periodogram.py`."""
         first = effects[0]
         if not first.dense:
@@ -111,17 +111,17 @@ class ForceChannel(Channel):
 
 def prepared_pieces(
     model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: Sequence[float]
-) -> tuple[Prepared, ...]:
+) -> tuple[PreparedSegment, ...]:
     """Return all pieces ready for making columns, in their order; `smooth_hz` is the low-pass of each one's positions."""
     names = list(dict.fromkeys(piece.name for piece in pieces))
     found = []
     for piece, smooth in zip(pieces, smooth_hz, strict=True):
         campaign = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))} if len(names) > 1 else {}
-        found.append(prepare(model, piece, preparation, signals=campaign, smooth_hz=smooth))
+        found.append(prepare_segment(model, piece, preparation, signals=campaign, smooth_hz=smooth))
     return tuple(found)
 
 
-def force_regression(model: Model, prepared: Sequence[Prepared], preparation: Preparation) -> Regression:
+def force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
     """Return the baseline's regression on prepared pieces."""
     runs, robot = tuple(piece.run(model) for piece in prepared), model.robot
     return Regression(model.parameters, robot.actuated, robot.force_units, runs, {"preparation": preparation})
@@ -129,7 +129,7 @@ def force_regression(model: Model, prepared: Sequence[Prepared], preparation: Pr
 
 def force_channel(
     model: Model,
-    prepared: Sequence[Prepared],
+    prepared: Sequence[PreparedSegment],
     held: Sequence[bool],
     preparation: Preparation,
     regression: Regression,
@@ -156,7 +156,9 @@ def force_channel(
         _with_signals(piece, model, {GRAVITY_TURN: turn}, needs, clear_hz, timing)
         for piece, turn in zip(prepared, turns, strict=True)
     ]
-    parts = divide(regression.runs, held, any(held), border_gap(preparation.force_cutoff_hz, prepared[0].log.rate_hz))
+    parts = split_by_blocks(
+        regression.runs, held, any(held), compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
+    )
     campaigns = len({piece.log.name for piece, out in zip(prepared, held, strict=True) if not out})
     thinned = tuple(_thinned(piece) for piece in prepared)
     channel = ForceChannel(
@@ -198,17 +200,17 @@ def _needed(regression: Regression, parts: Sequence[np.ndarray]) -> dict[int, in
     """Return how many usable values each part needs."""
     rank = max(1, determined_rank(regression, parts))
     others = MIN_VALUES * len(regression.outputs)
-    return {TRAIN: VALUES_PER_COMBINATION * rank, CONFIRM: others, GAIN: others}
+    return {TRAIN: VALUES_PER_COMBINATION * rank, VALIDATION: others, TEST: others}
 
 
 def _with_signals(
-    piece: Prepared,
+    piece: PreparedSegment,
     model: Model,
     given: Mapping[str, np.ndarray],
     needs: Sequence[str],
     clear_hz: float,
     timing: Timing | None = None,
-) -> Prepared:
+) -> PreparedSegment:
     """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
 
     Loads and inertia are smooth, so they are computed at the regression's rate and interpolated; forces are not. `force` is
@@ -239,7 +241,7 @@ def _with_signals(
 
 
 def _gravity_turns(
-    model: Model, nominal: np.ndarray, prepared: Sequence[Prepared], runs: Sequence[Run], trained: Sequence[bool]
+    model: Model, nominal: np.ndarray, prepared: Sequence[PreparedSegment], runs: Sequence[Run], trained: Sequence[bool]
 ) -> list[np.ndarray]:
     """Return what a turn of gravity does to the forces at rest (N, na, 2) of each piece.
 
@@ -266,7 +268,7 @@ def _gravity_turns(
     return [_at_rest(near, piece) for piece in prepared]
 
 
-def _at_rest(model: Model, piece: Prepared) -> np.ndarray:
+def _at_rest(model: Model, piece: PreparedSegment) -> np.ndarray:
     """Return the change of a piece's forces at rest (N, na, 2) per turn of gravity; smooth, so made at the regression's rate."""
     t = piece.log.t
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
@@ -289,7 +291,7 @@ def _changed(model: Model, Y: np.ndarray, motion: Motion, timing: Timing | None)
     return np.concatenate(columns, axis=2) @ timing.change
 
 
-def _thinned(piece: Prepared) -> Motion:
+def _thinned(piece: PreparedSegment) -> Motion:
     """Return a stretch's motion through the regression's low-pass, at its rate."""
     motion, factor = piece.motion, piece.factor
     arrays = [piece.passed(x) for x in (motion.q, motion.v, motion.a)]

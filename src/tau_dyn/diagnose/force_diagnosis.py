@@ -1,6 +1,7 @@
 """Measured forces and a model -> where the simulation is wrong, which cause explains it, and the gain.
 
-Beside what every channel goes through (`stages.py`): the baseline stays physical, its parameters are held against their nominal
+Beside what every channel goes through (`channel_pipeline.py`): the baseline stays physical, its parameters are held against
+their nominal
 values, and a cause has to be more than what encoder noise makes of itself.
 """
 
@@ -12,49 +13,49 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.coded_warning import get_code
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.encoders import DRAWN, NoiseOnly, noise_only
-from tau_dyn.diagnose.filters import (
-    border_gap,
-    clear_cutoff,
-    diagnosis_preparation,
-    keep_diagnosable,
-    smooth_cutoffs,
-    thinned_log,
-)
-from tau_dyn.diagnose.fits import FAMILY_LEVEL
-from tau_dyn.diagnose.force import ForceChannel, determined_rank, force_channel, force_regression, prepared_pieces
-from tau_dyn.diagnose.limits import limits_of
-from tau_dyn.diagnose.nominal import parameter_findings
-from tau_dyn.diagnose.parts import TRAIN
-from tau_dyn.diagnose.recommendation import Recommendation, recommend
-from tau_dyn.diagnose.resonances import with_band, with_resonances
-from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
-from tau_dyn.diagnose.search import Search, effects_of, search
-from tau_dyn.diagnose.stages import (
+from tau_dyn.diagnose.channel_pipeline import (
     HELD_OUT,
     SHARED,
     Answer,
-    assembled,
-    confirmed,
-    estimated,
+    build_diagnosis,
     findings_of,
-    supported,
+    get_fitted_parameters,
+    select_confirmed,
+    select_supported,
 )
-from tau_dyn.diagnose.trials import DRAWS
+from tau_dyn.diagnose.data_split import TRAIN
+from tau_dyn.diagnose.detection_limits import compute_detection_limits
+from tau_dyn.diagnose.filters import (
+    clear_cutoff,
+    compute_border_gap_s,
+    decimate_log,
+    diagnosis_preparation,
+    keep_diagnosable,
+    smooth_cutoffs,
+)
+from tau_dyn.diagnose.force import ForceChannel, determined_rank, force_channel, force_regression, prepared_pieces
+from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
+from tau_dyn.diagnose.internal_validation import confirm_all, confirm_within_training
+from tau_dyn.diagnose.noise_only_bootstrap import N_BOOTSTRAP_DRAWS, NoiseOnlyBootstrap, simulate_noise_only_logs
+from tau_dyn.diagnose.nominal import parameter_findings
+from tau_dyn.diagnose.position_periodicity import detect_position_periodicity
+from tau_dyn.diagnose.recommendation import Recommendation, recommend
+from tau_dyn.diagnose.resonances import with_band, with_resonances
+from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, effects_of, select_causes
 from tau_dyn.diagnose.unexplained import unexplained_of
-from tau_dyn.diagnose.unknown import Structure, find_structure, structure_chance
-from tau_dyn.diagnose.waves import shows_waves
-from tau_dyn.diagnose.within import heard, tests_of
+from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.diagnose.words import verdict_sentence
-from tau_dyn.estimate import Physics, Regression, solve_least_squares
+from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.identify.log_inputs import log_warnings
 from tau_dyn.identify.log_integrity import check_integrity, spoils_diagnosis
-from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, list_crumbs, list_information_warnings
-from tau_dyn.identify.structure import physics_of
+from tau_dyn.identify.structural_identifiability import build_physical_constraints
 from tau_dyn.log import Log, even_segments, mend_log, motion_band
 from tau_dyn.model import Model
 
@@ -62,7 +63,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class FittedBaseline:
     """A baseline fitted to logs, ready to be doubted.
 
     Attributes:
@@ -81,7 +82,7 @@ class Case:
     nominal: Model
     model: Model
     channel: Channel
-    physics: Physics
+    physics: PhysicalConstraints
     preparation: Preparation
     smooth_hz: tuple[float, ...]
     clear_hz: float
@@ -92,7 +93,7 @@ class Case:
     def noise_only(self, rng: np.random.Generator) -> Channel:
         """Return the channel of logs that hold nothing but the baseline and encoder noise."""
         assert isinstance(self.channel, ForceChannel)
-        logs = noise_only(self.channel, self.model, self.pieces, self.smooth_hz, rng)
+        logs = simulate_noise_only_logs(self.channel, self.model, self.pieces, self.smooth_hz, rng)
         prepared = prepared_pieces(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = force_regression(self.nominal, prepared, self.preparation)
         return replace(
@@ -101,7 +102,7 @@ class Case:
         )
 
 
-def gather(
+def fit_baseline(
     model: Model,
     train_logs: list[Log],
     held_logs: list[Log],
@@ -109,7 +110,7 @@ def gather(
     exclude: tuple[str, ...],
     progress: Progress,
     warnings: list[str],
-) -> Case:
+) -> FittedBaseline:
     """Return the baseline fitted to the training logs, with all of the data.
 
     Args:
@@ -140,14 +141,14 @@ def gather(
     smooth_hz, clear_hz = smooth_cutoffs(model.robot, train, held), clear_cutoff(model.robot, train)
     case = _fitted(model, pieces, is_held, preparation, smooth_hz, clear_hz, how, progress)
     assert isinstance(case.channel, ForceChannel)
-    if shows_waves(case.channel, smooth_hz):
+    if detect_position_periodicity(case.channel, smooth_hz):
         smooth_hz = (preparation.position_cutoff_hz,) * len(pieces)  # as they are
         case = _fitted(model, pieces, is_held, preparation, smooth_hz, clear_hz, how, progress)
     warnings += _data_warnings(case, train)
     return case
 
 
-def _data_warnings(case: Case, train: Sequence[Log]) -> list[str]:
+def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
     """Return warnings where the training part holds little independent information for the baseline, or joints mostly rest.
 
     Raises:
@@ -178,52 +179,52 @@ def _fitted(
     clear_hz: float,
     how: str,
     progress: Progress,
-) -> Case:
+) -> FittedBaseline:
     """Return the baseline fitted to pieces whose positions are low-passed at `smooth_hz` [Hz], each at its own."""
     progress("columns")
-    thinned = [thinned_log(piece, preparation.position_cutoff_hz) for piece in pieces]
+    thinned = [decimate_log(piece, preparation.position_cutoff_hz) for piece in pieces]
     prepared = prepared_pieces(model, thinned, preparation, smooth_hz)
     regression = force_regression(model, prepared, preparation)
-    physics = physics_of(model)
+    physics = build_physical_constraints(model)
     progress("baseline")
     first = replace(regression, runs=regression.runs[: is_held.count(False)])
     estimate = solve_least_squares(first, physics=physics)
     fit = model.with_parameters(estimate.parameters)
     channel = force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
     channel = replace(channel, parameters=model.parameters)
-    return Case(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces, how)
+    return FittedBaseline(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces, how)
 
 
-def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[str]) -> Diagnosis:
+def diagnose_forces(case: FittedBaseline, seed: int, progress: Progress, warnings: list[str]) -> Diagnosis:
     """Find causes of what the baseline leaves of the forces."""
     progress("looking for resonances")
     channel, rng = with_resonances(case.channel), np.random.default_rng(seed)
     assert isinstance(channel, ForceChannel)
     progress("looking for causes")
-    noise = NoiseOnly(lambda: [case.noise_only(rng) for _ in range(DRAWN)])
-    hunt = search(channel, rng, progress, sift=noise.sift)
-    structure = find_structure(channel, hunt.ground, hunt.ground.draws(DRAWS, rng), FAMILY_LEVEL)
+    noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
+    hunt = select_causes(channel, rng, progress, sift=noise.reject_artefacts)
+    structure = find_structure(channel, hunt.ground, hunt.ground.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
     hunt, structure = _sifted(noise, hunt, structure)
     progress("confirming")
     rate = channel.prepared[0].log.rate_hz
-    gap = border_gap(case.preparation.force_cutoff_hz, rate)
-    tests = heard(channel, hunt, tests_of(channel, hunt, structure), gap, rng, noise)
+    gap = compute_border_gap_s(case.preparation.force_cutoff_hz, rate)
+    tests = confirm_within_training(channel, hunt, confirm_all(channel, hunt, structure), gap, rng, noise)
     spoiled = _describe_spoiled(warnings)
-    claims = confirmed(channel, hunt, tests.causes, physics=case.physics)
+    claims = select_confirmed(channel, hunt, tests.causes, physics=case.physics)
     claims = claims.reject_all(spoiled) if spoiled else claims
     progress("measuring the gain")
     nominal = case.nominal.parameters
-    claims, bars = supported(channel, hunt, claims, rng, nominal=nominal.values, physics=case.physics)
+    claims, bars = select_supported(channel, hunt, claims, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
     findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, claims, bars, rng)]
     findings += [
         replace(f, status="suspected", why_not_confirmed=spoiled) if spoiled else f
-        for f in parameter_findings(case.nominal, nominal, estimated(after), after.estimate)
+        for f in parameter_findings(case.nominal, nominal, get_fitted_parameters(after), after.estimate)
     ]
     unexplained = unexplained_of(channel, hunt, tests.structure)
     if spoiled:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
-    limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
+    limits, untestable = compute_detection_limits(channel, hunt, [f.cause for f in findings])
     verdict = "cannot_tell" if spoiled else _verdict(findings, unexplained)
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
@@ -241,7 +242,7 @@ def diagnose_forces(case: Case, seed: int, progress: Progress, warnings: list[st
         {"preparation": case.preparation.to_dict()},
     )
     recommendation = Recommendation("neither", spoiled) if spoiled else recommend(channel, hunt, claims, bars, rng)
-    return assembled(channel, hunt, claims, bars, case.nominal, answer, seed, recommendation)
+    return build_diagnosis(channel, hunt, claims, bars, case.nominal, answer, seed, recommendation)
 
 
 _MEND = "mend the log or its column map as the first warning says, or record it again"
@@ -253,14 +254,19 @@ def _describe_spoiled(warnings: Sequence[str]) -> str:
     return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 
 
-def _sifted(noise: NoiseOnly, hunt: Search, structure: Structure | None) -> tuple[Search, Structure | None]:
+def _sifted(
+    noise: NoiseOnlyBootstrap, hunt: StepwiseSelection, structure: Structure | None
+) -> tuple[StepwiseSelection, Structure | None]:
     """Leave out what encoder noise alone could have made, beside all that was found."""
     kept = []
     for one in hunt.found:
-        left = noise.sift(hunt.ground, one.candidate, hunt.others(one), hunt.n_causes)
+        left = noise.reject_artefacts(hunt.ground, one.candidate, hunt.others(one), hunt.n_causes)
         if left is not None:
             kept.append(replace(one, candidate=left))
-    if structure is not None and structure_chance(noise, hunt.ground, structure, effects_of(hunt.found)) > FAMILY_LEVEL:
+    if (
+        structure is not None
+        and compute_structure_p_value(noise, hunt.ground, structure, effects_of(hunt.found)) > FAMILY_LEVEL
+    ):
         structure = None
     return replace(hunt, found=tuple(kept)), structure
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.ground import orthonormal
+from tau_dyn.diagnose.null_model import orthonormal
 from tau_dyn.estimate import Run
 
 MAX_TIME_S = 0.1

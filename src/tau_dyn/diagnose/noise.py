@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.estimate import Autoregression, fit_autoregression, solve_scaled
-from tau_dyn.log import unbroken
+from tau_dyn.log import find_true_runs
 
 WHOLE_TIME = "t_whole"
 """Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
@@ -43,7 +43,7 @@ def noise_models(
         stretches = []
         for x, y_run, mask in zip(columns, channel.target, masks, strict=True):
             e = y_run[:, k] - x @ theta
-            stretches += [e[s] for s in unbroken(mask[:, k])]
+            stretches += [e[s] for s in find_true_runs(mask[:, k])]
         still = Autoregression(np.zeros(0), 1.0)  # an output without a usable sample has no rows to whiten
         models.append(fit_autoregression(stretches, _MAX_ORDER) if stretches else still)
     return tuple(models)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.diagnose.design import Setting, Thing, force, gram, refitted, seen
-from tau_dyn.diagnose.ground import ABSORBED
-from tau_dyn.diagnose.question import Question, Suspect
-from tau_dyn.diagnose.rivals import Rival, Schur, amplitudes
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE
+from tau_dyn.diagnose.question import CauseHypothesis, DesignGoal
+from tau_dyn.diagnose.rivals import AlternativeCause, SchurComplement, amplitudes
 from tau_dyn.diagnose.scenes import scene_along
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 
@@ -22,7 +22,7 @@ _IMITATED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class DesignMotion:
     """A motion at the rows' rate with all that effects feel, and which samples count (n, na)."""
 
     motion: Motion
@@ -30,7 +30,7 @@ class Prepared:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class Contrast:
     """One line of the question: how much of the columns is left beside all else and, if there is one, a rival.
 
     Attributes:
@@ -43,9 +43,9 @@ class Line:
     cause: str
     rival: str
     columns: np.ndarray
-    instead: Rival | None
+    instead: AlternativeCause | None
 
-    def strength(self, schur: Schur) -> float:
+    def strength(self, schur: SchurComplement) -> float:
         """Return lambda, or of a cause per unit what is left of its columns' mean square."""
         if self.instead is not None:
             return self.instead.best(schur, int(self.columns[0]))[0]
@@ -53,7 +53,7 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class DiscriminationDesign:
     """All columns and all lines.
 
     Attributes:
@@ -67,21 +67,21 @@ class Plan:
     """
 
     setting: Setting
-    question: Question
+    question: DesignGoal
     scene: Scene
     things: tuple[Thing, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[Contrast, ...]
     p: int
     n: int
 
-    def schur(self, total: np.ndarray) -> Schur:
+    def schur(self, total: np.ndarray) -> SchurComplement:
         """Return what is left of a Gram matrix's columns beside those refitted anyway, prior knowledge counted."""
         free = [q for q in self.setting.model.parameters if q.free]
         known = np.array([1 / q.prior_stderr**2 if q.prior_stderr else 0.0 for q in free])
         total = total.copy()
         index = np.arange(len(free))
         total[index, index] += known
-        return Schur.of(total, self.p)
+        return SchurComplement.of(total, self.p)
 
     def strengths(self, total: np.ndarray) -> np.ndarray:
         """Return each line's strength along a motion whose rows have this Gram matrix."""
@@ -97,16 +97,18 @@ class Plan:
         """Return the largest strength of each line among single pieces."""
         return np.maximum(np.max([self.strengths(one) for one in grams], axis=0), 1e-300)
 
-    def showing(self, total: np.ndarray) -> Plan:
+    def showing(self, total: np.ndarray) -> DiscriminationDesign:
         """Return the plan with those lines of which all candidates together show anything."""
         schur = self.schur(total)
         kept = [
-            ln for ln in self.lines if ln.strength(schur) > ABSORBED * max(float(np.mean(schur.raw[ln.columns])), _WEAK)
+            ln
+            for ln in self.lines
+            if ln.strength(schur) > MIN_UNABSORBED_SHARE * max(float(np.mean(schur.raw[ln.columns])), _WEAK)
         ]
         return replace(self, lines=tuple(kept))
 
 
-def needs_of(question: Question) -> frozenset[str]:
+def needs_of(question: DesignGoal) -> frozenset[str]:
     """Return the computed signals that the question's effects feel."""
     pairs = [
         cls for suspect, rival in question.pairs for cls in (*suspect.effects, *([EFFECTS[rival]] if rival else []))
@@ -128,7 +130,7 @@ def scene_of(setting: Setting, motions: Sequence[Motion], signals: frozenset[str
     )
 
 
-def pair_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
+def pair_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     """Return the plan that tells suspects from their rivals."""
     plan = _empty(setting, question, scene)
     for suspect, rival in question.pairs:
@@ -136,7 +138,7 @@ def pair_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
     return plan
 
 
-def with_mirrored(plan: Plan, recorded: Sequence[Prepared]) -> Plan:
+def with_mirrored(plan: DiscriminationDesign, recorded: Sequence[DesignMotion]) -> DiscriminationDesign:
     """Return the plan with rivals taken as true as well, at the amplitudes with which they imitate the suspect so far.
 
     A rival that imitates less than half of it on the measured motion could not be behind what was measured.
@@ -152,11 +154,11 @@ def with_mirrored(plan: Plan, recorded: Sequence[Prepared]) -> Plan:
         left, chosen = line.instead.best(schur, x)
         if chosen and left < _IMITATED * schur.G[x, x]:
             values = amplitudes(schur, x, chosen)
-            plan = _with_pair(plan, Suspect(rival, tuple(e for e, _ in chosen), values), suspect.cause, suspect)
+            plan = _with_pair(plan, CauseHypothesis(rival, tuple(e for e, _ in chosen), values), suspect.cause, suspect)
     return plan
 
 
-def sight_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
+def sight_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     """Return the plan that shows causes, each on each group of joints at the setting in the middle of its grid."""
     plan = _empty(setting, question, scene)
     for cls in question.causes:
@@ -167,25 +169,27 @@ def sight_plan(setting: Setting, question: Question, scene: Scene) -> Plan:
             if grid and cls.untestable(scene) is None:
                 effect = _built(cls, scene, joints, grid[len(grid) // 2])
                 plan, columns = _added(plan, seen(setting, effect), len(effect.parameters))
-                plan = replace(plan, lines=(*plan.lines, Line(cls.name, "", columns, None)))
+                plan = replace(plan, lines=(*plan.lines, Contrast(cls.name, "", columns, None)))
     return plan
 
 
-def _empty(setting: Setting, question: Question, scene: Scene) -> Plan:
+def _empty(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     p = int(np.sum(setting.model.parameters.free)) + sum(len(e.parameters) for e in question.others)
-    return Plan(setting, question, scene, (refitted(setting.model, question.others),), (), p, 0)
+    return DiscriminationDesign(setting, question, scene, (refitted(setting.model, question.others),), (), p, 0)
 
 
-def _added(plan: Plan, thing: Thing, k: int) -> tuple[Plan, np.ndarray]:
+def _added(plan: DiscriminationDesign, thing: Thing, k: int) -> tuple[DiscriminationDesign, np.ndarray]:
     """Return the plan with k more columns, and where they are after those refitted anyway."""
     return replace(plan, things=(*plan.things, thing), n=plan.n + k), np.arange(plan.n, plan.n + k)
 
 
-def _with_pair(plan: Plan, suspect: Suspect, rival: str, found: Suspect | None) -> Plan:
+def _with_pair(
+    plan: DiscriminationDesign, suspect: CauseHypothesis, rival: str, found: CauseHypothesis | None
+) -> DiscriminationDesign:
     """Return the plan with one more pair; where the rival itself was `found`, its settings are tried as they are, too."""
     plan, x = _added(plan, force(plan.setting, suspect.effects, suspect.values), 1)
     if not rival:
-        return replace(plan, lines=(*plan.lines, Line(suspect.cause, "", x, None)))
+        return replace(plan, lines=(*plan.lines, Contrast(suspect.cause, "", x, None)))
     groups, columns = [], []
     for options in _options(EFFECTS[rival], plan.scene, suspect, found):
         places = []
@@ -194,11 +198,13 @@ def _with_pair(plan: Plan, suspect: Suspect, rival: str, found: Suspect | None) 
             places.append(where)
         groups.append(options)
         columns.append(tuple(places))
-    line = Line(suspect.cause, rival, x, Rival(tuple(groups), tuple(columns)))
+    line = Contrast(suspect.cause, rival, x, AlternativeCause(tuple(groups), tuple(columns)))
     return replace(plan, lines=(*plan.lines, line))
 
 
-def _options(cls: type[Effect], scene: Scene, suspect: Suspect, found: Suspect | None) -> list[tuple[Effect, ...]]:
+def _options(
+    cls: type[Effect], scene: Scene, suspect: CauseHypothesis, found: CauseHypothesis | None
+) -> list[tuple[Effect, ...]]:
     """Return a rival's effects for each group that shares joints with a suspect, one for each setting."""
     made = []
     for joints in cls.groups(scene):

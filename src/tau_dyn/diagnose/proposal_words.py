@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from tau_dyn.diagnose.choice import TWIN_MARGIN
-from tau_dyn.diagnose.fits import FAMILY_LEVEL
-from tau_dyn.diagnose.plan import Line, Plan
-from tau_dyn.diagnose.question import Question, other_experiment
+from tau_dyn.diagnose.forward_step import MIN_2LOGL_DIFFERENCE
+from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
+from tau_dyn.diagnose.plan import Contrast, DiscriminationDesign
+from tau_dyn.diagnose.question import DesignGoal, other_experiment
 
 TRAINED = 0.6
 """Share of a log that is searched for causes; the rest confirms and measures."""
@@ -21,15 +21,15 @@ def chance_of_telling(strength: float, rival: bool = True) -> float:
     """Return how probably a search on a log of this lambda ranks the true cause clearly above its rival.
 
     Twice the log-likelihood ratio of the two is normal about lambda with variance 4 lambda (Cox 1962); twins are told apart
-    from `TWIN_MARGIN` up. Without a rival it is the power of the search itself, about `_TRIES` tries counted.
+    from `MIN_2LOGL_DIFFERENCE` up. Without a rival it is the power of the search itself, about `_TRIES` tries counted.
     """
     trained = TRAINED * strength
     if not rival:
         return float(stats.ncx2.sf(stats.chi2.isf(FAMILY_LEVEL / _TRIES, 1), 1, trained))
-    return float(stats.norm.cdf((trained - TWIN_MARGIN) / (2 * np.sqrt(trained)))) if trained > 0 else 0.0
+    return float(stats.norm.cdf((trained - MIN_2LOGL_DIFFERENCE) / (2 * np.sqrt(trained)))) if trained > 0 else 0.0
 
 
-def notes_of(plan: Plan, question: Question, new: np.ndarray, old: np.ndarray | None) -> list[str]:
+def notes_of(plan: DiscriminationDesign, question: DesignGoal, new: np.ndarray, old: np.ndarray | None) -> list[str]:
     """Return what to expect of a motion.
 
     Args:
@@ -51,7 +51,7 @@ def notes_of(plan: Plan, question: Question, new: np.ndarray, old: np.ndarray | 
     return [*notes, *(f"no motion tells {cause} from {twin}: {how}" for twin, how in (*lost, *question.beyond))]
 
 
-def _sight(plan: Plan, new: np.ndarray, old: np.ndarray | None) -> list[str]:
+def _sight(plan: DiscriminationDesign, new: np.ndarray, old: np.ndarray | None) -> list[str]:
     """Return how much smaller effects show than along the measured motion; of each cause the joint that gains least counts."""
     causes = dict.fromkeys(line.cause for line in plan.lines)
     if old is None:
@@ -71,7 +71,7 @@ def _sight(plan: Plan, new: np.ndarray, old: np.ndarray | None) -> list[str]:
     return notes
 
 
-def _sure(strength: float, line: Line) -> str:
+def _sure(strength: float, line: Contrast) -> str:
     chance = 100 * chance_of_telling(strength, bool(line.rival))
     size = "over 99 %" if chance > 99 else "under 1 %" if chance < 1 else f"{chance:.0f} %"
     return f"{strength:.3g} (a diagnosis names it with a chance of {size})"

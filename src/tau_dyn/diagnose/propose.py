@@ -19,9 +19,17 @@ import numpy as np
 from tau_dyn.diagnose.candidates import candidate_pieces
 from tau_dyn.diagnose.design import Setting, completed, gram, measured, planned
 from tau_dyn.diagnose.filters import smooth_cutoff
-from tau_dyn.diagnose.plan import Plan, Prepared, needs_of, pair_plan, scene_of, sight_plan, with_mirrored
+from tau_dyn.diagnose.plan import (
+    DesignMotion,
+    DiscriminationDesign,
+    needs_of,
+    pair_plan,
+    scene_of,
+    sight_plan,
+    with_mirrored,
+)
 from tau_dyn.diagnose.proposal_words import notes_of
-from tau_dyn.diagnose.question import Question, beyond_motion, other_experiment, question_of
+from tau_dyn.diagnose.question import DesignGoal, beyond_motion, find_design_goal, other_experiment
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, even_segments
@@ -69,7 +77,7 @@ def propose_motion(
         raise InputError(f"a motion is chosen among at least one trial, not {trials}")
     setting, rng = Setting.of(diagnosis), np.random.default_rng(seed)
     signals = _signals(diagnosis.model)
-    question = question_of(diagnosis, signals)
+    question = find_design_goal(diagnosis, signals)
     number = max(1, round(duration / PIECE_S))
     length = (duration - (number - 1) * (_REST_S + _STILL_S)) / number
     progress("motions to choose from")
@@ -85,7 +93,7 @@ def propose_motion(
     grams = np.array([gram(setting, p.motion, p.counts, plan.things) for p in offered])
     plan = _answerable(plan, grams, question)
     progress("choosing")
-    chosen = exchanged(plan, grams, number)
+    chosen = optimise_by_exchange(plan, grams, number)
     motion = concatenate([pieces[k] for k in sorted(chosen)], rest=_REST_S, rate_hz=1000.0, name="proposed")
     whole = _prepared(setting, motion, needs)
     new = plan.strengths(gram(setting, whole.motion, whole.counts, plan.things))
@@ -95,7 +103,7 @@ def propose_motion(
     return replace(motion, notes=(*notes_of(plan, question, new, old), made))
 
 
-def exchanged(plan: Plan, grams: np.ndarray, number: int) -> list[int]:
+def optimise_by_exchange(plan: DiscriminationDesign, grams: np.ndarray, number: int) -> list[int]:
     """Return the pieces (with repetition) whose sum has the largest merit, by exchanging one at a time until nothing helps."""
     most = number * plan.most(grams)
     merits = [plan.merit(number * one, most) for one in grams]
@@ -121,12 +129,12 @@ def _signals(model: Model) -> frozenset[str]:
     )
 
 
-def _prepared(setting: Setting, trajectory: Trajectory, needs: frozenset[str]) -> Prepared:
+def _prepared(setting: Setting, trajectory: Trajectory, needs: frozenset[str]) -> DesignMotion:
     motion, counts = planned(setting, trajectory)
-    return Prepared(completed(setting, motion, needs), counts)
+    return DesignMotion(completed(setting, motion, needs), counts)
 
 
-def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> list[Prepared]:
+def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> list[DesignMotion]:
     """Return the measured motions, at most two minutes of them."""
     stretches = [piece for log in logs for piece in even_segments(log)]
     if not stretches:
@@ -139,11 +147,13 @@ def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> l
         part = replace(
             motion, **{key: getattr(motion, key)[:n] for key in ("q", "v", "a", "sign", "t")}, signals=arrays
         )
-        found.append(Prepared(completed(setting, part, needs), counts[:n]))
+        found.append(DesignMotion(completed(setting, part, needs), counts[:n]))
     return found
 
 
-def _of_measured(setting: Setting, plan: Plan, recorded: Sequence[Prepared], duration: float) -> np.ndarray | None:
+def _of_measured(
+    setting: Setting, plan: DiscriminationDesign, recorded: Sequence[DesignMotion], duration: float
+) -> np.ndarray | None:
     """Return strengths of the measured motion, in the time that the proposal takes [s]."""
     if not recorded:
         return None
@@ -152,7 +162,7 @@ def _of_measured(setting: Setting, plan: Plan, recorded: Sequence[Prepared], dur
     return plan.strengths(total * (duration / took))
 
 
-def _answerable(plan: Plan, grams: np.ndarray, question: Question) -> Plan:
+def _answerable(plan: DiscriminationDesign, grams: np.ndarray, question: DesignGoal) -> DiscriminationDesign:
     """Leave out what no motion shows, or refuse where nothing is left."""
     kept = plan.showing(grams.sum(axis=0))
     if kept.lines:

@@ -35,7 +35,7 @@ _OTHER_EXPERIMENTS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Suspect:
+class CauseHypothesis:
     """A cause with its effects and the amplitudes that it would have."""
 
     cause: str
@@ -43,7 +43,7 @@ class Suspect:
     values: Parameters
 
     @classmethod
-    def of(cls, finding: Finding) -> Suspect:
+    def of(cls, finding: Finding) -> CauseHypothesis:
         """Take what was found."""
         return cls(finding.cause, finding.effects, Parameters(finding.parameters))
 
@@ -54,7 +54,7 @@ class Suspect:
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class DesignGoal:
     """What a motion is to answer.
 
     Attributes:
@@ -64,13 +64,13 @@ class Question:
         causes: Without pairs, the causes to be seen sooner.
     """
 
-    pairs: tuple[tuple[Suspect, str], ...] = ()
+    pairs: tuple[tuple[CauseHypothesis, str], ...] = ()
     others: tuple[Effect, ...] = ()
     beyond: tuple[tuple[str, str], ...] = ()
     causes: tuple[type[Effect], ...] = ()
 
 
-def question_of(diagnosis: Diagnosis, signals: Collection[str]) -> Question:
+def find_design_goal(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGoal:
     """Return what is open.
 
     Args:
@@ -93,8 +93,8 @@ def question_of(diagnosis: Diagnosis, signals: Collection[str]) -> Question:
     if suspected:
         sure = _sure(diagnosis, suspected)
         if len(suspected) == 1:
-            return Question(((Suspect.of(suspected[0]), ""),), sure)
-        return Question(tuple((Suspect.of(a), b.cause) for a, b in permutations(suspected, 2)), sure)
+            return DesignGoal(((CauseHypothesis.of(suspected[0]), ""),), sure)
+        return DesignGoal(tuple((CauseHypothesis.of(a), b.cause) for a, b in permutations(suspected, 2)), sure)
     for finding in diagnosis.findings:
         if finding.status == "parameter" and finding.indistinguishable_from:
             raise _beyond(finding.cause, finding.indistinguishable_from, finding.experiment)
@@ -121,7 +121,7 @@ def _beyond(cause: str, twins: Sequence[str], default: str = "") -> CannotAnswer
     return beyond_motion(cause, [(twin, other_experiment(cause, twin, default)) for twin in twins])
 
 
-def _twins(diagnosis: Diagnosis, finding: Finding, signals: Collection[str]) -> Question:
+def _twins(diagnosis: Diagnosis, finding: Finding, signals: Collection[str]) -> DesignGoal:
     """Return the question between a finding and those of its twins that a motion can make, or refuse."""
     twins = finding.indistinguishable_from
     out = [t for t in twins if not _of_motion(t, signals) or t in finding.effects[0].equivalent]
@@ -131,14 +131,14 @@ def _twins(diagnosis: Diagnosis, finding: Finding, signals: Collection[str]) -> 
     if not left:
         raise _beyond(finding.cause, twins)
     beyond = tuple((twin, other_experiment(finding.cause, twin)) for twin in out)
-    return Question(tuple((Suspect.of(finding), t) for t in left), _sure(diagnosis, [finding]), beyond)
+    return DesignGoal(tuple((CauseHypothesis.of(finding), t) for t in left), _sure(diagnosis, [finding]), beyond)
 
 
 def _of_motion(cause: str, signals: Collection[str]) -> bool:
     return cause in EFFECTS and set(EFFECTS[cause].needs) <= set(signals)
 
 
-def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> Question:
+def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGoal:
     names = [x.cause for x in (*diagnosis.untestable, *diagnosis.limits)]
     causes = tuple(EFFECTS[name] for name in dict.fromkeys(names) if _of_motion(name, signals))
     if not causes:
@@ -147,7 +147,7 @@ def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> Question:
             "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable))
             or "record the motion that matters to you",
         )
-    return Question(others=_sure(diagnosis, ()), causes=causes)
+    return DesignGoal(others=_sure(diagnosis, ()), causes=causes)
 
 
 def _sure(diagnosis: Diagnosis, questioned: Sequence[Finding]) -> tuple[Effect, ...]:

@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tau_dyn.diagnose.candidate_scan import get_columns
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.channel_pipeline import Claims, Waterfall, is_worse
 from tau_dyn.diagnose.confirm import confirm
-from tau_dyn.diagnose.extend import Judged, gain_of
-from tau_dyn.diagnose.parts import CONFIRM, GAIN, TRAIN
+from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
+from tau_dyn.diagnose.extended_fit import EvaluatedFit, compute_gain
 from tau_dyn.diagnose.result import Choice, Gain
-from tau_dyn.diagnose.search import Search, effects_of
-from tau_dyn.diagnose.stages import Bars, Claims, is_worse
-from tau_dyn.diagnose.trials import columns_of
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, effects_of
 
 MAX_ERROR_RATIO = 3.0
 """Held-out over training rms of a joint above which the two are not of one machine: another motion changes it by less than two
@@ -32,7 +32,9 @@ class Recommendation(NamedTuple):
     why: str
 
 
-def recommend(channel: Channel, hunt: Search, claims: Claims, bars: Bars, rng: np.random.Generator) -> Recommendation:
+def recommend(
+    channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall, rng: np.random.Generator
+) -> Recommendation:
     """Return the recommendation.
 
     Args:
@@ -58,15 +60,15 @@ def recommend(channel: Channel, hunt: Search, claims: Claims, bars: Bars, rng: n
     worse = [
         (joint, -gain.reduction_percent)
         for joint in channel.outputs
-        if is_worse(gain := gain_of(channel, before.residuals, after.residuals, [joint], rng))
+        if is_worse(gain := compute_gain(channel, before.residuals, after.residuals, [joint], rng))
     ]
     if worse:
         listed = ", ".join(f"{joint} by {loss:.2g} %" for joint, loss in worse)
         return Recommendation("refitted", f"with the confirmed causes held-out data are predicted worse at {listed}")
     effects = effects_of(claims.kept)
     joints = {joint for effect in effects for joint in effect.joints}
-    shown = confirm(channel, hunt.noise, columns_of(hunt.library, effects), (), GAIN, fitted_on=(TRAIN, CONFIRM))
-    gain = gain_of(channel, before.residuals, after.residuals, sorted(joints), rng, shown)
+    shown = confirm(channel, hunt.noise, get_columns(hunt.library, effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
+    gain = compute_gain(channel, before.residuals, after.residuals, sorted(joints), rng, shown)
     low, high = gain.ci95
     if low <= 0:
         return Recommendation(
@@ -76,13 +78,13 @@ def recommend(channel: Channel, hunt: Search, claims: Claims, bars: Bars, rng: n
     return Recommendation("extended", f"{why} (95 % interval {low:.2g} to {high:.2g} %), and no joint becomes worse")
 
 
-def find_foreign_joints(channel: Channel, fit: Judged) -> list[tuple[str, float]]:
+def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, float]]:
     """Return the outputs whose held-out rms is many times the training rms, with the ratio; none without held-out logs."""
     if not any(np.all(part == TRAIN) for part in channel.parts):
         return []
     found = []
     for k, output in enumerate(channel.outputs):
-        trained, held = (_rms(channel, fit.residuals, parts, k) for parts in ((TRAIN,), (CONFIRM, GAIN)))
+        trained, held = (_rms(channel, fit.residuals, parts, k) for parts in ((TRAIN,), (VALIDATION, TEST)))
         if trained > 0 and held > MAX_ERROR_RATIO * trained:
             found.append((output, held / trained))
     return found
@@ -94,5 +96,5 @@ def _rms(channel: Channel, residuals: Sequence[np.ndarray], parts: tuple[int, ..
     return float(np.sqrt(np.mean(e**2))) if len(e) else 0.0
 
 
-def _whole_gain(channel: Channel, one: Judged, other: Judged, rng: np.random.Generator) -> Gain:
-    return gain_of(channel, one.residuals, other.residuals, channel.outputs, rng)
+def _whole_gain(channel: Channel, one: EvaluatedFit, other: EvaluatedFit, rng: np.random.Generator) -> Gain:
+    return compute_gain(channel, one.residuals, other.residuals, channel.outputs, rng)

@@ -19,19 +19,19 @@ from typing import TypeVar
 import numpy as np
 
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.force import ForceChannel
-from tau_dyn.diagnose.parts import TRAIN
 from tau_dyn.diagnose.result import Finding
 from tau_dyn.diagnose.tool import ToolChannel, on_group
 from tau_dyn.effects import StructuralCompliance
 from tau_dyn.estimate import solve_scaled, unit_columns
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.log import unbroken
-from tau_dyn.modes.leftover import criteria, free_count, loss_of
-from tau_dyn.modes.methods import stabilised
+from tau_dyn.log import find_true_runs
+from tau_dyn.modes.methods import stabilise_poles
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.residuals import compute_aic_bic, compute_log_det_loss, count_free_parameters
 from tau_dyn.modes.subspace import subspace_factors
 from tau_dyn.parameters import Parameter
 
@@ -145,7 +145,9 @@ def _most_likely(records: Sequence[Record]) -> Refined | None:
     """Return the best model by BIC; None where none beats a residual that answers at once or not at all."""
     p, m = records[0].y.shape[1], records[0].u.shape[1]
     n = sum(r.n_samples for r in records)
-    least = criteria(loss_of(_at_once(records)), n, free_count(0, p, m, direct=True, predicts=False))[1]
+    least = compute_aic_bic(
+        compute_log_det_loss(_at_once(records)), n, count_free_parameters(0, p, m, direct=True, predicts=False)
+    )[1]
     best: Refined | None = None
     try:
         factors = subspace_factors(records)
@@ -153,10 +155,14 @@ def _most_likely(records: Sequence[Record]) -> Refined | None:
         return None
     for order in (o for o in ORDERS if o <= factors.largest_order):
         try:
-            found = refine(stabilised(factors.model(order, direct=True)), records, direct=True, maximum_rounds=_ROUNDS)
+            found = refine(
+                stabilise_poles(factors.model(order, direct=True)), records, direct=True, maximum_rounds=_ROUNDS
+            )
         except (TauDynError, np.linalg.LinAlgError):
             continue
-        bic = criteria(found.loss, found.n_samples, free_count(order, p, m, direct=True, predicts=False))[1]
+        bic = compute_aic_bic(
+            found.loss, found.n_samples, count_free_parameters(order, p, m, direct=True, predicts=False)
+        )[1]
         if np.isfinite(bic) and bic < least:
             best, least = found, bic
     return best
@@ -205,7 +211,7 @@ def _baseline(channel: Channel) -> np.ndarray:
 
 def _stretches(channel: Channel, u: np.ndarray, e: np.ndarray, mask: np.ndarray, dt: float) -> Iterator[Record]:
     """Return unbroken stretches of samples (n,) that are long enough, as deviations from their means."""
-    for part in unbroken(mask):
+    for part in find_true_runs(mask):
         if (part.stop - part.start) * dt >= SHORTEST_S:
             one, other = u[part] - u[part].mean(axis=0), e[part] - e[part].mean(axis=0)
             yield Record(one, other, dt, channel.scene.joints, channel.outputs)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tau_dyn.coded_warning import format_warnings
-from tau_dyn.diagnose.errors import Errors, Gain, Step
+from tau_dyn.diagnose.output_errors import Gain, OutputErrors, Step
 from tau_dyn.effects import Effect
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
@@ -228,9 +228,9 @@ class Diagnosis(Shown):
     channel: str
     outputs: tuple[str, ...]
     units: tuple[str, ...]
-    baseline: Errors
-    extended: Errors
-    noise_floor: Errors
+    baseline: OutputErrors
+    extended: OutputErrors
+    noise_floor: OutputErrors
     waterfall: tuple[Step, ...]
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]

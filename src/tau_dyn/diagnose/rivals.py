@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.ground import ABSORBED, gains
-from tau_dyn.diagnose.trials import one_sided
+from tau_dyn.diagnose.candidate_scan import find_nonnegative
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics
 from tau_dyn.effects import Effect
 from tau_dyn.parameters import Parameters
 
@@ -16,14 +16,14 @@ _RANK = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Schur:
+class SchurComplement:
     """What is left of columns beside those refitted anyway: `G` (n, n), and the columns' own squares `raw` (n,)."""
 
     G: np.ndarray
     raw: np.ndarray
 
     @classmethod
-    def of(cls, total: np.ndarray, p: int) -> Schur:
+    def of(cls, total: np.ndarray, p: int) -> SchurComplement:
         """Project the first p columns out of a Gram matrix."""
         raw = np.diag(total)[p:].copy()
         norm = np.sqrt(np.maximum(np.diag(total), 1e-300))
@@ -34,21 +34,21 @@ class Schur:
         left = (scaled[p:, p:] - across.T @ across) * norm[p:, None] * norm[p:]
         return cls(left, raw)
 
-    def without(self, columns: np.ndarray) -> Schur:
+    def without(self, columns: np.ndarray) -> SchurComplement:
         """Project further columns out."""
-        inverse = np.linalg.pinv(self.G[np.ix_(columns, columns)], rcond=ABSORBED, hermitian=True)
+        inverse = np.linalg.pinv(self.G[np.ix_(columns, columns)], rcond=MIN_UNABSORBED_SHARE, hermitian=True)
         across = self.G[:, columns]
         return replace(self, G=self.G - across @ inverse @ across.T)
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class AlternativeCause:
     """A cause in place of another: its effects on each group of joints, one for each setting, and where their columns are."""
 
     groups: tuple[tuple[Effect, ...], ...]
     columns: tuple[tuple[np.ndarray, ...], ...]
 
-    def best(self, schur: Schur, x: int) -> tuple[float, list[tuple[Effect, np.ndarray]]]:
+    def best(self, schur: SchurComplement, x: int) -> tuple[float, list[tuple[Effect, np.ndarray]]]:
         """Return what the rival leaves of column x at its best settings, and which they are, with amplitudes.
 
         Groups are taken one by one, the one that explains most first; a joint belongs to one group only.
@@ -67,7 +67,7 @@ class Rival:
             open_groups = [j for j in open_groups if not set(self.groups[j][0].joints) & set(effect.joints)]
         return max(float(schur.G[x, x]), 0.0), chosen
 
-    def _explained(self, schur: Schur, x: int, k: int) -> tuple[float, int, int]:
+    def _explained(self, schur: SchurComplement, x: int, k: int) -> tuple[float, int, int]:
         """Return the most that a group explains, the group, and the setting; settings may differ in their columns' number."""
         best = (0.0, k, 0)
         sizes = np.array([len(c) for c in self.columns[k]])
@@ -75,16 +75,16 @@ class Rival:
             same = np.flatnonzero(sizes == size)
             index = np.array([self.columns[k][j] for j in same])
             s, G = schur.G[index, x][:, :, None], schur.G[index[:, :, None], index[:, None, :]]
-            T = gains(s, G, schur.raw[index], one_sided(self.groups[k][same[0]]))[:, 0]
+            T = compute_score_statistics(s, G, schur.raw[index], find_nonnegative(self.groups[k][same[0]]))[:, 0]
             best = max(best, (float(T.max()), k, int(same[np.argmax(T)])))
         return best
 
 
-def amplitudes(schur: Schur, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]) -> Parameters:
+def amplitudes(schur: SchurComplement, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]) -> Parameters:
     """Return the values at which chosen effects imitate column x best; none is negative that must not be."""
     columns = np.concatenate([c for _, c in chosen])
     G = schur.G[np.ix_(columns, columns)]
-    value = np.linalg.pinv(G, rcond=ABSORBED, hermitian=True) @ schur.G[columns, x]
+    value = np.linalg.pinv(G, rcond=MIN_UNABSORBED_SHARE, hermitian=True) @ schur.G[columns, x]
     parameters = [p for effect, _ in chosen for p in effect.parameters]
     found = [replace(p, value=float(max(v, p.lower))) for p, v in zip(parameters, value, strict=True)]
     return Parameters(found)

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
 from tau_dyn.diagnose.deflection import DeflectionChannel
 from tau_dyn.diagnose.deflection_clock import ClockOffset
-from tau_dyn.diagnose.extend import extended_regression, fitted, masked
-from tau_dyn.diagnose.parts import CONFIRM, TRAIN
+from tau_dyn.diagnose.extended_fit import extended_regression, fit_extended_model, restrict_to_parts
 from tau_dyn.effects import Backlash, Effect, Hysteresis, JointCompliance
 from tau_dyn.estimate import solve_least_squares
 
@@ -59,7 +59,7 @@ def stiffness_readings(channel: DeflectionChannel, seed: int = 0) -> list[Readin
 
 def _reading(channel: DeflectionChannel, causes: Sequence[type[Effect]], rng: np.random.Generator) -> Reading:
     effects = [_on(channel, causes, joint) for joint in channel.outputs]
-    fit = fitted(channel, [e for group in effects for e in group], None, rng)
+    fit = fit_extended_model(channel, [e for group in effects for e in group], None, rng)
     assert fit.estimate is not None
     found = fit.estimate.parameters
     values = {p.name: p.value for p in found}
@@ -86,7 +86,7 @@ def _on(channel: DeflectionChannel, causes: Sequence[type[Effect]], joint: str) 
 
 
 def _left(channel: DeflectionChannel, effects: Sequence[Effect], joint: str) -> float:
-    regression = masked(extended_regression(channel, effects), channel, TRAIN, CONFIRM)
+    regression = restrict_to_parts(extended_regression(channel, effects), channel, TRAIN, VALIDATION)
     k = channel.outputs.index(joint)
     residuals = regression.residuals(solve_least_squares(regression).theta)
     return sum(float(np.sum(e[run.usable[:, k], k] ** 2)) for e, run in zip(residuals, regression.runs, strict=True))

@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
+from tau_dyn.diagnose.candidate_scan import find_nonnegative
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
-from tau_dyn.diagnose.filters import border_gap, diagnosis_preparation
-from tau_dyn.diagnose.ground import Ground
-from tau_dyn.diagnose.parts import divide
+from tau_dyn.diagnose.data_split import split_by_blocks
+from tau_dyn.diagnose.filters import compute_border_gap_s, diagnosis_preparation
+from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.scenes import scene_along, shared_signals
 from tau_dyn.diagnose.tool_pieces import OUTPUTS, POSE_S, Piece, aligned, cut, held_still, piece_of
-from tau_dyn.diagnose.trials import one_sided
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.estimate import Run
@@ -57,7 +57,7 @@ class ToolChannel(Channel):
         piece = self.pieces[run]
         return piece.passed(effect.tool_columns(piece.motion, piece.jacobian))
 
-    def scan(self, effects: Sequence[Effect], ground: Ground, both: np.ndarray) -> np.ndarray | None:
+    def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
         """Scan thousands of periods on decimated motion, each sample weakened as the low-pass weakens its local frequency."""
         if not effects[0].dense:
             return None
@@ -68,9 +68,9 @@ class ToolChannel(Channel):
                 np.concatenate([self._quick(effect, piece, motion) for effect in part], axis=2)
                 for piece, motion in zip(self.pieces, self.thinned, strict=True)
             ]
-            C = ground.rows(made)
+            C = ground.whiten_columns(made)
             rows = C.reshape(len(C), len(part), C.shape[1] // len(part))
-            found.append(ground.explained(rows, both, one_sided(part[0])))
+            found.append(ground.explained(rows, both, find_nonnegative(part[0])))
         return np.concatenate(found)
 
     @cached_property
@@ -128,8 +128,8 @@ def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -
     parameters, columns = _baseline(scene, pieces)
     runs = tuple(_run(piece, W) for piece, W in zip(pieces, columns, strict=True))
     out = [out for _, out in stretches]
-    gap = border_gap(preparation.force_cutoff_hz, moving[0].rate_hz) if preparation else 0.0
-    parts = tuple(divide(runs, out, any(out), gap))
+    gap = compute_border_gap_s(preparation.force_cutoff_hz, moving[0].rate_hz) if preparation else 0.0
+    parts = tuple(split_by_blocks(runs, out, any(out), gap))
     displacing = [cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, DisplacementEffect)]
     causes = tuple(on_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
     units = ("m",) * len(OUTPUTS)

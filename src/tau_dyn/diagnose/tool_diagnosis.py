@@ -12,25 +12,25 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.diagnose.aliases import alias_periods, spacing
-from tau_dyn.diagnose.ground import Ground
-from tau_dyn.diagnose.limits import limits_of
-from tau_dyn.diagnose.parts import TRAIN
-from tau_dyn.diagnose.recommendation import recommend
-from tau_dyn.diagnose.resonances import with_resonances
-from tau_dyn.diagnose.result import Diagnosis, Errors, Finding
-from tau_dyn.diagnose.search import Found, Search, search
-from tau_dyn.diagnose.stages import (
+from tau_dyn.diagnose.candidate_scan import get_columns
+from tau_dyn.diagnose.channel_pipeline import (
     HELD_OUT,
     SHARED,
     Answer,
-    assembled,
+    build_diagnosis,
     confirmation,
-    confirmed,
     findings_of,
-    supported,
+    select_confirmed,
+    select_supported,
 )
+from tau_dyn.diagnose.data_split import TRAIN
+from tau_dyn.diagnose.detection_limits import compute_detection_limits
+from tau_dyn.diagnose.null_model import NullModel
+from tau_dyn.diagnose.recommendation import recommend
+from tau_dyn.diagnose.resonances import with_resonances
+from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, select_causes
 from tau_dyn.diagnose.tool import ToolChannel, tool_channel
-from tau_dyn.diagnose.trials import columns_of
 from tau_dyn.effects.words import quantity
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -67,15 +67,15 @@ def diagnose_tool(
     channel = with_resonances(tool_channel(model, train, held))
     rng = np.random.default_rng(seed)
     progress("looking for causes")
-    hunt = search(channel, rng, progress)
+    hunt = select_causes(channel, rng, progress)
     progress("confirming")
     tests = [confirmation(channel, hunt, one) for one in hunt.found]
     periods = [_periods(channel, hunt, one) for one in hunt.found]
-    claims = confirmed(channel, hunt, tests)
+    claims = select_confirmed(channel, hunt, tests)
     for k, open_to in enumerate(periods):
         claims = claims.judge(k, "several periods fit alike") if len(open_to) > 1 else claims
     progress("measuring the gain")
-    claims, bars = supported(channel, hunt, claims, rng)
+    claims, bars = select_supported(channel, hunt, claims, rng)
     said = findings_of(channel, hunt, claims, bars, rng)
     findings = [
         _open(channel, one, finding, open_to) if len(open_to) > 1 else finding
@@ -83,7 +83,7 @@ def diagnose_tool(
     ]
     aliased = [f for f, open_to in zip(findings, periods, strict=True) if len(open_to) > 1]
     named = [f for f in findings if f.status == "confirmed"]
-    limits, untestable = limits_of(channel, hunt, [f.cause for f in findings])
+    limits, untestable = compute_detection_limits(channel, hunt, [f.cause for f in findings])
     answer = Answer(
         "named" if named else "cannot_tell" if aliased else "nothing_found",
         _sentence(bars.judgements[0].errors, bars.judgements[-1].errors, named, aliased),
@@ -93,19 +93,21 @@ def diagnose_tool(
         untestable=untestable,
         experiment=aliased[0].experiment if aliased and not named else "",
     )
-    return assembled(channel, hunt, claims, bars, model, answer, seed, recommend(channel, hunt, claims, bars, rng))
+    return build_diagnosis(
+        channel, hunt, claims, bars, model, answer, seed, recommend(channel, hunt, claims, bars, rng)
+    )
 
 
-def _periods(channel: ToolChannel, hunt: Search, one: Found) -> tuple[float, ...]:
+def _periods(channel: ToolChannel, hunt: StepwiseSelection, one: SelectedCause) -> tuple[float, ...]:
     """Return the periods that a cyclic error may have; none for other causes and for motion sampled in time."""
     effect = one.candidate.effects[0]
     if not (channel.poses and effect.dense and "period" in effect.settings):
         return ()
-    ground = Ground.of(channel, (TRAIN,), hunt.noise, columns_of(hunt.library, hunt.others(one)))
+    ground = NullModel.of(channel, (TRAIN,), hunt.noise, get_columns(hunt.library, hunt.others(one)))
     return alias_periods(channel, ground, effect)
 
 
-def _open(channel: ToolChannel, one: Found, finding: Finding, periods: tuple[float, ...]) -> Finding:
+def _open(channel: ToolChannel, one: SelectedCause, finding: Finding, periods: tuple[float, ...]) -> Finding:
     """Say that the places measured leave the period of a cyclic error open, and which spacing would not."""
     effect = one.candidate.effects[0]
     joint = effect.joints[0]
@@ -122,7 +124,7 @@ def _open(channel: ToolChannel, one: Found, finding: Finding, periods: tuple[flo
     )
 
 
-def _sentence(before: Errors, after: Errors, named: Sequence[Finding], aliased: Sequence[Finding]) -> str:
+def _sentence(before: OutputErrors, after: OutputErrors, named: Sequence[Finding], aliased: Sequence[Finding]) -> str:
     """Return what a colleague would say first."""
     one, other = (quantity(float(np.linalg.norm(e.rms)), "m") for e in (before, after))
     text = f"The measured tool is {one} (rms) from forward kinematics"

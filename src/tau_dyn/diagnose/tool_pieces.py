@@ -17,7 +17,7 @@ from tau_dyn.effects.cart_shift import SENSITIVITY
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
 from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.preparation import SLOWEST_HZ, Preparation
+from tau_dyn.identify.preparation import MIN_RATE_HZ, Preparation
 from tau_dyn.identify.regression import measured_signals
 from tau_dyn.log import Log, decimate, differentiate, even_segments, lowpass
 from tau_dyn.model import Model
@@ -93,7 +93,7 @@ def cut(log: Log) -> list[Log]:
 
 def held_still(log: Log) -> bool:
     """Tell whether a log holds poses: sampled too slowly to show motion."""
-    return log.rate_hz < SLOWEST_HZ
+    return log.rate_hz < MIN_RATE_HZ
 
 
 def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:

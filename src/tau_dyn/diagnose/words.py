@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tau_dyn.diagnose.result import Errors, Finding, Unexplained, Verdict
+from tau_dyn.diagnose.result import Finding, OutputErrors, Unexplained, Verdict
 
 _MOST = 3
 
 
 def verdict_sentence(
-    verdict: Verdict, findings: Sequence[Finding], unexplained: Sequence[Unexplained], before: Errors, after: Errors
+    verdict: Verdict,
+    findings: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    before: OutputErrors,
+    after: OutputErrors,
 ) -> str:
     """Return what a colleague would say first."""
     missed = f"The refitted model misses {before.relative_error_percent:.2g} % of the measured force"

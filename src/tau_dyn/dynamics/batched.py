@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.dynamics.body_columns import BodyMotion, body_columns, body_wrench, momentum
-from tau_dyn.kinematics.loop_arrays import Closed, LoopArrays
+from tau_dyn.kinematics.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.kinematics.loops import LoopSolver
 from tau_dyn.kinematics.tree_arrays import Joint, Motion, Vector, cross, into, joints_of, motion, plus, point
 from tau_dyn.robot import Robot
@@ -117,14 +117,14 @@ class BatchedTree:
             J[:, partial.movers, part] = self._velocity(closed, partial, frame.parentJoint, place[:, part])
         return place.T, J.transpose(2, 0, 1)
 
-    def moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[Closed, Motion]:
+    def moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, Motion]:
         """Return closed configurations and their motion, accelerations minus gravity, for at most one block of samples."""
         closed = self.loops.close(q)
         speeds = np.einsum("van,na->vn", closed.G, v)
         accelerations = self.loops.accelerations(closed, speeds, a.T)
         return closed, motion(self.joints, closed.at, speeds, accelerations, -self.gravity)
 
-    def _moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[Closed, Motion, list[Partial]]:
+    def _moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, Motion, list[Partial]]:
         closed, moving = self.moving(q, v, a)
         return closed, moving, self._partials(closed)
 
@@ -142,7 +142,7 @@ class BatchedTree:
             partial = partials[weight.joint]
             Y[partial.movers, weight.column] += self._held(closed, partial, weight)
 
-    def _body(self, closed: Closed, moving: Motion | None, partial: Partial, joint: int) -> BodyMotion:
+    def _body(self, closed: ClosedLoops, moving: Motion | None, partial: Partial, joint: int) -> BodyMotion:
         """Return a body's partial velocities and motion in its own axes; without motion where none is given."""
         rotation = closed.at.rotation[joint]
 
@@ -156,7 +156,7 @@ class BatchedTree:
         linear = into(rotation[:, :, None], partial.linear)
         return BodyMotion(partial.movers, linear, own(partial.angular), a, w, dw)
 
-    def _partials(self, closed: Closed) -> list[Partial]:
+    def _partials(self, closed: ClosedLoops) -> list[Partial]:
         """Return the partial velocities of all joints' frames, in world axes."""
         n = closed.x.shape[1]
         found = [Partial(np.zeros(0, int), np.zeros((3, 0, n)), None)]
@@ -184,12 +184,12 @@ class BatchedTree:
             found.append(Partial(movers, linear, angular))
         return found
 
-    def _velocity(self, closed: Closed, partial: Partial, joint: int, place: np.ndarray) -> np.ndarray:
+    def _velocity(self, closed: ClosedLoops, partial: Partial, joint: int, place: np.ndarray) -> np.ndarray:
         """Return how a point (3, N) that a joint carries moves per actuated speed (3, n, N)."""
         arm = place - closed.at.origin[joint]
         return plus(partial.linear, cross(partial.angular, arm[:, None]))
 
-    def _held(self, closed: Closed, partial: Partial, weight: Weight) -> np.ndarray:
+    def _held(self, closed: ClosedLoops, partial: Partial, weight: Weight) -> np.ndarray:
         """Return the actuated forces (n, N) that hold 1 kg against gravity."""
         place = point(closed.at, weight.joint, weight.local)
         return -np.einsum("xan,x->an", self._velocity(closed, partial, weight.joint, place), self.gravity)

@@ -14,7 +14,7 @@ import numpy as np
 from tau_dyn.dynamics.batched import BatchedTree, blocks
 from tau_dyn.dynamics.body_columns import BodyMotion, body_wrench
 from tau_dyn.dynamics.pairs import Pair
-from tau_dyn.kinematics.loop_arrays import Closed
+from tau_dyn.kinematics.loop_arrays import ClosedLoops
 from tau_dyn.kinematics.tree_arrays import Motion, Vector, cross, into, plus, point
 
 
@@ -70,7 +70,7 @@ def _fill(tree: BatchedTree, out: np.ndarray, q: np.ndarray, v: np.ndarray, a: n
         out[i] = beyond - (beyond * axis).sum(axis=0) * axis
 
 
-def _inertial(tree: BatchedTree, closed: Closed, moving: Motion, joint: int) -> _Load:
+def _inertial(tree: BatchedTree, closed: ClosedLoops, moving: Motion, joint: int) -> _Load:
     """Return what accelerates and carries a body."""
     rotation = closed.at.rotation[joint]
 
@@ -84,7 +84,7 @@ def _inertial(tree: BatchedTree, closed: Closed, moving: Motion, joint: int) -> 
     return _Load(*(None if x is None else into(back, x) for x in (force, moment)))
 
 
-def _pulls(tree: BatchedTree, closed: Closed, inertial: dict[int, _Load]) -> dict[int, np.ndarray]:
+def _pulls(tree: BatchedTree, closed: ClosedLoops, inertial: dict[int, _Load]) -> dict[int, np.ndarray]:
     """Return the loops' forces (3, N) on the joints' bodies they end on."""
     found: dict[int, np.ndarray] = {}
     if not tree.robot.loops:
@@ -98,7 +98,7 @@ def _pulls(tree: BatchedTree, closed: Closed, inertial: dict[int, _Load]) -> dic
     return found
 
 
-def _open_tree(tree: BatchedTree, closed: Closed, inertial: dict[int, _Load]) -> np.ndarray:
+def _open_tree(tree: BatchedTree, closed: ClosedLoops, inertial: dict[int, _Load]) -> np.ndarray:
     """Return the tree's joint forces (nv, N) with all loops cut: the recursion from the tips to the base."""
     at, n = closed.at, closed.x.shape[1]
     force: list[Vector] = [None] * (len(tree.joints) + 1)

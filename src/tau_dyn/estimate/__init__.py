@@ -1,30 +1,31 @@
 """The engines that torque, pose and vibration share: linear regressions, noise, base parameters, physics."""
 
+from tau_dyn.deprecated_names import get_deprecated
 from tau_dyn.estimate.autoregression import Autoregression, fit_autoregression
-from tau_dyn.estimate.base import BaseParameters, find_base
+from tau_dyn.estimate.base_parameters import BaseParameters, find_base
 from tau_dyn.estimate.combination import Combination, combination
-from tau_dyn.estimate.consistent import solve_consistent
-from tau_dyn.estimate.estimate import DETERMINED, Estimate
+from tau_dyn.estimate.estimate import MAX_RELATIVE_STDERR, Estimate
 from tau_dyn.estimate.least_squares import solve_least_squares
-from tau_dyn.estimate.physics import Body, Physics, pseudo_inertia
-from tau_dyn.estimate.regression import Everything, Regression, Rows, Run
+from tau_dyn.estimate.physical_consistency import solve_consistent
+from tau_dyn.estimate.physics import InertialBody, PhysicalConstraints, pseudo_inertia
+from tau_dyn.estimate.regression import Regression, Rows, Run, StreamedData
 from tau_dyn.estimate.scaled import solve_scaled, unit_columns
-from tau_dyn.estimate.totals import Totals
+from tau_dyn.estimate.sufficient_statistics import SufficientStatistics
 from tau_dyn.estimate.whitening import Whitener
 
 __all__ = [
-    "DETERMINED",
+    "MAX_RELATIVE_STDERR",
     "Autoregression",
     "BaseParameters",
-    "Body",
     "Combination",
     "Estimate",
-    "Everything",
-    "Physics",
+    "InertialBody",
+    "PhysicalConstraints",
     "Regression",
     "Rows",
     "Run",
-    "Totals",
+    "StreamedData",
+    "SufficientStatistics",
     "Whitener",
     "combination",
     "find_base",
@@ -35,3 +36,7 @@ __all__ = [
     "solve_scaled",
     "unit_columns",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

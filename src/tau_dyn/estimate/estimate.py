@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.estimate.autoregression import Autoregression
-from tau_dyn.estimate.base import BaseParameters
-from tau_dyn.estimate.noise import larger_errors
+from tau_dyn.estimate.base_parameters import BaseParameters
+from tau_dyn.estimate.covariance import larger_errors
 from tau_dyn.estimate.regression import Regression
 from tau_dyn.parameters import Parameters
 
-DETERMINED = 0.30
+MAX_RELATIVE_STDERR = 0.30
 """Relative standard error below which a parameter counts as determined."""
 
 
@@ -81,4 +81,4 @@ class Estimate:
     def determined(self, name: str) -> bool:
         """Return whether these data tell the parameter to within 30 % of its value."""
         p = self.parameters[name]
-        return p.stderr is not None and p.stderr < DETERMINED * abs(p.value)
+        return p.stderr is not None and p.stderr < MAX_RELATIVE_STDERR * abs(p.value)

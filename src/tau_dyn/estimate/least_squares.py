@@ -4,8 +4,9 @@ r"""Weighted least squares on base parameters, each output weighted by its own n
 
 `sigma_j` is output j's residual deviation; estimate and weights take turns until they agree. A parameter known beforehand
 with an uncertainty is one more row. Covariances hold under coloured noise (`noise.py`), bounds and physics come after
-(`consistent.py`). Reference: Gautier & Poignet 2001, Extended Kalman filtering and weighted least squares dynamic
-identification of robot. All of it works on the outputs' triangular factors (`totals.py`), so that the number of samples does not
+(`physical_consistency.py`). Reference: Gautier & Poignet 2001, Extended Kalman filtering and weighted least squares dynamic
+identification of robot. All of it works on the outputs' triangular factors (`sufficient_statistics.py`), so that the number of
+samples does not
 matter; only the covariance looks at the residuals themselves, run by run.
 """
 
@@ -16,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.estimate.base import BaseParameters, find_base
-from tau_dyn.estimate.consistent import solve_consistent
+from tau_dyn.estimate.base_parameters import BaseParameters, find_base
+from tau_dyn.estimate.covariance import Scores, estimate_covariance, larger_errors
 from tau_dyn.estimate.estimate import Estimate
-from tau_dyn.estimate.noise import Scores, covariance, larger_errors
-from tau_dyn.estimate.physics import Physics
+from tau_dyn.estimate.physical_consistency import solve_consistent
+from tau_dyn.estimate.physics import PhysicalConstraints
 from tau_dyn.estimate.prior import prior_rows
 from tau_dyn.estimate.regression import Regression, Rows
 from tau_dyn.exceptions import CannotAnswer
@@ -32,7 +33,7 @@ _ROUNDS = 20
 def solve_least_squares(
     regression: Regression,
     *,
-    physics: Physics | None = None,
+    physics: PhysicalConstraints | None = None,
     structural: BaseParameters | None = None,
     gains: Mapping[str, float] | None = None,
 ) -> Estimate:
@@ -60,17 +61,17 @@ def solve_least_squares(
     R = np.asarray(np.linalg.qr(weighted, mode="r"))
     known = np.concatenate([rows.prior_W[:, base.kept], _gain_rows(regression, rows, weighted, y, gains or {})])
     scores = _scores(regression, rows, base, _full(regression.parameters, rows, base, beta), sigma)
-    certainty = covariance(scores, regression.n_samples, R, known)
+    certainty = estimate_covariance(scores, regression.n_samples, R, known)
     constrained = solve_consistent(regression.parameters, base, beta, R, physics)
-    stderr = larger_errors(certainty.coloured, certainty.scattered)
+    stderr = larger_errors(certainty.autoregressive, certainty.clustered)
     return Estimate(
         regression=regression,
         parameters=_with_stderr(constrained.parameters, base, stderr),
         base=base,
         beta=base.combine(constrained.parameters.select(base.names).values),
         beta_plain=beta,
-        cov=certainty.coloured,
-        scatter=certainty.scattered,
+        cov=certainty.autoregressive,
+        scatter=certainty.clustered,
         structural=structural,
         cond=float(np.linalg.cond(weighted / np.linalg.norm(weighted, axis=0))),
         noise=certainty.models,

@@ -17,7 +17,7 @@ _IXX, _IXY, _IYY, _IXZ, _IYZ, _IZZ = range(4, 10)
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class InertialBody:
     """One body: which parameters make its ten inertial numbers `pi = map @ parameters`.
 
     Attributes:
@@ -32,10 +32,10 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Physics:
+class PhysicalConstraints:
     """The bodies whose inertial numbers must be those of something that exists."""
 
-    bodies: tuple[Body, ...]
+    bodies: tuple[InertialBody, ...]
 
 
 def pseudo_inertia(pi: np.ndarray) -> np.ndarray:

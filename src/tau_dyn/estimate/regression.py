@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.estimate.totals import Totals
+from tau_dyn.estimate.sufficient_statistics import SufficientStatistics
 from tau_dyn.parameters import Parameters
 
 
@@ -57,7 +57,7 @@ class Rows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Everything:
+class StreamedData:
     """What there is beyond the runs that are kept in memory, where a recording is larger than that.
 
     Attributes:
@@ -66,8 +66,8 @@ class Everything:
         runs: Of every run, its rows in order, read back piece by piece.
     """
 
-    used: Totals
-    whole: Totals
+    used: SufficientStatistics
+    whole: SufficientStatistics
     runs: Sequence[Sequence[Rows]]
 
 
@@ -89,7 +89,7 @@ class Regression:
     units: tuple[str, ...]
     runs: tuple[Run, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
-    everything: Everything | None = None
+    everything: StreamedData | None = None
 
     @property
     def n_samples(self) -> int:
@@ -105,13 +105,17 @@ class Regression:
             return self.n_samples / max(1, int(self.everything.whole.count.sum()))
         return self.n_samples / max(1, sum(run.usable.size for run in self.runs))
 
-    def totals(self, *, whole: bool = False) -> Totals:
+    def totals(self, *, whole: bool = False) -> SufficientStatistics:
         """Return the totals of the rows that a fit may use, or of all rows."""
         if self.everything is not None:
             return self.everything.whole if whole else self.everything.used
-        total = Totals.zero(len(self.outputs), len(self.parameters))
+        total = SufficientStatistics.zero(len(self.outputs), len(self.parameters))
         for run in self.runs:
-            total = total + (Totals.of(run.W_all, run.y_all) if whole else Totals.of(run.W, run.y, run.usable))
+            total = total + (
+                SufficientStatistics.of(run.W_all, run.y_all)
+                if whole
+                else SufficientStatistics.of(run.W, run.y, run.usable)
+            )
         return total
 
     def rows(self) -> Iterator[Iterator[Rows]]:

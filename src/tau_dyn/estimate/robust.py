@@ -27,7 +27,7 @@ def bisquare(x: np.ndarray) -> np.ndarray:
     return np.where(np.abs(x) < BISQUARE, (1 - (x / BISQUARE) ** 2) ** 2, 0.0)
 
 
-def inflation(x: np.ndarray) -> float:
+def compute_robust_covariance_factor(x: np.ndarray) -> float:
     """Return `mean w / mean psi'`, by which a fit repeated with `bisquare` weights is less certain than one with fixed weights.
 
     Args:

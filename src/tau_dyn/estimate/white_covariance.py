@@ -14,15 +14,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.estimate.noise import BLOCK_S, block_numbers
+from tau_dyn.estimate.covariance import BLOCK_S, block_numbers
 
 SHORT_S = 0.1
 LAGS = 5
-WHITE = 4.0
+MAX_CORRELATION_Z = 4.0
 """Standard errors that each of the first correlations may be off zero."""
 
 
-def score_middles(
+def estimate_score_covariance(
     times: Sequence[np.ndarray], Z: Sequence[np.ndarray], residuals: Sequence[np.ndarray], keep: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the scores' covariance (r, r) twice: by the residual's colour, and from the scatter of long blocks.
@@ -53,7 +53,7 @@ def _white(residuals: Sequence[np.ndarray], keep: Sequence[np.ndarray]) -> bool:
     for lag in range(1, LAGS + 1):
         pairs = sum(int(np.sum(x[lag:] & x[:-lag])) for x in keep)
         total = sum(float(np.sum(e[lag:] * e[:-lag])) for e in residuals)
-        if pairs < 10 or abs(total) > WHITE * power * np.sqrt(pairs):
+        if pairs < 10 or abs(total) > MAX_CORRELATION_Z * power * np.sqrt(pairs):
             return False
     return True
 

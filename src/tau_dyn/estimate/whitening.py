@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.linalg import solve_toeplitz
 
 from tau_dyn.estimate.autoregression import Autoregression
-from tau_dyn.estimate.noise import block_numbers
+from tau_dyn.estimate.covariance import block_numbers
 from tau_dyn.estimate.regression import Run
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.export_check import random_states, walked
+from tau_dyn.control.export_check import evaluate_graph, random_states
 from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.fmu_equations import Equations, Part
 from tau_dyn.simulate.forces import SampledForces
@@ -27,7 +27,7 @@ def largest_difference(equations: Equations) -> float:
     if equations.loops is not None:
         known["p"] = np.array([equations.loops.closed(x) for x in q])[:, equations.loops.passive]
     for part, expected in _expected(equations, q, v, a):
-        found, fine = walked(part.graph, part.outputs, known)
+        found, fine = evaluate_graph(part.graph, part.outputs, known)
         difference = np.max(np.abs(found - expected)) / max(float(np.max(np.abs(expected))), 1e-300)
         if not difference < AGREEMENT or not fine.all():
             raise InputError(

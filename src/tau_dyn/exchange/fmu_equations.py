@@ -19,8 +19,8 @@ from tau_dyn.control.export_check import random_states
 from tau_dyn.control.export_forms import ClosedForm, LoopForm, TreeForm
 from tau_dyn.control.export_loops import Loops
 from tau_dyn.control.export_tree import Tree
+from tau_dyn.control.expression_arrays import ExpressionArray, as_expression_array, inputs
 from tau_dyn.control.graph import Graph, Node
-from tau_dyn.control.traced import Traced, inputs, traced
 from tau_dyn.dynamics import GantryTauMechanism, Mechanism
 from tau_dyn.effects import Motion
 from tau_dyn.effects.state import on_recording
@@ -102,7 +102,7 @@ class _Inputs:
         self.model, self.loops, self.graph = model, loops, Graph()
         q, v, a = (x[0] for x in random_states(model, 1, np.random.default_rng(1)))
         self.q, self.v, self.a = (inputs(self.graph, n, x)[None] for n, x in zip("qva", (q, v, a), strict=True))
-        self.rest = traced(np.zeros((1, model.robot.na)))
+        self.rest = as_expression_array(np.zeros((1, model.robot.na)))
         self.theta = inputs(self.graph, "theta", model.parameters.values)
         self.passive = inputs(self.graph, "p", loops.closed(q)[loops.passive]) if loops is not None else None
         self.takes = ("q", "p") if loops is not None else ("q",)
@@ -124,9 +124,9 @@ class _Inputs:
         """Return the tree with open parameters."""
         robot = self.model.robot
         tree = Tree(robot)
-        open_ = {j: traced(np.zeros(10)) for j in range(1, robot.model.njoints)}
+        open_ = {j: as_expression_array(np.zeros(10)) for j in range(1, robot.model.njoints)}
         for link in robot.links:
-            own = traced([self.value(name) for name in link.names])
+            own = as_expression_array([self.value(name) for name in link.names])
             open_[link.joint_id] = open_[link.joint_id] + link.map @ own
         tree.joints = tuple(replace(joint, pi=open_[k + 1]) for k, joint in enumerate(tree.joints))
         tree.armature = {j: self.value(f"{j}.armature") for j in robot.actuated}
@@ -142,12 +142,12 @@ class _Inputs:
 def _open_closed_form(form: ClosedForm, given: _Inputs) -> ClosedForm:
     """Put expressions in the place of the closed form's masses."""
     robot = given.model.robot
-    armature = traced([given.value(f"{arm.cart_joint}.armature") for arm in robot.arms])
-    form.m_cart = traced([given.value(f"{arm.cart_link}.mass") for arm in robot.arms]) + armature
-    form.m_rod = traced([given.value(f"{arm.rod_link}.mass") for arm in robot.arms])
-    form.m_plate = traced(given.value(f"{robot.plate}.mass"))
+    armature = as_expression_array([given.value(f"{arm.cart_joint}.armature") for arm in robot.arms])
+    form.m_cart = as_expression_array([given.value(f"{arm.cart_link}.mass") for arm in robot.arms]) + armature
+    form.m_rod = as_expression_array([given.value(f"{arm.rod_link}.mass") for arm in robot.arms])
+    form.m_plate = as_expression_array(given.value(f"{robot.plate}.mass"))
     weight = f"{robot.plate}.gravity_mass"
-    form.m_gravity = traced(given.value(weight)) if weight in robot.parameters else 0.0
+    form.m_gravity = as_expression_array(given.value(weight)) if weight in robot.parameters else 0.0
     form._armature = lambda: armature  # type: ignore[method-assign]
     return form
 
@@ -160,7 +160,7 @@ def _dynamics(given: _Inputs) -> Part:
         h = form.inverse_dynamics(given.q, given.v, given.rest)[0]
         assert isinstance(form, TreeForm)
         form.tree.gravity, form.tree.weights = np.zeros(3), []
-        units = (traced(row[None]) for row in np.eye(n))
+        units = (as_expression_array(row[None]) for row in np.eye(n))
         M = np.array([form.inverse_dynamics(given.q, given.rest, unit)[0] for unit in units], dtype=object).T
     gives = {"M": tuple(np.asarray(M, dtype=object).ravel()), "h": tuple(h)}
     return Part(given.graph, (*given.takes, "v", "theta"), gives)
@@ -180,17 +180,19 @@ def _friction(given: _Inputs) -> Part:
         for effect in scaled:
             force = force + asked(effect, given.rest, sign, whole)
         both.append(force)
-    added = traced(np.zeros((n, n)))
+    added = as_expression_array(np.zeros((n, n)))
     for k, unit in enumerate(np.eye(n)):
         for effect in plain:
             if "load" not in effect.needs:
-                added[:, k] = added[:, k] + asked(effect, traced(unit[None]), 1.0) - asked(effect, given.rest, 1.0)
+                added[:, k] = (
+                    added[:, k] + asked(effect, as_expression_array(unit[None]), 1.0) - asked(effect, given.rest, 1.0)
+                )
     if scaled:
-        M = np.array(_dynamics(given).gives["M"], dtype=object).reshape(n, n).view(Traced)
+        M = np.array(_dynamics(given).gives["M"], dtype=object).reshape(n, n).view(ExpressionArray)
         for k, unit in enumerate(np.eye(n)):
             whole = M[:, k] + added[:, k]
             for effect in scaled:
-                added[:, k] = added[:, k] + asked(effect, traced(unit[None]), 1.0, whole)
+                added[:, k] = added[:, k] + asked(effect, as_expression_array(unit[None]), 1.0, whole)
     gives = {"lower": tuple(both[0]), "upper": tuple(both[1]), "added": tuple(added.ravel())}
     return Part(given.graph, (*given.takes, "v", "a", "theta"), gives)
 
@@ -208,12 +210,12 @@ class _Asked:
         given = self.given
         signals = {n: COMPUTED[n](self.form, given.q, given.v, a) for n in effect.needs if n in COMPUTED}
         if force is not None:
-            signals["force"] = traced(force)[None]
+            signals["force"] = as_expression_array(force)[None]
         signs = np.full((1, given.model.robot.na), sign)
         motion = Motion.of(given.model.robot.actuated, given.q, given.v, a, signs, signals=signals)
-        columns = traced(effect.columns(motion))[0]
-        values = traced([given.theta[self.places[name]] for name in effect.parameters.names])
-        return traced(columns @ values)
+        columns = as_expression_array(effect.columns(motion))[0]
+        values = as_expression_array([given.theta[self.places[name]] for name in effect.parameters.names])
+        return as_expression_array(columns @ values)
 
 
 def _tool(given: _Inputs) -> Part:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.estimate import DETERMINED, solve_least_squares
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, solve_least_squares
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.excitation.information import scales
 from tau_dyn.excitation.noise import Noise
@@ -67,7 +67,7 @@ class Prediction:
                 "unit": unit,
                 "value": float(value),
                 "stderr": float(error),
-                "determined": bool(error < DETERMINED * abs(value)),
+                "determined": bool(error < MAX_RELATIVE_STDERR * abs(value)),
             }
             for name, words, unit, value, error in made
         ]

@@ -1,5 +1,6 @@
 """Torque logs -> masses and friction."""
 
+from tau_dyn.deprecated_names import get_deprecated
 from tau_dyn.identify.choices import Choices
 from tau_dyn.identify.errors import ForceErrors, force_errors
 from tau_dyn.identify.identify import build_model, identify
@@ -7,11 +8,11 @@ from tau_dyn.identify.log_integrity import check_against_robot, check_integrity,
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.regression import build_regression
 from tau_dyn.identify.result import Identification
-from tau_dyn.identify.streaming import Engine
+from tau_dyn.identify.streaming import BlockExecutor
 
 __all__ = [
+    "BlockExecutor",
     "Choices",
-    "Engine",
     "ForceErrors",
     "Identification",
     "Preparation",
@@ -24,3 +25,7 @@ __all__ = [
     "identify",
     "spoils_diagnosis",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

@@ -14,22 +14,22 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.effects.hysteresis import Hysteresis
-from tau_dyn.estimate import Rows, Run, Totals
+from tau_dyn.estimate import Rows, Run, SufficientStatistics
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import ROUNDING, Preparation
-from tau_dyn.identify.regression import prepare
+from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import Log, edge_samples
-from tau_dyn.log.names import ROOM_TEMPERATURE
-from tau_dyn.log.stretch import InMemory, Stretch
+from tau_dyn.log.column_names import ROOM_TEMPERATURE
+from tau_dyn.log.even_segments import EvenSegment, InMemorySegment
 from tau_dyn.model import Model
 
 SIZE = 2**22
 """Numbers in a block's columns."""
 
-FEWEST = 256
+MIN_BLOCK_ROWS = 256
 """Decimated rows that a block has at least, so that it is not mostly neighbourhood."""
 
-FORGOTTEN = 8
+OVERLAP_FILTER_MEMORIES = 8
 """Filter memories (to 1 % of a transient) read beyond a block: 1e-16 of a cut end is left."""
 
 
@@ -42,7 +42,7 @@ class Block(NamedTuple):
     section: int
 
 
-class Computed(NamedTuple):
+class BlockRows(NamedTuple):
     """A block's rows and their totals.
 
     Attributes:
@@ -53,8 +53,8 @@ class Computed(NamedTuple):
     """
 
     rows: Rows
-    used: Totals
-    whole: Totals
+    used: SufficientStatistics
+    whole: SufficientStatistics
     run: Run | None
 
 
@@ -74,7 +74,7 @@ class Work:
 
     model: Model
     at: Model
-    stretches: tuple[Stretch | InMemory, ...]
+    stretches: tuple[EvenSegment | InMemorySegment, ...]
     numbers: tuple[int, ...]
     preparation: Preparation
     scale: np.ndarray
@@ -85,18 +85,18 @@ class Work:
         """Names of the channels that are read."""
         return channels(self.model, self.preparation.exclude)
 
-    def compute(self, block: Block, log: Log | None = None) -> Computed:
+    def compute(self, block: Block, log: Log | None = None) -> BlockRows:
         """Return a block's rows; `log` is what `read` gives, where somebody else has read it."""
         stretch, preparation = self.stretches[block.stretch], self.preparation
         factor = preparation.factor(stretch.rate_hz)
         log = self.read(block) if log is None else log
         number = {"campaign": np.full(log.n_samples, float(self.numbers[block.stretch]))}
-        prepared = prepare(self.at, log, preparation, signals=number, rate_hz=stretch.rate_hz)
+        prepared = prepare_segment(self.at, log, preparation, signals=number, rate_hz=stretch.rate_hz)
         first = self._around(block)[0] // factor
         run = prepared.run(self.model).window(slice(block.start - first, block.stop - first))
         run = replace(run, y=run.y * self.scale, y_all=run.y_all * self.scale)
-        used, whole = Totals.of(run.W, run.y, run.usable), Totals.of(run.W_all, run.y_all)
-        return Computed(Rows(run.t, run.W, run.y, run.usable), used, whole, run if block in self.shown else None)
+        used, whole = SufficientStatistics.of(run.W, run.y, run.usable), SufficientStatistics.of(run.W_all, run.y_all)
+        return BlockRows(Rows(run.t, run.W, run.y, run.usable), used, whole, run if block in self.shown else None)
 
     def read(self, block: Block) -> Log:
         """Return a block's samples and those around it."""
@@ -113,10 +113,12 @@ def overlap(preparation: Preparation, rate_hz: float) -> int:
     filters = sum(edge_samples(f, rate_hz) for f in (preparation.force_cutoff_hz, preparation.position_cutoff_hz))
     gate = (preparation.window_s + 2 / preparation.position_cutoff_hz) * rate_hz
     factor = preparation.factor(rate_hz)
-    return factor * int(np.ceil((FORGOTTEN * filters + gate + 16) / factor))
+    return factor * int(np.ceil((OVERLAP_FILTER_MEMORIES * filters + gate + 16) / factor))
 
 
-def cut(stretch: Stretch | InMemory, number: int, preparation: Preparation, width: int, share: float) -> list[Block]:
+def split_blocks(
+    stretch: EvenSegment | InMemorySegment, number: int, preparation: Preparation, width: int, share: float
+) -> list[Block]:
     """Cut a stretch into blocks.
 
     Args:
@@ -129,7 +131,7 @@ def cut(stretch: Stretch | InMemory, number: int, preparation: Preparation, widt
     """
     factor = preparation.factor(stretch.rate_hz)
     n = -(-stretch.n_samples // factor)
-    size = max(FEWEST, SIZE // width // factor)
+    size = max(MIN_BLOCK_ROWS, SIZE // width // factor)
     middle = int(share * n)
     gap = int(np.ceil(preparation.rate_hz / preparation.force_cutoff_hz - ROUNDING))
     edges = (0, middle, min(middle + gap, n - 1), n)

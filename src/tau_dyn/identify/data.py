@@ -13,14 +13,21 @@ import numpy as np
 
 from tau_dyn.estimate import Regression
 from tau_dyn.identify.choices import scale_outputs
+from tau_dyn.identify.log_inputs import log_warnings
 from tau_dyn.identify.log_integrity import check_integrity
-from tau_dyn.identify.logs import log_warnings
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import build_regression
 from tau_dyn.identify.short_pieces import list_crumbs, refuse_short
-from tau_dyn.identify.streaming import Engine, Progress, channels, even_stretches, refuse_missing, stream_regression
+from tau_dyn.identify.streaming import (
+    BlockExecutor,
+    Progress,
+    channels,
+    even_stretches,
+    refuse_missing,
+    stream_regression,
+)
 from tau_dyn.log import Log, Recording, even_segments, mend_log
-from tau_dyn.log.resample import MIN_SEGMENT
+from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.model import Model
 
 TRAIN_SHARE = 0.7
@@ -51,7 +58,7 @@ class Data:
     exclude: tuple[str, ...] = ()
     factors: dict[str, float] = field(default_factory=dict)
     campaigns: tuple[str, ...] = ()
-    engine: Engine = Engine()
+    engine: BlockExecutor = BlockExecutor()
     progress: Progress = lambda step: None
 
     def __post_init__(self) -> None:
@@ -105,7 +112,7 @@ class Data:
             return whole
         logs = [log for log in self.logs if isinstance(log, Log)]
         if logs and not self.pieces:
-            raise refuse_short(logs, MIN_SEGMENT / min(log.rate_hz for log in logs))
+            raise refuse_short(logs, MIN_SEGMENT_SAMPLES / min(log.rate_hz for log in logs))
         built = build_regression(
             self.model,
             self.pieces,

@@ -28,7 +28,7 @@ def free_drive_inertias(model: Model, seed: int = 0) -> Model:
         model: Any model; drive inertias that its file or its user gave are kept.
         seed: Of the random states at which columns are compared.
     """
-    from tau_dyn.identify.structure import random_positions
+    from tau_dyn.identify.structural_identifiability import random_positions
 
     robot, parameters = model.robot, model.parameters
     unknown = [j for j in robot.actuated if parameters[f"{j}.armature"].origin == NOT_GIVEN]

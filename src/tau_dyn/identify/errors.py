@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.estimate import Regression, Totals
+from tau_dyn.estimate import Regression, SufficientStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def force_errors(regression: Regression, theta: np.ndarray) -> ForceErrors:
 
 
 def _errors(
-    joints: tuple[str, ...], totals: Totals, theta: np.ndarray, share: float, whole: ForceErrors | None
+    joints: tuple[str, ...], totals: SufficientStatistics, theta: np.ndarray, share: float, whole: ForceErrors | None
 ) -> ForceErrors:
     squares, power = totals.squares(theta), totals.power()
     return ForceErrors(

@@ -1,7 +1,7 @@
 """Which estimator answers: weighted least squares, or one of those at the statistical limit where the log bears it.
 
 wls     on the prepared regression: low-pass, gate, decimation. Stable where the model leaves something out.
-ml      full rate, errors in all variables; needs no reference (`instrumental.py`).
+ml      full rate, errors in all variables; needs no reference (`full_rate_estimators.py`).
 iv      the same with instruments from `q_ref_J`; also unbiased where the controller answers the encoders' noise.
 robust  ml with bisquare weights against outliers in the forces.
 auto    iv where the log has references, else ml; wls where that is not more precise, or where the whitened residual
@@ -17,21 +17,21 @@ import numpy as np
 
 from tau_dyn.estimate import Estimate, Regression
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.instrumental import Refined, refine
-from tau_dyn.identify.settle import FELT
-from tau_dyn.identify.structure import physics_of
+from tau_dyn.identify.fixed_point import PARAMETER_DEPENDENT_SIGNALS
+from tau_dyn.identify.full_rate_estimators import FullRateEstimate, estimate_full_rate
+from tau_dyn.identify.structural_identifiability import build_physical_constraints
 from tau_dyn.log import Log, encoder_noise
 from tau_dyn.model import Model
 
 ESTIMATORS = ("auto", "wls", "ml", "iv", "robust")
 
-LARGEST = 30_000_000
+MAX_COLUMN_VALUES = 30_000_000
 """Numbers in the full-rate columns (samples x joints x columns) up to which they are held in memory."""
 
 CLEAN_REFERENCE = 0.2
 """Share of the encoders' noise that references may have; more, and they are measurements themselves."""
 
-COLOUR = 0.25
+MAX_IN_BAND_EXCESS_POWER = 0.25
 """Excess of the whitened residual's power in the motion's band above which the model, not noise, makes it."""
 
 BANDS = (1.0, 0.4, 0.2)
@@ -75,7 +75,7 @@ class Estimator:
         if self.kind == "wls":
             return first
         found = self._refined(first, self.kind)
-        if self.kind != "robust" and not noise_explains(found):
+        if self.kind != "robust" and not is_residual_white(found):
             self.warnings.append(
                 f"the residual is not the noise that estimator {self.kind} takes it for; its errors are wider than they need be, "
                 "and --estimator wls or diagnose may serve better"
@@ -92,20 +92,26 @@ class Estimator:
                 found = self._refined(first, kind)
             except (CannotAnswer, np.linalg.LinAlgError):
                 continue
-            if not noise_explains(found):
+            if not is_residual_white(found):
                 break
             if _size(found.estimate.cov, first.cov) < 1:
                 return _named(found.estimate, kind)
         return _named(first, "wls")
 
-    def _refined(self, first: Estimate, kind: str) -> Refined:
+    def _refined(self, first: Estimate, kind: str) -> FullRateEstimate:
         pieces = [_part(log, run.t) for log, run in zip(self.pieces, first.regression.runs, strict=True)]
-        return refine(self.model, pieces, first, kind, gains=self.gains, physics=physics_of(self.model))
+        return estimate_full_rate(
+            self.model, pieces, first, kind, gains=self.gains, physics=build_physical_constraints(self.model)
+        )
 
     def _fault(self, kind: str) -> str:
         """Return why an estimator cannot take this model and these logs; empty where it can."""
         joints = self.model.robot.actuated
-        odd = [e.name for e in self.model.effects if e.measured or {"campaign", *FELT} & set(e.needs)]
+        odd = [
+            e.name
+            for e in self.model.effects
+            if e.measured or {"campaign", *PARAMETER_DEPENDENT_SIGNALS} & set(e.needs)
+        ]
         if odd:
             return f"effect {odd[0]} feels more than a motion at full rate gives; use wls"
         if not all(isinstance(log, Log) for log in self.pieces):
@@ -113,12 +119,15 @@ class Estimator:
                 "a recording on disk is read in blocks, and it needs all samples at once; use wls, or give an excerpt"
             )
         size = sum(log.n_samples for log in self.pieces) * len(joints) * len(self.model.parameters)
-        if size > LARGEST:
-            return f"the logs are too long for it ({size:.2g} numbers at full rate, {LARGEST:.2g} fit); use wls or fewer logs"
+        if size > MAX_COLUMN_VALUES:
+            return (
+                f"the logs are too long for it ({size:.2g} numbers at full rate, {MAX_COLUMN_VALUES:.2g} fit); "
+                f"use wls or fewer logs"
+            )
         return _reference_fault(self.pieces, joints) if kind == "iv" else ""
 
 
-def noise_explains(found: Refined) -> bool:
+def is_residual_white(found: FullRateEstimate) -> bool:
     """Return whether whitened residuals are white where the motion is: no more power in its band, no memory."""
     cutoff = found.estimate.regression.settings["preparation"].force_cutoff_hz
     for k in range(found.residuals[0].shape[1]):
@@ -131,7 +140,7 @@ def noise_explains(found: Refined) -> bool:
             return False
         for part in BANDS:
             low, blocks = _power_below(part * cutoff, pairs)
-            if low > power * (1 + COLOUR + 4 * np.sqrt(2 / max(blocks, 1))):
+            if low > power * (1 + MAX_IN_BAND_EXCESS_POWER + 4 * np.sqrt(2 / max(blocks, 1))):
                 return False
     return True
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import excluded
-from tau_dyn.identify.preparation import FEWEST, choose_preparation
+from tau_dyn.identify.gate import find_excluded_samples
+from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES, choose_preparation
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, noise_gain
 from tau_dyn.robot import Robot
 
@@ -70,7 +70,9 @@ def make_excerpt(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = (
         exclude: Columns whose nonzero samples are left out.
     """
     joints = robot.actuated
-    fit = [log for log in logs if log.has("q", joints) and log.has("tau", joints) and log.n_samples > FEWEST]
+    fit = [
+        log for log in logs if log.has("q", joints) and log.has("tau", joints) and log.n_samples > MIN_SEGMENT_SAMPLES
+    ]
     if not fit:
         return None
     log = max(fit, key=lambda piece: piece.duration)
@@ -94,9 +96,9 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
     threshold = np.maximum(NOISE_FACTOR * encoder_noise(raw) * noise_gain(rate, cutoff), 0.005 * np.abs(v).max(axis=0))
     shut = np.abs(v) <= threshold
     shut[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
-    left_out = excluded(log, joints, robot.effort_limit, exclude)
+    left_out = find_excluded_samples(log, joints, robot.effort_limit, exclude)
     if np.mean(left_out) > MAX_SATURATED:  # forces in another unit, or limits that mean nothing
-        left_out = excluded(log, joints, np.full(robot.na, np.inf), exclude)
+        left_out = find_excluded_samples(log, joints, np.full(robot.na, np.inf), exclude)
     shut |= left_out
     used = ~_widen(shut, int(np.ceil(MASK_PERIODS * rate / cutoff)))
     edge = edge_samples(cutoff, rate)

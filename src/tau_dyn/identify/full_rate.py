@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from tau_dyn.estimate.position_noise import REACH, accelerations
-from tau_dyn.identify.gate import excluded
+from tau_dyn.identify.gate import find_excluded_samples
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.signals import measured_signals
 from tau_dyn.log import Log, differentiate, edge_samples, lowpass
@@ -24,7 +24,7 @@ from tau_dyn.model import Model
 INERTIA_EVERY = 10
 """Samples between two mass matrices; those between are interpolated."""
 
-SURE = 0.4
+SIGN_THRESHOLD_RATIO = 0.4
 """Share of the regression's speed threshold above which a sign is sure here: four times the velocity's noise."""
 
 
@@ -57,7 +57,7 @@ class FullRate:
         return _columns(model, self.log, *self.smooth, a, self.signals)
 
 
-def full_rate(model: Model, log: Log, preparation: Preparation) -> FullRate:
+def build_full_rate_equations(model: Model, log: Log, preparation: Preparation) -> FullRate:
     """Return the equations of one even stretch.
 
     Args:
@@ -71,8 +71,8 @@ def full_rate(model: Model, log: Log, preparation: Preparation) -> FullRate:
     v = differentiate(q, log.dt, accuracy=4)
     signals = measured_signals(log, joints, q, v, preparation.speed_threshold)
     W = _columns(model, log, q, v, accelerations(raw, log.dt), signals)
-    keep = _sure(v, SURE * preparation.speed_threshold)
-    flagged = excluded(log, joints, model.robot.effort_limit, preparation.exclude)
+    keep = _sure(v, SIGN_THRESHOLD_RATIO * preparation.speed_threshold)
+    flagged = find_excluded_samples(log, joints, model.robot.effort_limit, preparation.exclude)
     keep &= ~np.asarray(binary_dilation(flagged, np.ones((2 * REACH + 1, 1), bool)), dtype=bool)
     edge = edge_samples(preparation.position_cutoff_hz, rate)
     keep[:edge] = keep[len(keep) - edge :] = False

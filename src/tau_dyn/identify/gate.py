@@ -19,11 +19,11 @@ from tau_dyn.log.jumps import jump_finding
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.robot import Robot
 
-AT_LIMIT = 0.999
+SATURATION_RATIO = 0.999
 """Share of a drive's limit from which a force counts as saturated."""
 
 
-def gate_of(log: Log, motion: Motion, model: Model, preparation: Preparation, rate: float) -> np.ndarray:
+def compute_gate(log: Log, motion: Motion, model: Model, preparation: Preparation, rate: float) -> np.ndarray:
     """Return 1 where each joint's sample may be used and 0 where not (N, na), at the log's own rate."""
     threshold = preparation.speed_threshold
     shut = np.column_stack([_unsure(motion.v[:, k], threshold[k]) for k in range(len(threshold))])
@@ -34,7 +34,7 @@ def gate_of(log: Log, motion: Motion, model: Model, preparation: Preparation, ra
         felt = {name: COMPUTED[name](model.mechanism, motion.q, motion.v, motion.a) for name in computed}
         for speed, indices in effect.other_speeds(replace(motion, signals={**motion.signals, **felt})):
             shut[:, indices] |= _unsure(speed, float(np.hypot.reduce(threshold[indices])))[:, None]
-    shut |= excluded(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
+    shut |= find_excluded_samples(log, model.robot.actuated, model.robot.effort_limit, preparation.exclude)
     half = int(np.ceil(preparation.window_s * rate - ROUNDING))
     gate = 1.0 - _widened(shut, half)
     ramp = np.hanning(2 * int(np.ceil(rate / preparation.position_cutoff_hz - ROUNDING)) + 3)
@@ -56,9 +56,11 @@ def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:
     return unsure
 
 
-def excluded(log: Log, joints: tuple[str, ...], effort_limit: np.ndarray, columns: tuple[str, ...]) -> np.ndarray:
+def find_excluded_samples(
+    log: Log, joints: tuple[str, ...], effort_limit: np.ndarray, columns: tuple[str, ...]
+) -> np.ndarray:
     """Return saturated samples and those a column flags with anything but zero (N, na)."""
-    bad = np.abs(log.joint("tau", joints)) >= AT_LIMIT * effort_limit
+    bad = np.abs(log.joint("tau", joints)) >= SATURATION_RATIO * effort_limit
     for column in columns:
         if column not in log.channels:
             raise InputError(f"{log.name} has no column {column} to exclude samples by")

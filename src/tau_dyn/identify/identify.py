@@ -17,22 +17,28 @@ import numpy as np
 
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.effects import FRICTION_MODELS, friction_model
-from tau_dyn.estimate import DETERMINED, BaseParameters, Estimate, Regression, solve_least_squares
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, BaseParameters, Estimate, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices
 from tau_dyn.identify.data import Data
-from tau_dyn.identify.doubts import doubts, equivalences, turned_signs, unjudged, unlike_the_file
 from tau_dyn.identify.drive_inertia import free_drive_inertias
 from tau_dyn.identify.errors import ForceErrors, force_errors
+from tau_dyn.identify.estimate_warnings import (
+    equivalences,
+    list_estimate_warnings,
+    list_friction_sign_warnings,
+    list_inertia_scale_warnings,
+    list_unjudged_joint_warnings,
+)
 from tau_dyn.identify.estimators import Estimator
-from tau_dyn.identify.logs import each_once, listed, require_forces, without_trained
+from tau_dyn.identify.fixed_point import iterate_to_fixed_point
+from tau_dyn.identify.log_inputs import as_log_list, drop_duplicate_logs, drop_trained_logs, require_forces
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.result import Identification
-from tau_dyn.identify.settle import settled
 from tau_dyn.identify.short_pieces import TooShort, count_information, list_information_warnings
-from tau_dyn.identify.streaming import Engine
-from tau_dyn.identify.structure import physics_of, structural_base
+from tau_dyn.identify.streaming import BlockExecutor
+from tau_dyn.identify.structural_identifiability import build_physical_constraints, structural_base
 from tau_dyn.identify.timing import (
     ForceOffset,
     build_offset_columns,
@@ -57,7 +63,7 @@ def identify(
     exclude: tuple[str, ...] = (),
     estimator: str = "auto",
     seed: int = 0,
-    engine: Engine | None = None,
+    engine: BlockExecutor | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Identification:
     """Identify a robot's parameters from torque logs.
@@ -81,15 +87,15 @@ def identify(
     """
     ask = _Request(
         robot=robot,
-        train=listed(logs),
-        holdout=listed(holdout),
+        train=as_log_list(logs),
+        holdout=as_log_list(holdout),
         model=model,
         choices=choices or Choices(),
         preparation=preparation,
         exclude=exclude,
         estimator=estimator,
         seed=seed,
-        engine=engine or Engine(cores()),
+        engine=engine or BlockExecutor(cores()),
         progress=progress,
     )
     warnings: list[str] = []
@@ -113,7 +119,7 @@ class _Request:
     exclude: tuple[str, ...]
     estimator: str
     seed: int
-    engine: Engine
+    engine: BlockExecutor
     progress: Callable[[str], None]
 
 
@@ -153,7 +159,7 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
         held = _judge_last_part(data, training, solve, bool(ask.holdout), warnings)
     _refuse_if_nothing_determined(estimate)
     train = force_errors(training, estimate.theta)
-    warnings += unjudged(train, held.errors)
+    warnings += list_unjudged_joint_warnings(train, held.errors)
     return Identification(
         model=replace(
             model.with_parameters(estimate.parameters), provenance=_provenance(data.logs, held_out.logs, ask.seed)
@@ -165,7 +171,11 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
         held=held.regression,
         nominal=model.parameters,
         friction=ask.model if isinstance(ask.model, str) and ask.model in FRICTION_MODELS else "",
-        warnings=tuple(dict.fromkeys([*warnings, *doubts(estimate), *unlike_the_file(estimate, model.parameters)])),
+        warnings=tuple(
+            dict.fromkeys(
+                [*warnings, *list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, model.parameters)]
+            )
+        ),
         equivalent=equivalences(estimate, model.robot.actuated),
         seed=ask.seed,
         logs=tuple(data.logs),
@@ -187,12 +197,12 @@ def _account_for_timing(
     if columns is None:
         return training, estimate, None
     period = max(piece.dt for piece in data.pieces)
-    offset = estimate_offset(training, columns, period, physics_of(model))
+    offset = estimate_offset(training, columns, period, build_physical_constraints(model))
     if offset.is_shown:
         for some in (data, held_out):
             some.pieces = [shift_forces(piece, model.robot.actuated, offset.seconds) for piece in some.pieces]
         solve = replace(solve, better=replace(solve.better, pieces=data.pieces))
-        training, estimate = settled(model, data.regression(model), solve, data.regression, warnings)
+        training, estimate = iterate_to_fixed_point(model, data.regression(model), solve, data.regression, warnings)
         offset = replace(offset, corrected=True)
     return training, widen_by_offset(estimate, columns, offset), offset
 
@@ -200,8 +210,8 @@ def _account_for_timing(
 def _data(ask: _Request, model: Model, factors: dict[str, float], warnings: list[str]) -> tuple[Data, Data]:
     """Return what is fitted and what is held out, each log once, and say what is doubtful about them."""
     doubled: list[str] = []
-    train = each_once(ask.train, doubled)
-    held = each_once(without_trained(train, ask.holdout, doubled), doubled)
+    train = drop_duplicate_logs(ask.train, doubled)
+    held = drop_duplicate_logs(drop_trained_logs(train, ask.holdout, doubled), doubled)
     require_forces(model.robot, [*train, *held])
     names = tuple(log.name for log in train)
     data = Data(model, train, ask.preparation, ask.exclude, factors, engine=ask.engine, progress=ask.progress)
@@ -251,7 +261,7 @@ class _Solver:
     def __call__(self, regression: Regression) -> Estimate:
         first = solve_least_squares(
             regression,
-            physics=physics_of(self.model),
+            physics=build_physical_constraints(self.model),
             structural=self.structural,
             gains=self.gains,
         )
@@ -270,7 +280,7 @@ def _settled_or_scarce(
 ) -> tuple[Regression, Estimate]:
     """Return the estimate; where it fails on less information than it has unknowns, say that this is the reason."""
     try:
-        return settled(model, training, solve, data.regression, warnings)
+        return iterate_to_fixed_point(model, training, solve, data.regression, warnings)
     except InputError as fault:
         held, rank = count_information(training), solve.structural.rank
         if training.everything is not None or held >= rank:
@@ -314,9 +324,9 @@ def _judge_last_part(data: Data, training: Regression, solve: _Solver, asked: bo
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
     """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing."""
-    if np.any(estimate.stderr < DETERMINED * np.abs(estimate.beta)):
+    if np.any(estimate.stderr < MAX_RELATIVE_STDERR * np.abs(estimate.beta)):
         return
-    suspected = "".join(f" ({text})" for text in turned_signs(estimate)[:1])
+    suspected = "".join(f" ({text})" for text in list_friction_sign_warnings(estimate)[:1])
     raise CannotAnswer(
         f"this motion determines no parameter, alone or in combination, to within 30 %{suspected}",
         f"move {', '.join(estimate.regression.outputs)} in both directions over several speeds, accelerate more than the "

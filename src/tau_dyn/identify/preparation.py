@@ -32,13 +32,13 @@ BAND_FACTOR = 5.0
 POSITION_FACTOR = 8.0
 RATE_FACTOR = 2.5
 NOISE_FACTOR = 10.0
-SLOWEST_HZ = 5.0
+MIN_RATE_HZ = 5.0
 """A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
 
 ROUNDING = 1e-6
 """Samples; a clock's rounding must not turn five samples into six."""
 
-FEWEST = 10
+MIN_SEGMENT_SAMPLES = 10
 """Samples of the shortest stretch; fewer have neither a noise nor a band."""
 
 MEMORY = 2.0
@@ -91,10 +91,12 @@ def choose_preparation(
         CannotAnswer: No joint moves above its encoder's noise.
     """
     short = min(logs, key=lambda log: log.n_samples)
-    if short.n_samples < FEWEST:
-        raise InputError(f"{short.name} has {short.n_samples} samples in a row; {FEWEST} are needed to say anything")
+    if short.n_samples < MIN_SEGMENT_SAMPLES:
+        raise InputError(
+            f"{short.name} has {short.n_samples} samples in a row; {MIN_SEGMENT_SAMPLES} are needed to say anything"
+        )
     rate = min(log.rate_hz for log in logs)
-    if rate < SLOWEST_HZ:
+    if rate < MIN_RATE_HZ:
         raise InputError(f"{logs[0].name} is sampled at {rate:.3g} Hz; t must be in s (does it stand in ms or us?)")
     bands = [motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     edge = max(float(band.edge_hz.max()) for band in bands)

@@ -22,12 +22,12 @@ from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion
 from tau_dyn.effects.effect import naming
 from tau_dyn.estimate import Regression, Run
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import excluded, gate_of, refuse_jumps
+from tau_dyn.identify.gate import compute_gate, find_excluded_samples, refuse_jumps
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
 from tau_dyn.identify.signals import measured_signals, refuse_missing_campaign, refuse_missing_temperature
 from tau_dyn.log import Log, decimate, differentiate, edge_samples, even_segments, lowpass
-from tau_dyn.log.resample import MIN_SEGMENT
+from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
@@ -62,7 +62,7 @@ def build_regression(
     if not logs:
         raise InputError("no log was given")
     if not pieces:
-        raise refuse_short(logs, MIN_SEGMENT / logs[0].rate_hz)
+        raise refuse_short(logs, MIN_SEGMENT_SAMPLES / logs[0].rate_hz)
     preparation = preparation or choose_from_long(pieces, lambda long: choose_preparation(model.robot, long, exclude))
     kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
     pieces = kept.of(pieces)
@@ -72,7 +72,7 @@ def build_regression(
     runs = []
     for piece in pieces:
         number = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))}
-        runs.append(prepare(at or model, piece, preparation, signals=number).run(model))
+        runs.append(prepare_segment(at or model, piece, preparation, signals=number).run(model))
     settings = {"preparation": preparation, "kept": kept.index, "left_out": (*list_crumbs(logs), *kept.warnings)}
     regression = Regression(model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), settings)
     if regression.n_samples == 0:
@@ -81,7 +81,7 @@ def build_regression(
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedSegment:
     """One even stretch of a log, differentiated and gated, from which any effect's columns can be made.
 
     Attributes:
@@ -173,7 +173,7 @@ def _fill(out: np.ndarray, effect: Effect, motion: Motion) -> None:
             out[index, n * k + m] = column
 
 
-def prepare(
+def prepare_segment(
     model: Model,
     log: Log,
     preparation: Preparation,
@@ -182,7 +182,7 @@ def prepare(
     needs: Iterable[str] = (),
     smooth_hz: float | None = None,
     rate_hz: float | None = None,
-) -> Prepared:
+) -> PreparedSegment:
     """Filter, differentiate and gate one even stretch of a log.
 
     Args:
@@ -206,7 +206,7 @@ def prepare(
     a = differentiate(v, dt, accuracy=4)
     measured = {**measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
     refuse_missing_temperature(model, log, measured)
-    gate = gate_of(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
+    gate = compute_gate(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
     sign = np.sign(v)
     if smooth_hz is not None and smooth_hz < preparation.position_cutoff_hz:
         q = lowpass(log.joint("q", joints), smooth_hz, rate)
@@ -221,13 +221,15 @@ def prepare(
         edge = max(edge, edge_samples(smooth_hz, rate))
     edge = int(np.ceil(edge / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
-    return Prepared(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0), rate)
+    return PreparedSegment(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0), rate)
 
 
 def _nothing_left(model: Model, logs: list[Log], preparation: Preparation) -> CannotAnswer:
     """Return why the gates leave nothing: saturated or flagged forces, or no steady motion."""
     robot = model.robot
-    bad = np.concatenate([excluded(log, robot.actuated, robot.effort_limit, preparation.exclude) for log in logs])
+    bad = np.concatenate(
+        [find_excluded_samples(log, robot.actuated, robot.effort_limit, preparation.exclude) for log in logs]
+    )
     if bad.mean() > 0.5:
         return CannotAnswer(
             f"{100 * bad.mean():.0f} % of the forces are flagged or at the drives' limits "

@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from tau_dyn.coded_warning import format_warnings
-from tau_dyn.estimate import DETERMINED, Estimate, Regression
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Regression
 from tau_dyn.identify.errors import ForceErrors
 from tau_dyn.identify.timing import ForceOffset
 from tau_dyn.log import Log, Recording
@@ -142,7 +142,7 @@ def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dic
     return {
         "stderr": stderr,
         "ci95": [max(lower, value - _Z95 * stderr), min(upper, value + _Z95 * stderr)],
-        "determined": bool(stderr < DETERMINED * abs(value)),
+        "determined": bool(stderr < MAX_RELATIVE_STDERR * abs(value)),
     }
 
 

@@ -17,7 +17,7 @@ from tau_dyn.estimate import Regression
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.preparation import BAND_FACTOR, Preparation
 from tau_dyn.log import Log, Recording, edge_samples, short_segments
-from tau_dyn.log.names import count
+from tau_dyn.log.column_names import count
 
 CODE = "short_log"
 

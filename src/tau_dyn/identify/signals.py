@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, reversals
-from tau_dyn.log.names import ROOM_TEMPERATURE
+from tau_dyn.log import Log, find_reversals
+from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.model import Model
 
 
@@ -28,7 +28,7 @@ def travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
     counts from there too, or from the first sample.
     """
     sure = np.flatnonzero(np.abs(v) > threshold)
-    starts = np.concatenate([[0], reversals(v, threshold), [len(q)]])
+    starts = np.concatenate([[0], find_reversals(v, threshold), [len(q)]])
     out, before = np.zeros(len(q)), 0
     for start, stop in zip(starts[:-1], starts[1:], strict=True):
         at = start if start or not sure.size else sure[0]

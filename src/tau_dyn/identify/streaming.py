@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tau_dyn.estimate import Everything, Regression, Run, Totals
+from tau_dyn.estimate import Regression, Run, StreamedData, SufficientStatistics
 from tau_dyn.estimate.stored_rows import StoredRows
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.blocks import Block, Computed, Work, channels, cut, refuse_memory
+from tau_dyn.identify.blocks import Block, BlockRows, Work, channels, refuse_memory, split_blocks
 from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
 from tau_dyn.log import Log, Recording, even_segments
-from tau_dyn.log.stretch import InMemory, Stretch, stretches
+from tau_dyn.log.even_segments import EvenSegment, InMemorySegment, split_even_segments
 from tau_dyn.model import Model
 from tau_dyn.scale.run_many import in_order, run_on_workers
 
@@ -43,7 +43,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Engine:
+class BlockExecutor:
     """Who computes blocks: threads of this process, or a Dask cluster.
 
     Attributes:
@@ -54,7 +54,7 @@ class Engine:
     jobs: int = 1
     cluster: str | None = None
 
-    def compute(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
+    def compute(self, work: Work, blocks: Sequence[Block]) -> Iterator[BlockRows]:
         """Yield the blocks' rows in their order."""
         with threadpool_limits(1):
             if self.cluster is None:
@@ -62,10 +62,10 @@ class Engine:
             else:
                 yield from self._there(work, blocks)
 
-    def _here(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
+    def _here(self, work: Work, blocks: Sequence[Block]) -> Iterator[BlockRows]:
         own = threading.local()  # a mechanism remembers its last closure, so each thread has one
 
-        def compute(block: Block, log: Log) -> Computed:
+        def compute(block: Block, log: Log) -> BlockRows:
             if not hasattr(own, "work"):
                 own.work = fresh(work)
             return own.work.compute(block, log)
@@ -73,7 +73,7 @@ class Engine:
         with ThreadPoolExecutor(self.jobs) as pool:
             yield from in_order(lambda block: pool.submit(compute, block, work.read(block)), blocks, self.jobs + 1)
 
-    def _there(self, work: Work, blocks: Sequence[Block]) -> Iterator[Computed]:
+    def _there(self, work: Work, blocks: Sequence[Block]) -> Iterator[BlockRows]:
         address = None if self.cluster == "local" else self.cluster
 
         def prepare(client: Any) -> Callable[[Block], Any]:
@@ -83,7 +83,9 @@ class Engine:
         yield from run_on_workers(prepare, blocks, cluster=address, jobs=self.jobs, ahead=3)
 
 
-def survey(pieces: Sequence[Stretch | InMemory], model: Model, exclude: tuple[str, ...]) -> list[Log]:
+def sample_recordings(
+    pieces: Sequence[EvenSegment | InMemorySegment], model: Model, exclude: tuple[str, ...]
+) -> list[Log]:
     """Return what filters and masks are chosen from."""
     return [log for piece in pieces for log in piece.survey(channels(model, exclude), SURVEYED // len(pieces))]
 
@@ -98,7 +100,7 @@ def stream_regression(
     campaigns: Sequence[str],
     factors: dict[str, float],
     share: float,
-    engine: Engine,
+    engine: BlockExecutor,
     progress: Progress,
 ) -> tuple[Regression, Regression, Regression]:
     """Build the regression of a model on recordings, and those of their first and last parts.
@@ -124,13 +126,13 @@ def stream_regression(
     if not pieces:
         raise InputError(f"{recordings[0].name} has no stretch of 10 samples without a gap")
     preparation = preparation or choose_from_long(
-        pieces, lambda long: choose_preparation(model.robot, survey(long, model, exclude), exclude)
+        pieces, lambda long: choose_preparation(model.robot, sample_recordings(long, model, exclude), exclude)
     )
     kept = keep_long(pieces, preparation.force_cutoff_hz, preparation.factor)
     pieces = tuple(kept.of(pieces))
     names = list(dict.fromkeys([*campaigns, *(piece.name for piece in pieces)]))
     width = model.robot.na * len(model.parameters)
-    blocks = [b for k, piece in enumerate(pieces) for b in cut(piece, k, preparation, width, share)]
+    blocks = [b for k, piece in enumerate(pieces) for b in split_blocks(piece, k, preparation, width, share)]
     chosen = np.unique(np.linspace(0, len(blocks) - 1, SHOWN).astype(int))
     scale = np.array([factors.get(joint, 1.0) for joint in model.robot.actuated])
     work = Work(model, at, pieces, tuple(names.index(p.name) for p in pieces), preparation, scale,
@@ -141,10 +143,10 @@ def stream_regression(
 
 
 def _summed(
-    work: Work, blocks: list[Block], engine: Engine, progress: Progress
+    work: Work, blocks: list[Block], engine: BlockExecutor, progress: Progress
 ) -> tuple[Regression, Regression, Regression]:
     model = work.model
-    zero = Totals.zero(model.robot.na, len(model.parameters))
+    zero = SufficientStatistics.zero(model.robot.na, len(model.parameters))
     used, whole = [zero] * 3, [zero] * 3
     stored, shown, before, began = StoredRows(len(model.parameters)), [], -1, time.monotonic()
     for number, (block, done) in enumerate(zip(blocks, engine.compute(work, blocks), strict=True), start=1):
@@ -164,7 +166,7 @@ def _summed(
     def regression(sections: Sequence[int], runs: Sequence[Run], rows) -> Regression:
         totals = [sum((of[s] for s in sections), zero) for of in (used, whole)]
         settings = {"preparation": work.preparation}
-        everything = Everything(totals[0], totals[1], rows)
+        everything = StreamedData(totals[0], totals[1], rows)
         return Regression(
             model.parameters, model.robot.actuated, model.robot.force_units, tuple(runs), settings, everything
         )
@@ -185,14 +187,16 @@ def refuse_missing(model: Model, recordings: Sequence[Recording], exclude: tuple
                 raise InputError(f"{recording.name} has no column {name}; it has {', '.join(recording.columns)}.")
 
 
-def _pieces(log: Log | Recording) -> Sequence[Stretch | InMemory]:
-    return even_stretches(log) if isinstance(log, Recording) else [InMemory(piece) for piece in even_segments(log)]
+def _pieces(log: Log | Recording) -> Sequence[EvenSegment | InMemorySegment]:
+    return (
+        even_stretches(log) if isinstance(log, Recording) else [InMemorySegment(piece) for piece in even_segments(log)]
+    )
 
 
 @lru_cache(maxsize=8)
-def even_stretches(recording: Recording) -> list[Stretch]:
+def even_stretches(recording: Recording) -> list[EvenSegment]:
     """Return a recording's even stretches; its clock is read once."""
-    return stretches(recording)
+    return split_even_segments(recording)
 
 
 def fresh(work: Work) -> Work:
@@ -208,7 +212,7 @@ def _given(work: Work) -> Work:
 _BUILT: dict[int, tuple[Work, Work]] = {}
 
 
-def _compute(work: Work, block: Block) -> Computed:
+def _compute(work: Work, block: Block) -> BlockRows:
     """Compute a block in a worker, which builds mechanisms once for each piece of work that reaches it."""
     if id(work) not in _BUILT:
         _BUILT.clear()

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.effects import Delay
-from tau_dyn.estimate import Estimate, Physics, Regression, solve_least_squares
+from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, solve_least_squares
 from tau_dyn.estimate.prior import prior_rows
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.regression import prepare
+from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -81,7 +81,7 @@ def build_offset_columns(model: Model, pieces: Sequence[Log], regression: Regres
     effect = Delay(model.robot.actuated, model.robot.force_units, about=max(piece.dt for piece in pieces))
     for piece, run in zip(pieces, regression.runs, strict=True):
         try:
-            made = prepare(model, piece, regression.settings["preparation"], needs=("force",))
+            made = prepare_segment(model, piece, regression.settings["preparation"], needs=("force",))
         except InputError:
             return None  # an effect feels more than the piece alone says
         column = made.columns(effect.columns(made.motion))[:, :, 0]
@@ -92,7 +92,7 @@ def build_offset_columns(model: Model, pieces: Sequence[Log], regression: Regres
 
 
 def estimate_offset(
-    regression: Regression, columns: Sequence[np.ndarray], period_s: float, physics: Physics | None
+    regression: Regression, columns: Sequence[np.ndarray], period_s: float, physics: PhysicalConstraints | None
 ) -> ForceOffset:
     """Return the offset, estimated beside all free parameters by weighted least squares.
 

@@ -1,9 +1,9 @@
 """The closed loops solved: actuated motion -> motion of the whole mechanism, poses of the tool, and back."""
 
-from tau_dyn.kinematics.follow import Followed, follow
-from tau_dyn.kinematics.forward import Forward, forward_kinematics, forward_solutions
+from tau_dyn.deprecated_names import get_deprecated
+from tau_dyn.kinematics.forward import ForwardResult, forward_kinematics, forward_solutions
 from tau_dyn.kinematics.inverse import (
-    Inverse,
+    InverseResult,
     configurations,
     home_configuration,
     inverse_kinematics,
@@ -11,13 +11,14 @@ from tau_dyn.kinematics.inverse import (
 )
 from tau_dyn.kinematics.jacobians import Singularity, acceleration_bias, inverse_jacobian, jacobian, singularity
 from tau_dyn.kinematics.loops import LoopSolver, TreeState
+from tau_dyn.kinematics.path_following import FollowedPath, follow_path
 from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
 from tau_dyn.kinematics.rods import NotRods, Rods, build_rods
 
 __all__ = [
-    "Followed",
-    "Forward",
-    "Inverse",
+    "FollowedPath",
+    "ForwardResult",
+    "InverseResult",
     "LoopSolver",
     "NotRods",
     "Poses",
@@ -27,7 +28,7 @@ __all__ = [
     "acceleration_bias",
     "build_rods",
     "configurations",
-    "follow",
+    "follow_path",
     "forward_kinematics",
     "forward_solutions",
     "from_quaternions",
@@ -39,3 +40,7 @@ __all__ = [
     "quaternions",
     "singularity",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

@@ -86,7 +86,7 @@ def _hinged(rods: Rods) -> np.ndarray:
 
 def _in_carts(rods: Rods, q: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return vectors (N, n, 3) of the world in the frames of the links that carry the rods."""
-    at = chains.placed(rods.numbers.joints, q.T)
+    at = chains.compute_joint_frames(rods.numbers.joints, q.T)
     out = vectors.copy()
     for k, carrier in enumerate(rods.numbers.carried.carrier):
         if carrier >= 0:

@@ -17,9 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.kinematics import chains, geometry
+from tau_dyn.kinematics import chains, rod_dimensions
 from tau_dyn.kinematics.chains import Carried, ChainJoint
-from tau_dyn.kinematics.geometry import Numbers
+from tau_dyn.kinematics.rod_dimensions import RodDimensions
 from tau_dyn.kinematics.rods import Rods
 
 _ROUNDS = 30
@@ -154,15 +154,15 @@ class NewtonChain:
     def _equations(self, B: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `f` (m, N) and `df/dq` (m, m, N)."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at = chains.placed(joints, q)
+        at = chains.compute_joint_frames(joints, q)
         places = chains.points(joints, carried, q)
         d = places - B
-        lengths = geometry.leg_lengths(self.numbers, q)
+        lengths = rod_dimensions.leg_lengths(self.numbers, q)
         f = 0.5 * (np.sum(d * d, axis=1) - lengths**2)
         J = np.zeros((len(f), len(self.actuators), q.shape[1]))
         for (k, actuator), column in chains.velocities(joints, carried, at, places).items():
             J[k, actuator] += np.sum(column * d[k], axis=0)
-        slides, rates = np.flatnonzero(self.numbers.slides >= 0), geometry.leg_rates(self.numbers, q)
+        slides, rates = np.flatnonzero(self.numbers.slides >= 0), rod_dimensions.leg_rates(self.numbers, q)
         for k in slides:
             J[k, self.numbers.slides[k]] -= lengths[k] * rates[k]
         return f, J
@@ -186,7 +186,7 @@ class NewtonChain:
     def _moved(self, B: np.ndarray, q: np.ndarray, slides: np.ndarray) -> np.ndarray:
         """Return how far slides (s, N) must go so that the points are nearest to `B`."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at, places = chains.placed(joints, q), chains.points(joints, carried, q)
+        at, places = chains.compute_joint_frames(joints, q), chains.points(joints, carried, q)
         columns = chains.velocities(joints, carried, at, places)
         out = np.zeros((len(slides), q.shape[1]))
         for row, slide in enumerate(slides):
@@ -205,7 +205,7 @@ def chains_of(rods: Rods) -> list[RootChain | NewtonChain]:
     return found
 
 
-def _cut(numbers: Numbers, own: tuple[int, ...], actuators: tuple[int, ...]) -> Numbers:
+def _cut(numbers: RodDimensions, own: tuple[int, ...], actuators: tuple[int, ...]) -> RodDimensions:
     """Return the numbers of some rods, with joints and actuators numbered anew."""
     rows = list(own)
     used = sorted({i for k in own for i in chains.path(numbers.joints, numbers.carried.carrier[k])})

@@ -53,13 +53,13 @@ class Placed(NamedTuple):
 WORLD = Placed(np.eye(3)[:, :, None], np.zeros((3, 1)), np.zeros((3, 1)))
 
 
-def placed(joints: Sequence[ChainJoint], q: np.ndarray) -> list[Placed]:
+def compute_joint_frames(joints: Sequence[ChainJoint], q: np.ndarray) -> list[Placed]:
     """Return the frames of all joints at `q` (na, N)."""
     found: list[Placed] = []
     for joint in joints:
         parent = found[joint.parent] if joint.parent >= 0 else WORLD
-        direction = turned(parent.rotation, joint.direction)
-        origin = parent.origin + turned(parent.rotation, joint.origin)
+        direction = rotate_vectors(parent.rotation, joint.direction)
+        origin = parent.origin + rotate_vectors(parent.rotation, joint.origin)
         if joint.slides:
             here = Placed(product(parent.rotation, joint.rotation), origin + direction * q[joint.actuator], direction)
         else:
@@ -77,7 +77,7 @@ def path(joints: Sequence[ChainJoint], carrier: int) -> list[int]:
     return found[::-1]
 
 
-def turned(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def rotate_vectors(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return `R c` (3, N) of rotations (3, 3, N) and a constant (3,), without negative zeros."""
     return combined(rotation, vector) + 0.0
 
@@ -114,11 +114,11 @@ class Carried(NamedTuple):
 
 def points(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray) -> np.ndarray:
     """Return the points (n, 3, N) [m] at `q` (na, N)."""
-    at = placed(joints, q)
+    at = compute_joint_frames(joints, q)
     out = np.empty((len(carried.carrier), 3, q.shape[1]))
     for k, carrier in enumerate(carried.carrier):
         here = at[carrier] if carrier >= 0 else WORLD
-        out[k] = here.origin + turned(here.rotation, carried.local[k])
+        out[k] = here.origin + rotate_vectors(here.rotation, carried.local[k])
     return out
 
 

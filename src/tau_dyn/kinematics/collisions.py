@@ -23,7 +23,7 @@ _COVERS = (0.6, 0.15, 0.04)  # [m] sizes of covering spheres, coarse first: most
 _BATCH = 4000
 
 
-class Placed(NamedTuple):
+class PlacedSolid(NamedTuple):
     """A solid at many poses.
 
     Attributes:
@@ -38,10 +38,10 @@ class Placed(NamedTuple):
     position: np.ndarray
     length: np.ndarray | None = None
 
-    def take(self, index: np.ndarray) -> Placed:
+    def take(self, index: np.ndarray) -> PlacedSolid:
         """Return the solid at some of the poses."""
         moves, turns = len(self.position) > 1, len(self.rotation) > 1
-        return Placed(
+        return PlacedSolid(
             self.shape,
             self.rotation[index] if turns else self.rotation,
             self.position[index] if moves else self.position,
@@ -80,23 +80,23 @@ class Placed(NamedTuple):
         return shape, coal.Transform3s(np.ascontiguousarray(turn), np.ascontiguousarray(place))
 
 
-def standing(shape: Shape, placement: pin.SE3) -> Placed:
+def standing(shape: Shape, placement: pin.SE3) -> PlacedSolid:
     """Return a solid that does not move."""
-    return Placed(shape, placement.rotation[None].copy(), placement.translation[None].copy())
+    return PlacedSolid(shape, placement.rotation[None].copy(), placement.translation[None].copy())
 
 
-def moved(body: Body, rotation: np.ndarray, position: np.ndarray) -> Placed:
+def moved(body: Body, rotation: np.ndarray, position: np.ndarray) -> PlacedSolid:
     """Return a link's solid from its joint's frames: rotations (N, 3, 3), origins (N, 3)."""
     at = body.placement
-    return Placed(body.shape, rotation @ at.rotation, position + rotation @ at.translation)
+    return PlacedSolid(body.shape, rotation @ at.rotation, position + rotation @ at.translation)
 
 
-def between(radius: float, length: float, start: np.ndarray, end: np.ndarray) -> Placed:
+def build_capsule(radius: float, length: float, start: np.ndarray, end: np.ndarray) -> PlacedSolid:
     """Return a rod of nominal `length` as a capsule between points (N, 3) [m]."""
     along = end - start
     size = np.linalg.norm(along, axis=1)
     z = along / np.maximum(size, 1e-9)[:, None]
-    return Placed(Capsule(radius, max(length, 1e-6)), _frames(z), (start + end) / 2, size)
+    return PlacedSolid(Capsule(radius, max(length, 1e-6)), _frames(z), (start + end) / 2, size)
 
 
 def _frames(z: np.ndarray) -> np.ndarray:
@@ -107,7 +107,7 @@ def _frames(z: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=2)
 
 
-def touch(a: Placed, b: Placed, margin: float = 0.0) -> np.ndarray:
+def find_collisions(a: PlacedSolid, b: PlacedSolid, margin: float = 0.0) -> np.ndarray:
     """Return at which poses (N,) two solids come closer than `margin` [m]; `a` is no half-space."""
     n = max(len(a.position), len(b.position), len(a.rotation), len(b.rotation))
     out = np.zeros(n, bool)
@@ -117,7 +117,7 @@ def touch(a: Placed, b: Placed, margin: float = 0.0) -> np.ndarray:
     return out
 
 
-def _touch(a: Placed, b: Placed, margin: float, n: int) -> np.ndarray:
+def _touch(a: PlacedSolid, b: PlacedSolid, margin: float, n: int) -> np.ndarray:
     hit, unsure = np.zeros(n, bool), np.arange(n)
     for size in _COVERS:
         here, there = a.take(unsure), b.take(unsure)
@@ -135,7 +135,7 @@ def _touch(a: Placed, b: Placed, margin: float, n: int) -> np.ndarray:
     return hit
 
 
-def _near(a: Placed, b: Placed, k: int, margin: float) -> bool:
+def _near(a: PlacedSolid, b: PlacedSolid, k: int, margin: float) -> bool:
     request, result = coal.CollisionRequest(), coal.CollisionResult()
     request.security_margin = margin
     return bool(coal.collide(*a.for_coal(k), *b.for_coal(k), request, result))
@@ -154,11 +154,11 @@ def thickness(shape: Shape) -> float:
     return min(shape.size)
 
 
-def touched_obstacle(obstacle: Obstacle, solids: Sequence[Placed], n: int) -> np.ndarray:
+def touched_obstacle(obstacle: Obstacle, solids: Sequence[PlacedSolid], n: int) -> np.ndarray:
     """Return at which poses (n,) any of a robot's solids comes too close to an obstacle."""
     wall, out = standing(obstacle.shape, obstacle.placement), np.zeros(n, bool)
     for solid in solids:
         left = np.flatnonzero(~out)
         if len(left):
-            out[left] = touch(solid.take(left), wall, obstacle.margin)
+            out[left] = find_collisions(solid.take(left), wall, obstacle.margin)
     return out

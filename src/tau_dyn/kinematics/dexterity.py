@@ -64,7 +64,7 @@ class Dexterity(NamedTuple):
         return np.minimum(self.parallel, self.serial)
 
 
-def homogenised(rates: Rates) -> tuple[np.ndarray, np.ndarray]:
+def homogenise_jacobians(rates: Rates) -> tuple[np.ndarray, np.ndarray]:
     """Return `J_x` (N, n, d) and `J_q` (N, n, na) with turns counted as lengths; a serial arm's rows are scaled as well."""
     tool, actuators = rates.tool.copy(), rates.actuators.copy()
     if tool.shape[2] == 6:
@@ -84,7 +84,7 @@ def is_serial(rates: Rates) -> bool:
 
 def dexterity(rates: Rates) -> Dexterity:
     """Return the measures at every pose; nan rates give nan."""
-    tool, actuators = homogenised(rates)
+    tool, actuators = homogenise_jacobians(rates)
     sound = np.isfinite(tool).all(axis=(1, 2)) & np.isfinite(actuators).all(axis=(1, 2))
     out = np.full((6, len(tool)), np.nan)
     if sound.any():

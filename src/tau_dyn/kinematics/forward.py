@@ -9,18 +9,18 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
-from tau_dyn.kinematics.outcome import Forward
+from tau_dyn.kinematics.kinematics_result import ForwardResult
 from tau_dyn.kinematics.poses import Poses, checked_poses
 from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.sliding_plate import SlidingPlate
+from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
 from tau_dyn.robot import Robot
 
-__all__ = ["Forward", "forward_kinematics", "forward_solutions"]
+__all__ = ["ForwardResult", "forward_kinematics", "forward_solutions"]
 
 
-def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | None = None) -> Forward:
+def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | None = None) -> ForwardResult:
     """Return where the tool is at actuated positions.
 
     Args:
@@ -37,14 +37,14 @@ def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | Non
         LoopClosureError: The robot cannot be closed even at home.
     """
     q = checked_positions(robot_of(robot), q)
-    engine, rods = engine_of(robot), rods_of(robot)
+    engine, rods = get_solver(robot), get_rods(robot)
     if start is not None:
         start = checked_poses(start)
         if len(start.position) not in (1, len(q)):
             raise InputError(f"start must hold one pose or {len(q)}, one a sample, not {len(start.position)}")
         start = start if rods is None else rods.plate_poses(start)
     plate, code = engine.forward(q, start)
-    return Forward(plate if rods is None else rods.tool_poses(plate), plate, code)
+    return ForwardResult(plate if rods is None else rods.tool_poses(plate), plate, code)
 
 
 def forward_solutions(rods: Rods, q: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ def forward_solutions(rods: Rods, q: np.ndarray) -> np.ndarray:
     Raises:
         InputError: The plate does not translate only; `assembly` finds the modes of a free plate.
     """
-    engine = engine_of(rods)
+    engine = get_solver(rods)
     if not isinstance(engine, SlidingPlate):
         raise InputError(f"{rods.robot.source}: two closed solutions are for plates that translate only")
     positions = engine.both(checked_positions(rods.robot, q))

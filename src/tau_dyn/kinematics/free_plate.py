@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.kinematics import chains, geometry
-from tau_dyn.kinematics.outcome import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
+from tau_dyn.kinematics import chains, rod_dimensions
+from tau_dyn.kinematics.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
 from tau_dyn.kinematics.plate_arrays import Plate, SixRods, dense, lapack, residual, rows
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
@@ -159,12 +159,12 @@ class FreePlate:
         """Return the plate's twist per actuated velocity (6, na, N)."""
         points, squares = self._given(q)
         at = rows(points, self.rods.on_plate, squares, plate)
-        sides = geometry.closure_by_q(self.numbers, q, points, at.d)
+        sides = rod_dimensions.closure_by_q(self.numbers, q, points, at.d)
         return self._six.accurate(at, sides) if self._six else lapack(dense(at), sides)
 
     def _given(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = chains.points(self.numbers.joints, self.numbers.carried, q)
-        return points, geometry.leg_lengths(self.numbers, q) ** 2
+        return points, rod_dimensions.leg_lengths(self.numbers, q) ** 2
 
     def _started(self, q: np.ndarray) -> Plate:
         """Return a first guess: the cell's middle, moved along its slope."""

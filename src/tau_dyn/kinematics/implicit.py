@@ -17,7 +17,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.trilateration import meet, side_of
+from tau_dyn.kinematics.trilateration import intersect_spheres, side_of
 
 _EQUAL = 0.01  # by how much the lengths of parallel rods may differ, relative
 
@@ -50,7 +50,7 @@ def implicit_forward(rods: Rods, q: np.ndarray) -> Implicit:
     centres = (A[:, first] - rods.on_plate[first] @ np.swapaxes(rotation, 1, 2)).transpose(1, 2, 0)
     home = rods.base_points(rods.robot.home[None])[:, first] - rods.on_plate[first] @ rods.rotation.T
     side = float(side_of(home.transpose(1, 2, 0), rods.home.position.T)[0])
-    position = meet(centres, rods.lengths[first][:, None], side).position.T
+    position = intersect_spheres(centres, rods.lengths[first][:, None], side).position.T
     return Implicit(rods.tool_poses(Poses(position, rotation)), defect)
 
 

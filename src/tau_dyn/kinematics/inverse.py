@@ -18,20 +18,20 @@ from itertools import product
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
 from tau_dyn.kinematics.joint_limits import check_limits, limited
-from tau_dyn.kinematics.kept import kept
-from tau_dyn.kinematics.outcome import Inverse
+from tau_dyn.kinematics.kinematics_result import InverseResult
 from tau_dyn.kinematics.poses import Poses, checked_poses
 from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.kinematics.rod_inverse import RodInverse
 from tau_dyn.kinematics.rods import Rods
+from tau_dyn.kinematics.solver_cache import get_cached
+from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
 from tau_dyn.kinematics.tree_inverse import tree_inverse, tree_solutions
 from tau_dyn.kinematics.tree_newton import TreeNewton
 from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.robot import Robot
 
-__all__ = ["Inverse", "configurations", "home_configuration", "inverse_kinematics", "inverse_solutions"]
+__all__ = ["InverseResult", "configurations", "home_configuration", "inverse_kinematics", "inverse_solutions"]
 
 
 def inverse_kinematics(
@@ -41,7 +41,7 @@ def inverse_kinematics(
     configuration: Sequence[int] | np.ndarray | None = None,
     start: np.ndarray | None = None,
     limits: bool = True,
-) -> Inverse:
+) -> InverseResult:
     """Return the actuated positions that put the tool at poses.
 
     Args:
@@ -56,7 +56,7 @@ def inverse_kinematics(
     Raises:
         InputError: Arrays of the wrong shape, an unknown configuration, or joint limits that are the wrong way round.
     """
-    rods, poses = rods_of(robot), checked_poses(poses)
+    rods, poses = get_rods(robot), checked_poses(poses)
     owner = robot_of(robot)
     start = None if start is None else _starts(owner, start, len(poses.position))
     if limits:
@@ -75,7 +75,7 @@ def inverse_solutions(robot: Robot | Rods, poses: Poses) -> np.ndarray:
     Rods in closed form: rows as `configurations`. Chains of several actuators and trees: what many starts find, nearest to
     home first, not certified to be all.
     """
-    rods, poses = rods_of(robot), checked_poses(poses)
+    rods, poses = get_rods(robot), checked_poses(poses)
     if rods is None:
         return tree_solutions(_tree(robot), poses)
     return _solver(rods).all(poses)
@@ -101,17 +101,17 @@ def home_configuration(robot: Robot | Rods) -> np.ndarray:
 
 
 def _solver(rods: Rods) -> RodInverse:
-    return kept(rods, "inverse", lambda: RodInverse(rods))
+    return get_cached(rods, "inverse", lambda: RodInverse(rods))
 
 
 def _tree(robot: Robot | Rods) -> TreeNewton:
-    engine = engine_of(robot)
+    engine = get_solver(robot)
     assert isinstance(engine, TreePose)
-    return kept(robot, "inverse", lambda: TreeNewton(engine))
+    return get_cached(robot, "inverse", lambda: TreeNewton(engine))
 
 
 def _rods(robot: Robot | Rods) -> Rods:
-    rods = rods_of(robot)
+    rods = get_rods(robot)
     if rods is None:
         raise InputError(f"{robot_of(robot).source}: has no rods, hence no named configurations")
     return rods

@@ -18,12 +18,12 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import chains
-from tau_dyn.kinematics.engines import engine_of, robot_of, rods_of
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.plate_arrays import lapack
 from tau_dyn.kinematics.poses import Poses, checked_poses
 from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.kinematics.rods import Rods
+from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
 from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.robot import Robot
 
@@ -53,7 +53,7 @@ def jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> 
     Returns:
         (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan where there is no pose.
     """
-    rods, q = rods_of(robot), checked_positions(robot_of(robot), q)
+    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
     if rods is None:
         return _of_tree(robot, q)
     plate = _plate(rods, q, poses)
@@ -69,7 +69,7 @@ def inverse_jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = N
     Raises:
         InputError: The robot has no rods.
     """
-    rods, q = rods_of(robot), checked_positions(robot_of(robot), q)
+    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
     if rods is None:
         raise InputError(f"{robot_of(robot).source}: has no rods; invert its Jacobian instead")
     return _by_tool(rods, q, _plate(rods, q, poses))
@@ -77,12 +77,12 @@ def inverse_jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = N
 
 def acceleration_bias(robot: Robot | Rods, q: np.ndarray, v: np.ndarray, poses: Poses | None = None) -> np.ndarray:
     """Return the tool's acceleration (N, 6 or 3) at actuated velocities `v` (N, na) without actuated acceleration: `dJ/dt v`."""
-    rods, q = rods_of(robot), checked_positions(robot_of(robot), q)
+    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
     v = checked_positions(robot_of(robot), v)
     if len(v) != len(q):
         raise InputError(f"as many velocities as positions are needed, not {len(v)} and {len(q)}")
     if rods is None:
-        engine = engine_of(robot)
+        engine = get_solver(robot)
         assert isinstance(engine, TreePose)
         out = np.full((len(q), 6), np.nan)
         for index, closed in engine.closed(q, np.flatnonzero(np.isfinite(q).all(axis=1))):
@@ -93,7 +93,7 @@ def acceleration_bias(robot: Robot | Rods, q: np.ndarray, v: np.ndarray, poses: 
 
 def singularity(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> Singularity:
     """Return how near the robot is to singularities of both kinds; of a tree, by its loops and by its tool's Jacobian."""
-    rods, q = rods_of(robot), checked_positions(robot_of(robot), q)
+    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
     if rods is None:
         return _tree_singularity(robot, q)
     plate = _plate(rods, q, poses)
@@ -143,7 +143,9 @@ def _bias(rods: Rods, q: np.ndarray, v: np.ndarray, plate: Poses) -> np.ndarray:
     rate = np.einsum("nkia,na->nki", rods.base_jacobian(q), v) - twist[:, None, :3] - np.cross(w[:, None], r)
     joints, carried, qt = rods.numbers.joints, rods.numbers.carried, q.T
     places = chains.points(joints, carried, qt)
-    pushed = chains.accelerations(joints, carried, chains.placed(joints, qt), places, v.T).transpose(2, 0, 1)
+    pushed = chains.accelerations(joints, carried, chains.compute_joint_frames(joints, qt), places, v.T).transpose(
+        2, 0, 1
+    )
     pushed = pushed - np.cross(w[:, None], np.cross(w[:, None], r))
     d = places.transpose(2, 0, 1) - rods.plate_points(plate)
     right = np.sum(rate**2, axis=2) + np.sum(d * pushed, axis=2)
@@ -159,7 +161,7 @@ def _bias(rods: Rods, q: np.ndarray, v: np.ndarray, plate: Poses) -> np.ndarray:
 
 
 def _of_tree(robot: Robot | Rods, q: np.ndarray) -> np.ndarray:
-    engine = engine_of(robot)
+    engine = get_solver(robot)
     assert isinstance(engine, TreePose)
     out = np.full((len(q), 6, q.shape[1]), np.nan)
     for index, closed in engine.closed(q, np.flatnonzero(np.isfinite(q).all(axis=1))):
@@ -168,7 +170,7 @@ def _of_tree(robot: Robot | Rods, q: np.ndarray) -> np.ndarray:
 
 
 def _tree_singularity(robot: Robot | Rods, q: np.ndarray) -> Singularity:
-    engine = engine_of(robot)
+    engine = get_solver(robot)
     assert isinstance(engine, TreePose)
     parallel, serial = np.full(len(q), np.nan), np.full(len(q), np.nan)
     for index, closed in engine.closed(q, np.flatnonzero(np.isfinite(q).all(axis=1))):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.outcome import JOINT_LIMIT, Inverse
+from tau_dyn.kinematics.kinematics_result import JOINT_LIMIT, InverseResult
 from tau_dyn.robot import Robot
 
 SLACK = 1e-9
@@ -44,7 +44,7 @@ def check_limits(robot: Robot) -> None:
             )
 
 
-def limited(robot: Robot, found: Inverse, limits: bool) -> Inverse:
+def limited(robot: Robot, found: InverseResult, limits: bool) -> InverseResult:
     """Return the positions with those outside joint limits refused; a turn may be a whole one away."""
     if not limits:
         return found
@@ -59,7 +59,7 @@ def limited(robot: Robot, found: Inverse, limits: bool) -> Inverse:
     code = np.where(bad, JOINT_LIMIT, found.code).astype(np.int8)
     allowed = np.where(bad[:, None], np.nan, q)
     lost = np.where(bad, np.nan, 1.0)
-    return Inverse(
+    return InverseResult(
         allowed,
         code,
         found.position_error * lost,

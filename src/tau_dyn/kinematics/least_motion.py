@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def least_motion(
+def solve_least_motion_step(
     C: np.ndarray,
     gap: np.ndarray,
     turning: np.ndarray,
@@ -42,10 +42,10 @@ def least_motion(
     right = np.empty((n, m + rows))
     right[:, :m] = np.einsum("nij,ni->nj", turning, turn) + weight * pull
     right[:, m:] = -gap
-    return solved(K, right)[:, :m]
+    return solve_with_pseudo_inverse(K, right)[:, :m]
 
 
-def solved(K: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve_with_pseudo_inverse(K: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return `K^-1 b` (N, m); of a singular matrix what its pseudo-inverse gives, nan where numbers are missing."""
     out = np.full(right.shape, np.nan)
     sound = np.isfinite(K).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)

@@ -26,7 +26,7 @@ _FAR = 2000  # cells from home beyond which positions are taken for a mistake of
 _TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPACK
 
 
-class Inverse(Protocol):
+class PassiveInverse(Protocol):
     """What the passive Jacobian's (pseudo-)inverse must do, on arrays (n, ..., N)."""
 
     def solve(self, b: np.ndarray) -> np.ndarray:
@@ -52,7 +52,7 @@ class Dense(NamedTuple):
         return np.einsum("npc,p...n->c...n", self.inverse, b)
 
 
-class Closed(NamedTuple):
+class ClosedLoops(NamedTuple):
     """Closed configurations.
 
     Attributes:
@@ -64,7 +64,7 @@ class Closed(NamedTuple):
 
     x: np.ndarray
     at: Frames
-    inverse: Inverse
+    inverse: PassiveInverse
     G: np.ndarray
 
 
@@ -91,7 +91,7 @@ class LoopArrays:
         self._plan = self._planned()
         self._endless = np.array([model.joints[model.getJointId(j)].nq == 2 for j in robot.actuated])
 
-    def close(self, q: np.ndarray) -> Closed:
+    def close(self, q: np.ndarray) -> ClosedLoops:
         """Return the closed configurations at actuated positions `q` (N, na).
 
         Raises:
@@ -105,7 +105,7 @@ class LoopArrays:
             x[:, k] = self._positions(self.solver.close(q[k]))
         return self._linearised(x)
 
-    def accelerations(self, closed: Closed, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    def accelerations(self, closed: ClosedLoops, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the tree's accelerations (nv, N) at its velocities `v` (nv, N) and actuated accelerations `a` (na, N)."""
         total = np.einsum("van,an->vn", closed.G, a)
         if self._ends:
@@ -113,13 +113,13 @@ class LoopArrays:
             total[self.passive] -= closed.inverse.solve(gap)
         return total
 
-    def _without_loops(self, q: np.ndarray) -> Closed:
+    def _without_loops(self, q: np.ndarray) -> ClosedLoops:
         x = np.zeros((self.solver.model.nv, len(q)))
         x[self.active] = q.T
         G = np.zeros((*x.shape[:1], len(self.active), 1))
         G[self.active, range(len(self.active))] = 1.0
         G = np.broadcast_to(G, (*G.shape[:2], len(q)))
-        return Closed(x, frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
+        return ClosedLoops(x, frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
 
     def _started(self, q: np.ndarray) -> np.ndarray:
         """Return a first guess of all positions (nv, N): the cell's middle, moved along its `G`."""
@@ -173,7 +173,7 @@ class LoopArrays:
             left = left[~done & ~astray]
         return x, found
 
-    def _linearised(self, x: np.ndarray) -> Closed:
+    def _linearised(self, x: np.ndarray) -> ClosedLoops:
         at = frames(self.joints, x)
         entries = self.entries(at)
         J_a = np.zeros((3 * len(self._ends), len(self.active), x.shape[1]))
@@ -185,9 +185,9 @@ class LoopArrays:
         G = np.zeros((x.shape[0], len(self.active), x.shape[1]))
         G[self.active, range(len(self.active))] = 1.0
         G[self.passive] = -(inverse.solve(J_a) if sure is None else sure)
-        return Closed(x, at, inverse, G)
+        return ClosedLoops(x, at, inverse, G)
 
-    def _inverse(self, entries: Entries, probe: np.ndarray | None = None) -> tuple[Inverse, np.ndarray | None]:
+    def _inverse(self, entries: Entries, probe: np.ndarray | None = None) -> tuple[PassiveInverse, np.ndarray | None]:
         """Return the passive Jacobian's inverse, and its product with a probe where elimination was tried and trusted on it."""
         passive = self._passive(entries)
         if self._plan is not None:

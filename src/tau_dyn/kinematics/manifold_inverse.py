@@ -17,9 +17,9 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.kinematics import chains as chain_points
-from tau_dyn.kinematics import geometry
+from tau_dyn.kinematics import rod_dimensions
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain
-from tau_dyn.kinematics.least_motion import Progress, least_motion, solved
+from tau_dyn.kinematics.least_motion import Progress, solve_least_motion_step, solve_with_pseudo_inverse
 from tau_dyn.kinematics.plate_arrays import Plate, log_of, rows, turned_by
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
@@ -52,7 +52,7 @@ class ManifoldInverse:
         by_q = rods.gap_by_q(rods.robot.home[None], rods.home)[0] * self._unit
         self.idle = rods.na - int(np.linalg.matrix_rank(by_q, tol=_RANK * np.linalg.norm(by_q)))
         self._weight = np.concatenate([np.zeros(self._turns), _DAMPING / self._unit**2])
-        self._near = geometry.nearest_rails(rods.numbers)
+        self._near = rod_dimensions.nearest_rails(rods.numbers)
         self._far = np.where(rods.numbers.slides >= 0, np.inf, rods.lengths) + (
             np.zeros(rods.n) if rods.translates else np.linalg.norm(self._local, axis=1)
         )
@@ -168,16 +168,16 @@ class ManifoldInverse:
         """Return the largest gap (N,) [m], the turn (N, 3) and the actuated step (N, na)."""
         numbers, qt = self.rods.numbers, q.T
         points = chain_points.points(numbers.joints, numbers.carried, qt)
-        lengths = geometry.leg_lengths(numbers, qt)
+        lengths = rod_dimensions.leg_lengths(numbers, qt)
         at = rows(points, self._local, lengths**2, Plate(tool.position.T, np.moveaxis(rotation, 0, 2)))
         f = (np.stack(at.f) / lengths).T
         C = np.empty((len(q), self.rods.n, self._turns + self.rods.na))
         if self._turns:
             C[:, :, :3] = -np.stack(at.moment).transpose(2, 0, 1)
-        C[:, :, self._turns :] = geometry.closure_by_q(numbers, qt, points, at.d).transpose(2, 0, 1)
+        C[:, :, self._turns :] = rod_dimensions.closure_by_q(numbers, qt, points, at.d).transpose(2, 0, 1)
         C /= np.broadcast_to(lengths, (self.rods.n, len(q))).T[:, :, None]
         if C.shape[1] == C.shape[2]:
-            y = solved(C, -f)
+            y = solve_with_pseudo_inverse(C, -f)
         else:
             y = self._chosen(C, f, tool.rotation, rotation, toward - q)
         w = y[:, :3] if self._turns else np.zeros((len(q), 3))
@@ -194,4 +194,4 @@ class ManifoldInverse:
         if self.idle:
             vt = np.linalg.svd(C[:, :, self._turns :] * self._unit)[2][:, -self.idle :]
             pull[:, self._turns :] = self._unit * np.einsum("nki,nkj,nj->ni", vt, vt, away / self._unit)
-        return least_motion(C, f, turning, wish, self._weight, pull, _SOFT)
+        return solve_least_motion_step(C, f, turning, wish, self._weight, pull, _SOFT)

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.engines import rods_of
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import configurations, inverse_kinematics, inverse_solutions
-from tau_dyn.kinematics.outcome import JOINT_LIMIT, OK, REASONS, Inverse
+from tau_dyn.kinematics.kinematics_result import JOINT_LIMIT, OK, REASONS, InverseResult
 from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
+from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
@@ -152,7 +152,7 @@ def poses_at(robot: Robot, position: np.ndarray) -> Poses:
 
 def _all(robot: Robot, poses: Poses) -> PoseTable:
     found = inverse_solutions(robot, poses)
-    rods = rods_of(robot)
+    rods = get_rods(robot)
     named = rods is not None and len(configurations(rods)) == found.shape[1]
     names = [_name(c) for c in configurations(rods)] if rods is not None and named else []
     names = names or [str(k + 1) for k in range(found.shape[1])]
@@ -225,7 +225,7 @@ def _lost(reason: np.ndarray) -> list[str]:
     ]
 
 
-def _why(robot: Robot, found: Inverse) -> str:
+def _why(robot: Robot, found: InverseResult) -> str:
     names = found.culprit[0].split()
     if found.reason[0] == REASONS[JOINT_LIMIT]:
         rows = []

@@ -9,8 +9,8 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, chains_of
+from tau_dyn.kinematics.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, InverseResult
 from tau_dyn.kinematics.manifold_inverse import ManifoldInverse
-from tau_dyn.kinematics.outcome import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, Inverse
 from tau_dyn.kinematics.plate_arrays import log_of, turned_by
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
@@ -55,7 +55,7 @@ class RodInverse:
             found.append(min(roots, key=lambda s: roots[s]))
         return tuple(found)
 
-    def inverse(self, tool: Poses, signs: tuple[int, ...], start: np.ndarray | None, home: bool) -> Inverse:
+    def inverse(self, tool: Poses, signs: tuple[int, ...], start: np.ndarray | None, home: bool) -> InverseResult:
         """Return positions of one configuration, whatever their limits.
 
         Args:
@@ -141,7 +141,7 @@ class RodInverse:
         gap = np.abs(self.rods.gap(q, self.rods.plate_poses(tool))).max(axis=1)
         return np.where((gap < _AGREE)[:, None], q, np.nan)
 
-    def _judged(self, asked: Poses, reached: Poses, q: np.ndarray, home: bool) -> Inverse:
+    def _judged(self, asked: Poses, reached: Poses, q: np.ndarray, home: bool) -> InverseResult:
         code = np.full(len(q), OK, np.int8)
         blame = np.full(len(q), "", object)
         numbers = np.isfinite(asked.position).all(axis=1) & np.isfinite(asked.rotation).all(axis=(1, 2))
@@ -161,7 +161,7 @@ class RodInverse:
         blame[good | ~numbers] = ""
         zero = np.where(good, 0.0, np.nan)
         turned = np.where(good[:, None, None], reached.rotation, np.nan)
-        return Inverse(found, code, zero, np.where(good, turn, np.nan), blame.astype(str), found, turned)
+        return InverseResult(found, code, zero, np.where(good, turn, np.nan), blame.astype(str), found, turned)
 
     def _beyond(self, q: np.ndarray, tool: Poses) -> np.ndarray:
         """Return where the plate is on the other side of a parallel singularity than at home (N,)."""

@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.kinematics import chains, geometry
-from tau_dyn.kinematics.geometry import Numbers
+from tau_dyn.kinematics import chains, rod_dimensions
 from tau_dyn.kinematics.home_pose import pose_at_home
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.positions import checked_positions
-from tau_dyn.kinematics.read_numbers import numbers_of
+from tau_dyn.kinematics.read_dimensions import read_dimensions
 from tau_dyn.kinematics.recognise import NotRods, recognise
+from tau_dyn.kinematics.rod_dimensions import RodDimensions
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
@@ -54,7 +54,7 @@ class Rods:
     tool: pin.SE3
     geometry: Parameters
     nominal_home: Poses
-    numbers: Numbers
+    numbers: RodDimensions
 
     @cached_property
     def home(self) -> Poses:
@@ -84,7 +84,7 @@ class Rods:
         """Return `dA/dq` (N, n, 3, na)."""
         q = checked_positions(self.robot, q).T
         joints, carried = self.numbers.joints, self.numbers.carried
-        at, places = chains.placed(joints, q), chains.points(joints, carried, q)
+        at, places = chains.compute_joint_frames(joints, q), chains.points(joints, carried, q)
         out = np.zeros((q.shape[1], self.n, 3, self.na))
         for (k, actuator), column in chains.velocities(joints, carried, at, places).items():
             out[:, k, :, actuator] = np.broadcast_to(column, (3, q.shape[1])).T
@@ -93,13 +93,13 @@ class Rods:
     def leg_lengths(self, q: np.ndarray) -> np.ndarray:
         """Return the rods' lengths (N, n) [m], longer or shorter where a rod has an actuated slide."""
         q = checked_positions(self.robot, q).T
-        return np.array(np.broadcast_to(geometry.leg_lengths(self.numbers, q), (self.n, q.shape[1])).T)
+        return np.array(np.broadcast_to(rod_dimensions.leg_lengths(self.numbers, q), (self.n, q.shape[1])).T)
 
     def leg_rates(self, q: np.ndarray) -> np.ndarray:
         """Return `dL/dq` (N, n, na)."""
         q = checked_positions(self.robot, q).T
         out = np.zeros((q.shape[1], self.n, self.na))
-        rates = geometry.leg_rates(self.numbers, q)
+        rates = rod_dimensions.leg_rates(self.numbers, q)
         for k in np.flatnonzero(self.numbers.slides >= 0):
             out[:, k, self.numbers.slides[k]] = rates[k]
         return out
@@ -142,18 +142,18 @@ class Rods:
         q = checked_positions(self.robot, q)
         unit = self.rod_directions(q, plate).transpose(1, 2, 0)
         qt = q.T
-        at = chains.placed(self.numbers.joints, qt)
+        at = chains.compute_joint_frames(self.numbers.joints, qt)
         places = chains.points(self.numbers.joints, self.numbers.carried, qt)
         rotation = np.moveaxis(np.asarray(plate.rotation), 0, 2)
         column = {name: k for k, name in enumerate(self.geometry.names)}
         out = np.zeros((len(q), self.n, len(column)))
-        for (k, name), value in geometry.gap_columns(self.numbers, at, qt, places, unit, rotation).items():
+        for (k, name), value in rod_dimensions.gap_columns(self.numbers, at, qt, places, unit, rotation).items():
             out[:, k, column[name]] = value
         return out
 
     def with_geometry(self, parameters: Parameters) -> Rods:
         """Return the robot at other values of some or all geometric parameters; `home` follows."""
-        numbers = geometry.with_values(self.numbers, parameters)
+        numbers = rod_dimensions.with_values(self.numbers, parameters)
         given = {p.name: {"value": p.value, "stderr": p.stderr, "origin": p.origin} for p in parameters}
         return replace(
             self,
@@ -195,7 +195,7 @@ def build_rods(robot: Robot) -> Rods:
         LoopClosureError: The loops cannot be closed at home.
     """
     found = recognise(robot)
-    numbers = numbers_of(robot, found)
+    numbers = read_dimensions(robot, found)
     home = Poses(found.home.translation[None].copy(), found.home.rotation[None].copy())
     return Rods(
         robot=robot,
@@ -206,7 +206,7 @@ def build_rods(robot: Robot) -> Rods:
         translates=found.translates,
         rotation=home.rotation[0],
         tool=found.tool,
-        geometry=geometry.parameters_of(numbers),
+        geometry=rod_dimensions.parameters_of(numbers),
         nominal_home=home,
         numbers=numbers,
     )

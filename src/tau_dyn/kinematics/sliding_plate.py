@@ -11,12 +11,12 @@ from itertools import combinations
 
 import numpy as np
 
-from tau_dyn.kinematics import chains, geometry
-from tau_dyn.kinematics.outcome import NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
+from tau_dyn.kinematics import chains, rod_dimensions
+from tau_dyn.kinematics.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
 from tau_dyn.kinematics.plate_arrays import lapack
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.trilateration import meet, side_of
+from tau_dyn.kinematics.trilateration import intersect_spheres, side_of
 
 BLOCK = 8192
 _FLAT = (
@@ -49,13 +49,15 @@ class SlidingPlate:
         """Return both solutions (N, 2, 3) [m], home's side first; nan where the spheres do not meet."""
         centres = self._centres(np.ascontiguousarray(q.T))[self.three]
         lengths = self._lengths(q.T)[self.three]
-        return np.stack([meet(centres, lengths, side).position.T for side in (self.side, -self.side)], axis=1)
+        return np.stack(
+            [intersect_spheres(centres, lengths, side).position.T for side in (self.side, -self.side)], axis=1
+        )
 
     def _block(self, q: np.ndarray, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         centres, lengths = self._centres(q), self._lengths(q)
         chosen, radii = (centres, lengths) if self.rods.n == 3 else (centres[self.three], lengths[self.three])
         side = self.side if start is None else side_of(chosen, start)
-        found = meet(chosen, radii, side)
+        found = intersect_spheres(chosen, radii, side)
         position, height = found.position, found.height
         code = np.zeros(q.shape[1], np.int8)
         if not np.all(height > _FLAT):
@@ -84,7 +86,7 @@ class SlidingPlate:
         return points - self._shift[:, :, None] if self._shift.any() else points
 
     def _lengths(self, q: np.ndarray) -> np.ndarray:
-        return geometry.leg_lengths(self.numbers, q)
+        return rod_dimensions.leg_lengths(self.numbers, q)
 
     def _best_three(self, centres: np.ndarray, position: np.ndarray) -> list[int]:
         d = (centres - position)[:, :, 0]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tau_dyn.kinematics.joint_limits import SLACK
-from tau_dyn.kinematics.outcome import BRANCH_CHANGE, NOT_A_NUMBER, OK, Inverse
+from tau_dyn.kinematics.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, InverseResult
 from tau_dyn.kinematics.plate_arrays import log_of
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_newton import TreeNewton
@@ -22,11 +22,11 @@ Maker = Callable[[TreeNewton, Poses], np.ndarray]
 """Makes starts (nv, N) for poses."""
 
 
-def tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | None, limits: bool) -> Inverse:
+def tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | None, limits: bool) -> InverseResult:
     """Return positions from home or a start; where that fails or breaks a limit, from the way and from other starts."""
     robot, n = engine.robot, len(poses.position)
     first = np.repeat(robot.home[None], n, axis=0) if start is None else start
-    found = _solved(engine, poses, engine.begun(first), first)
+    found = _solved(engine, poses, engine.close_loops(first), first)
     tries: list[Maker] = [] if start is not None else [TreeNewton.way, *[_random(k) for k in range(_starts(robot))]]
     for attempt in tries:
         again = np.flatnonzero(~_fits(robot, found, limits) & (found.code != NOT_A_NUMBER))
@@ -44,7 +44,7 @@ def tree_solutions(engine: TreeNewton, poses: Poses) -> np.ndarray:
     robot, n = engine.robot, len(poses.position)
     sets: list[list[np.ndarray]] = [[] for _ in range(n)]
     home = np.repeat(robot.home[None], n, axis=0)
-    starts = [engine.begun(home), *[_random(k)(engine, poses) for k in range(_starts(robot))]]
+    starts = [engine.close_loops(home), *[_random(k)(engine, poses) for k in range(_starts(robot))]]
     for x in starts:
         q = _solved(engine, poses, x, home).q
         for k in np.flatnonzero(np.isfinite(q[:, 0])):
@@ -58,7 +58,7 @@ def tree_solutions(engine: TreeNewton, poses: Poses) -> np.ndarray:
     return out
 
 
-def _solved(engine: TreeNewton, poses: Poses, x: np.ndarray, toward: np.ndarray) -> Inverse:
+def _solved(engine: TreeNewton, poses: Poses, x: np.ndarray, toward: np.ndarray) -> InverseResult:
     robot = engine.robot
     q, code, error, rotation = engine.solve(poses, x, toward)
     for k, kind in enumerate(robot.joint_kinds):
@@ -69,7 +69,7 @@ def _solved(engine: TreeNewton, poses: Poses, x: np.ndarray, toward: np.ndarray)
     q[code != OK], rotation[code != OK] = np.nan, np.nan
     lost = np.where(code == OK, 1.0, np.nan)
     culprit = np.where(code == OK, "", " ".join(robot.actuated))
-    return Inverse(q, code, error[:, 0] * lost, error[:, 1] * lost, culprit, q, rotation)
+    return InverseResult(q, code, error[:, 0] * lost, error[:, 1] * lost, culprit, q, rotation)
 
 
 def _elsewhere(engine: TreeNewton, q: np.ndarray, poses: Poses, error: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ def _random(k: int) -> Maker:
         low = np.where(np.isfinite(robot.lower), robot.lower, robot.home - np.pi)
         high = np.where(np.isfinite(robot.upper), robot.upper, robot.home + np.pi)
         one = np.random.default_rng(k).uniform(low, np.maximum(low, high))
-        return np.repeat(engine.begun(one[None]), len(poses.position), axis=1)
+        return np.repeat(engine.close_loops(one[None]), len(poses.position), axis=1)
 
     return starts
 
@@ -98,14 +98,14 @@ def _starts(robot: Robot) -> int:
     return _STARTS_LOOPS if robot.loops else _STARTS
 
 
-def _fits(robot: Robot, found: Inverse, limits: bool) -> np.ndarray:
+def _fits(robot: Robot, found: InverseResult, limits: bool) -> np.ndarray:
     if not limits:
         return found.ok
     with np.errstate(invalid="ignore"):
         return found.ok & np.all((found.q >= robot.lower - SLACK) & (found.q <= robot.upper + SLACK), axis=1)
 
 
-def _put(found: Inverse, index: np.ndarray, tried: Inverse, taken: np.ndarray) -> Inverse:
+def _put(found: InverseResult, index: np.ndarray, tried: InverseResult, taken: np.ndarray) -> InverseResult:
     fields = []
     for name in ("q", "code", "position_error", "orientation_error", "culprit", "rotation"):
         old = getattr(found, name).copy()
@@ -114,4 +114,4 @@ def _put(found: Inverse, index: np.ndarray, tried: Inverse, taken: np.ndarray) -
         old[index] = getattr(tried, name)[taken]
         fields.append(old.astype(str) if old.dtype == object else old)
     q, code, position, orientation, culprit, rotation = fields
-    return Inverse(q, code, position, orientation, culprit, q, rotation)
+    return InverseResult(q, code, position, orientation, culprit, q, rotation)

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.kinematics.least_motion import Progress, least_motion
-from tau_dyn.kinematics.outcome import NOT_A_NUMBER, OK, OUT_OF_REACH
+from tau_dyn.kinematics.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH
+from tau_dyn.kinematics.least_motion import Progress, solve_least_motion_step
 from tau_dyn.kinematics.plate_arrays import log_of, turned_by
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_arrays import Frames, cross, frames, point
@@ -45,10 +45,10 @@ class TreeNewton:
         ends = [(model.frames[loop.frame_a], model.frames[loop.frame_b]) for loop in self.robot.loops]
         self._ends = [[(int(f.parentJoint), f.placement.translation.copy()) for f in pair] for pair in ends]
         self._active = self.robot.active_v
-        self.home = self.begun(self.robot.home[None])
+        self.home = self.close_loops(self.robot.home[None])
         # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
-        x = self.begun(np.vstack([self.robot.home, self.robot.home + near]))
+        x = self.close_loops(np.vstack([self.robot.home, self.robot.home + near]))
         at = frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
         whole = np.concatenate([self._closure(at), self._twist(at)[:, 3:]], axis=1)
         _, s, vt = np.linalg.svd(whole)
@@ -56,7 +56,7 @@ class TreeNewton:
         null = vt[np.argmax(ranks), ranks.max() :]
         self._idle = len(null) if np.abs(null[:, self._active]).max(initial=0.0) > _IDLE else 0
 
-    def begun(self, q: np.ndarray) -> np.ndarray:
+    def close_loops(self, q: np.ndarray) -> np.ndarray:
         """Return all joints' positions (nv, N) at actuated ones (N, na); nan where the loops cannot be closed."""
         rows, which = np.unique(q, axis=0, return_inverse=True)
         x = np.full((self.robot.model.nv, len(rows)), np.nan)
@@ -152,7 +152,7 @@ class TreeNewton:
             pull[:, self._active] = toward - x[self._active].T
             pull = np.einsum("nki,nkj,nj->ni", vt, vt, pull)
         left = np.sum(turn**2, axis=1, keepdims=True)
-        dx = least_motion(C, gap, T, turn, np.clip(left, _LEAST, _DAMPING), pull, _SOFT)
+        dx = solve_least_motion_step(C, gap, T, turn, np.clip(left, _LEAST, _DAMPING), pull, _SOFT)
         error = np.stack([np.linalg.norm(away, axis=1), np.linalg.norm(turn, axis=1)], axis=1)
         return dx, np.abs(gap).max(axis=1), error
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.exceptions import InputError, LoopClosureError
-from tau_dyn.kinematics.loop_arrays import Closed, LoopArrays
+from tau_dyn.kinematics.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH
+from tau_dyn.kinematics.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.kinematics.loops import LoopSolver
-from tau_dyn.kinematics.outcome import NOT_A_NUMBER, OK, OUT_OF_REACH
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_arrays import Frames, cross, frames, joints_of, motion, point, times
 from tau_dyn.robot import Robot
@@ -57,7 +57,7 @@ class TreePose:
         code[~np.isfinite(position[:, 0]) & (code == OK)] = OUT_OF_REACH
         return Poses(position, rotation), code
 
-    def closed(self, q: np.ndarray, index: np.ndarray) -> list[tuple[np.ndarray, Closed]]:
+    def closed(self, q: np.ndarray, index: np.ndarray) -> list[tuple[np.ndarray, ClosedLoops]]:
         """Return closures of these samples; those that cannot be closed are missing."""
         try:
             return [(index, self.loops.close(q[index]))]
@@ -67,7 +67,7 @@ class TreePose:
             half = len(index) // 2
             return [*self.closed(q, index[:half]), *self.closed(q, index[half:])]
 
-    def pose(self, closed: Closed) -> Poses:
+    def pose(self, closed: ClosedLoops) -> Poses:
         """Return the tool's poses."""
         return self.pose_of(closed.at)
 
@@ -84,7 +84,7 @@ class TreePose:
         """Return the tool's positions (3, N) [m]."""
         return point(at, self._joint, self._tool.translation)
 
-    def jacobian(self, closed: Closed) -> np.ndarray:
+    def jacobian(self, closed: ClosedLoops) -> np.ndarray:
         """Return the tool's twist per actuated velocity (N, 6, na), linear first, in world axes at the tool's origin."""
         place = self.place_of(closed.at)
         out = np.zeros((6, closed.G.shape[1], place.shape[1]))
@@ -98,7 +98,7 @@ class TreePose:
                 out[3:] += z[:, None] * closed.G[joint.v][None]
         return out.transpose(2, 0, 1)
 
-    def acceleration(self, closed: Closed, v: np.ndarray) -> np.ndarray:
+    def acceleration(self, closed: ClosedLoops, v: np.ndarray) -> np.ndarray:
         """Return the tool's acceleration (N, 6) at velocities `v` (N, na) without actuated acceleration."""
         rates = np.einsum("van,na->vn", closed.G, v)
         a = self.loops.accelerations(closed, rates, np.zeros((self.robot.na, len(v))))

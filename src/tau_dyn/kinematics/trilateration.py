@@ -15,7 +15,7 @@ import numpy as np
 from tau_dyn.kinematics.tree_arrays import cross
 
 
-class Meeting(NamedTuple):
+class SphereIntersection(NamedTuple):
     """Where three spheres meet.
 
     Attributes:
@@ -28,7 +28,7 @@ class Meeting(NamedTuple):
     height: np.ndarray
 
 
-def meet(centres: np.ndarray, lengths: np.ndarray, side: float | np.ndarray) -> Meeting:
+def intersect_spheres(centres: np.ndarray, lengths: np.ndarray, side: float | np.ndarray) -> SphereIntersection:
     """Intersect spheres around three centres (3, 3, N) [m] with radii (3, N or 1) [m], on one side of their plane."""
     u: np.ndarray = centres[1] - centres[0]
     w: np.ndarray = centres[2] - centres[0]
@@ -47,7 +47,7 @@ def meet(centres: np.ndarray, lengths: np.ndarray, side: float | np.ndarray) -> 
         normal *= side * np.sqrt(height * inverse)
     foot += normal
     foot += centres[0]
-    return Meeting(foot, height / square.max(axis=0))
+    return SphereIntersection(foot, height / square.max(axis=0))
 
 
 def side_of(centres: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from tau_dyn.files import YAML_FAULTS, PlainLoader
-from tau_dyn.log.inflated import Inflated
+from tau_dyn.log.decompression_limit import DecompressionLimit
 
 LONGEST_DEFINITION = 2**20
 """All message definitions of a bag together [bytes]."""
@@ -115,7 +115,7 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
                 raise ValueError(f"{label} of {name} is a list of messages that hold nothing")
 
 
-def bounded(decompress: Callable[[bytes], bytes], inflated: Inflated) -> Callable[[bytes], bytes]:
+def bounded(decompress: Callable[[bytes], bytes], inflated: DecompressionLimit) -> Callable[[bytes], bytes]:
     """Return what opens a chunk of a ROS 1 bag no further than bounds; opening one again counts again."""
 
     def opened(data: bytes) -> bytes:

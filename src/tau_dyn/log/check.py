@@ -12,12 +12,12 @@ import numpy as np
 from tau_dyn.coded_warning import UNCODED, get_code
 from tau_dyn.log.check_clock import check_clock
 from tau_dyn.log.check_motion import check_motion, moving_mask
+from tau_dyn.log.check_result import CheckFinding, LogCheck, Severity, fault_of
 from tau_dyn.log.check_signals import check_signals
+from tau_dyn.log.column_names import format_names
 from tau_dyn.log.data_integrity import list_data_warnings
-from tau_dyn.log.findings import Finding, LogCheck, Severity, fault_of
 from tau_dyn.log.jumps import jump_finding
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import listed
 from tau_dyn.log.resample import even_segments, segments
 from tau_dyn.log.units import JointLimits, unit_warnings
 
@@ -34,14 +34,14 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     """
     findings, numbers = check_clock(log)
     findings += [
-        Finding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
+        CheckFinding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
     ]
     findings += _columns(log, robot) + _units(log, robot)
     findings += [fault_of(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]
     parts = segments(log)
     if not parts:
         lost = f"{log.name}: no stretch of it is without a gap."
-        return LogCheck(log.name, (*findings, Finding("fault", "gaps", lost, "Record it again.")), numbers)
+        return LogCheck(log.name, (*findings, CheckFinding("fault", "gaps", lost, "Record it again.")), numbers)
     longest = int(np.argmax([part.n_samples for part in parts]))
     raw, part = parts[longest], even_segments(log)[longest]
     moving = {joint: moving_mask(part, joint) for joint in log.joints("q")} if part.n_samples == raw.n_samples else {}
@@ -53,15 +53,15 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     return LogCheck(log.name, tuple(findings), numbers)
 
 
-def _columns(log: Log, robot: JointLimits | None) -> list[Finding]:
+def _columns(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     """Compare the log's columns with what identification needs."""
     joints: Any = log.joints("q") if robot is None else tuple(robot.actuated)
     if not joints:
         return [
-            Finding(
+            CheckFinding(
                 "fault",
                 "columns",
-                f"{log.name} has no q_ column; it has {listed(log.channels)}.",
+                f"{log.name} has no q_ column; it has {format_names(log.channels)}.",
                 "Log joint positions.",
             )
         ]
@@ -74,15 +74,19 @@ def _columns(log: Log, robot: JointLimits | None) -> list[Finding]:
         missing = [f"{signal}_{joint}" for joint in joints if not log.has(signal, [joint])]
         if missing:
             others = [joint for joint in log.joints(signal) if joint not in joints]
-            instead = f" It has those of {listed(others)}: another robot's log?" if others else ""
-            sentence = f"{log.name} has no {listed(missing)}: the joint's {why}.{instead}"
-            findings.append(Finding(severity, "columns", sentence, "Log it, or name it in a map (--columns MAP.yaml)."))
-    return findings or [Finding("ok", "columns", f"{log.name} has positions and forces of {listed(joints)}.")]
+            instead = f" It has those of {format_names(others)}: another robot's log?" if others else ""
+            sentence = f"{log.name} has no {format_names(missing)}: the joint's {why}.{instead}"
+            findings.append(
+                CheckFinding(severity, "columns", sentence, "Log it, or name it in a map (--columns MAP.yaml).")
+            )
+    return findings or [
+        CheckFinding("ok", "columns", f"{log.name} has positions and forces of {format_names(joints)}.")
+    ]
 
 
-def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
+def _units(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     doubts = [
-        Finding(
+        CheckFinding(
             "warning" if robot is None else "fault",
             "units",
             sentence,
@@ -91,16 +95,16 @@ def _units(log: Log, robot: JointLimits | None) -> list[Finding]:
         )
         for sentence in unit_warnings(log, robot)
     ]
-    return doubts or [Finding("ok", "units", f"{log.name}: positions look like m and rad.")]
+    return doubts or [CheckFinding("ok", "units", f"{log.name}: positions look like m and rad.")]
 
 
-def _jumps(log: Log, robot: JointLimits | None) -> list[Finding]:
+def _jumps(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     kinds = {} if robot is None else dict(zip(robot.actuated, robot.joint_kinds, strict=True))
     turns = {joint: kinds[joint] != "prismatic" if joint in kinds else None for joint in log.joints("q")}
     found = (jump_finding(log, joint, revolute=revolute) for joint, revolute in turns.items())
     return [finding for finding in found if finding is not None]
 
 
-def _force_lag(log: Log) -> Finding:
+def _force_lag(log: Log) -> CheckFinding:
     sentence = f"{log.name}: a lag between force and motion was not tested; it takes the robot file."
-    return Finding("ok", "synchronisation", sentence)
+    return CheckFinding("ok", "synchronisation", sentence)

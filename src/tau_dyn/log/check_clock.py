@@ -5,22 +5,22 @@ Part of `check.py`. The measuring is in `resample.py`; here its numbers become s
 
 from typing import Any
 
-from tau_dyn.log.findings import Finding
+from tau_dyn.log.check_result import CheckFinding
+from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import count
-from tau_dyn.log.resample import JITTER_LIMIT, Clock, examine_clock, gap_sentence
+from tau_dyn.log.resample import MAX_RELATIVE_JITTER, Clock, examine_clock, gap_sentence
 
-SLOWEST_RATE = 50.0
+MIN_RATE_HZ = 50.0
 """Below this rate [Hz] accelerations of a machine can hardly be had from positions."""
 
 _UNITS = ((2e5, "nanoseconds", "1e-9"), (200.0, "microseconds", "1e-6"), (0.5, "milliseconds", "0.001"))
 """Steps from which a clock reads like another unit, as machines log at 5 Hz to 2 kHz, and its scale to seconds."""
 
-SHORTEST = 5.0
+MIN_DURATION_S = 5.0
 """Shorter logs [s] rarely hold enough independent motion."""
 
 
-def check_clock(log: Log) -> tuple[list[Finding], dict[str, Any]]:
+def check_clock(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
     """Judge the clock of a log.
 
     Returns:
@@ -40,34 +40,36 @@ def check_clock(log: Log) -> tuple[list[Finding], dict[str, Any]]:
     return [_rate(log, clock), _evenness(log, clock), *_gaps(log, clock)], numbers
 
 
-def _rate(log: Log, clock: Clock) -> Finding:
+def _rate(log: Log, clock: Clock) -> CheckFinding:
     rate = 1.0 / clock.dt
     what = f"{log.name} has {log.n_samples} samples at {rate:.6g} Hz, {log.duration:.4g} s."
     if clock.dt >= 0.5:
         unit, scale = next((name, scale) for least, name, scale in _UNITS if clock.dt >= least)
         remedy = f"Give t in s: `t: {{column: t, scale: {scale}}}` in a column map (--columns)."
-        return Finding("fault", "sampling", f"{what} Such a step reads like {unit}.", remedy)
-    if rate < SLOWEST_RATE:
-        return Finding("warning", "sampling", f"{what} That is slow for accelerations.", "Log at 250 Hz or more.")
-    if log.duration < SHORTEST:
-        return Finding("warning", "sampling", f"{what} That is short.", "Record 10 s or more of varied motion.")
-    return Finding("ok", "sampling", what)
+        return CheckFinding("fault", "sampling", f"{what} Such a step reads like {unit}.", remedy)
+    if rate < MIN_RATE_HZ:
+        return CheckFinding("warning", "sampling", f"{what} That is slow for accelerations.", "Log at 250 Hz or more.")
+    if log.duration < MIN_DURATION_S:
+        return CheckFinding("warning", "sampling", f"{what} That is short.", "Record 10 s or more of varied motion.")
+    return CheckFinding("ok", "sampling", what)
 
 
-def _evenness(log: Log, clock: Clock) -> Finding:
+def _evenness(log: Log, clock: Clock) -> CheckFinding:
     if clock.rounded:
         sentence = f"{log.name}: its times are an even clock written with too few digits."
-        return Finding("warning", "jitter", sentence, "Write more digits; an even clock will be used.")
+        return CheckFinding("warning", "jitter", sentence, "Write more digits; an even clock will be used.")
     sentence = f"{log.name}: steps differ from {clock.dt:.6g} s by up to {100 * clock.jitter:.2g} %."
-    if clock.jitter > JITTER_LIMIT:
-        return Finding("warning", "jitter", sentence, "Stamp samples in the real-time loop; the log will be resampled.")
-    return Finding("ok", "jitter", sentence)
+    if clock.jitter > MAX_RELATIVE_JITTER:
+        return CheckFinding(
+            "warning", "jitter", sentence, "Stamp samples in the real-time loop; the log will be resampled."
+        )
+    return CheckFinding("ok", "jitter", sentence)
 
 
-def _gaps(log: Log, clock: Clock) -> list[Finding]:
+def _gaps(log: Log, clock: Clock) -> list[CheckFinding]:
     if clock.gaps:
         return [
-            Finding(
+            CheckFinding(
                 "warning",
                 "gaps",
                 gap_sentence(log, clock),
@@ -77,5 +79,5 @@ def _gaps(log: Log, clock: Clock) -> list[Finding]:
     if clock.n_missing:
         lost = f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'}"
         sentence = f"{log.name}: {lost} missing, never three in a row."
-        return [Finding("warning", "gaps", sentence, "Give the logger more priority; they will be interpolated.")]
-    return [Finding("ok", "gaps", f"{log.name}: no sample is missing.")]
+        return [CheckFinding("warning", "gaps", sentence, "Give the logger more priority; they will be interpolated.")]
+    return [CheckFinding("ok", "gaps", f"{log.name}: no sample is missing.")]

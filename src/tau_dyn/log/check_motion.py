@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from tau_dyn.log.filtering import differentiate, edge_samples, lowpass, reversals
-from tau_dyn.log.findings import Finding
+from tau_dyn.log.check_result import CheckFinding
+from tau_dyn.log.column_names import count
+from tau_dyn.log.filtering import differentiate, edge_samples, find_reversals, lowpass
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import count
-from tau_dyn.log.noise import encoder_noise, noise_gain, quantisation_step
+from tau_dyn.log.noise_estimation import encoder_noise, noise_gain, quantisation_step
 
 CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""
@@ -45,7 +45,7 @@ def moving_mask(log: Log, joint: str) -> NDArray[np.bool_]:
     return np.abs(v) > max(_noise_speed(log, signal, joint), 0.02 * float(np.abs(v).max()))
 
 
-def check_motion(log: Log) -> tuple[list[Finding], dict[str, Any]]:
+def check_motion(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
     """Judge the motion of every joint with a `q`.
 
     Args:
@@ -56,9 +56,9 @@ def check_motion(log: Log) -> tuple[list[Finding], dict[str, Any]]:
         (smallest and largest), `n_reversals`, `forward_share`, `acceleration_rms`, `acceleration_noise` [per s^2] and
         `lag` behind `q_ref` [s].
     """
-    findings: list[Finding] = []
+    findings: list[CheckFinding] = []
     numbers: dict[str, dict[str, Any]] = {}
-    crossed = _crossed(log)
+    crossed = _check_swapped_columns(log)
     for joint in log.joints("q"):
         figures = _figures(log, joint)
         numbers[joint] = figures
@@ -66,7 +66,7 @@ def check_motion(log: Log) -> tuple[list[Finding], dict[str, Any]]:
         findings += [_encoder(log, joint, figures), _excitation(log, joint, figures), follows]
     if numbers and not any(figures["moves"] for figures in numbers.values()):
         findings.append(
-            Finding(
+            CheckFinding(
                 "fault",
                 "excitation",
                 f"{log.name}: no joint moves.",
@@ -111,7 +111,7 @@ def _figures(log: Log, joint: str) -> dict[str, Any]:
         "velocity_noise": noise * gains[0],
         "range": [float(q.min()), float(q.max())],
         "speed": [float(np.median(speeds)), float(speeds.max())] if speeds.size else [0.0, 0.0],
-        "n_reversals": len(reversals(v[inner], max(5 * noise * gains[0], 0.02 * float(np.abs(v[inner]).max())))),
+        "n_reversals": len(find_reversals(v[inner], max(5 * noise * gains[0], 0.02 * float(np.abs(v[inner]).max())))),
         "forward_share": float(np.mean(v[inner][fast] > 0)) if speeds.size else 0.0,
         "acceleration_rms": float(np.sqrt(np.mean(a[inner] ** 2))),
         "acceleration_noise": noise * gains[1],
@@ -124,23 +124,23 @@ def _noise_speed(log: Log, signal: str, joint: str) -> float:
     return 5 * noise * noise_gain(log.rate_hz, motion_cutoff(log))
 
 
-def _encoder(log: Log, joint: str, f: dict[str, Any]) -> Finding:
+def _encoder(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
     step = f"steps of {f['quantisation']:.3g}" if f["quantisation"] else "no visible step"
     sentence = (
         f"{log.name}: q_{joint} has {step} and noise of {f['encoder_noise']:.2g}, "
         f"which leaves {f['velocity_noise']:.2g} a second in the velocity below {motion_cutoff(log):.3g} Hz."
     )
     if f["moves"] and f["velocity_noise"] > 0.05 * f["speed"][0]:
-        return Finding(
+        return CheckFinding(
             "warning", "encoder", sentence + " That is much for this motion.", "Move faster, or use a finer encoder."
         )
-    return Finding("ok", "encoder", sentence)
+    return CheckFinding("ok", "encoder", sentence)
 
 
-def _excitation(log: Log, joint: str, f: dict[str, Any]) -> Finding:
+def _excitation(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
     what = f"{log.name}: joint {joint}"
     if not f["moves"]:
-        return Finding(
+        return CheckFinding(
             "warning",
             "excitation",
             f"{what} does not move.",
@@ -151,11 +151,11 @@ def _excitation(log: Log, joint: str, f: dict[str, Any]) -> Finding:
     moved = f"{what} covers {low:.4g} to {high:.4g} at up to {f['speed'][1]:.3g} a second, {count(f['n_reversals'], 'reversal')}"
     if not 0.02 < share < 0.98:
         way = "forwards" if share > 0.5 else "backwards"
-        return Finding(
+        return CheckFinding(
             "warning", "excitation", f"{moved}, but only {way}.", "Move both ways, else friction is a torque offset."
         )
     if f["n_reversals"] < MIN_REVERSALS:
-        return Finding(
+        return CheckFinding(
             "warning",
             "excitation",
             f"{moved}, which {'is' if f['n_reversals'] == 1 else 'are'} few.",
@@ -163,11 +163,11 @@ def _excitation(log: Log, joint: str, f: dict[str, Any]) -> Finding:
         )
     if ratio < 3.0:
         sentence = f"{moved}, but its acceleration is only {ratio:.2g} times its noise."
-        return Finding("warning", "excitation", sentence, "Accelerate harder, else masses stay uncertain.")
-    return Finding("ok", "excitation", f"{moved}, acceleration {ratio:.3g} times its noise.")
+        return CheckFinding("warning", "excitation", sentence, "Accelerate harder, else masses stay uncertain.")
+    return CheckFinding("ok", "excitation", f"{moved}, acceleration {ratio:.3g} times its noise.")
 
 
-def _crossed(log: Log) -> dict[str, Finding]:
+def _check_swapped_columns(log: Log) -> dict[str, CheckFinding]:
     """Return a fault for each joint that moves as another one's reference says and not as its own."""
     joints = [joint for joint in log.joints("q") if log.has("q_ref", [joint])]
     wanted = {joint: velocities(log, "q_ref", joint) for joint in joints}
@@ -178,19 +178,21 @@ def _crossed(log: Log) -> dict[str, Finding]:
         nearest = min(miss, key=miss.__getitem__)
         if miss[nearest] < _CROSSED * miss[joint]:
             sentence = f"{log.name}: q_{joint} follows the reference of {nearest}, not its own."
-            found[joint] = Finding("fault", "columns", sentence, "Exchange the columns, or the joints' names.")
+            found[joint] = CheckFinding("fault", "columns", sentence, "Exchange the columns, or the joints' names.")
     return found
 
 
-def _lag(log: Log, joint: str, f: dict[str, Any]) -> Finding:
+def _lag(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
     if f["lag"] is None:
         why = "does not move" if log.has("q_ref", [joint]) else f"has no q_ref_{joint}"
-        return Finding("ok", "synchronisation", f"{log.name}: {joint} {why}, so its lag was not tested.")
+        return CheckFinding("ok", "synchronisation", f"{log.name}: {joint} {why}, so its lag was not tested.")
     sentence = f"{log.name}: q_{joint} follows its reference after {1e3 * f['lag']:.3g} ms."
     if f["lag"] < -1.5 * log.dt:
-        return Finding(
+        return CheckFinding(
             "warning", "synchronisation", f"{sentence} It cannot run ahead.", "Give both channels the same clock."
         )
     if f["lag"] > 0.1:
-        return Finding("warning", "synchronisation", f"{sentence} That is long.", "Check for a delay in one channel.")
-    return Finding("ok", "synchronisation", sentence)
+        return CheckFinding(
+            "warning", "synchronisation", f"{sentence} That is long.", "Check for a delay in one channel."
+        )
+    return CheckFinding("ok", "synchronisation", sentence)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import LARGEST_YAML, YAML_FAULTS, PlainLoader, read_bytes
-from tau_dyn.log.names import SIGNALS, is_contract_name, listed, map_joints
+from tau_dyn.log.column_names import SIGNALS, format_names, is_contract_name, map_joints
 
 SOURCE_KEYS = ("column", "scale", "offset", "file")
 
@@ -158,12 +158,12 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
     unknown = [k for k in value if k not in SOURCE_KEYS]
     if unknown:
         hint = _HINTS.get(type(unknown[0]), _HINTS.get(unknown[0], ""))
-        raise InputError(f"{name}: {key} has a key {unknown[0]}; it may have {listed(SOURCE_KEYS)}{hint}.")
+        raise InputError(f"{name}: {key} has a key {unknown[0]}; it may have {format_names(SOURCE_KEYS)}{hint}.")
     if not isinstance(value.get("column"), str):
         raise InputError(f"{name}: {key} needs a 'column', the foreign column's name as text (in quotes if need be).")
     file = value.get("file")
     if file is not None and (not isinstance(file, str) or file not in files):
-        raise InputError(f"{name}: {key} names file {file}, and 'files' has {listed(files)}.")
+        raise InputError(f"{name}: {key} names file {file}, and 'files' has {format_names(files)}.")
     scale, offset = (_number(f"{name}: {key}.{k}", value.get(k, d)) for k, d in (("scale", 1.0), ("offset", 0.0)))
     if scale == 0.0:
         raise InputError(f"{name}: {key}.scale is 0, which would erase the column; give a number other than 0.")
@@ -177,7 +177,7 @@ def _rate(name: str, entries: dict[Any, Any]) -> float | None:
         return None
     if len(clock) > 1:
         raise InputError(
-            f"{name}: t has rate_hz and {listed(set(clock) - {'rate_hz'})}; a log without a clock has rate_hz only."
+            f"{name}: t has rate_hz and {format_names(set(clock) - {'rate_hz'})}; a log without a clock has rate_hz only."
         )
     rate = _number(f"{name}: t.rate_hz", entries.pop("t")["rate_hz"])
     if rate <= 0.0:
@@ -206,7 +206,7 @@ def _couplings(name: str, value: Any, columns: tuple[str, ...]) -> dict[str, Cou
     """Check the matrices against the joints that the map gives to each signal."""
     allowed = [key for signal in SIGNALS for key in (signal, f"{signal}_offset")]
     if not isinstance(value, dict) or any(key not in allowed for key in value):
-        wrong = listed(k for k in value if k not in allowed) if isinstance(value, dict) else _kind(value)
+        wrong = format_names(k for k in value if k not in allowed) if isinstance(value, dict) else _kind(value)
         raise InputError(
             f"{name}: couplings holds {wrong}; it may hold matrices q, tau, v, a, q_ref and lists such as q_offset."
         )

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import owner, sweep
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.names import used_columns
+from tau_dyn.log.column_names import used_columns
 from tau_dyn.log.text_chunks import text_chunks
 
 _ROWS = 2**17

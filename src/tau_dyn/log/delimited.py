@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.complaints import other_file
+from tau_dyn.log.read_errors import describe_foreign_file
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
@@ -59,7 +59,7 @@ def parse_delimited(name: str, data: bytes) -> tuple[dict[str, NDArray[Any]], ND
 
 def _decode(name: str, data: bytes) -> str:
     """Return the text with Unix line ends and without a byte order mark."""
-    if words := other_file(data):
+    if words := describe_foreign_file(data):
         raise InputError(f"{name} is {words}.")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(f"{name}, line 1: the file is UTF-16; save it as UTF-8.")

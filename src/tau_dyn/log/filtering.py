@@ -109,7 +109,7 @@ def decimate(x: ArrayLike, factor: int) -> NDArray[np.float64]:
     return np.asarray(x, dtype=np.float64)[::factor]
 
 
-def reversals(v: ArrayLike, threshold: float = 0.0) -> NDArray[np.intp]:
+def find_reversals(v: ArrayLike, threshold: float = 0.0) -> NDArray[np.intp]:
     """Return the samples at which a velocity (N,) first exceeds `threshold` with the other sign."""
     v = np.asarray(v, dtype=np.float64)
     moving = np.flatnonzero(np.abs(v) > threshold)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.log.findings import Finding
+from tau_dyn.log.check_result import CheckFinding
+from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import count
 
 _FURTHER = 10.0
 """How much further than nine of ten steps a jump is."""
@@ -27,7 +27,7 @@ _TURN = 0.1
 """How near a jump comes to whole turns, as a share of one, where the encoder wraps."""
 
 
-def jumps_of(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]:
+def find_jumps(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]:
     """Return the samples after which a position (N,) jumps.
 
     Args:
@@ -53,7 +53,7 @@ def jump_finding(
     revolute: bool | None = None,
     fastest: float = 0.0,
     left_out: NDArray[np.bool_] | None = None,
-) -> Finding | None:
+) -> CheckFinding | None:
     """Return what is wrong with a joint's positions if they jump.
 
     Args:
@@ -64,7 +64,7 @@ def jump_finding(
         left_out: Samples (N,) that nobody uses; jumps to or from them are let pass.
     """
     q = log.channels[f"q_{joint}"]
-    at = jumps_of(q, fastest * log.dt if np.isfinite(fastest) else 0.0)
+    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0)
     if left_out is not None:
         at = at[~(left_out[at] | left_out[at + 1])]
     if not at.size:
@@ -75,8 +75,10 @@ def jump_finding(
     where = f"first by {sizes[0]:.3g}{unit} after t = {log.t[at[0]]:.6g} s"
     sentence = f"{log.name}: q_{joint} jumps {count(len(at), 'time')}, {where}, further than it can move in a sample"
     if wraps:
-        return Finding("fault", "jumps", f"{sentence}: the encoder begins anew each turn.", "Unwrap it (numpy.unwrap).")
-    return Finding(
+        return CheckFinding(
+            "fault", "jumps", f"{sentence}: the encoder begins anew each turn.", "Unwrap it (numpy.unwrap)."
+        )
+    return CheckFinding(
         "fault",
         "jumps",
         f"{sentence}: readings were lost, or the encoder was set anew.",

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import writing_whole
-from tau_dyn.log.complaints import no_column
-from tau_dyn.log.names import ROOM_TEMPERATURE, count, map_joints
+from tau_dyn.log.column_names import ROOM_TEMPERATURE, count, map_joints
+from tau_dyn.log.read_errors import describe_missing_column
 from tau_dyn.shown import Shown
 
 _NAME_IT = "; log it, or let a column map say which column it is"
@@ -112,7 +112,7 @@ class Log(Shown):
         columns = [f"{signal}_{name}" for name in names]
         for column in columns:
             if column not in self.channels:
-                raise InputError(no_column(self.name, column, ("t", *self.channels), more=_NAME_IT))
+                raise InputError(describe_missing_column(self.name, column, ("t", *self.channels), more=_NAME_IT))
         return np.column_stack([self.channels[c] for c in columns]) if columns else np.empty((self.n_samples, 0))
 
     def temperatures(self, names: Iterable[str]) -> NDArray[np.float64] | None:

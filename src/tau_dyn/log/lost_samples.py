@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.coded_warning import CodedWarning
+from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import count
-from tau_dyn.log.noise import quantisation_step
+from tau_dyn.log.noise_estimation import quantisation_step
 from tau_dyn.log.resample import examine_clock
 
 MIN_Z = 10.0

@@ -16,8 +16,8 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import sha256_of
+from tau_dyn.log.column_names import format_names, is_contract_name
 from tau_dyn.log.matlab_file import Opaque, read_variables
-from tau_dyn.log.names import is_contract_name, listed
 from tau_dyn.log.table import Table
 from tau_dyn.log.topic_columns import DEEPEST, LONGEST_LIST, MOST_CELLS, MOST_COLUMNS, Topic
 from tau_dyn.log.topics import table_of
@@ -53,7 +53,7 @@ def _levels(variables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
     found = list(_structs(variables, "", 0))
     opaque = sorted(key for key, value in variables.items() if key and value is Opaque)
     if not found or not any(fields for _, fields in found):
-        about = f"{listed(opaque)} is an object that only MATLAB can open" if opaque else "it has no numbers"
+        about = f"{format_names(opaque)} is an object that only MATLAB can open" if opaque else "it has no numbers"
         raise InputError(f"{name}: {about}; save numbers, such as t = x.Time, q_axis = x.Data.")
     yield from found
 

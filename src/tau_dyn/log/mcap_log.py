@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.inflated import Inflated
+from tau_dyn.log.decompression_limit import DecompressionLimit
 from tau_dyn.log.messages import Recorded, in_words, table_of_messages
 from tau_dyn.log.table import Table
 
@@ -101,7 +101,7 @@ def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[i
         raise InputError(
             f"{path.name} is not an MCAP file (it does not begin as one); give CSV another suffix than .mcap."
         )
-    opcode, inflated = 0, Inflated(path)
+    opcode, inflated = 0, DecompressionLimit(path)
     while opcode != _DATA_END:
         frame = file.read(_FRAME.size)
         opcode, length = _FRAME.unpack(frame) if len(frame) == _FRAME.size else (0, 1)
@@ -139,7 +139,7 @@ def _inside(plain: bytes) -> Iterator[tuple[int, Any]]:
         at += length
 
 
-def _opened(name: str, data: bytes, inflated: Inflated) -> bytes:
+def _opened(name: str, data: bytes, inflated: DecompressionLimit) -> bytes:
     """Return what is in a chunk; it is decompressed no further than the size it declares."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk

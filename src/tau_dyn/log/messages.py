@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import sha256_of, sha256_together
-from tau_dyn.log.names import listed
+from tau_dyn.log.column_names import format_names
 from tau_dyn.log.table import Table
 from tau_dyn.log.topic_columns import Budget, Topic, TopicRecorder
 from tau_dyn.log.topics import table_of
@@ -65,7 +65,7 @@ def table_of_messages(
         recorders[message.topic].add(message.log, message.decode())
     topics = [topic for recorder in recorders.values() for topic in recorder.topics()]
     if not topics:
-        about = f"it has {listed(sorted(others))}" if others else "it has no messages"
+        about = f"it has {format_names(sorted(others))}" if others else "it has no messages"
         raise InputError(
             f"{path.name} has no joint states, and no topic that a map names: {about}; name one in a column map."
         )

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.log import Log
-from tau_dyn.log.noise import encoder_noise
+from tau_dyn.log.noise_estimation import encoder_noise
 
 _SIGMA = 6.0
 _LOOK_S = 0.1

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import sha256_together
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.complaints import no_clock, no_column
+from tau_dyn.log.column_names import count, format_names, used_columns
 from tau_dyn.log.containers import has_topics, read_any
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import count, listed, used_columns
+from tau_dyn.log.read_errors import describe_missing_column, no_clock
 from tau_dyn.log.table import Table
 
 MIN_SAMPLES = 10
@@ -86,7 +86,7 @@ def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
     paths = {key: path if key is None else folder / map_.files[key] for key in wanted}
     if not path.is_dir() and not any(_same_file(path, other) for other in paths.values()):
         raise InputError(
-            f"{path.name} is none of the files that {map_.name} reads ({listed(map_.files.values())}); give one."
+            f"{path.name} is none of the files that {map_.name} reads ({format_names(map_.files.values())}); give one."
         )
     asked = {key: {o: s.column for o, s in map_.sources.items() if s.file == key} for key in wanted}
     return {key: read_any(file, asked[key]) for key, file in paths.items()}
@@ -118,7 +118,9 @@ def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str) -> N
     table = tables[source.file]
     if source.column not in table.cells:
         raise InputError(
-            no_column(table.name, source.column, tuple(table.cells), f", which {map_.name} takes for {ours}")
+            describe_missing_column(
+                table.name, source.column, tuple(table.cells), f", which {map_.name} takes for {ours}"
+            )
         )
     return table.numbers(source.column, source.scale)
 

@@ -1,7 +1,7 @@
 """A recording on disk: its files' row groups one after another, its channels converted and checked as they are read.
 
 Rows are numbered through all files. A window decodes only the row groups and columns it needs, checks every cell as
-`read.py` does, and comes as a `Log`. How one is opened stands in `stream.py`.
+`read.py` does, and comes as a `Log`. How one is opened stands in `log_opening.py`.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import pyarrow.parquet as pq
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import sha256_of, sha256_together
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.complaints import no_clock, no_column
+from tau_dyn.log.column_names import signal_and_joint, used_columns
 from tau_dyn.log.copies import TemporaryFolder
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import signal_and_joint, used_columns
+from tau_dyn.log.read_errors import describe_missing_column, no_clock
 from tau_dyn.log.table import Table, parquet_cells
 
 State = tuple[int, int]
 """What changes when a file is written: its size and the time of its last change [ns]."""
 
 
-class Part(NamedTuple):
+class RowGroup(NamedTuple):
     """One row group: its file and state, number, first row in the recording and in the file (from 0), and how many."""
 
     path: str
@@ -58,7 +58,7 @@ class Recording:
 
     name: str
     paths: tuple[Path, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[RowGroup, ...]
     columns: tuple[str, ...]
     map_: ColumnMap | None = None
     warnings: tuple[str, ...] = ()
@@ -85,7 +85,7 @@ class Recording:
         if self.digest:
             return self.digest
         for path, state in zip(self.paths, self.states, strict=True):
-            if not path.is_file() or state_of(path) != state:
+            if not path.is_file() or get_file_state(path) != state:
                 raise InputError(
                     f"{path.name} was written to while it was read; let the recording end, or copy it first"
                 )
@@ -103,7 +103,7 @@ class Recording:
         """Tell whether there is a channel of this name."""
         return name in self.channels
 
-    def clock(self) -> Iterator[tuple[Part, np.ndarray]]:
+    def clock(self) -> Iterator[tuple[RowGroup, np.ndarray]]:
         """Yield the times [s] of each part in order, checked to run forward.
 
         Raises:
@@ -137,12 +137,14 @@ class Recording:
         """Channels whose every cell has to be a number."""
         return frozenset(used_columns(self.channels))
 
-    def _channel(self, part: Part, name: str) -> np.ndarray:
+    def _channel(self, part: RowGroup, name: str) -> np.ndarray:
         """Return one channel (rows,) of a part in SI units."""
         if self.map_ is None or (name not in self.map_.sources and not (name == "t" and self.map_.rate_hz)):
             if name not in self.columns:
                 file, columns = Path(part.path).name, tuple(self.columns)
-                raise InputError(no_clock(file, columns) if name == "t" else no_column(file, name, columns))
+                raise InputError(
+                    no_clock(file, columns) if name == "t" else describe_missing_column(file, name, columns)
+                )
             return _cells(part, name, name in self._used)
         if name == "t" and self.map_.rate_hz:
             return (part.first + np.arange(part.rows)) / self.map_.rate_hz
@@ -154,15 +156,15 @@ class Recording:
         mixed = coupling.apply(np.column_stack([self._theirs(part, other) for other in names]))
         return mixed[:, names.index(name)]
 
-    def _theirs(self, part: Part, ours: str) -> np.ndarray:
+    def _theirs(self, part: RowGroup, ours: str) -> np.ndarray:
         source = self.map_.sources[ours]  # type: ignore[union-attr]
         if source.column not in self.columns:
             wanted = f", which {self.map_.name} takes for {ours}"  # type: ignore[union-attr]
-            raise InputError(no_column(self.name, source.column, tuple(self.columns), wanted))
+            raise InputError(describe_missing_column(self.name, source.column, tuple(self.columns), wanted))
         return source.scale * _cells(part, source.column, True, source.scale) + source.offset
 
 
-def state_of(path: Path) -> State:
+def get_file_state(path: Path) -> State:
     """Return a file's state now."""
     about = path.stat()
     return about.st_size, about.st_mtime_ns
@@ -180,7 +182,7 @@ def parquet_file(path: str, state: State) -> pq.ParquetFile:
 
 
 @lru_cache(maxsize=32)
-def _cells(part: Part, column: str, checked: bool, scale: float = 1.0) -> np.ndarray:
+def _cells(part: RowGroup, column: str, checked: bool, scale: float = 1.0) -> np.ndarray:
     """Return one column of a row group as numbers (rows,), which may be missing unless it is checked (once scaled).
 
     The last few are kept, as windows overlap.
@@ -197,7 +199,7 @@ def _cells(part: Part, column: str, checked: bool, scale: float = 1.0) -> np.nda
     return values
 
 
-def _refuse_backwards(part: Part, t: np.ndarray, row: int, before: float, where: str) -> None:
+def _refuse_backwards(part: RowGroup, t: np.ndarray, row: int, before: float, where: str) -> None:
     name = Path(part.path).name
     if row == 0 and where and where != part.path:
         raise InputError(

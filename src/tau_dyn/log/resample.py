@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import count
 
-JITTER_LIMIT = 0.01
+MAX_RELATIVE_JITTER = 0.01
 """Steps may differ by this share of their mean before a clock counts as uneven."""
 
-GAP_STEPS = 3.5
+MIN_GAP_STEPS = 3.5
 """A step longer than this many usual ones (three samples lost, or more) is a gap."""
 
-MIN_SEGMENT = 10
+MIN_SEGMENT_SAMPLES = 10
 """Segments with fewer samples are left out."""
 
 
@@ -45,7 +45,7 @@ class Clock(NamedTuple):
     @property
     def even(self) -> bool:
         """True where filters may take the samples as they are."""
-        return not self.gaps and self.n_missing == 0 and self.jitter <= JITTER_LIMIT
+        return not self.gaps and self.n_missing == 0 and self.jitter <= MAX_RELATIVE_JITTER
 
 
 def examine_clock(log: Log) -> Clock:
@@ -59,7 +59,7 @@ def examine_clock(log: Log) -> Clock:
     missing = np.maximum(np.round(ratio) - 1, 0)
     usual = np.abs(ratio[missing == 0] - 1)
     jitter = float(usual.max()) if usual.size else 0.0
-    return Clock(dt, jitter, int(missing.sum()), tuple(np.flatnonzero(ratio > GAP_STEPS).tolist()), rounded=False)
+    return Clock(dt, jitter, int(missing.sum()), tuple(np.flatnonzero(ratio > MIN_GAP_STEPS).tolist()), rounded=False)
 
 
 def segments(log: Log) -> list[Log]:
@@ -67,7 +67,7 @@ def segments(log: Log) -> list[Log]:
     clock = examine_clock(log)
     if not clock.gaps:
         return [log]
-    spans = [(a, b) for a, b in _spans(log, clock) if b - a >= MIN_SEGMENT]
+    spans = [(a, b) for a, b in _spans(log, clock) if b - a >= MIN_SEGMENT_SAMPLES]
     return [log.window(a, b).with_warnings(gap_sentence(log, clock)) for a, b in spans]
 
 
@@ -82,7 +82,7 @@ def even_segments(log: Log) -> list[Log]:
 def short_segments(log: Log) -> tuple[int, float]:
     """Return how many parts between gaps `segments` leaves out, and how long they are together [s]."""
     clock = examine_clock(log)
-    sizes = [b - a for a, b in _spans(log, clock) if b - a < MIN_SEGMENT] if clock.gaps else []
+    sizes = [b - a for a, b in _spans(log, clock) if b - a < MIN_SEGMENT_SAMPLES] if clock.gaps else []
     return len(sizes), sum(sizes) * clock.dt
 
 
@@ -158,8 +158,8 @@ def is_rounded(t: NDArray[np.float64]) -> bool:
     """Tell whether uneven stamps are an even clock rounded to a decimal place coarser than 1 % of its step."""
     dt = (t[-1] - t[0]) / (len(t) - 1)
     decimals = next((d for d in range(10) if np.allclose(np.round(t, d), t, rtol=0.0, atol=1e-10)), None)
-    if decimals is None or 10.0**-decimals <= JITTER_LIMIT * dt:
+    if decimals is None or 10.0**-decimals <= MAX_RELATIVE_JITTER * dt:
         return False
     line = np.polynomial.Polynomial.fit(np.arange(len(t)), t, 1)(np.arange(len(t)))
-    uneven = np.ptp(np.diff(t)) > JITTER_LIMIT * dt
+    uneven = np.ptp(np.diff(t)) > MAX_RELATIVE_JITTER * dt
     return bool(uneven and np.max(np.abs(t - line)) <= 0.75 * 10.0**-decimals)

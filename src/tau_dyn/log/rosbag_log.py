@@ -14,7 +14,7 @@ from typing import Any
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml
 from tau_dyn.log.bag_checks import bounded, check_database, check_definitions, check_profiles
-from tau_dyn.log.inflated import Inflated
+from tau_dyn.log.decompression_limit import DecompressionLimit
 from tau_dyn.log.messages import Recorded, in_words, table_of_messages
 from tau_dyn.log.table import Table
 
@@ -149,7 +149,7 @@ def _decoder(path: Path, reader: Any, connection: Any, data: bytes) -> Callable[
 
 def _bound(path: Path, reader: Any) -> None:
     """Let the chunks of a ROS 1 bag not grow beyond bounds when they are decompressed."""
-    inflated = Inflated(path)
+    inflated = DecompressionLimit(path)
     for one in reader.readers:
         chunks = getattr(one, "chunks", {})
         for key, chunk in chunks.items():

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
-from tau_dyn.log.complaints import complaint, looks_like_units, no_column
+from tau_dyn.log.decompression_limit import FREE_BYTES, MAX_INFLATION_RATIO
 from tau_dyn.log.delimited import MOST_COLUMNS, parse_delimited
-from tau_dyn.log.inflated import FREE, MOST_INFLATED
+from tau_dyn.log.read_errors import describe_bad_cell, describe_missing_column, looks_like_units
 
-LARGEST = 1e15
+MAX_MAGNITUDE = 1e15
 """No quantity of a robot in SI units is larger; what is comes from a broken logger."""
 
 PARQUET_SUFFIXES = (".parquet", ".pq")
@@ -73,14 +73,14 @@ class Table:
             InputError: The column does not exist, or a cell is empty, text, NaN or infinite.
         """
         if column not in self.cells:
-            raise InputError(no_column(self.name, column, tuple(self.cells)))
+            raise InputError(describe_missing_column(self.name, column, tuple(self.cells)))
         values = _to_float(self.cells[column])
-        wrong = np.flatnonzero(~(np.abs(values) * abs(scale) < LARGEST))
+        wrong = np.flatnonzero(~(np.abs(values) * abs(scale) < MAX_MAGNITUDE))
         if wrong.size:
             row, cells = int(wrong[0]), self.cells[column]
             if row == 0 and len(cells) > 1 and looks_like_units(cells[0], cells[1]):
                 raise InputError(f"{self.where(0)} holds units ({column}: {cells[0]}), not a sample; delete that line.")
-            raise InputError(f"{self.where(row)}, column {column}: {complaint(cells[row], LARGEST)}.")
+            raise InputError(f"{self.where(row)}, column {column}: {describe_bad_cell(cells[row], MAX_MAGNITUDE)}.")
         return values
 
     def numbers_or_none(self, column: str) -> NDArray[np.float64] | None:
@@ -146,7 +146,7 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
         names = Counter(about.schema.to_arrow_schema().names)
         if twice := [column for column, times in names.items() if times > 1]:  # which pyarrow calls no Parquet
             raise InputError(f"{name} names column {twice[0]} twice; every column needs a name of its own.")
-        if 8 * about.num_rows * about.num_columns > FREE + MOST_INFLATED * len(data):
+        if 8 * about.num_rows * about.num_columns > FREE_BYTES + MAX_INFLATION_RATIO * len(data):
             raise InputError(
                 f"{name} says in {len(data)} bytes that it holds {about.num_rows} rows of {about.num_columns} columns, which no "
                 "recording does; write it again."

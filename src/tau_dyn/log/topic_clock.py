@@ -12,15 +12,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.resample import GAP_STEPS
+from tau_dyn.log.resample import MIN_GAP_STEPS
 
-UNTOLD = 0.5
+MAX_INTERPOLATION_ERROR = 0.5
 """Share of a signal's spread that its neighbours may miss of it at twice the step."""
 
-FEWEST = 10
+MIN_CLOCK_SAMPLES = 10
 
 
-def on_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, str]:
+def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, str]:
     """Return a signal at other times.
 
     Args:
@@ -38,22 +38,22 @@ def on_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarray) -> tu
     at = np.minimum(np.searchsorted(t, wanted), t.size - 1)
     if np.array_equal(t[at], wanted):
         return x[at], ""
-    if t.size < FEWEST:
+    if t.size < MIN_CLOCK_SAMPLES:
         raise InputError(f"{where} has {t.size} samples, too few to be put on another topic's clock.")
     step = float(np.median(np.diff(t)))
     inside = (t >= wanted[0] - step) & (t <= wanted[-1] + step)
     t, x = t[inside], x[inside]
-    if t.size < FEWEST:
+    if t.size < MIN_CLOCK_SAMPLES:
         raise InputError(f"{where} has {t.size} samples during the log, too few to be put on another topic's clock.")
     steps = np.diff(t)
     widest = int(np.argmax(steps))
-    if steps[widest] > GAP_STEPS * step:
+    if steps[widest] > MIN_GAP_STEPS * step:
         raise InputError(
             f"{where} has a gap of {steps[widest]:.3g} s at t = {t[widest]:.4g} s (its step is {step:.3g} s), which is not "
             "bridged; cut the log there."
         )
-    share = untold(t, x)
-    if share > UNTOLD:
+    share = estimate_interpolation_error(t, x)
+    if share > MAX_INTERPOLATION_ERROR:
         raise InputError(
             f"{where} cannot be put on another topic's clock: its samples ({1 / step:.4g} Hz) cannot be told from their "
             "neighbours, so neither can what lies between them; record both in one message, or faster."
@@ -62,7 +62,7 @@ def on_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarray) -> tu
     return CubicSpline(t, x)(wanted), f"interpolated from {1 / step:.4g} Hz, error about {max(error, 0.01):.2g} %"
 
 
-def untold(t: np.ndarray, x: np.ndarray) -> float:
+def estimate_interpolation_error(t: np.ndarray, x: np.ndarray) -> float:
     """Return what every second sample differs from a spline through the others, as a share of the signal's spread."""
     spread = float(np.std(x))
     if spread <= 1e-12 * max(1.0, float(np.max(np.abs(x)))):

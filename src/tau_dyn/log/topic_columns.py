@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.names import is_contract_name
+from tau_dyn.log.column_names import is_contract_name
 
 OURS = {"position": "q", "velocity": "v", "effort": "tau"}
 """A joint state's lists, and the signals that they are here."""

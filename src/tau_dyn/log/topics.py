@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.names import listed
+from tau_dyn.log.column_names import format_names
 from tau_dyn.log.table import Table
-from tau_dyn.log.topic_clock import on_clock
+from tau_dyn.log.topic_clock import resample_to_clock
 from tau_dyn.log.topic_columns import Topic
 
 LOG_TIME = "log_time"
@@ -49,7 +49,7 @@ def table_of(
     for topic, _ in others:
         covered &= clock.covers(topic, t)
     if covered.sum() < LEAST_OVERLAP * t.size:
-        names = listed([topic.name for topic, _ in others])
+        names = format_names([topic.name for topic, _ in others])
         raise InputError(
             f"{path.name}: {names} and {main.name} were recorded together for {covered.mean():.0%} of the messages only; their "
             "clocks have to be one and the same."
@@ -79,7 +79,7 @@ def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topi
         if most:
             break
     raise InputError(
-        f"{name} has the topics {listed(_names(topics))}, and it is not clear which is the log; a column map says so: "
+        f"{name} has the topics {format_names(_names(topics))}, and it is not clear which is the log; a column map says so: "
         f"q_axis: {_example(topics)}."
     )
 
@@ -95,7 +95,9 @@ def _others(name: str, topics: Sequence[Topic], main: Topic, wanted: Mapping[str
             known = [t.full(field) for t in topics for field in t.columns]
             start = column.rpartition(".")[0].split(".")[0]
             near = [c for c in known if start and c.startswith(start)] or known
-            raise InputError(f"{name} has no column {column}, which the map takes for {ours}; it has {listed(near)}.")
+            raise InputError(
+                f"{name} has no column {column}, which the map takes for {ours}; it has {format_names(near)}."
+            )
         if (topic, column) not in found:
             found.append((topic, column))
     return found
@@ -172,7 +174,7 @@ class _Clock:
             raise InputError(
                 f"{self.name}, {_word(topic)} {row} of {topic.name}: {column} is not a finite number; each needs one."
             )
-        return on_clock(f"{self.name}: {column}", t, x, wanted)
+        return resample_to_clock(f"{self.name}: {column}", t, x, wanted)
 
     def said(self, main: Topic, repeated: int, cut: int) -> list[str]:
         """Return sentences about the clock and what was left out."""
@@ -186,7 +188,8 @@ class _Clock:
             said = []
         else:
             said = [
-                f"{self.name}: t is when messages of {main.name} were recorded, from the first on, since {listed(self.lacking)} "
+                f"{self.name}: t is when messages of {main.name} were recorded, from the first on, since "
+                f"{format_names(self.lacking)} "
                 "has no stamps; the delay on the way is in it."
             ]
         samples, topic = f"{_word(main)}(s)", main.name or "the log"

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.coded_warning import CodedWarning
-from tau_dyn.log.check_signals import runs_of
+from tau_dyn.log.check_signals import find_constant_runs
+from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
-from tau_dyn.log.names import count
 
 MIN_STEPS_OFF = 6.0
 """How far the neighbours stand from zero, in median changes of a sample; noise passes four in 1 of 1000 samples."""
@@ -38,7 +38,7 @@ def find_zero_runs(log: Log, joint: str) -> NDArray[np.intp]:
     x = log.channels[f"tau_{joint}"]
     steps = np.abs(np.diff(x))
     steps = steps[steps > 0]
-    runs = runs_of(x)
+    runs = find_constant_runs(x)
     if steps.size < 20 or len(runs.starts) < 3:
         return np.zeros(0, np.intp)
     least = MIN_STEPS_OFF * float(np.median(steps))
@@ -51,7 +51,7 @@ def find_zero_runs(log: Log, joint: str) -> NDArray[np.intp]:
 def find_held_runs(log: Log, column: str) -> NDArray[np.intp]:
     """Return the first sample (n,) of each run of held values that ends far off, in a channel that hardly repeats itself."""
     x = log.channels[column]
-    runs = runs_of(x)
+    runs = find_constant_runs(x)
     if np.count_nonzero(runs.lengths == 2) > MAX_REPEATS * log.n_samples or len(runs.starts) < 20:
         return np.zeros(0, np.intp)
     far = np.abs(np.diff(runs.values)) > MIN_STEPS_OFF * float(np.median(np.abs(np.diff(runs.values))))

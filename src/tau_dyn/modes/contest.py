@@ -15,10 +15,10 @@ import numpy as np
 
 from tau_dyn.modes.acausality import Acausality, find_acausality
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback import Feedback
-from tau_dyn.modes.leftover import SIMULATED, leftovers
+from tau_dyn.modes.feedback_test import Feedback
 from tau_dyn.modes.order import OrderChoice, select_parts
-from tau_dyn.modes.preparation import Prepared
+from tau_dyn.modes.preparation import PreparedRecords
+from tau_dyn.modes.residuals import SIMULATED, compute_residuals
 from tau_dyn.modes.simulate import late_inputs
 
 SURE = 1e-3
@@ -46,28 +46,28 @@ class Candidate:
     late: DelayChoice
     states: OrderChoice
 
-    def simulation_errors(self, data: Prepared) -> float:
+    def simulation_errors(self, data: PreparedRecords) -> float:
         """Return the geometric mean over outputs of simulation errors on the quarter kept apart; infinite without a model."""
         trial = self.states.taken
         if trial is None:
             return float("inf")
         _, kept = select_parts(data.train)
-        errors = leftovers(trial.model, kept, SIMULATED)
+        errors = compute_residuals(trial.model, kept, SIMULATED)
         power = sum(np.sum(e**2, axis=0) for e in errors) / sum(len(e) for e in errors)
         return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
 
 
-def check_candidate(candidate: Candidate, data: Prepared) -> Acausality:
+def check_candidate(candidate: Candidate, data: PreparedRecords) -> Acausality:
     """Return whether the inputs follow what a candidate leaves of the training data."""
     trial = candidate.states.taken
     if trial is None:
         return Acausality(1.0, 0.0)
-    errors = leftovers(trial.model, data.train, SIMULATED)
+    errors = compute_residuals(trial.model, data.train, SIMULATED)
     return find_acausality(errors, [late_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
 
 
 def settle(
-    data: Prepared, before: Feedback, plain: Candidate, make: Callable[[], Candidate | None]
+    data: PreparedRecords, before: Feedback, plain: Candidate, make: Callable[[], Candidate | None]
 ) -> tuple[Candidate, Feedback, str]:
     """Return the candidate to go on with, what is known of feedback, and why.
 

@@ -22,14 +22,14 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tau_dyn.exceptions import CannotAnswer, TauDynError
-from tau_dyn.modes.leftover import SIMULATED, criteria, free_count, loss_of
-from tau_dyn.modes.methods import First
-from tau_dyn.modes.record import Record, shortened
+from tau_dyn.modes.methods import InitialModels
+from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refine import refine
+from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
 
 LONGEST = 6_000
 """Samples that the delays are compared on."""
-MOST = 20
+MAX_DELAY_SAMPLES = 20
 """The longest delay that is tried."""
 ORDERS = (2, 4, 6, 8, 12, 20, 28)
 """Orders tried for every delay: modes that all of them lack would look like a delay."""
@@ -37,11 +37,11 @@ HIGHEST_REFINED = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
 COARSE = 4
 """Step of the first look."""
-CLOSE = 100.0
+CLOSE_BIC_DIFFERENCE = 100.0
 """BIC within which two delays are compared by refined models."""
 RIVALS = 3
 ROUNDS = 8
-SURE = 10.0
+DECISIVE_BIC_DIFFERENCE = 10.0
 """BIC beyond which a rival is out of the question (Kass & Raftery 1995)."""
 
 
@@ -69,11 +69,11 @@ class DelayChoice:
 
 def choose_delay(
     records: Sequence[Record],
-    first: Callable[[Sequence[Record], int], First],
+    first: Callable[[Sequence[Record], int], InitialModels],
     *,
     kind: str = SIMULATED,
     orders: Sequence[int] = ORDERS,
-    most: int = MOST,
+    most: int = MAX_DELAY_SAMPLES,
     least_gain: float = 0.0,
     progress: Callable[[str], None] | None = None,
 ) -> DelayChoice:
@@ -92,10 +92,10 @@ def choose_delay(
     Raises:
         CannotAnswer: No delay gives a model.
     """
-    few = shortened(records, LONGEST)
+    few = truncate_records(records, LONGEST)
     most = min(most, min(r.n_samples for r in few) // 20)
     found: dict[int, tuple[float, int]] = {}
-    firsts: dict[int, First] = {}
+    firsts: dict[int, InitialModels] = {}
     wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
     while wanted:  # a coarse look first, then the neighbours of the best until it stays the best
         tried.update(wanted)  # those that give no model, too, or they would be tried for ever
@@ -112,7 +112,7 @@ def choose_delay(
     if not found:
         raise CannotAnswer("no model follows from these data", "a longer log, with more excitation against the noise")
     lowest = min(bic for bic, _ in found.values())
-    close = sorted((bic, d) for d, (bic, _) in found.items() if bic < lowest + CLOSE)[:RIVALS]
+    close = sorted((bic, d) for d, (bic, _) in found.items() if bic < lowest + CLOSE_BIC_DIFFERENCE)[:RIVALS]
     refined = {}
     if least_gain and found[best][1] >= found.get(0, (0.0, max(orders) + 1))[1]:
         n = sum(max(0, r.n_samples - most) for r in few) * few[0].y.shape[1]
@@ -150,13 +150,17 @@ def _chosen(found: dict[int, tuple[float, int]], refined: dict[int, float]) -> D
     scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
     sure = min((gap for d, _, gap in scan if d != best), default=float("inf"))
     what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
-    how = "any other is out of the question" if sure > SURE else f"the next is only {sure:.1f} behind in BIC"
+    how = (
+        "any other is out of the question"
+        if sure > DECISIVE_BIC_DIFFERENCE
+        else f"the next is only {sure:.1f} behind in BIC"
+    )
     return DelayChoice(best, scan, sure, f"{what}; {how}")
 
 
 def _scan(
     records: Sequence[Record],
-    first: First,
+    first: InitialModels,
     delay: int,
     orders: Sequence[int],
     skip: int,
@@ -192,8 +196,8 @@ def _linear_bic(values: np.ndarray, records: Sequence[Record], delay: int, skip:
     bic = []
     for last, answers in ((-m, False), (None, True)):
         theta = np.linalg.lstsq(gram[:last, :last], cross[:last], rcond=1e-13)[0]
-        k = free_count(len(values), p, m, direct=answers, predicts=False)
-        bic.append(criteria(loss_of([y - x[:, :last] @ theta]), len(y), k)[1])
+        k = count_free_parameters(len(values), p, m, direct=answers, predicts=False)
+        bic.append(compute_aic_bic(compute_log_det_loss([y - x[:, :last] @ theta]), len(y), k)[1])
     return min(bic)
 
 
@@ -219,7 +223,7 @@ def _apart(decays: Sequence[np.ndarray]) -> np.ndarray:
     return out
 
 
-def _refined(records: Sequence[Record], first: First, delay: int, order: int, kind: str, skip: int) -> float:
+def _refined(records: Sequence[Record], first: InitialModels, delay: int, order: int, kind: str, skip: int) -> float:
     """Return BIC of a refined model on samples whose input is known for every delay; infinite where there is none."""
     try:
         refined = refine(first.model(order), records, kind=kind, maximum_rounds=ROUNDS, covariance=False)
@@ -227,5 +231,5 @@ def _refined(records: Sequence[Record], first: First, delay: int, order: int, ki
         return float("inf")
     model, errors = refined.model, [e[skip - delay :] for e in refined.residuals]
     p, m = model.D.shape
-    k = free_count(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
-    return criteria(loss_of(errors), sum(len(e) for e in errors), k)[1]
+    k = count_free_parameters(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
+    return compute_aic_bic(compute_log_det_loss(errors), sum(len(e) for e in errors), k)[1]

@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.modes.arx import best_length, predictor
 from tau_dyn.modes.basis import columns_of, derivative_maps
-from tau_dyn.modes.gauss_newton import Point, normal_equations
+from tau_dyn.modes.gauss_newton import FitPoint, normal_equations
 from tau_dyn.modes.hankel import compress
 from tau_dyn.modes.modal_form import layout_of
 from tau_dyn.modes.record import Record
@@ -25,7 +25,7 @@ CHUNK = 16384  # errors further apart than a chunk count as independent
 
 
 def error_covariance(
-    point: Point, records: Sequence[Record], free: np.ndarray
+    point: FitPoint, records: Sequence[Record], free: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """Return the covariance of the model's free numbers (f, f) and the residuals record by record.
 
@@ -47,7 +47,7 @@ def error_covariance(
     return (inverse @ middle @ inverse)[:n, :n], errors
 
 
-def residuals(point: Point, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+def residuals(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
     """Return measured minus modelled outputs, record by record."""
     out = []
     for record, x0 in zip(records, point.x0, strict=True):
@@ -82,7 +82,7 @@ def spectrum(coefficients: np.ndarray, noise: np.ndarray, n: int) -> np.ndarray:
 
 
 def _middle(
-    point: Point, records: Sequence[Record], root: np.ndarray, coefficients: np.ndarray, noise: np.ndarray
+    point: FitPoint, records: Sequence[Record], root: np.ndarray, coefficients: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """The double sum over the full vector and all records' initial states."""
     size, k = layout_of(point.form).size, len(point.form.poles)

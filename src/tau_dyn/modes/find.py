@@ -16,16 +16,16 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes.contest import Candidate, settle
-from tau_dyn.modes.delay import MOST, ORDERS, DelayChoice, choose_delay
+from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay
 from tau_dyn.modes.era import era_factors
-from tau_dyn.modes.feedback import Feedback, feedback_suspected
-from tau_dyn.modes.judge import judged
-from tau_dyn.modes.leftover import PREDICTED, SIMULATED
-from tau_dyn.modes.methods import METHODS, first_look, starter
-from tau_dyn.modes.onset import first_answer
+from tau_dyn.modes.feedback_test import Feedback, detect_feedback
+from tau_dyn.modes.methods import METHODS, build_initial_estimator, first_look
+from tau_dyn.modes.model_validation import validate_model
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
-from tau_dyn.modes.preparation import Prepared, prepare
+from tau_dyn.modes.preparation import PreparedRecords, prepare_records
 from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.residuals import PREDICTED, SIMULATED
+from tau_dyn.modes.response_onset import find_response_onset
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.widen import widen_modes
 
@@ -82,7 +82,7 @@ def find_modes(
     if method not in ("auto", *METHODS):
         raise InputError(f"--method {method}: there are auto, {', '.join(METHODS)}")
     places = _places(collocated, inputs, outputs)
-    data = prepare(
+    data = prepare_records(
         _several(logs), tuple(inputs), tuple(outputs), holdout=_several(holdout), references=tuple(references)
     )
     _refuse_costly(asked, data)
@@ -93,7 +93,7 @@ def find_modes(
     def candidate(name: str) -> Candidate:
         kind = PREDICTED if name == "pbsid" else SIMULATED
         late = _late(data, name, kind, asked, fixed, sensor, say)
-        start = partial(starter, name, delay=late.delay, highest=max(20, asked or 0))
+        start = partial(build_initial_estimator, name, delay=late.delay, highest=max(20, asked or 0))
         pulses = data.kind == "impulse"
         states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
         return Candidate(name, kind, late, states)
@@ -115,12 +115,12 @@ def find_modes(
     final, whole = _refitted(refined, data, best, how)
     final = _widened(final, refined, data, best, feedback)
     say("judging")
-    found = judged(refined, data, feedback, late, states, final=final, sensor=sensor, collocated=places)
+    found = validate_model(refined, data, feedback, late, states, final=final, sensor=sensor, collocated=places)
     reasons = {"method": why, "delay": late.why, "order": states.why, "refinement": f"{how}; {whole}"}
     return replace(found, method=best.method, why=reasons, seed=seed)
 
 
-def _refitted(refined: Refined, data: Prepared, best: Candidate, how: str) -> tuple[Refined, str]:
+def _refitted(refined: Refined, data: PreparedRecords, best: Candidate, how: str) -> tuple[Refined, str]:
     """Return the model fitted to all data, held-out ones included, and what was done; the one given where that fails."""
     if not data.whole or not data.holdout:
         return refined, "nothing was left to add"
@@ -134,7 +134,7 @@ def _refitted(refined: Refined, data: Prepared, best: Candidate, how: str) -> tu
     return final, "the model was then fitted to all data; the held-out fit is that of the model of the training data"
 
 
-def _widened(final: Refined, refined: Refined, data: Prepared, best: Candidate, feedback: Feedback) -> Refined:
+def _widened(final: Refined, refined: Refined, data: PreparedRecords, best: Candidate, feedback: Feedback) -> Refined:
     """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
     taken = best.states.taken
     pairs = []
@@ -152,7 +152,7 @@ def _widened(final: Refined, refined: Refined, data: Prepared, best: Candidate, 
     return replace(final, modes=widen_modes(final.modes, pairs))
 
 
-def _rounds(data: Prepared, order: int) -> int:
+def _rounds(data: PreparedRecords, order: int) -> int:
     """Return how many rounds of refinement a model is given."""
     if data.kind == "impulse":
         return PULSE_ROUNDS
@@ -188,7 +188,7 @@ def _order(order: str | int) -> int | None:
     return value
 
 
-def _refuse_costly(order: int | None, data: Prepared) -> None:
+def _refuse_costly(order: int | None, data: PreparedRecords) -> None:
     """Refuse an order whose free numbers have fewer than four samples each."""
     p, m = data.train[0].y.shape[1], data.train[0].u.shape[1]
     most = data.n_train * p // (4 * (p + m))
@@ -212,13 +212,13 @@ def _delay(delay: str | int) -> int | None:
     return value
 
 
-def _feedback(data: Prepared) -> Feedback:
+def _feedback(data: PreparedRecords) -> Feedback:
     if data.kind == "impulse":
         return Feedback(False, 1.0, 0.0, "pulses answer to nothing")
-    return feedback_suspected(data.train)
+    return detect_feedback(data.train)
 
 
-def _method(method: str, data: Prepared, feedback: Feedback) -> tuple[str, str]:
+def _method(method: str, data: PreparedRecords, feedback: Feedback) -> tuple[str, str]:
     """Return the method to begin with, and why."""
     if method == "era" and data.kind != "impulse":
         raise CannotAnswer(
@@ -238,15 +238,15 @@ def _method(method: str, data: Prepared, feedback: Feedback) -> tuple[str, str]:
 
 
 def _late(
-    data: Prepared, method: str, kind: str, asked: int | None, fixed: int | None, sensor: str, say: Progress
+    data: PreparedRecords, method: str, kind: str, asked: int | None, fixed: int | None, sensor: str, say: Progress
 ) -> DelayChoice:
     if fixed is not None:
         return DelayChoice(fixed, (), float("nan"), f"a delay of {fixed} samples was asked for")
     orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, 20)})
-    decays = era_factors(data.train, delay=MOST) if method == "era" else None
-    most = MOST
+    decays = era_factors(data.train, delay=MAX_DELAY_SAMPLES) if method == "era" else None
+    most = MAX_DELAY_SAMPLES
     if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
-        most = max(0, first_answer(data.train, decays, MOST) - (sensor != "acceleration"))
+        most = max(0, find_response_onset(data.train, decays, MAX_DELAY_SAMPLES) - (sensor != "acceleration"))
     return choose_delay(
         data.train,
         lambda records, d: first_look(method, records, delay=d, decays=decays),
@@ -259,13 +259,13 @@ def _late(
 
 
 def _refined(
-    data: Prepared, method: str, kind: str, delay: int, states: OrderChoice, *, alone: bool
+    data: PreparedRecords, method: str, kind: str, delay: int, states: OrderChoice, *, alone: bool
 ) -> tuple[Refined, str]:
     """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
     order, taken = states.order, states.taken
     rounds = _rounds(data, order)
     if taken is not None and taken.plain:
-        first = starter(method, data.train, delay=delay, highest=order)(order)
+        first = build_initial_estimator(method, data.train, delay=delay, highest=order)(order)
         made = refine(first, data.train, kind=kind, maximum_rounds=0)
         if made.model.spectral_radius() < 1 and np.isfinite(made.loss):
             return made, f"{method} alone: refinement made the simulation of other data worse"
@@ -273,7 +273,9 @@ def _refined(
     alone = alone or kind == PREDICTED or data.kind == "impulse" or rounds == FEW_ROUNDS
     names = (method,) if alone else tuple(dict.fromkeys((method, "n4sid", "arx")))
     if not (taken is not None and (data.kind == "impulse" or rounds == FEW_ROUNDS)):
-        starts += [(n, lambda n=n: starter(n, data.train, delay=delay, highest=order)(order)) for n in names]
+        starts += [
+            (n, lambda n=n: build_initial_estimator(n, data.train, delay=delay, highest=order)(order)) for n in names
+        ]
     found: list[tuple[float, str, Refined]] = []
     fault: Exception | None = None
     for name, first in starts:

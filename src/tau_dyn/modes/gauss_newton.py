@@ -20,7 +20,7 @@ FLOOR = 1e-13  # errors below this part of the outputs' power are rounding
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class FitPoint:
     """A model with the initial states of all records, and how it fits.
 
     Attributes:
@@ -55,7 +55,7 @@ class Point:
         return float(value) if sign > 0 else np.inf
 
 
-def evaluate(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> Point:
+def evaluate(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> FitPoint:
     """Return the point of a model over records that are aligned and scaled."""
     p = form.D.shape[0]
     squares, power, grams, cross = np.zeros((p, p)), np.zeros(p), [], []
@@ -71,11 +71,11 @@ def evaluate(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> Poin
         grams.append(np.asarray(gram))
         cross.append(np.asarray(gradient))
     n = sum(record.n_samples for record in records)
-    return Point(form, x0, squares, n, tuple(grams), tuple(cross), power / n)
+    return FitPoint(form, x0, squares, n, tuple(grams), tuple(cross), power / n)
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
+class NormalEquations:
     """Normal equations over the free numbers: the model's, then the initial states record by record.
 
     Attributes:
@@ -100,7 +100,7 @@ class Normal:
         return step
 
 
-def normal_equations(point: Point, free: np.ndarray, weight: np.ndarray | None = None) -> Normal:
+def normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndarray | None = None) -> NormalEquations:
     """Assemble the normal equations.
 
     Args:
@@ -122,10 +122,10 @@ def normal_equations(point: Point, free: np.ndarray, weight: np.ndarray | None =
         g[where] += sum(part.T @ errors[:, o] for o, part in enumerate(T))
     start = np.tile(np.column_stack([np.ones(k, bool), point.form.oscillates]).ravel(), n_records)
     everything = np.r_[free, start]
-    return Normal(H[np.ix_(everything, everything)], g[everything], everything, int(free.sum()))
+    return NormalEquations(H[np.ix_(everything, everything)], g[everything], everything, int(free.sum()))
 
 
-def moved(point: Point, step: np.ndarray) -> tuple[ModalForm, np.ndarray]:
+def apply_step(point: FitPoint, step: np.ndarray) -> tuple[ModalForm, np.ndarray]:
     """Return the model and the initial states after a full step."""
     size = layout_of(point.form).size
     start = step[size:].reshape(len(point.grams), -1, 2)

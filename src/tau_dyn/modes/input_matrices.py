@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.modes.gauss_newton import Point, evaluate, moved, normal_equations
+from tau_dyn.modes.gauss_newton import FitPoint, apply_step, evaluate, normal_equations
 from tau_dyn.modes.modal_form import ModalForm, free_numbers, layout_of, modal_form
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace
@@ -18,7 +18,7 @@ from tau_dyn.modes.state_space import StateSpace
 OUTERMOST = 1 - 1e-7  # a pole estimated on or outside the unit circle is put here
 
 
-def input_matrices(A: np.ndarray, C: np.ndarray, records: Sequence[Record], direct: bool | None) -> Point:
+def input_matrices(A: np.ndarray, C: np.ndarray, records: Sequence[Record], direct: bool | None) -> FitPoint:
     """Return the modal form of A, C with the B, D and initial states that fit records (aligned and scaled) best.
 
     Args:
@@ -38,7 +38,7 @@ def input_matrices(A: np.ndarray, C: np.ndarray, records: Sequence[Record], dire
     return whole if gain > p * m * np.log(whole.n_samples) else without
 
 
-def solved(point: Point, records: Sequence[Record], direct: np.ndarray | bool) -> Point:
+def solved(point: FitPoint, records: Sequence[Record], direct: np.ndarray | bool) -> FitPoint:
     """Return the point with its B, D and initial states, and nothing else, fitted anew."""
     layout = layout_of(point.form)
     free = free_numbers(point.form, np.asarray(direct))
@@ -47,7 +47,7 @@ def solved(point: Point, records: Sequence[Record], direct: np.ndarray | bool) -
         free[layout.c(k)] = False
     weight = np.diag(1 / np.maximum(point.power, 1e-300))
     for _ in range(2):  # the problem is linear; the second pass weighs the outputs by their errors
-        form, x0 = moved(point, normal_equations(point, free, weight).solve())
+        form, x0 = apply_step(point, normal_equations(point, free, weight).solve())
         point, weight = evaluate(form, x0, records), None
     return point
 

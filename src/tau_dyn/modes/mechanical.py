@@ -15,8 +15,8 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes.mechanical_evidence import Evidence, Refined, evidence_of
-from tau_dyn.modes.mechanical_fit import MechanicalFit, Task, fit_stand_in, fit_whole
-from tau_dyn.modes.mechanical_judgement import CHANCE, KNOWN, asymmetry
+from tau_dyn.modes.mechanical_fit import MechanicalFit, Task, fit_condensed_structure, fit_full_structure
+from tau_dyn.modes.mechanical_validation import MAX_RELATIVE_STDERR, SIGNIFICANCE_LEVEL, asymmetry
 from tau_dyn.modes.places import Places, places_of
 from tau_dyn.modes.second_order import SecondOrder, derivative_of, symmetric_basis, unpack
 from tau_dyn.modes.state_space import StateSpace
@@ -146,7 +146,7 @@ def fit_mechanical(
     if places.n > len(modes_hz):
         return _refused(reason)
     if complete and not others and places.n == len(modes_hz):
-        found = _judged(fit_whole(task), task, "identified", _why_whole(task))
+        found = _judged(fit_full_structure(task), task, "identified", _why_whole(task))
         if found.status == "identified":
             return found
         reason = found.why
@@ -200,7 +200,7 @@ def _stand_in(task: Task, reason: str) -> Mechanical:
     """Return a structure of the named degrees of freedom for as many of the lowest modes as it can stand for."""
     found = _refused(reason)
     for count in range(task.places.n, 0, -1):
-        found = _judged(fit_stand_in(task, count), task, "condensed", reason)
+        found = _judged(fit_condensed_structure(task, count), task, "condensed", reason)
         if found.status == "condensed":
             return found
     return _refused(reason if found.why in reason else f"{reason}; {found.why}")
@@ -211,7 +211,7 @@ def _judged(fit: MechanicalFit, task: Task, status: str, why: str) -> Mechanical
     n, worst = task.places.n, "M" if fit.unknown["M"] > fit.unknown["K"] else "K"
     if not np.isfinite(fit.unknown[worst]):
         return _refused(f"no information: some direction of {worst} leaves no trace in the response")
-    if fit.unknown[worst] > KNOWN:
+    if fit.unknown[worst] > MAX_RELATIVE_STDERR:
         known = 100 * fit.unknown[worst]
         return _refused(f"no information: the standard error of {worst} reaches {known:.0f} % in some direction")
     if fit.agreement.valid_hz is None and status == "condensed":
@@ -219,7 +219,7 @@ def _judged(fit: MechanicalFit, task: Task, status: str, why: str) -> Mechanical
     if fit.agreement.valid_hz is None:
         off = 100 * fit.agreement.misfit
         return _refused(f"no structure of {n} degrees of freedom fits the modes (off by {off:.0f} %)")
-    if status == "identified" and fit.consistency is not None and fit.consistency < CHANCE:
+    if status == "identified" and fit.consistency is not None and fit.consistency < SIGNIFICANCE_LEVEL:
         chance = f"their misfit has the probability {fit.consistency:.0e}"
         return _refused(f"the model holds more than a structure of {n} degrees of freedom can: {chance}")
     stderr = None if fit.covariance is None else unpack(np.sqrt(np.diag(fit.covariance)), task.places.n)

@@ -13,8 +13,14 @@ import numpy as np
 
 from tau_dyn.modes.mechanical_convex import solve_conic
 from tau_dyn.modes.mechanical_evidence import Evidence
-from tau_dyn.modes.mechanical_judgement import Agreement, agreement, consistency, covariance_of, unknown
 from tau_dyn.modes.mechanical_likelihood import Target, maximise, split, whitening
+from tau_dyn.modes.mechanical_validation import (
+    Agreement,
+    compute_misfit_p_value,
+    compute_worst_relative_stderr,
+    covariance_of,
+    find_valid_band,
+)
 from tau_dyn.modes.places import Places
 from tau_dyn.modes.second_order import SecondOrder
 
@@ -63,7 +69,7 @@ class MechanicalFit:
     unknown: Mapping[str, float] = field(default_factory=lambda: {"M": 0.0, "K": 0.0})
 
 
-def fit_whole(task: Task) -> MechanicalFit:
+def fit_full_structure(task: Task) -> MechanicalFit:
     """Return the maximum-likelihood structure with as many degrees of freedom as modes."""
     f = _grid(task.modes_hz, task.span_hz)
     s = 2j * np.pi * f
@@ -72,7 +78,7 @@ def fit_whole(task: Task) -> MechanicalFit:
     return _fit(task, s, task.modes_hz, None)
 
 
-def fit_stand_in(task: Task, count: int) -> MechanicalFit:
+def fit_condensed_structure(task: Task, count: int) -> MechanicalFit:
     """Return the structure of the named degrees of freedom that best stands for the first `count` modes.
 
     Between the named places the modes are known from every force to every sensor by reciprocity; all of that is fitted.
@@ -96,13 +102,13 @@ def _fit(task: Task, s: np.ndarray, wanted: np.ndarray, weight: np.ndarray | Non
     target, factor = _target(evidence, places, s, units, weight)
     fitted = maximise(target, start)
     covariance = covariance_of(target, fitted, factor)
-    worst = unknown(fitted, covariance) if covariance is not None else {"M": 0.0, "K": 0.0}
+    worst = compute_worst_relative_stderr(fitted, covariance) if covariance is not None else {"M": 0.0, "K": 0.0}
     found = units.restore(fitted)
-    agrees = agreement(task.evidence, found, task.places, wanted, task.span_hz, task.tolerance)
+    agrees = find_valid_band(task.evidence, found, task.places, wanted, task.span_hz, task.tolerance)
     if weight is not None:  # between unmeasured pairs too, and from rest on
-        elsewhere = agreement(evidence, found, places, wanted, task.span_hz, task.tolerance)
+        elsewhere = find_valid_band(evidence, found, places, wanted, task.span_hz, task.tolerance)
         agrees = agrees.both(elsewhere).reaching(0.5 * wanted[0])
-    chance = consistency(target, fitted) if target.whitens else None
+    chance = compute_misfit_p_value(target, fitted) if target.whitens else None
     return MechanicalFit(
         found, None if covariance is None else units.restore_covariance(covariance), agrees, chance, worst
     )

@@ -30,7 +30,7 @@ SLOWEST = 1 - 1e-6
 Start = Callable[[int], StateSpace]
 
 
-def starter(method: str, records: Sequence[Record], *, delay: int = 0, highest: int = 20) -> Start:
+def build_initial_estimator(method: str, records: Sequence[Record], *, delay: int = 0, highest: int = 20) -> Start:
     """Return a function from an order to a stable first model; what all orders share is computed once.
 
     Args:
@@ -44,20 +44,20 @@ def starter(method: str, records: Sequence[Record], *, delay: int = 0, highest: 
     """
     if method == "n4sid":
         factors = subspace_factors(records, delay=delay)
-        return lambda order: stabilised(factors.model(order))
+        return lambda order: stabilise_poles(factors.model(order))
     if method == "pbsid":
-        return lambda order: stabilised(pbsid(records, order, delay=delay))
+        return lambda order: stabilise_poles(pbsid(records, order, delay=delay))
     if method == "arx":
         long = arx(records, _lags(records, highest), delay=delay)
-        return lambda order: stabilised(reduce_order(long, order))
+        return lambda order: stabilise_poles(reduce_order(long, order))
     if method == "era":
         decays = era_factors(records, delay=delay)
-        return lambda order: stabilised(decays.model(order))
+        return lambda order: stabilise_poles(decays.model(order))
     raise InputError(f"--method {method}: there are auto, {', '.join(METHODS)}")
 
 
 @dataclass(frozen=True, eq=False)
-class First:
+class InitialModels:
     """First looks at records under one delay.
 
     Attributes:
@@ -76,7 +76,7 @@ def first_look(
     delay: int,
     horizon: int = 30,
     decays: EraFactors | None = None,
-) -> First:
+) -> InitialModels:
     """Return first poles and models of any order, as cheaply as a scan over many delays needs them.
 
     Args:
@@ -89,15 +89,19 @@ def first_look(
     if method == "era":
         late = decays or era_factors(records, delay=delay)
         here = era_factors(records, delay=delay)
-        return First(lambda n: np.linalg.eigvals(late.dynamics(n)[0]), lambda n: stabilised(here.model(n)))
+        return InitialModels(lambda n: np.linalg.eigvals(late.dynamics(n)[0]), lambda n: stabilise_poles(here.model(n)))
     aligned = [r.aligned(delay) for r in records]
     factors = subspace_factors(records, delay=delay, horizon=min(horizon, default_horizon(aligned)))
     if method == "pbsid":
-        return First(lambda n: np.linalg.eigvals(factors.dynamics(n)[0]), starter(method, records, delay=delay))
-    return First(lambda n: np.linalg.eigvals(factors.dynamics(n)[0]), lambda n: stabilised(factors.model(n)))
+        return InitialModels(
+            lambda n: np.linalg.eigvals(factors.dynamics(n)[0]), build_initial_estimator(method, records, delay=delay)
+        )
+    return InitialModels(
+        lambda n: np.linalg.eigvals(factors.dynamics(n)[0]), lambda n: stabilise_poles(factors.model(n))
+    )
 
 
-def stabilised(model: StateSpace) -> StateSpace:
+def stabilise_poles(model: StateSpace) -> StateSpace:
     """Return the model with unstable poles mirrored into the unit circle; frequencies stay, growth becomes decay."""
     if model.spectral_radius() < SLOWEST:
         return model

@@ -30,7 +30,7 @@ _FAR = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class Swing:
+class ModeShape:
     """One shape on a skeleton.
 
     Attributes:
@@ -47,7 +47,7 @@ class Swing:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class ModePair:
     """A measured mode, and the robot file's own mode that is most like it.
 
     Attributes:
@@ -56,8 +56,8 @@ class Pair:
         mac: Modal assurance criterion of the two over the outputs; nan where there is no model.
     """
 
-    measured: Swing
-    model: Swing | None
+    measured: ModeShape
+    model: ModeShape | None
     mac: float
 
 
@@ -67,7 +67,7 @@ class ShapesOnRobot:
 
     robot: Robot
     skeleton: Skeleton
-    pairs: tuple[Pair, ...]
+    pairs: tuple[ModePair, ...]
 
     def to_list(self) -> list[dict[str, float | None]]:
         """Return for every measured mode the robot file's own that is most like it, and the likeness."""
@@ -108,7 +108,7 @@ def shapes_on_robot(robot: Robot, modes: Sequence[Mode], outputs: Sequence[str])
     return ShapesOnRobot(robot, skeleton, pairs)
 
 
-def _measured(mode: Mode, places: dict[str, dict[int, int]], skeleton: Skeleton) -> Swing:
+def _measured(mode: Mode, places: dict[str, dict[int, int]], skeleton: Skeleton) -> ModeShape:
     arrows = {name: _vector(mode.shape, axes) for name, axes in places.items()}
     tool = arrows.get("tool", next(iter(arrows.values())))
     return _scaled(mode.frequency_hz, mode.damping_ratio, [np.outer(share, tool) for share in skeleton.carries], arrows)
@@ -121,14 +121,14 @@ def _vector(shape: np.ndarray, axes: dict[int, int]) -> np.ndarray:
     return out
 
 
-def _scaled(frequency: float, damping: float, links: Sequence[np.ndarray], arrows: dict[str, np.ndarray]) -> Swing:
+def _scaled(frequency: float, damping: float, links: Sequence[np.ndarray], arrows: dict[str, np.ndarray]) -> ModeShape:
     """Return a swing whose largest displacement is 1 and real."""
     everything = np.concatenate([*links, *(x[None] for x in arrows.values())])
     top = everything.flat[np.argmax(np.abs(everything))] or 1.0
-    return Swing(frequency, damping, tuple(x / top for x in links), {k: x / top for k, x in arrows.items()})
+    return ModeShape(frequency, damping, tuple(x / top for x in links), {k: x / top for k, x in arrows.items()})
 
 
-def _own(figure: Figure, places: dict[str, dict[int, int]], rest: list[np.ndarray]) -> list[Swing]:
+def _own(figure: Figure, places: dict[str, dict[int, int]], rest: list[np.ndarray]) -> list[ModeShape]:
     """Return the modes of the robot file's springs, slowest first; none where it has none."""
     if figure.flexible is None:
         return []
@@ -150,22 +150,22 @@ def _own(figure: Figure, places: dict[str, dict[int, int]], rest: list[np.ndarra
     return found
 
 
-def assurance(a: np.ndarray, b: np.ndarray) -> float:
+def compute_mac(a: np.ndarray, b: np.ndarray) -> float:
     """Return the modal assurance criterion of two shapes (p,) complex; 0 where one is zero."""
     size = float(np.vdot(a, a).real * np.vdot(b, b).real)
     return float(abs(np.vdot(a, b)) ** 2 / size) if size > 0 else 0.0
 
 
 def _paired(
-    modes: Sequence[Mode], measured: Sequence[Swing], own: Sequence[Swing], places: dict[str, dict[int, int]]
-) -> tuple[Pair, ...]:
+    modes: Sequence[Mode], measured: Sequence[ModeShape], own: Sequence[ModeShape], places: dict[str, dict[int, int]]
+) -> tuple[ModePair, ...]:
     """Return each measured mode with the robot's own that agrees best in shape and frequency."""
     seen = [(name, axis, k) for name, axes in places.items() for axis, k in axes.items()]
     mac = np.zeros((len(modes), len(own)))
     away = np.full((len(modes), len(own)), np.inf)
     for i, mode in enumerate(modes):
         for j, swing in enumerate(own):
-            mac[i, j] = assurance(
+            mac[i, j] = compute_mac(
                 mode.shape[[k for _, _, k in seen]], np.array([swing.arrows[n][x] for n, x, _ in seen])
             )
             away[i, j] = abs(np.log(mode.frequency_hz / swing.frequency_hz))
@@ -176,6 +176,6 @@ def _paired(
         j = chosen.get(i)
         near = j is not None and fits[i, j] > 0
         pairs.append(
-            Pair(swing, own[j] if near and j is not None else None, float(mac[i, j]) if near else float("nan"))
+            ModePair(swing, own[j] if near and j is not None else None, float(mac[i, j]) if near else float("nan"))
         )
     return tuple(pairs)

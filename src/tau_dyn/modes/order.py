@@ -21,11 +21,19 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.modes.checks import fit_of, whiteness
-from tau_dyn.modes.leftover import SIMULATED, criteria, free_count, leftovers, loss_of, spread_of, worse
 from tau_dyn.modes.methods import Start
 from tau_dyn.modes.modal import Mode, modes_of
-from tau_dyn.modes.record import Record, shortened
+from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refine import refine
+from tau_dyn.modes.residuals import (
+    SIMULATED,
+    compare_errors_paired,
+    compute_aic_bic,
+    compute_log_det_loss,
+    compute_residuals,
+    count_free_parameters,
+    spread_of,
+)
 from tau_dyn.modes.state_space import StateSpace
 
 SELECT_SHARE = 0.25
@@ -242,7 +250,9 @@ def _refine_near(search: _Search, scanned: Sequence[_Row], asked: int | None) ->
     first = asked or 4
     if scanned:
         best = min(scanned, key=lambda row: row.lost)
-        first = min(row.order for row in scanned if row is best or worse(row.kept, best.kept) <= TOLERANCE)
+        first = min(
+            row.order for row in scanned if row is best or compare_errors_paired(row.kept, best.kept) <= TOLERANCE
+        )
         first = asked or first
     if first <= SMALL:
         for order in range(2, first + 1, 2):
@@ -291,7 +301,7 @@ def _try(fitted: Sequence[Record], kept: Sequence[Record], make: Start, order: i
     row = _judge(refined.model, fitted, kept, kind)
     if kind == SIMULATED and kept is not fitted:
         plain = _judge(first, fitted, kept, kind)
-        if plain is not None and (row is None or worse(row.kept, plain.kept) > TOLERANCE):
+        if plain is not None and (row is None or compare_errors_paired(row.kept, plain.kept) > TOLERANCE):
             return replace(plain, refined=True, plain=True)
     return None if row is None else replace(row, modes=tuple(refined.modes), refined=True)
 
@@ -302,21 +312,23 @@ def _judge(model: StateSpace, fitted: Sequence[Record], kept: Sequence[Record], 
         return None
     if kind != SIMULATED and np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max(initial=0) >= 1:
         return None  # its predictor runs away
-    errors, others = leftovers(model, fitted, kind), leftovers(model, kept, kind)
+    errors, others = compute_residuals(model, fitted, kind), compute_residuals(model, kept, kind)
     if not all(np.isfinite(e).all() for e in (*errors, *others)):
         return None
     p, m = model.D.shape
-    k = free_count(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
+    k = count_free_parameters(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
     white = min(t.p_value for t in whiteness(errors, [""] * p)) * p > 0.001
     measured = [r.y[model.delay :] for r in kept]
     fit = float(np.mean(fit_of(measured, [y - e for y, e in zip(measured, others, strict=True)])))
     n = sum(len(e) for e in errors)
-    return _Row(model.order, k, n, loss_of(errors), spread_of(others), others, fit, white, model, modes_of(model))
+    return _Row(
+        model.order, k, n, compute_log_det_loss(errors), spread_of(others), others, fit, white, model, modes_of(model)
+    )
 
 
 def _trial(row: _Row, best: _Row) -> OrderTrial:
-    aic, bic = criteria(row.loss, row.n, row.k)
-    behind = 0.0 if row is best else worse(row.kept, best.kept)
+    aic, bic = compute_aic_bic(row.loss, row.n, row.k)
+    behind = 0.0 if row is best else compare_errors_paired(row.kept, best.kept)
     return OrderTrial(
         row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model, row.refined, row.plain
     )
@@ -350,7 +362,7 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
 
 def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
     """Return pulses to fit on and the last quarter to compare on, if what is left still hits every input; else all twice."""
-    records = shortened(records, LONGEST, PULSE)
+    records = truncate_records(records, LONGEST, PULSE)
     kept = max(1, round(SELECT_SHARE * len(records)))
     peaks = np.array([np.abs(r.u).max(axis=0) for r in records])
     alike = peaks[:-kept] > 0.05 * peaks.max(axis=0)
@@ -361,7 +373,7 @@ def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence
 
 def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     """Return what to fit on and what to compare on: the last quarter of each record."""
-    records = shortened(records, LONGEST)
+    records = truncate_records(records, LONGEST)
     fitted = [r.window(slice(0, round((1 - SELECT_SHARE) * r.n_samples))) for r in records]
     kept = [r.window(slice(round((1 - SELECT_SHARE) * r.n_samples), None)) for r in records]
     return fitted, kept
@@ -371,7 +383,7 @@ def _affordable(records: Sequence[Record], orders: Sequence[int], *, strict: boo
     """Return the orders whose free numbers have eight samples each, at least."""
     p, m = records[0].y.shape[1], records[0].u.shape[1]
     n = sum(r.n_samples for r in records)
-    kept = [o for o in orders if 8 * free_count(o, p, m, direct=True, predicts=False) <= n * p]
+    kept = [o for o in orders if 8 * count_free_parameters(o, p, m, direct=True, predicts=False) <= n * p]
     if strict and not kept:
         raise InputError(f"{n} samples cannot pay for order {min(orders)} with {m} inputs and {p} outputs")
     return kept

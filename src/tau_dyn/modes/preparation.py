@@ -16,7 +16,7 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, ensure_even, segments
-from tau_dyn.modes.record import Record, records_of, shortened
+from tau_dyn.modes.record import Record, records_of, truncate_records
 
 TRAIN_SHARE = 0.7
 SETTLED = 0.2
@@ -36,7 +36,7 @@ STEP_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedRecords:
     """Records ready for identification.
 
     Attributes:
@@ -61,14 +61,14 @@ class Prepared:
         return sum(r.n_samples for r in self.train)
 
 
-def prepare(
+def prepare_records(
     logs: Sequence[Log],
     inputs: Sequence[str],
     outputs: Sequence[str],
     *,
     holdout: Sequence[Log] = (),
     references: Sequence[str] = (),
-) -> Prepared:
+) -> PreparedRecords:
     """Return training and held-out records.
 
     Args:
@@ -92,12 +92,12 @@ def prepare(
         return _pulses(train, held, warnings)
     if held:
         kept = tuple(_centred(r, r) for r in held)
-        return Prepared(tuple(_centred(r, r) for r in train), kept, "driven", "the logs given", tuple(warnings))
+        return PreparedRecords(tuple(_centred(r, r) for r in train), kept, "driven", "the logs given", tuple(warnings))
     pairs = [_cut(r) for r in train]
     kept = tuple(_centred(b, a) for a, b in pairs if b.n_samples)
     parts = tuple(_centred(a, a) for a, _ in pairs)
     whole = tuple(_centred(r, a) for r, (a, _) in zip(train, pairs, strict=True))
-    return Prepared(parts, kept, "driven", "the last 30 %", tuple(warnings), whole)
+    return PreparedRecords(parts, kept, "driven", "the last 30 %", tuple(warnings), whole)
 
 
 def pulses_of(record: Record) -> list[Record]:
@@ -120,7 +120,7 @@ def _is_pulses(record: Record) -> bool:
     return record.n_samples >= 2 * PULSE_ROOM and bool(np.mean(_away(record)) < PULSE_SHARE) and bool(pulses_of(record))
 
 
-def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> Prepared:
+def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> PreparedRecords:
     pulses = [_settled(p) for r in train for p in pulses_of(r)]
     kept = [_settled(p) for r in held for p in (pulses_of(r) if _is_pulses(r) else [r])]
     how, everything = "the logs given", pulses
@@ -134,8 +134,8 @@ def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> Pre
             *warnings,
             "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice",
         ]
-    parts, whole = (tuple(shortened(some, PULSES, 5 * PULSE_ROOM)) for some in (pulses, everything))
-    return Prepared(parts, tuple(kept), "impulse", how, tuple(warnings), whole)
+    parts, whole = (tuple(truncate_records(some, PULSES, 5 * PULSE_ROOM)) for some in (pulses, everything))
+    return PreparedRecords(parts, tuple(kept), "impulse", how, tuple(warnings), whole)
 
 
 def _spans_inputs(pulses: list[Record]) -> bool:

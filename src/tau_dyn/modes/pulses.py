@@ -17,7 +17,7 @@ import numpy as np
 from numpy.fft import irfft, rfft
 from scipy.fft import next_fast_len
 
-from tau_dyn.modes.followed import ImpulseResponses
+from tau_dyn.modes.fit_quality import ImpulseResponses
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.simulate import simulate

@@ -13,7 +13,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, ensure_even, segments
-from tau_dyn.log.complaints import no_column
+from tau_dyn.log.read_errors import describe_missing_column
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class Scales:
         return cls(size([record.u for record in records]), size([record.y for record in records]))
 
 
-def shortened(records: Sequence[Record], longest: int, least: int = 40) -> list[Record]:
+def truncate_records(records: Sequence[Record], longest: int, least: int = 40) -> list[Record]:
     """Return the beginnings of records, so many samples in all, and none shorter than `least` where it has them."""
     share = min(1.0, longest / sum(r.n_samples for r in records))
     return [r.window(slice(0, max(least, round(share * r.n_samples)))) for r in records]
@@ -130,7 +130,7 @@ def records_of(log: Log, inputs: Sequence[str], outputs: Sequence[str], referenc
     names = [*inputs, *outputs, *references]
     for name in names:
         if name not in log.channels:
-            raise InputError(no_column(log.name, name, tuple(log.channels)))
+            raise InputError(describe_missing_column(log.name, name, tuple(log.channels)))
     for name in [*inputs, *outputs]:
         if names.count(name) > 1:
             raise InputError(f"column '{name}' is named twice; each is an input or an output")

@@ -14,16 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.descent import descend, tidied
+from tau_dyn.modes.covariance_propagation import propagate_covariance
 from tau_dyn.modes.error_covariance import error_covariance, residuals
-from tau_dyn.modes.gauss_newton import Point, evaluate
+from tau_dyn.modes.gauss_newton import FitPoint, evaluate
 from tau_dyn.modes.innovation import model_of, predictor_of, predictor_record
 from tau_dyn.modes.input_matrices import mirrored, solved
-from tau_dyn.modes.leftover import PREDICTED, SIMULATED
+from tau_dyn.modes.levenberg_marquardt import minimise, normalise_shapes
 from tau_dyn.modes.modal import Mode, modes_of
 from tau_dyn.modes.modal_form import ModalForm, free_numbers, full_vector, layout_of, modal_form, stepped
-from tau_dyn.modes.propagation import propagated
 from tau_dyn.modes.record import Record, Scales
+from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 from tau_dyn.modes.response import ResponseEstimate
 from tau_dyn.modes.state_space import StateSpace
 
@@ -106,8 +106,8 @@ def refine(
     start = replace(model.scaled(scales), delay=0)
     problem = _output_errors if kind == SIMULATED else _prediction_errors
     point, wide, free, as_model, allowed = problem(start, ready, direct)
-    path = descend(point, wide, free, maximum_rounds, allowed)
-    point = tidied(path.point)
+    path = minimise(point, wide, free, maximum_rounds, allowed)
+    point = normalise_shapes(path.point)
     numbers = free_numbers(point.form, free)
     if covariance:
         found, errors = error_covariance(point, wide, numbers)
@@ -121,7 +121,9 @@ def refine(
 
     refined = in_own_units(point.form)
     size = layout_of(modal_form(refined)).size
-    spread = propagated(point.form, found, free, in_own_units) if covariance else np.full((size, size), np.nan)
+    spread = (
+        propagate_covariance(point.form, found, free, in_own_units) if covariance else np.full((size, size), np.nan)
+    )
     return Refined(
         refined,
         spread,
@@ -136,7 +138,7 @@ def refine(
     )
 
 
-Problem = tuple[Point, list[Record], np.ndarray, Callable[[ModalForm], StateSpace], Callable[[ModalForm], bool]]
+Problem = tuple[FitPoint, list[Record], np.ndarray, Callable[[ModalForm], StateSpace], Callable[[ModalForm], bool]]
 
 
 def _output_errors(start: StateSpace, records: list[Record], direct: bool) -> Problem:
@@ -159,6 +161,6 @@ def _prediction_errors(start: StateSpace, records: list[Record], direct: bool) -
     return point if allowed(point.form) else first, wide, free, model_of, allowed
 
 
-def _at(model: StateSpace, records: Sequence[Record]) -> Point:
+def _at(model: StateSpace, records: Sequence[Record]) -> FitPoint:
     form = mirrored(modal_form(model))
     return evaluate(form, np.zeros((len(records), len(form.poles)), dtype=complex), records)

@@ -10,14 +10,14 @@ import numpy as np
 
 from tau_dyn.modes.checks import CorrelationTest
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback import Feedback
-from tau_dyn.modes.followed import Fit, ImpulseResponses, Response, Trace
+from tau_dyn.modes.feedback_test import Feedback
+from tau_dyn.modes.fit_quality import FitQuality, ImpulseResponses, Response, Trace
 from tau_dyn.modes.mechanical import Mechanical
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.model_file import ModelFile
 from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.poles import Pole
-from tau_dyn.modes.spectra import Empirical
+from tau_dyn.modes.spectra import EmpiricalResponse
 from tau_dyn.modes.stabilisation import StabilityPoint
 from tau_dyn.modes.state_space import StateSpace
 from tau_dyn.shown import Shown
@@ -73,8 +73,8 @@ class Modes(Shown):
     modes: tuple[Mode, ...]
     poles: tuple[Pole, ...]
     zeros: np.ndarray
-    train: Fit
-    holdout: Fit | None
+    train: FitQuality
+    holdout: FitQuality | None
     whiteness: tuple[CorrelationTest, ...]
     independence: tuple[CorrelationTest, ...]
     tested_on: str
@@ -82,7 +82,7 @@ class Modes(Shown):
     delay_choice: DelayChoice
     order_choice: OrderChoice
     stabilisation: tuple[StabilityPoint, ...]
-    empirical: Empirical
+    empirical: EmpiricalResponse
     response: Response
     impulse: ImpulseResponses | None
     traces: tuple[Trace, ...]
@@ -95,7 +95,7 @@ class Modes(Shown):
     seed: int = 0
 
     @property
-    def judged(self) -> Fit:
+    def judged(self) -> FitQuality:
         """The fit that counts: held out where there is one."""
         return self.holdout or self.train
 

@@ -26,7 +26,7 @@ RESOLUTION = 6.0
 
 
 @dataclass(frozen=True, eq=False)
-class Empirical:
+class EmpiricalResponse:
     """Response and coherence seen in the data.
 
     Attributes:
@@ -46,7 +46,7 @@ class Empirical:
     how: str
 
 
-def empirical_response(records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0) -> Empirical:
+def empirical_response(records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0) -> EmpiricalResponse:
     """Return what spectra alone say of the response from inputs to outputs.
 
     Args:
@@ -71,10 +71,10 @@ def empirical_response(records: Sequence[Record], *, impulses: bool = False, res
     if n <= 2 * m:
         coherence = np.full_like(coherence, np.nan)  # one stretch explains itself
     how = "one Fourier transform a pulse" if impulses else f"{n} half-overlapping stretches, Hann window"
-    return Empirical(f, response, np.clip(coherence, 0, 1), excited, n, how)
+    return EmpiricalResponse(f, response, np.clip(coherence, 0, 1), excited, n, how)
 
 
-def _from_reference(records: Sequence[Record], references: Sequence[np.ndarray], resolve: float) -> Empirical:
+def _from_reference(records: Sequence[Record], references: Sequence[np.ndarray], resolve: float) -> EmpiricalResponse:
     m = records[0].u.shape[1]
     f, s, n = _spectra(
         [np.column_stack([x, r.u, r.y]) for x, r in zip(references, records, strict=True)],
@@ -89,7 +89,7 @@ def _from_reference(records: Sequence[Record], references: Sequence[np.ndarray],
     power = np.real(np.einsum("fii->fi", syy))
     coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
     how = f"{n} half-overlapping stretches, Hann window, through the reference"
-    return Empirical(f, response, np.clip(coherence, 0, 1), excited, n, how)
+    return EmpiricalResponse(f, response, np.clip(coherence, 0, 1), excited, n, how)
 
 
 def _spectra(columns: Sequence[np.ndarray], dt: float, size: int, whole: bool) -> tuple[np.ndarray, np.ndarray, int]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgWarning, qr
 
-from tau_dyn.modes.gauss_newton import Normal, Point
+from tau_dyn.modes.gauss_newton import FitPoint, NormalEquations
 from tau_dyn.modes.gramians import gramians, root
 from tau_dyn.modes.modal_form import ModalForm, layout_of, with_coordinates
 from tau_dyn.modes.state_space import StateSpace
@@ -49,7 +49,7 @@ class Tangent:
         return replace(self.model, A=self.model.A + dA, B=self.model.B + dB, C=self.model.C + dC, D=self.model.D + dD)
 
 
-def tangent_at(model: StateSpace, point: Point, normal: Normal) -> Tangent:
+def tangent_at(model: StateSpace, point: FitPoint, normal: NormalEquations) -> Tangent:
     """Return the tangent space at a point.
 
     Args:
@@ -72,7 +72,7 @@ def tangent_at(model: StateSpace, point: Point, normal: Normal) -> Tangent:
     return Tangent(model, m, values, vectors.T @ (back.T @ normal.g), U[:, keep] @ vectors)
 
 
-def with_initial_states(point: Point) -> StateSpace:
+def with_initial_states(point: FitPoint) -> StateSpace:
     """Return a point's model with one more input for each record: its initial state as a column of B."""
     form, no_direct = point.form, np.zeros((len(point.form.D), len(point.x0)))
     wide = replace(form, b=np.hstack([form.b, point.x0.T]), D=np.hstack([form.D, no_direct]))
@@ -104,7 +104,7 @@ def balanced(model: StateSpace) -> StateSpace:
     return replace(model.in_coordinates(T), B=np.linalg.solve(T, model.B))
 
 
-def _realised(point: Point, normal: Normal, W: np.ndarray, model: StateSpace) -> np.ndarray:
+def _realised(point: FitPoint, normal: NormalEquations, W: np.ndarray, model: StateSpace) -> np.ndarray:
     """The changes of A, B, C, D (rows) that a unit of every free number makes (columns)."""
     form, layout = point.form, layout_of(point.form)
     (p, m), n_records = form.D.shape, len(point.x0)

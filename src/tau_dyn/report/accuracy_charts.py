@@ -11,8 +11,8 @@ from tau_dyn.kinematics.assumptions import Guideway, Orientation
 from tau_dyn.report.accuracy_words import scale_of
 from tau_dyn.report.level_plot import Map, level_plot
 from tau_dyn.report.log_chart import LogChart
-from tau_dyn.report.space import hull_of
-from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, WHOLE, Chart, padded, path_of, tag
+from tau_dyn.report.projection import hull_of
+from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, WHOLE, Chart, pad_limits, path_of, tag
 
 AXES = "xyz"
 COMPARED = {
@@ -148,7 +148,7 @@ def guideway_charts(line: Guideway) -> list[Markup]:
     charts = []
     for name, values, style in (("along", line.along, "predicted"), ("across", across, "residual")):
         values = factor * values
-        chart = Chart(HALF, 220, padded(line.q, share=0.02), padded(values, np.zeros(1)), f"{line.joint}, {name}",
+        chart = Chart(HALF, 220, pad_limits(line.q, share=0.02), pad_limits(values, np.zeros(1)), f"{line.joint}, {name}",
                       f"{line.joint} [m]", f"error {name} [{unit}]")  # fmt: skip
         charts.append(chart.render(chart.line(line.q[order], values[order], style), chart.dots(line.q, values, "mean")))
     return charts
@@ -159,7 +159,7 @@ def orientation_chart(found: Orientation) -> Markup:
     n = np.arange(1, len(found.euler) + 1)
     angles = np.degrees(found.euler - found.euler.mean(axis=0))
     chart = Chart(
-        WHOLE, 260, (0.0, float(len(n) + 1)), padded(angles), "ZYZ Euler angles less their means", "pose", "[°]"
+        WHOLE, 260, (0.0, float(len(n) + 1)), pad_limits(angles), "ZYZ Euler angles less their means", "pose", "[°]"
     )
     styles = ("predicted", "residual", "expected")
     return chart.render(*[chart.line(n.astype(float), angles[:, k], styles[k]) for k in range(3)])

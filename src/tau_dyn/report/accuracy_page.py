@@ -10,8 +10,8 @@ import numpy as np
 from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.report import accuracy_charts as charts
 from tau_dyn.report.accuracy_words import METHOD_WORDS, at, headline, pretty, share, size, summary, verdict
-from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.words import number
+from tau_dyn.report.formatting import number
+from tau_dyn.report.html_page import PageHeader, render_page
 
 SHOWN_OFF = 0.002
 """Departure from exact below which a map of it would show rounding."""
@@ -27,10 +27,10 @@ def accuracy_page(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = (
     """
     judged, badge = verdict(found)
     a = found.accuracy
-    return render(
+    return render_page(
         "accuracy.html.j2",
         f"{found.robot.name}: accuracy",
-        Opening(f"{headline(found).rstrip('.')}.", judged.level, badge, judged.sentence, summary(found)),
+        PageHeader(f"{headline(found).rstrip('.')}.", judged.level, badge, judged.sentence, summary(found)),
         [],
         robot=found.robot,
         logs=[("measured", name, sha256) for name, sha256 in files],

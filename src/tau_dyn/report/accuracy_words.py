@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.kinematics.accuracy import AccuracyResult
-from tau_dyn.report.words import Verdict, count, listed, minus, number, percent
+from tau_dyn.report.formatting import Recommendation, count, format_list, minus, number, percent
 
 SMALL_SHARE = 0.1
 """Departure from the exact worst case up to which a linear bound counts as good."""
@@ -76,33 +76,33 @@ def headline(found: AccuracyResult) -> str:
     return start + usual
 
 
-def verdict(found: AccuracyResult) -> tuple[Verdict, str]:
+def verdict(found: AccuracyResult) -> tuple[Recommendation, str]:
     """Return how far the numbers hold, and the badge."""
     a = found.accuracy
     if a is None:
         seen = found.measured
         wrong = any(p.sure for p in seen.parallel) or any(g.shape < 0.01 or g.bow.sure for g in seen.guideways)
         said = "The nominal model's assumptions fail beyond the scatter; the sections below say by how much."
-        return (Verdict("care", said), "Assumptions fail") if wrong else (
-            Verdict("good", "No assumption fails beyond the scatter of these points."), "Assumptions hold")  # fmt: skip
+        return (Recommendation("care", said), "Assumptions fail") if wrong else (
+            Recommendation("good", "No assumption fails beyond the scatter of these points."), "Assumptions hold")  # fmt: skip
     lost = int(found.lost.sum())
     if lost:
         said = f"At {count(lost, 'pose')} of {len(a.q)} errors within the bounds can reach a singularity; no bound exists there."
-        return Verdict("poor", said), "May lose its pose"
+        return Recommendation("poor", said), "May lose its pose"
     if "exact" not in a.largest:
-        return Verdict(
+        return Recommendation(
             "care", "Without the exact worst case nothing here tells how good the other bounds are."
         ), "Not compared"
     off = {m: a.off(m) for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest}
     worst = {m: float(np.nanmax(np.abs(x))) for m, x in off.items() if np.isfinite(x).any()}
     bad = [m for m, x in worst.items() if x > SMALL_SHARE]
     if bad:
-        words = listed([f"{m} by up to {percent(100 * worst[m])}" for m in bad])
+        words = format_list([f"{m} by up to {percent(100 * worst[m])}" for m in bad])
         said = f"Simple bounds are off: {words}; the exact worst case is the one to use."
-        return Verdict("care", said), "Use the exact bound"
+        return Recommendation("care", said), "Use the exact bound"
     said = "The linear bounds are as good as exact here; errors are small against the rods and no singularity is near."
     proved = "certified" in a.largest and bool(np.isfinite(a.largest["certified"]).all())
-    return Verdict("good", said), "Bound proved" if proved else "Bound not proved"
+    return Recommendation("good", said), "Bound proved" if proved else "Bound not proved"
 
 
 def summary(found: AccuracyResult) -> str:
@@ -117,4 +117,4 @@ def summary(found: AccuracyResult) -> str:
     )
     source = ", from measured points" if found.from_measured else ""
     names = [*a.errors.actuators, *a.errors.rods]
-    return f"{found.robot.source}, {where}; errors of {listed(names)}{source}."
+    return f"{found.robot.source}, {where}; errors of {format_list(names)}{source}."

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.calibrate.candidates import Candidate
+from tau_dyn.calibrate.candidates import CandidateModel
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.report.log_chart import LogChart
-from tau_dyn.report.space import BOX_EDGES, box_corners, project
-from tau_dyn.report.svg import Chart, padded, tag
+from tau_dyn.report.projection import BOX_EDGES, box_corners, project
+from tau_dyn.report.svg import Chart, pad_limits, tag
 
 _ARROW = 0.13
 """Length of the largest error vector, as a share of the picture."""
@@ -54,7 +54,7 @@ def vector_pictures(found: Calibration) -> list[tuple[str, str, Markup]]:
     return pictures[-1:] if len(found.models) == 1 else pictures
 
 
-def _vectors(found: Calibration, model: Candidate) -> tuple[str, Markup] | None:
+def _vectors(found: Calibration, model: CandidateModel) -> tuple[str, Markup] | None:
     poses, error = found.at(), found.errors(model).position
     turn = found.fit.frames.device[0].rotation
     base = (poses.position - found.fit.frames.device[0].translation) @ turn
@@ -116,7 +116,13 @@ def along_joints(found: Calibration) -> list[Markup]:
         ok = np.isfinite(y)
         unit = found.robot.position_units[k]
         chart = Chart(
-            340, 200, padded(x[ok]), padded(y[ok], np.zeros(1)), joint, f"q [{unit}]", f"left along {'xyz'[axis]} [µm]"
+            340,
+            200,
+            pad_limits(x[ok]),
+            pad_limits(y[ok], np.zeros(1)),
+            joint,
+            f"q [{unit}]",
+            f"left along {'xyz'[axis]} [µm]",
         )
         charts.append(chart.render(chart.dots(x[ok], y[ok], "pose")))
     return charts

@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from tau_dyn.calibrate.result import Calibration, correlated, frame_rows, parameter_rows
+from tau_dyn.calibrate.result import Calibration, frame_rows, list_correlated_pairs, parameter_rows
 from tau_dyn.calibrate.sensitivity import CHANGE, sensitivities
 from tau_dyn.report import calibration_charts as charts
 from tau_dyn.report.calibration_words import (
@@ -19,11 +19,11 @@ from tau_dyn.report.calibration_words import (
     summary,
     verdict,
 )
-from tau_dyn.report.figures import interval_bar
+from tau_dyn.report.formatting import format_recommendation, minus, number, round_to_stderr
+from tau_dyn.report.html_page import PageHeader, render_page
+from tau_dyn.report.identification_charts import interval_bar
 from tau_dyn.report.quantities import shown_unit
-from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.waterfall import Ladder, Rung
-from tau_dyn.report.words import badge, minus, number, rounded
+from tau_dyn.report.waterfall import WaterfallSeries, WaterfallStep
 
 _CORRELATED = 12
 _SENSITIVE = 12
@@ -38,9 +38,11 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
         command_line: The command that repeats it, for the provenance.
     """
     judged = verdict(found)
-    opening = Opening(headline(found), judged.level, badge(judged.level), judged.sentence, summary(found))
+    opening = PageHeader(
+        headline(found), judged.level, format_recommendation(judged.level), judged.sentence, summary(found)
+    )
     turned = found.errors(found.chosen).rotation is not None
-    return render(
+    return render_page(
         "calibration.html.j2",
         f"{found.robot.name}: calibration",
         opening,
@@ -63,7 +65,10 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
         groups=_parameters(found),
         frames=[_frame(row) for row in frame_rows(found.fit)],
         blind=found.fit.identifiability.to_dict()["not_identifiable"],
-        pairs=[(c["parameters"], number(float(c["correlation"]), 3)) for c in correlated(found.fit)[:_CORRELATED]],  # type: ignore[arg-type]
+        pairs=[
+            (c["parameters"], number(float(c["correlation"]), 3))
+            for c in list_correlated_pairs(found.fit)[:_CORRELATED]
+        ],  # type: ignore[arg-type]
         left=charts.along_joints(found),
         sensitive=_sensitive(found),
         change=f"{1e6 * CHANGE:.0f}",
@@ -87,18 +92,18 @@ def _sizes(found: Calibration, k: int) -> dict[str, str]:
     }
 
 
-def _ladder(found: Calibration) -> Ladder:
+def _ladder(found: Calibration) -> WaterfallSeries:
     """Return the waterfall in micrometres; the first bar is cut where it dwarfs all others."""
-    rungs: list[Rung] = []
+    rungs: list[WaterfallStep] = []
     for k, row in enumerate(found.to_dict()["waterfall"]):  # type: ignore[arg-type, var-annotated]
         label, adds = model_words(found.models[k], found.models[k - 1] if k else None)
         left, (low, high) = 1e6 * float(row["rms"]), (1e6 * float(v) for v in row["ci95"])
         kind = "cause" if k else "start"
         previous = rungs[-1].left if rungs else float("nan")
-        rungs.append(Rung(label, (adds,), kind, 0, (), left, low, high, previous, length(left / 1e6)))
+        rungs.append(WaterfallStep(label, (adds,), kind, 0, (), left, low, high, previous, length(left / 1e6)))
     floor = 1e6 * found.predicted_error()
     rungs.append(
-        Rung(
+        WaterfallStep(
             "expected",
             ("noise and the parameters' uncertainty",),
             "floor",
@@ -113,7 +118,7 @@ def _ladder(found: Calibration) -> Ladder:
     )
     others = max([r.high for r in rungs[1:]], default=rungs[0].high)
     end = 1.45 * others if rungs[0].high > 2.5 * others else 1.04 * rungs[0].high
-    return Ladder("", tuple(rungs), floor, end)
+    return WaterfallSeries("", tuple(rungs), floor, end)
 
 
 def _tried(found: Calibration) -> list[dict[str, str]]:
@@ -159,10 +164,10 @@ def _shown(row: dict[str, Any], group: list[dict[str, Any]]) -> dict[str, Any]:
     )
     return {
         "name": str(row["name"]).rpartition(".")[2],
-        "value": rounded(value, stderr),
+        "value": round_to_stderr(value, stderr),
         "in": str(row["unit"]) if row["unit"] != "1" else "",
         "nominal": number(round(nominal, 12) + 0.0, 6),
-        "change": f"{rounded(factor * change, factor * stderr)} ± {rounded(factor * stderr, factor * stderr)}",
+        "change": f"{round_to_stderr(factor * change, factor * stderr)} ± {round_to_stderr(factor * stderr, factor * stderr)}",
         "unit": unit,
         "bar": bar,
         "weak": not row["determined"],

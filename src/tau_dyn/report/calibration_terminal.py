@@ -9,8 +9,8 @@ from rich.table import Table
 
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.report.calibration_words import angle, finding_words, headline, length, model_words, summary, verdict
+from tau_dyn.report.formatting import format_list
 from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
-from tau_dyn.report.words import listed
 
 BAR = 10
 
@@ -31,7 +31,7 @@ def print_calibration(console: Console, found: Calibration, written: Mapping[str
     blind = found.fit.identifiability
     if len(blind.dropped):
         names = [blind.names[k] for k in blind.dropped]
-        say(console, f"kept nominal, for no pose can tell: {listed(names, 8)}", "dim")
+        say(console, f"kept nominal, for no pose can tell: {format_list(names, 8)}", "dim")
     say_written(console, written)
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from tau_dyn.calibrate.candidates import Candidate
-from tau_dyn.calibrate.causes import Finding
+from tau_dyn.calibrate.candidates import CandidateModel
+from tau_dyn.calibrate.causes import CalibrationFinding
 from tau_dyn.calibrate.result import Calibration
+from tau_dyn.report.formatting import Recommendation, count, format_list, percent
 from tau_dyn.report.quantities import quantity
-from tau_dyn.report.words import Verdict, count, listed, percent
 
 NAMES = {
     "frames": "robot file",
@@ -70,19 +70,19 @@ def headline(found: Calibration) -> str:
     return text + "."
 
 
-def verdict(found: Calibration) -> Verdict:
+def verdict(found: Calibration) -> Recommendation:
     """Return how far the geometry may be used."""
     reached, expected = found.errors(found.chosen).position_size.rms, found.predicted_error()
     if not found.fit.converged:
-        return Verdict("poor", "The fit did not come to rest; do not use it.")
+        return Recommendation("poor", "The fit did not come to rest; do not use it.")
     if found.chosen is found.models[0]:
-        return Verdict("care", "No larger model predicts unseen poses better than the robot file does.")
+        return Recommendation("care", "No larger model predicts unseen poses better than the robot file does.")
     if reached > _EXPLAINED * expected:
-        return Verdict(
+        return Recommendation(
             "care",
             f"Unseen poses are missed by {length(reached)} rms, {length(expected)} would be noise: something is unmodelled.",
         )
-    return Verdict(
+    return Recommendation(
         "good", f"What is left ({length(reached)} rms at unseen poses) is what noise lets expect ({length(expected)})."
     )
 
@@ -104,7 +104,7 @@ def summary(found: Calibration) -> str:
     return f"{count(found.poses.n, 'pose')}, {what}, {judged}; model {found.chosen.name}{seen}."
 
 
-def model_words(model: Candidate, before: Candidate | None) -> tuple[str, str]:
+def model_words(model: CandidateModel, before: CandidateModel | None) -> tuple[str, str]:
     """Return a step's name, and what it adds, in words."""
     if before is None:
         return NAMES[model.spec.structure], "device and target placed"
@@ -113,13 +113,13 @@ def model_words(model: Candidate, before: Candidate | None) -> tuple[str, str]:
     added = [
         (a, [j for j in own if j not in before.spec.additions.get(a, ())]) for a, own in model.spec.additions.items()
     ]
-    said = [f"{ADDED[a]}" + (f" {listed(j)}" if j and j != ["all"] else "") for a, j in added if j]
-    return f"+ {listed(said)}", f"{count(model.fit.n_estimated, 'parameter')}"
+    said = [f"{ADDED[a]}" + (f" {format_list(j)}" if j and j != ["all"] else "") for a, j in added if j]
+    return f"+ {format_list(said)}", f"{count(model.fit.n_estimated, 'parameter')}"
 
 
-def finding_words(finding: Finding) -> str:
+def finding_words(finding: CalibrationFinding) -> str:
     """Return a finding as a sentence."""
-    where = f" ({listed(finding.joints)})" if finding.joints else ""
+    where = f" ({format_list(finding.joints)})" if finding.joints else ""
     gain = finding.gain
     return (
         f"{CAUSES[finding.cause]}{where}: {length(gain.after)} rms with it, {length(gain.before)} without "

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.log import Finding, Log, LogCheck, examine_clock
+from tau_dyn.log import CheckFinding, Log, LogCheck, examine_clock
 from tau_dyn.report.check_words import check_headline, said_of, worst_first
-from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.svg import THIRD, Chart, padded
+from tau_dyn.report.formatting import Level, count, format_fixed_digits, format_list, number, percent
+from tau_dyn.report.html_page import PageHeader, render_page
+from tau_dyn.report.svg import THIRD, Chart, pad_limits
 from tau_dyn.report.time_view import Curve, View, even_channels, strip
-from tau_dyn.report.words import Level, count, listed, number, percent, steady
 from tau_dyn.robot import Robot
 
 LONGEST_STEPS = 5.0
@@ -33,7 +33,7 @@ def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, comma
     joints = list(dict.fromkeys((*log.joints("q"), *log.joints("tau"))))
     units = _units(joints, robot)
     found = worst_first(checked)
-    return render(
+    return render_page(
         "check.html.j2",
         f"{log.name}: check",
         _opening(log, checked, joints),
@@ -52,20 +52,20 @@ def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, comma
     )
 
 
-def _opening(log: Log, checked: LogCheck, joints: list[str]) -> Opening:
+def _opening(log: Log, checked: LogCheck, joints: list[str]) -> PageHeader:
     faults = [f for f in checked.findings if f.severity == "fault"]
     doubts = [f for f in checked.findings if f.severity == "warning"]
     level: Level = "poor" if faults else "care" if doubts else "good"
     badge = {"good": "Fit for use", "care": "Fit, with doubts", "poor": "Not fit for use"}[level]
-    topics = listed(dict.fromkeys(f.topic for f in [*faults, *doubts]))
+    topics = format_list(dict.fromkeys(f.topic for f in [*faults, *doubts]))
     judgement = (
         f"Look at: {topics}." if topics else "Clock, channels, units and motion are as identification needs them."
     )
     summary = (
         f"{number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
-        f"{count(len(joints), 'joint')}: {listed(joints)}."
+        f"{count(len(joints), 'joint')}: {format_list(joints)}."
     )
-    return Opening(check_headline(checked, "This log"), level, badge, judgement, summary)
+    return PageHeader(check_headline(checked, "This log"), level, badge, judgement, summary)
 
 
 def _units(joints: list[str], robot: Robot | None) -> dict[str, tuple[str, str]]:
@@ -91,14 +91,14 @@ def _views(log: Log, joints: list[str], units: dict[str, tuple[str, str]]) -> li
     return views
 
 
-def _said(finding: Finding, log: Log) -> str:
+def _said(finding: CheckFinding, log: Log) -> str:
     """Return a finding's sentence with a capital in front, where it begins with a word and not a channel's name."""
     text = said_of(finding, log.name)
     first = text.split(" ", 1)[0]
     return text[:1].upper() + text[1:] if first.isalpha() else text
 
 
-def _alike(findings: Sequence[Finding], log: Log) -> list[tuple[str, list[str]]]:
+def _alike(findings: Sequence[CheckFinding], log: Log) -> list[tuple[str, list[str]]]:
     """Return sentences by topic, channels that are alive named together."""
     topics: dict[str, list[str]] = {}
     for f in findings:
@@ -107,7 +107,7 @@ def _alike(findings: Sequence[Finding], log: Log) -> list[tuple[str, list[str]]]
     for topic, said in topics.items():
         living = [s.removesuffix(alive) for s in said if s.endswith(alive)]
         rest = [s for s in said if not s.endswith(alive)]
-        joined = f"{listed(living, 24)} {'are' if len(living) > 1 else 'is'} alive."
+        joined = f"{format_list(living, 24)} {'are' if len(living) > 1 else 'is'} alive."
         topics[topic] = ([joined] if living else []) + rest
     return list(topics.items())
 
@@ -118,8 +118,8 @@ def _row(log: Log, checked: LogCheck, joint: str, position: str, force: str) -> 
     row = {"joint": joint, "unit": position, "force_unit": force}
     if f:
         row |= {
-            "range": f"{steady(f['range'][0])} … {steady(f['range'][1])}",
-            "speed": steady(f["speed"][1]),
+            "range": f"{format_fixed_digits(f['range'][0])} … {format_fixed_digits(f['range'][1])}",
+            "speed": format_fixed_digits(f["speed"][1]),
             "reversals": str(f["n_reversals"]),
             "forward": percent(100 * f["forward_share"]),
             "noise": number(f["encoder_noise"], 2),
@@ -148,7 +148,7 @@ def _clock_words(log: Log) -> str:
     parts = [f"steps differ by up to {percent(100 * clock.jitter)}"]
     parts += [f"{count(clock.n_missing, 'sample')} missing"] if clock.n_missing else []
     parts += [count(len(clock.gaps), "gap")] if clock.gaps else []
-    return f"{text}; {listed(parts)}."
+    return f"{text}; {format_list(parts)}."
 
 
 def _step_charts(log: Log) -> list[Markup]:
@@ -158,7 +158,7 @@ def _step_charts(log: Log) -> list[Markup]:
         return []
     steps, limit = 1000 * np.diff(log.t), 1000 * clock.dt * LONGEST_STEPS
     shown = np.minimum(steps, limit)
-    low, high = padded(shown, share=0.04)
+    low, high = pad_limits(shown, share=0.04)
     counts, edges = np.histogram(shown, np.linspace(max(0.0, low), high, 61))
     decades = np.log10(1 + counts)
     chart = Chart(THIRD, 240, (float(edges[0]), float(edges[-1])), (0.0, 1.08 * float(decades.max())), "how often", "step [ms]",

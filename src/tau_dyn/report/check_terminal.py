@@ -9,8 +9,8 @@ from rich.table import Table
 
 from tau_dyn.log import Log, LogCheck
 from tau_dyn.report.check_words import check_headline, said_of, worst_first
+from tau_dyn.report.formatting import number
 from tau_dyn.report.terminal import plain, put, say
-from tau_dyn.report.words import number
 
 SEVERITY_STYLE = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 

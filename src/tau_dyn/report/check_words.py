@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from tau_dyn.log import Finding, LogCheck
-from tau_dyn.report.words import count
+from tau_dyn.log import CheckFinding, LogCheck
+from tau_dyn.report.formatting import count
 
 _ORDER = ("fault", "warning", "ok")
 
 
-def worst_first(checked: LogCheck) -> list[Finding]:
+def worst_first(checked: LogCheck) -> list[CheckFinding]:
     """Return all findings, faults before warnings before what is fine."""
     return sorted(checked.findings, key=lambda f: _ORDER.index(f.severity))
 
 
-def said_of(finding: Finding, name: str) -> str:
+def said_of(finding: CheckFinding, name: str) -> str:
     """Return a finding's sentence without the log's name in front."""
     return finding.sentence.removeprefix(f"{name}: ")
 

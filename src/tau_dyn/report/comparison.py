@@ -7,9 +7,9 @@ from typing import Any
 from rich.console import Console
 
 from tau_dyn.compare import Change, Comparison, Difference, ErrorChange, FindingChange, InputChange
-from tau_dyn.report.shell import Opening, render
+from tau_dyn.report.formatting import count, format_list, number, pretty_expression, pretty_unit, with_uncertainty
+from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.terminal import bare_table, plain, put, say
-from tau_dyn.report.words import count, listed, number, pretty_expression, pretty_unit, with_uncertainty
 
 _MOST = 40
 
@@ -25,7 +25,7 @@ def comparison_headline(found: Comparison) -> str:
     if not found.changed:
         text = f"Of {count(tested, 'value')} with uncertainty none changed by more than chance"
     else:
-        names = listed(map(_name, found.changed), 4)
+        names = format_list(map(_name, found.changed), 4)
         text = f"{len(found.changed)} of {count(tested, 'value')} with uncertainty changed: {names}"
     n = len(found.neither)
     return f"{text}; {count(n, 'more value')} {'is' if n == 1 else 'are'} determined by neither." if n else f"{text}."
@@ -57,21 +57,21 @@ def print_comparison(console: Console, found: Comparison) -> None:
         say(console, line)
     for names, where in ((found.only_a, "first"), (found.only_b, "second")):
         if names:
-            say(console, f"Only in the {where}: {listed(map(pretty_expression, names))}.", "dim")
+            say(console, f"Only in the {where}: {format_list(map(pretty_expression, names))}.", "dim")
 
 
 def comparison_page(found: Comparison, *, command_line: str = "") -> str:
     """Return a comparison as one HTML page."""
     tested = len(found.compared)
     level = "care" if found.changed or not tested else "good"
-    opening = Opening(
+    opening = PageHeader(
         comparison_headline(found),
         level,
         "Changed" if found.changed else "Same" if tested else "Cannot be judged",
         "Named are differences beyond the uncertainty of both, at 5 % for all quantities together (Holm).",
         f"{found.a.place} ({found.a.kind}) beside {found.b.place} ({found.b.kind}).",
     )
-    return render(
+    return render_page(
         "comparison.html.j2",
         "comparison",
         opening,
@@ -84,7 +84,7 @@ def comparison_page(found: Comparison, *, command_line: str = "") -> str:
         errors=[(error.name, *_error_cells(error), error.unit) for error in found.errors],
         findings=finding_lines(found),
         only=[
-            (where, listed(map(pretty_expression, names), 40))
+            (where, format_list(map(pretty_expression, names), 40))
             for names, where in ((found.only_a, "first"), (found.only_b, "second"))
             if names
         ],
@@ -107,8 +107,8 @@ def neither_lines(found: Comparison) -> list[str]:
     names = [_name(c) for c in found.neither]
     other = [c for c in found.neither if abs(c.difference) > 1e-9 * max(abs(c.a), abs(c.b))]
     kept = [f"{_name(c)} {number(c.a)} → {number(c.b)} {pretty_unit(c.unit)}".rstrip() for c in other]
-    lines = [f"Determined by neither, so not compared: {listed(names)}."] if names else []
-    return [*lines, f"Of these, other values were kept: {listed(kept, 4)}."] if kept else lines
+    lines = [f"Determined by neither, so not compared: {format_list(names)}."] if names else []
+    return [*lines, f"Of these, other values were kept: {format_list(kept, 4)}."] if kept else lines
 
 
 def _name(change: Change) -> str:
@@ -158,7 +158,7 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return number(value)
     if isinstance(value, list):
-        return listed(map(_value, value)) or "none"
+        return format_list(map(_value, value)) or "none"
     return "none" if value is None or value == "" else str(value)
 
 
@@ -176,7 +176,7 @@ def finding_lines(found: Comparison) -> list[str]:
 
 
 def _finding_line(f: FindingChange) -> str:
-    name = f"{f.cause} {listed(f.joints)}".strip()
+    name = f"{f.cause} {format_list(f.joints)}".strip()
     gains = [g and f"{number(g[0], 3)} % ({number(g[1], 3)} … {number(g[2], 3)})" for g in (f.gain_a, f.gain_b)]
     if f.what == "same":
         return f"{name}: {f.a} in both, worth {gains[0]} → {gains[1]}" if all(gains) and f.gain_a != f.gain_b else ""

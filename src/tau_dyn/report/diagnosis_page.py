@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.diagnose.result import Diagnosis, Finding, TimeTrace, Unexplained
-from tau_dyn.report import diagnosis_words, figures, quantities, words
+from tau_dyn.report import diagnosis_text, formatting, identification_charts, quantities
 from tau_dyn.report import waterfall as fall
 from tau_dyn.report.diagnosis_rows import diagnosed_rows
-from tau_dyn.report.rows import grouped
-from tau_dyn.report.series import limits
-from tau_dyn.report.shell import Opening, logs_used, render
+from tau_dyn.report.force_series import limits
+from tau_dyn.report.html_page import PageHeader, logs_used, render_page
+from tau_dyn.report.parameter_rows import group_rows
 from tau_dyn.report.signature import signature_charts
 from tau_dyn.report.time_view import Curve, Strip, View
 
@@ -31,13 +31,13 @@ def diagnosis_page(diagnosis: Diagnosis, *, command_line: str = "") -> str:
         diagnosis: The result.
         command_line: The command that repeats it, for the provenance.
     """
-    robot, (level, badge) = diagnosis.model.robot, diagnosis_words.badge(diagnosis)
+    robot, (level, badge) = diagnosis.model.robot, diagnosis_text.badge(diagnosis)
     rows, scale = diagnosed_rows(diagnosis)
-    said = diagnosis_words.judgement(diagnosis).sentence
-    return render(
+    said = diagnosis_text.recommend_model(diagnosis).sentence
+    return render_page(
         "diagnosis.html.j2",
         f"{robot.name}: diagnosis",
-        Opening(diagnosis.sentence, level, badge, said, diagnosis_words.summary(diagnosis)),
+        PageHeader(diagnosis.sentence, level, badge, said, diagnosis_text.summary(diagnosis)),
         [_view(diagnosis, trace, k) for trace in diagnosis.traces for k in range(len(diagnosis.outputs))],
         robot=robot,
         provenance={"seed": str(diagnosis.seed)},
@@ -45,17 +45,17 @@ def diagnosis_page(diagnosis: Diagnosis, *, command_line: str = "") -> str:
         command_line=command_line,
         named=_joints(diagnosis),
         found=diagnosis,
-        whole=fall.ladder(diagnosis),
-        parts=fall.ladders(diagnosis),
-        spread=fall.spread,
+        whole=fall.build_total_series(diagnosis),
+        parts=fall.build_output_series(diagnosis),
+        spread=fall.format_interval,
         cards=[_card(diagnosis, finding) for finding in diagnosis.findings],
         open_ends=[_open_end(item) for item in diagnosis.unexplained],
-        simulated=diagnosis_words.simulation_rows(diagnosis.simulation),
-        settings=diagnosis_words.settings_rows(diagnosis.settings),
-        groups=grouped(rows),
-        scale=words.percent(100 * scale),
-        bar=figures.row_bar,
-        said=diagnosis_words,
+        simulated=diagnosis_text.simulation_rows(diagnosis.simulation),
+        settings=diagnosis_text.settings_rows(diagnosis.settings),
+        groups=group_rows(rows),
+        scale=formatting.percent(100 * scale),
+        bar=identification_charts.row_bar,
+        said=diagnosis_text,
         shares=_shares(diagnosis),
     )
 
@@ -70,10 +70,10 @@ def _joints(diagnosis: Diagnosis) -> tuple[str, ...]:
 def _card(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
     return {
         "finding": finding,
-        "title": diagnosis_words.title(finding),
-        "level": diagnosis_words.STATUS_LEVEL[finding.status],
+        "title": diagnosis_text.title(finding),
+        "level": diagnosis_text.STATUS_LEVEL[finding.status],
         "parameters": [(p.name, quantities.estimate(p), quantities.interval(p)) for p in finding.parameters],
-        "gain": diagnosis_words.gain_words(finding.gain, _unit(diagnosis, finding)),
+        "gain": diagnosis_text.gain_words(finding.gain, _unit(diagnosis, finding)),
         "charts": [] if finding.signature is None else signature_charts(finding.signature),
     }
 
@@ -87,7 +87,7 @@ def _unit(diagnosis: Diagnosis, finding: Finding) -> str:
 
 def _open_end(item: Unexplained) -> dict[str, Any]:
     charts = [] if item.signature is None else signature_charts(item.signature, explained=False)
-    return {"item": item, "level": diagnosis_words.STATUS_LEVEL[item.status], "charts": charts}
+    return {"item": item, "level": diagnosis_text.STATUS_LEVEL[item.status], "charts": charts}
 
 
 def _view(diagnosis: Diagnosis, trace: TimeTrace, k: int) -> View:
@@ -133,5 +133,6 @@ def _shares(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     whole = sum(diagnosis.n_parts) or 1.0
     names = ("train", "confirm", "held")
     return [
-        (name, f"{words.number(s, 3)} s", 100 * s / whole) for name, s in zip(names, diagnosis.n_parts, strict=True)
+        (name, f"{formatting.number(s, 3)} s", 100 * s / whole)
+        for name, s in zip(names, diagnosis.n_parts, strict=True)
     ]

@@ -6,15 +6,15 @@ from dataclasses import replace
 from typing import Any
 
 from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.estimate import DETERMINED
+from tau_dyn.estimate import MAX_RELATIVE_STDERR
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.report.rows import Row, against_nominal, bar_scale, doubt, group_of, row_of
-from tau_dyn.report.words import Z95, with_uncertainty
+from tau_dyn.report.formatting import Z95, with_uncertainty
+from tau_dyn.report.parameter_rows import ParameterRow, against_nominal, bar_scale, explain_unreliable, group_of, row_of
 from tau_dyn.robot import Robot, robot_from_urdf
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 
 
-def diagnosed_rows(diagnosis: Diagnosis) -> tuple[list[Row], float]:
+def diagnosed_rows(diagnosis: Diagnosis) -> tuple[list[ParameterRow], float]:
     """Return the table's lines for the extended model, and the bars' half-width as a share of the reference."""
     model, before = diagnosis.extended_model, diagnosis.model.parameters
     nominal = _nominal(model.robot)
@@ -42,7 +42,7 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
         "unit": p.unit,
         "stderr": sigma,
         "ci95": None if sigma is None else [max(p.lower, p.value - Z95 * sigma), min(p.upper, p.value + Z95 * sigma)],
-        "determined": sigma is not None and bool(sigma < DETERMINED * abs(p.value)),
+        "determined": sigma is not None and bool(sigma < MAX_RELATIVE_STDERR * abs(p.value)),
         "nominal": None if known is None else known.value,
         "nominal_stderr": trust,
         "at_bound": sigma is not None and p.at_bound,
@@ -52,7 +52,7 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
 def _note(r: dict[str, Any], before: Parameters) -> str:
     if r["stderr"] is None:
         return "not seen by itself; the value shown is one of many that fit"
-    return doubt(r) or ("new" if r["name"] not in before else against_nominal(r))
+    return explain_unreliable(r) or ("new" if r["name"] not in before else against_nominal(r))
 
 
 def _before(name: str, before: Parameters) -> str:

@@ -12,10 +12,10 @@ from rich.padding import Padding
 from rich.table import Table
 
 from tau_dyn.diagnose.result import Diagnosis, Finding
-from tau_dyn.report import diagnosis_words as said
+from tau_dyn.report import diagnosis_text as said
+from tau_dyn.report.formatting import format_list, percent
 from tau_dyn.report.terminal import MARGIN, bare_table, meter, plain, put, room, say, say_opening, say_written
-from tau_dyn.report.waterfall import Rung, figures_of, ladder
-from tau_dyn.report.words import listed, percent
+from tau_dyn.report.waterfall import WaterfallStep, build_total_series, format_finding
 
 BARS = {90: 24, 64: 16, 0: 10}
 """Length of the longest bar by the columns that there are at least."""
@@ -33,7 +33,7 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis, written: Mapping[str
     """
     level, _ = said.badge(diagnosis)
     about = f"{diagnosis.model.robot.name} · {said.summary(diagnosis)}"
-    say_opening(console, about, diagnosis.sentence, level, said.judgement(diagnosis).sentence)
+    say_opening(console, about, diagnosis.sentence, level, said.recommend_model(diagnosis).sentence)
     put(console, _waterfall(diagnosis, room(console)))
     if text := said.all_samples_words(diagnosis):
         say(console, text)
@@ -47,7 +47,7 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis, written: Mapping[str
 
 def _waterfall(diagnosis: Diagnosis, columns: int) -> Table:
     """Return one line a step: name, bar, percentage, and as many figures as there is room for."""
-    whole = ladder(diagnosis)
+    whole = build_total_series(diagnosis)
     table = bare_table()
     table.show_header = False
     table.add_column(no_wrap=True)
@@ -85,7 +85,7 @@ def _fitting(pieces: Sequence[str], columns: int) -> str:
     return text
 
 
-def _style(rung: Rung) -> str:
+def _style(rung: WaterfallStep) -> str:
     return "cyan" if rung.kind == "cause" else "dim"
 
 
@@ -103,7 +103,7 @@ def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
     suspected = [f for f in diagnosis.findings if f.status == "suspected"]
     moved = [f for f in diagnosis.findings if f.status == "parameter"]
     twins = [
-        f"{said.title(f)} and {listed(map(said.plain_name, f.indistinguishable_from))}"
+        f"{said.title(f)} and {format_list(map(said.plain_name, f.indistinguishable_from))}"
         + (f" ({f.experiment.rstrip('.')})" if f.experiment else "")
         for f in diagnosis.findings
         if f.indistinguishable_from
@@ -114,7 +114,7 @@ def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
         ("Unexplained", [said.unexplained_words(u) for u in diagnosis.unexplained]),
         ("Cannot be told apart here", twins),
         ("Not found, but would have been from", _joined(said.limits_words(diagnosis.limits))),
-        ("Not testable", [f"{listed(causes, 9)}: {why}" for why, causes in said.by_reason(diagnosis.untestable)]),
+        ("Not testable", [f"{format_list(causes, 9)}: {why}" for why, causes in said.by_reason(diagnosis.untestable)]),
     ]
     return [(title, items) for title, items in groups if items]
 
@@ -125,5 +125,5 @@ def _joined(texts: list[str]) -> list[str]:
 
 def _suspicion(finding: Finding) -> str:
     """Return a cause that is not confirmed, its figures, and why it is not."""
-    text = f"{said.title(finding)}: {', '.join(figures_of(finding))}"
+    text = f"{said.title(finding)}: {', '.join(format_finding(finding))}"
     return f"{text}. Not confirmed: {finding.why_not_confirmed}" if finding.why_not_confirmed else text

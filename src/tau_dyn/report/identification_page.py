@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from tau_dyn.identify import ForceErrors, Identification
-from tau_dyn.report import figures, trust, words
+from tau_dyn.report import fit_quality_text, formatting, identification_charts
+from tau_dyn.report.force_series import panels
+from tau_dyn.report.html_page import PageHeader, logs_used, render_page
 from tau_dyn.report.identification_words import headline, verdict
+from tau_dyn.report.parameter_rows import bar_scale, group_rows, parameter_rows
 from tau_dyn.report.residuals import residuals_of
-from tau_dyn.report.rows import bar_scale, grouped, parameter_rows
-from tau_dyn.report.series import panels
-from tau_dyn.report.shell import Opening, logs_used, render
 from tau_dyn.report.time_view import force_view
 
 
@@ -28,14 +28,20 @@ def identification_page(
         command_line: The command that repeats it, for the provenance.
         truth: True parameter values by name, where the logs were simulated; adds a column.
     """
-    residuals, curves = residuals_of(found), figures.friction_curves(found)
+    residuals, curves = residuals_of(found), identification_charts.friction_curves(found)
     rows, judged = parameter_rows(found, truth), verdict(found, truth)
     robot = found.model.robot
-    summary = trust.summary_words(found) + ("." if truth else ". “Known to ±” is the 95 % interval.")
-    return render(
+    summary = fit_quality_text.summary_words(found) + ("." if truth else ". “Known to ±” is the 95 % interval.")
+    return render_page(
         "identification.html.j2",
         f"{robot.name}: identified dynamics",
-        Opening(headline(found, truth), judged.level, words.badge(judged.level), judged.sentence, summary),
+        PageHeader(
+            headline(found, truth),
+            judged.level,
+            formatting.format_recommendation(judged.level),
+            judged.sentence,
+            summary,
+        ),
         [force_view(panel) for panel in panels(found)],
         robot=robot,
         provenance={"friction model": found.friction or "as the model file says", "seed": str(found.seed)},
@@ -43,19 +49,21 @@ def identification_page(
         command_line=command_line,
         found=found,
         errors=_errors(found),
-        friction=[figures.friction_chart(curve) for curve in curves],
-        offsets=[text for text in map(figures.offset_words, curves) if text],
+        friction=[identification_charts.friction_chart(curve) for curve in curves],
+        offsets=[text for text in map(identification_charts.offset_words, curves) if text],
         equations=list(dict.fromkeys(effect.equation for effect in found.model.effects)),
-        groups=grouped(rows),
+        groups=group_rows(rows),
         known=sum(r.state == "known" for r in rows),
         n_parameters=len(rows),
-        scale=words.percent(100 * bar_scale(found.rows())),
-        bar=figures.row_bar,
+        scale=formatting.percent(100 * bar_scale(found.rows())),
+        bar=identification_charts.row_bar,
         truth=truth is not None,
-        truth_words=trust.truth_words(rows),
-        whiteness=trust.whiteness_words(residuals),
-        residuals=[(figures.histogram_chart(r), figures.correlation_chart(r)) for r in residuals],
-        trust=trust,
+        truth_words=fit_quality_text.describe_truth_errors(rows),
+        whiteness=fit_quality_text.whiteness_words(residuals),
+        residuals=[
+            (identification_charts.histogram_chart(r), identification_charts.correlation_chart(r)) for r in residuals
+        ],
+        trust=fit_quality_text,
     )
 
 
@@ -69,8 +77,10 @@ def _errors(found: Identification) -> list[dict[str, Any]]:
             "joint": joint,
             "judged": _joint_error(judged, k, units[k]),
             "train": _joint_error(found.train, k, units[k]),
-            "all": "" if judged.all_samples is None else words.percent(float(judged.all_samples.per_joint_percent[k])),
-            "used": words.percent(100 * judged.used_shares[k]) if judged.used_shares else "",
+            "all": ""
+            if judged.all_samples is None
+            else formatting.percent(float(judged.all_samples.per_joint_percent[k])),
+            "used": formatting.percent(100 * judged.used_shares[k]) if judged.used_shares else "",
             "width": 100 * judged.per_joint_percent[k] / worst,
             "train_at": 100 * found.train.per_joint_percent[k] / worst,
         }
@@ -80,6 +90,6 @@ def _errors(found: Identification) -> list[dict[str, Any]]:
 
 def _joint_error(errors: ForceErrors, k: int, unit: str) -> dict[str, str]:
     return {
-        "percent": words.percent(float(errors.per_joint_percent[k])),
-        "rms": f"{words.number(float(errors.rms[k]), 3)} {words.pretty_unit(unit)}",
+        "percent": formatting.percent(float(errors.per_joint_percent[k])),
+        "rms": f"{formatting.number(float(errors.rms[k]), 3)} {formatting.pretty_unit(unit)}",
     }

@@ -8,11 +8,11 @@ from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.identify import Identification
+from tau_dyn.report.fit_quality_text import combinations, summary_words
+from tau_dyn.report.formatting import format_list, number, percent, pretty_unit
 from tau_dyn.report.identification_words import headline, verdict
-from tau_dyn.report.rows import Row, parameter_rows
+from tau_dyn.report.parameter_rows import ParameterRow, parameter_rows
 from tau_dyn.report.terminal import bare_table, meter, plain, put, room, say, say_opening, say_written
-from tau_dyn.report.trust import combinations, summary_words
-from tau_dyn.report.words import listed, number, percent, pretty_unit
 
 BAR, SHORT_BAR = 24, 4
 """Longest and shortest bar of an error."""
@@ -75,7 +75,7 @@ def _error_table(found: Identification, columns: int) -> Table:
     return table
 
 
-def _parameter_table(rows: list[Row], truth: Mapping[str, float]) -> Table:
+def _parameter_table(rows: list[ParameterRow], truth: Mapping[str, float]) -> Table:
     table = bare_table()
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
@@ -98,9 +98,9 @@ def _uncertain(found: Identification) -> list[tuple[str, list[str]]]:
     unseen = [r["name"] for r in rows if r["stderr"] is None and not r.get("depends_on")]
     together = combinations(found)
     groups = [
-        ("Not determined by these data", [listed(weak)] if weak else []),
+        ("Not determined by these data", [format_list(weak)] if weak else []),
         ("Seen only together", together[:_MOST] + _rest(len(together) - _MOST)),
-        ("Not shown at all (nominal values)", [listed(unseen)] if unseen else []),
+        ("Not shown at all (nominal values)", [format_list(unseen)] if unseen else []),
         ("Fits exactly as well", list(found.equivalent[:1]) + _more(found.equivalent)),
     ]
     return [(title, sentences) for title, sentences in groups if sentences]

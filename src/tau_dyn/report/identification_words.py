@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tau_dyn.identify import ForceErrors, Identification
+from tau_dyn.report.formatting import Z95, Recommendation, count, format_list, percent
 from tau_dyn.report.residuals import residuals_of
-from tau_dyn.report.words import Z95, Verdict, count, listed, percent
 
 POOR_PERCENT = 20.0
 """Held-out error above which a model is called unfit: one fifth of the force is missed."""
@@ -43,42 +43,51 @@ def both_errors(errors: ForceErrors) -> str:
     )
 
 
-def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Verdict:
+def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Recommendation:
     """Return how far the result may be used; estimates that miss a known truth are not to be read as physics."""
     judged = found.holdout or found.train
     error, weak = judged.relative_error_percent, [r for r in found.rows() if not r["determined"]]
     if error > POOR_PERCENT:
         look = _LOOK if error > _HOPELESS_PERCENT else ""
-        return Verdict("poor", f"Do not use it yet: {percent(error)} of the force is unexplained.{look}")
+        return Recommendation("poor", f"Do not use it yet: {percent(error)} of the force is unexplained.{look}")
     rough = {j: p for j, p in zip(judged.joints, judged.per_joint_percent, strict=True) if p > POOR_PERCENT}
     if rough:
-        missed = listed([f"{joint} ({percent(p)})" for joint, p in rough.items()], 3)
-        return Verdict("care", f"Do not rely on every joint yet; too much of the force is unexplained at {missed}.")
+        missed = format_list([f"{joint} ({percent(p)})" for joint, p in rough.items()], 3)
+        return Recommendation(
+            "care", f"Do not rely on every joint yet; too much of the force is unexplained at {missed}."
+        )
     if judged.unjudged:
-        return Verdict("care", f"Do not rely on {listed(judged.unjudged, 3)} yet: no sample could be used to judge it.")
+        return Recommendation(
+            "care", f"Do not rely on {format_list(judged.unjudged, 3)} yet: no sample could be used to judge it."
+        )
     if found.holdout is None:
-        return Verdict("care", "Judge it on another log before use: these errors are those of the fit itself.")
+        return Recommendation("care", "Judge it on another log before use: these errors are those of the fit itself.")
     if error > OVERFIT * found.train.relative_error_percent:
         own = percent(found.train.relative_error_percent)
-        return Verdict("care", f"It fits its own log to {own} but others less well; record a richer motion before use.")
+        return Recommendation(
+            "care", f"It fits its own log to {own} but others less well; record a richer motion before use."
+        )
     off = _missed(found.rows(), truth or {})
     if off:
-        return Verdict(
-            "care", f"Good for predicting force; {listed(off, 3)} missed the true value by more than 3 standard errors."
+        return Recommendation(
+            "care",
+            f"Good for predicting force; {format_list(off, 3)} missed the true value by more than 3 standard errors.",
         )
     if weak:
         few = count(len(weak), "single value")
-        return Verdict(
+        return Recommendation(
             "care",
             f"Good for predicting force on motion like this; do not read {few} of {len(found.rows())} as physics.",
         )
     if found.warnings:
-        return Verdict("care", f"Good for predicting force; {count(len(found.warnings), 'warning')} to read first.")
+        return Recommendation(
+            "care", f"Good for predicting force; {count(len(found.warnings), 'warning')} to read first."
+        )
     if not all(residual.white for residual in residuals_of(found)):
-        return Verdict(
+        return Recommendation(
             "good", "Use it for feedforward and simulation; single values may carry force that the model leaves out."
         )
-    return Verdict("good", "Use it for feedforward and simulation; each value also stands by itself.")
+    return Recommendation("good", "Use it for feedforward and simulation; each value also stands by itself.")
 
 
 def mass_group(name: str) -> str:
@@ -137,4 +146,4 @@ def _known(name: str, members: Sequence[dict[str, Any]], truth: Mapping[str, flo
 
 def _masses(names: Sequence[str], groups: dict[str, list[dict[str, Any]]]) -> str:
     several = len(names) > 1 or len(groups[names[0]]) > 1
-    return f"{listed(names)} {'masses are' if several else 'mass is'}"
+    return f"{format_list(names)} {'masses are' if several else 'mass is'}"

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.kinematics.pose_table import PoseTable
-from tau_dyn.report.shell import Opening, render
+from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.terminal import MARGIN, bare_table, plain, put, room, say, say_written
 
 _ROWS_SHOWN = 200
@@ -28,10 +28,10 @@ def kinematics_page(table: PoseTable, *, command_line: str = "") -> str:
     every = "Answered" if rows == 1 else "All rows answered"
     badge = every if answered == rows else f"{answered} of {rows} answered"
     shown = _shown(table)
-    return render(
+    return render_page(
         "kinematics.html.j2",
         f"{table.robot.name}: {_title(table).lower()}",
-        Opening(f"{_headline(table)}.", level, badge, " ".join(f"{w}." for w in table.warnings), _summary(table)),
+        PageHeader(f"{_headline(table)}.", level, badge, " ".join(f"{w}." for w in table.warnings), _summary(table)),
         [],
         robot=table.robot,
         command_line=command_line,

@@ -10,11 +10,11 @@ from markupsafe import Markup
 
 from tau_dyn.modes.checks import CorrelationTest
 from tau_dyn.modes.result import Modes
+from tau_dyn.report.formatting import Z95
 from tau_dyn.report.log_chart import LogChart
 from tau_dyn.report.modes_svg import across, between
-from tau_dyn.report.modes_words import resonances
-from tau_dyn.report.svg import HALF, THIRD, WHOLE, Chart, padded
-from tau_dyn.report.words import Z95
+from tau_dyn.report.modes_text import resonances
+from tau_dyn.report.svg import HALF, THIRD, WHOLE, Chart, pad_limits
 
 DOTS = 700
 WIDTHS = {1: WHOLE, 2: HALF}
@@ -122,7 +122,7 @@ def impulse_chart(found: Modes, i: int, j: int) -> Markup:
     chart = Chart(
         *_size(found, 190),
         (0.0, float(t[-1])),
-        padded(seen, model),
+        pad_limits(seen, model),
         f"{found.inputs[j]} → {found.outputs[i]}",
         "time [s]",
         "response",

@@ -9,11 +9,11 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.modes.result import Modes
+from tau_dyn.report.formatting import Z95
 from tau_dyn.report.log_chart import LogChart
 from tau_dyn.report.modes_charts import decibels, ends, mode_lines, shown
 from tau_dyn.report.modes_svg import across, along, between, ellipse, marks
-from tau_dyn.report.svg import THIRD, WHOLE, Chart, padded, tag
-from tau_dyn.report.words import Z95
+from tau_dyn.report.svg import THIRD, WHOLE, Chart, pad_limits, tag
 
 
 def stabilisation_chart(found: Modes) -> Markup:
@@ -67,7 +67,9 @@ def order_chart(found: Modes) -> Markup:
     n, fit = np.array([float(t.order) for t in trials]), np.array([t.fit_percent for t in trials])
     best = float(fit.max())
     low = max(float(fit.min()), best - 40.0)
-    chart = Chart(THIRD, 200, padded(n, share=0.05), padded(np.array([low, best]), share=0.12), "", "order", "fit [%]")
+    chart = Chart(
+        THIRD, 200, pad_limits(n, share=0.05), pad_limits(np.array([low, best]), share=0.12), "", "order", "fit [%]"
+    )
     return chart.render(
         across(chart, found.order, "chosen-line"),
         chart.line(n, np.clip(fit, chart.ylim[0], None), "predicted"),
@@ -86,8 +88,8 @@ def criterion_chart(found: Modes) -> Markup:
     chart = Chart(
         THIRD,
         200,
-        padded(n, share=0.05),
-        padded(*(c for c, _ in above), share=0.1),
+        pad_limits(n, share=0.05),
+        pad_limits(*(c for c, _ in above), share=0.1),
         "",
         "order",
         "log₁₀(1 + above best)",
@@ -100,7 +102,13 @@ def delay_chart(found: Modes) -> Markup:
     d, _, gap = (np.array(c, float) for c in zip(*found.delay_choice.scan, strict=True))
     height = np.log10(1 + gap)
     chart = Chart(
-        THIRD, 200, padded(d, share=0.05), padded(height, share=0.1), "", "delay [samples]", "log₁₀(1 + BIC above best)"
+        THIRD,
+        200,
+        pad_limits(d, share=0.05),
+        pad_limits(height, share=0.1),
+        "",
+        "delay [samples]",
+        "log₁₀(1 + BIC above best)",
     )
     return chart.render(
         across(chart, found.delay, "chosen-line"), chart.line(d, height, "predicted"), chart.dots(d, height, "mean")
@@ -115,9 +123,9 @@ def pole_chart(found: Modes) -> Markup:
     re, im = np.array([q.s.real for q in known]), np.array([q.s.imag for q in known]) / (2 * np.pi)
     reach = [3.2 * np.sqrt(np.diag(q.covariance)) if q.covariance is not None else np.zeros(2) for q in known]
     some = np.array(reach)
-    xlim = padded(np.concatenate([re - some[:, 0], re + some[:, 0], [0.0]]), share=0.08)
+    xlim = pad_limits(np.concatenate([re - some[:, 0], re + some[:, 0], [0.0]]), share=0.08)
     xlim = (max(xlim[0], 3 * float(re.min())), xlim[1])
-    ylim = padded(np.concatenate([im, [0.0]]), share=0.08)
+    ylim = pad_limits(np.concatenate([im, [0.0]]), share=0.08)
     chart = Chart(WHOLE, 420, xlim, (min(0.0, ylim[0]), ylim[1]), "", "decay, Re s [1/s]", "Im s / 2π [Hz]")
     turn = np.diag([1.0, 1 / (2 * np.pi)])
     drawn = [across(chart, 0.0, "zero")]

@@ -12,24 +12,24 @@ from tau_dyn.modes.on_robot import ShapesOnRobot
 from tau_dyn.modes.result import Modes, Trace
 from tau_dyn.report import modes_charts as charts
 from tau_dyn.report import modes_model_charts as model_charts
-from tau_dyn.report.figures import interval_bar
+from tau_dyn.report.formatting import Z95, number, percent, round_to_stderr
+from tau_dyn.report.html_page import PageHeader, render_page
+from tau_dyn.report.identification_charts import interval_bar
 from tau_dyn.report.modes_robot import robot_drawings
 from tau_dyn.report.modes_shapes import shape_drawing, space_axes
-from tau_dyn.report.modes_words import (
+from tau_dyn.report.modes_text import (
     badge,
     damping,
     fit_words,
     frequency,
     headline,
     interval,
+    is_resonance,
     mechanical_words,
-    rings,
     summary,
     verdict,
 )
-from tau_dyn.report.shell import Opening, render
 from tau_dyn.report.time_view import Curve, View, strip
-from tau_dyn.report.words import Z95, number, percent, rounded
 
 SHAPES = 8
 """Modes whose shapes are drawn."""
@@ -49,11 +49,11 @@ def modes_page(
         command_line: The command that repeats it, for the provenance.
     """
     judged = verdict(found)
-    opening = Opening(headline(found), judged.level, badge(found), judged.sentence, summary(found))
+    opening = PageHeader(headline(found), judged.level, badge(found), judged.sentence, summary(found))
     drawn = charts.pairs(found)
-    swinging = robot_drawings(on_robot, [rings(m) for m in found.modes])[:SHAPES]
+    swinging = robot_drawings(on_robot, [is_resonance(m) for m in found.modes])[:SHAPES]
     names = [t.log for t in found.traces]
-    return render(
+    return render_page(
         "modes.html.j2",
         f"{names[0] if names else 'log'}: resonances",
         opening,
@@ -67,7 +67,7 @@ def modes_page(
         shapes=[
             (f"{frequency(m)} Hz", f"{damping(m)} %", shape_drawing(m, found.outputs))
             for m in found.modes
-            if rings(m) and len(found.outputs) > 1 and not swinging
+            if is_resonance(m) and len(found.outputs) > 1 and not swinging
         ][:SHAPES],
         swinging=swinging,
         robot_name=on_robot.robot.name if on_robot and swinging else "",
@@ -128,7 +128,7 @@ def _row(found: Modes, k: int) -> dict[str, Any]:
         "rings": f"{number(1 / decay, 2)} s" if decay > 0 else "–",
         "most": found.outputs[int(np.argmax(sizes))],
         "seen": f"{seen} of {len(orders)}",
-        "weak": not rings(m),
+        "weak": not is_resonance(m),
     }
 
 
@@ -166,7 +166,7 @@ def _entries(values: np.ndarray, spread: np.ndarray | None) -> list[list[str]]:
         value = float(values[i, j])
         if spread is None or not np.isfinite(spread[i, j]) or spread[i, j] <= 0:
             return number(value, 4)
-        return f"{rounded(value, float(spread[i, j]))} ± {rounded(float(spread[i, j]), float(spread[i, j]))}"
+        return f"{round_to_stderr(value, float(spread[i, j]))} ± {round_to_stderr(float(spread[i, j]), float(spread[i, j]))}"
 
     return [[entry(i, j) for j in range(values.shape[1])] for i in range(values.shape[0])]
 

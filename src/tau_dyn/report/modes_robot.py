@@ -1,7 +1,7 @@
 """Mode shapes drawn on the robot: at rest in grey, swung out in colour.
 
 On the screen it swings; on paper, and for those who asked for less motion, it stands swung out. The view is that of
-`space.py`. Sizes of modes cannot be compared: each is drawn as large as its figure takes.
+`projection.py`. Sizes of modes cannot be compared: each is drawn as large as its figure takes.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.modes.figure import Skeleton
-from tau_dyn.modes.on_robot import Pair, ShapesOnRobot, Swing
+from tau_dyn.modes.on_robot import ModePair, ModeShape, ShapesOnRobot
+from tau_dyn.report.formatting import number
 from tau_dyn.report.modes_shapes import PERIOD
-from tau_dyn.report.space import View, hull_of, project
+from tau_dyn.report.projection import View, hull_of, project
 from tau_dyn.report.svg import path_of, tag
-from tau_dyn.report.words import number
 
 WIDTH, HEIGHT, MARGIN = 330, 250, 30
 REACH = 24.0
@@ -49,13 +49,13 @@ def robot_drawings(shapes: ShapesOnRobot | None, chosen: Sequence[bool]) -> list
     ]
 
 
-def _beside(skeleton: Skeleton, pair: Pair, view: View) -> tuple[Markup, str]:
+def _beside(skeleton: Skeleton, pair: ModePair, view: View) -> tuple[Markup, str]:
     if pair.model is None:
         return Markup(""), ""
     return _drawing(skeleton, pair.model, view, "robot file"), f"{_said(pair.model)}, MAC {pair.mac:.2f}"
 
 
-def _said(swing: Swing) -> str:
+def _said(swing: ModeShape) -> str:
     return f"{number(swing.frequency_hz, 4)} Hz, damping {number(100 * swing.damping_ratio, 2)} %"
 
 
@@ -64,7 +64,7 @@ def _view(skeleton: Skeleton) -> View:
     return View.of(np.concatenate([*skeleton.links, *skeleton.rails, skeleton.joints, *spots]), WIDTH, HEIGHT, MARGIN)
 
 
-def _drawing(skeleton: Skeleton, swing: Swing, view: View, who: str) -> Markup:
+def _drawing(skeleton: Skeleton, swing: ModeShape, view: View, who: str) -> Markup:
     pieces = [tag("path", d=path_of(view.place(rail)), class_="rail") for rail in skeleton.rails]
     order = sorted(range(len(skeleton.links)), key=lambda k: -len(skeleton.links[k]))
     pieces += [tag("path", d=_outline(view.place(skeleton.links[k])), class_="at-rest") for k in order]

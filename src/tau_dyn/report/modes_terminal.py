@@ -9,13 +9,13 @@ from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.modes.result import Modes
-from tau_dyn.report.modes_words import (
+from tau_dyn.report.modes_text import (
     damping,
     frequency,
     headline,
     interval,
+    is_resonance,
     mechanical_words,
-    rings,
     summary,
     verdict,
 )
@@ -61,7 +61,7 @@ def _modes(found: Modes, columns: int) -> Table:
         )
         cells = [*f, *z] if spread else [f[0], z[0]]
         cells += [found.outputs[int(np.argmax(np.abs(m.shape)))]] if several else []
-        table.add_row(*(plain(c, "" if rings(m) else "dim") for c in cells))
+        table.add_row(*(plain(c, "" if is_resonance(m) else "dim") for c in cells))
     return table
 
 

@@ -11,11 +11,20 @@ from markupsafe import Markup
 from tau_dyn.excitation import Prediction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.svg import THIRD, Chart, padded, tag
+from tau_dyn.report.fit_quality_text import FAIR, WELL, separation_words
+from tau_dyn.report.formatting import (
+    Level,
+    count,
+    format_fixed_digits,
+    format_list,
+    limit_words,
+    number,
+    percent,
+    pretty_unit,
+)
+from tau_dyn.report.html_page import PageHeader, render_page
+from tau_dyn.report.svg import THIRD, Chart, pad_limits, tag
 from tau_dyn.report.time_view import Curve, View, strip
-from tau_dyn.report.trust import FAIR, WELL, separation_words
-from tau_dyn.report.words import Level, count, limit_words, listed, number, percent, pretty_unit, steady
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Sensors, Trajectory
 
@@ -38,7 +47,7 @@ def simulation_page(
     """
     robot = model.robot
     rows = [_followed(log, robot, k) for k in range(robot.na)]
-    return render(
+    return render_page(
         "simulation.html.j2",
         f"{log.name}: simulated",
         _simulated(log, robot, rows),
@@ -78,15 +87,15 @@ def excitation_page(
     level: Level = "good" if condition < WELL else "care" if condition < FAIR else "poor"
     badge = {"good": "Tells them apart", "care": "Usable", "poor": "Too poor"}[level]
     free = int(np.sum(model.parameters.free))
-    opening = Opening(
+    opening = PageHeader(
         f"A motion of {number(motion.duration, 4)} s with condition number {number(condition, 3)}.",
         level,
         badge,
         f"{separation_words(condition).capitalize()}.",
-        f"{count(robot.na, 'joint')}: {listed(robot.actuated)}; {count(free, 'free parameter')}; "
+        f"{count(robot.na, 'joint')}: {format_list(robot.actuated)}; {count(free, 'free parameter')}; "
         f"condition numbers below {WELL:g} are good, above {FAIR:g} poor.",
     )
-    return render(
+    return render_page(
         "excitation.html.j2",
         f"{robot.name}: exciting motion",
         opening,
@@ -115,24 +124,22 @@ def _predicted(prediction: Prediction) -> list[dict[str, Any]]:
     ]
 
 
-def _simulated(log: Log, robot: Robot, rows: list[dict[str, Any]]) -> Opening:
+def _simulated(log: Log, robot: Robot, rows: list[dict[str, Any]]) -> PageHeader:
     text = f"{number(log.duration, 4)} s of simulated {robot.name} at {number(log.rate_hz, 4)} Hz"
     saturated = [r["joint"] for r in rows if r["saturated"]]
     errors = [r["error_share"] for r in rows if r["error_share"] is not None]
     follows = f"; it follows its reference to {percent(100 * max(errors))} of each joint's travel" if errors else ""
     if saturated:
-        said = f"The force of {listed(saturated)} reached its limit; identification leaves these samples out."
-        return Opening(f"{text}{follows}.", "care", "Saturated", said, _made_of(log, robot))
+        said = f"The force of {format_list(saturated)} reached its limit; identification leaves these samples out."
+        return PageHeader(f"{text}{follows}.", "care", "Saturated", said, _made_of(log, robot))
     said = f"{count(len(log.warnings), 'note')} below." if log.warnings else "No drive reached its limit of force."
-    return Opening(f"{text}{follows}.", "care" if log.warnings else "good", "Made, with notes" if log.warnings else "Made",
+    return PageHeader(f"{text}{follows}.", "care" if log.warnings else "good", "Made, with notes" if log.warnings else "Made",
                    said, _made_of(log, robot))  # fmt: skip
 
 
 def _made_of(log: Log, robot: Robot) -> str:
     samples = f"{log.n_samples:,}".replace(",", " ")
-    return (
-        f"{log.name}: {samples} samples of {listed(robot.actuated)}, read through the sensors below. Not a recording."
-    )
+    return f"{log.name}: {samples} samples of {format_list(robot.actuated)}, read through the sensors below. Not a recording."
 
 
 def _log_view(log: Log, robot: Robot, k: int) -> View:
@@ -168,10 +175,12 @@ def _followed(log: Log, robot: Robot, k: int) -> dict[str, Any]:
     row: dict[str, Any] = {"joint": joint, "unit": robot.position_units[k], "force_unit": robot.force_units[k],
                            "saturated": False, "error_share": None}  # fmt: skip
     if q is not None:
-        row["range"] = f"{steady(float(q.min()))} … {steady(float(q.max()))}"
+        row["range"] = f"{format_fixed_digits(float(q.min()))} … {format_fixed_digits(float(q.max()))}"
     if q is not None and reference is not None:
         behind, travel = reference - q, float(np.ptp(reference))
-        row["error"] = [steady(1000 * float(x)) for x in (np.sqrt(np.mean(behind**2)), np.max(np.abs(behind)))]
+        row["error"] = [
+            format_fixed_digits(1000 * float(x)) for x in (np.sqrt(np.mean(behind**2)), np.max(np.abs(behind)))
+        ]
         row["error_share"] = float(np.max(np.abs(behind))) / travel if travel > 0 else None
     if tau is not None:
         peak = float(np.max(np.abs(tau)))
@@ -188,14 +197,14 @@ def _driven(motion: Trajectory, robot: Robot, k: int) -> dict[str, Any]:
     return {
         "joint": robot.actuated[k],
         "unit": robot.position_units[k],
-        "range": f"{steady(float(q.min()))} … {steady(float(q.max()))}",
+        "range": f"{format_fixed_digits(float(q.min()))} … {format_fixed_digits(float(q.max()))}",
         "limits": f"{limit_words(low)} … {limit_words(high)}" if room else "none",
         "from": None if left is None else float(left[0]),
         "width": 0.0 if left is None else float(left[1] - left[0]),
-        "speed": steady(float(np.max(np.abs(v)))),
+        "speed": format_fixed_digits(float(np.max(np.abs(v)))),
         "speed_limit": limit_words(fastest),
         "speed_share": _share(float(np.max(np.abs(v))), fastest),
-        "acceleration": steady(float(np.max(np.abs(a)))),
+        "acceleration": format_fixed_digits(float(np.max(np.abs(a)))),
         "reversals": str(int(np.sum(np.diff(np.sign(v[v != 0])) != 0))),
     }
 
@@ -211,8 +220,8 @@ def _phase_chart(motion: Trajectory, robot: Robot, k: int) -> Markup:
     low, high = float(robot.lower[k]), float(robot.upper[k])
     step = max(1, motion.n_samples // PHASE_POINTS)
     q, v = motion.q[::step, k], motion.v[::step, k]
-    xlim = padded(np.array([x for x in (low, high) if np.isfinite(x)]), q)
-    ylim = padded(np.array([x for x in (-fastest, fastest) if np.isfinite(x)]), v)
+    xlim = pad_limits(np.array([x for x in (low, high) if np.isfinite(x)]), q)
+    ylim = pad_limits(np.array([x for x in (-fastest, fastest) if np.isfinite(x)]), v)
     chart = Chart(THIRD, 240, xlim, ylim, robot.actuated[k], f"position [{unit}]", f"speed [{unit}/s]")
     frame = Markup("")
     if np.all(np.isfinite([low, high, fastest])):
@@ -229,6 +238,6 @@ def _true_values(model: Model) -> list[tuple[str, str, str]]:
 def _sensor_rows(sensors: Sensors) -> list[tuple[str, str]]:
     """Return each sensor setting that is not perfect."""
     shown = [(f.name.replace("_", " "), getattr(sensors, f.name)) for f in fields(sensors) if f.name != "tool"]
-    rows = [(name, listed([number(float(x), 4) for x in np.atleast_1d(value)])) for name, value in shown
+    rows = [(name, format_list([number(float(x), 4) for x in np.atleast_1d(value)])) for name, value in shown
             if value is not None and np.size(value) and np.any(np.asarray(value) != 0)]  # fmt: skip
     return rows or [("sensors", "perfect")]

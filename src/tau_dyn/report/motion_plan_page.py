@@ -8,11 +8,11 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.control.motion import Binding, MotionPlan
+from tau_dyn.report.formatting import format_fixed_digits, limit_words, number, percent, pretty_unit
+from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.motion_plan_words import headline, judgement, path_words, squares_unit
-from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.svg import THIRD, WHOLE, Chart, padded
+from tau_dyn.report.svg import THIRD, WHOLE, Chart, pad_limits
 from tau_dyn.report.time_view import Curve, View, strip
-from tau_dyn.report.words import limit_words, number, percent, pretty_unit, steady
 
 _POINTS = 1200
 _PLANES = ((0, 1), (0, 2), (1, 2))
@@ -27,8 +27,8 @@ def motion_plan_page(plan: MotionPlan, *, command_line: str = "") -> str:
     """
     robot = plan.model.robot
     level, badge, said = judgement(plan)
-    opening = Opening(headline(plan), level, badge, said, path_words(plan))
-    return render(
+    opening = PageHeader(headline(plan), level, badge, said, path_words(plan))
+    return render_page(
         "motion_plan.html.j2",
         f"{robot.name}: planned motion",
         opening,
@@ -63,10 +63,10 @@ def _row(row: dict[str, Any]) -> dict[str, Any]:
 
     return {
         "joint": row["joint"],
-        "travel": f"{steady(row['travel'])} {row['unit']}",
-        "speed": f"{steady(row['speed'])} {row['unit']}/s",
+        "travel": f"{format_fixed_digits(row['travel'])} {row['unit']}",
+        "speed": f"{format_fixed_digits(row['speed'])} {row['unit']}/s",
         "speed_limit": limit_words(row["speed_limit"], 4),
-        "acceleration": f"{steady(row['acceleration'])} {row['unit']}/s²",
+        "acceleration": f"{format_fixed_digits(row['acceleration'])} {row['unit']}/s²",
         "force": f"{number(row['force'], 4)} {pretty_unit(row['force_unit'])}",
         "force_limit": limit_words(row["force_limit"], 4),
         "force_share": share(row["force"], row["force_limit"]),
@@ -85,7 +85,9 @@ def _forces(plan: MotionPlan) -> list[Markup]:
         limit, tau = float(plan.limits.force[k]), plan.tau[:, k]
         edges = np.array([-limit, limit]) if np.isfinite(limit) else np.zeros(0)
         unit = pretty_unit(plan.model.robot.force_units[k])
-        chart = Chart(THIRD, 220, (0.0, float(plan.t[-1])), padded(tau, edges), joint, "time [s]", f"force [{unit}]")
+        chart = Chart(
+            THIRD, 220, (0.0, float(plan.t[-1])), pad_limits(tau, edges), joint, "time [s]", f"force [{unit}]"
+        )
         ends = np.array([0.0, plan.t[-1]])
         frame = [chart.line(ends, np.full(2, edge), "limit") for edge in edges]
         charts.append(chart.render(*frame, chart.line(plan.t[::step], tau[::step], "predicted")))
@@ -108,7 +110,7 @@ def _way(plan: MotionPlan, i: int, j: int) -> Markup:
 
 def _square(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return limits of a drawing of 288 by 246 points in which a metre is as long either way."""
-    (x0, x1), (y0, y1) = padded(x), padded(y)
+    (x0, x1), (y0, y1) = pad_limits(x), pad_limits(y)
     scale = max((x1 - x0) / 288, (y1 - y0) / 246, 1e-6)
     (xm, ym), (w, h) = ((x0 + x1) / 2, (y0 + y1) / 2), (144 * scale, 123 * scale)
     return (xm - w, xm + w), (ym - h, ym + h)
@@ -120,7 +122,9 @@ def _speed(plan: MotionPlan) -> Markup:
     if speed is None:
         return Markup("")
     step = max(1, len(plan.t) // _POINTS)
-    chart = Chart(WHOLE, 240, (0.0, float(plan.t[-1])), padded(speed, np.zeros(1)), "tool", "time [s]", "speed [m/s]")
+    chart = Chart(
+        WHOLE, 240, (0.0, float(plan.t[-1])), pad_limits(speed, np.zeros(1)), "tool", "time [s]", "speed [m/s]"
+    )
     return chart.render(chart.line(plan.t[::step], speed[::step], "predicted"))
 
 

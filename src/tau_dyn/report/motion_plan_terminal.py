@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from rich.console import Console
 
 from tau_dyn.control.motion import MotionPlan
+from tau_dyn.report.formatting import limit_words, number, percent
 from tau_dyn.report.motion_plan_words import headline, judgement, path_words, squares_unit
 from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
-from tau_dyn.report.words import limit_words, number, percent
 
 _WIDTH = 16
 

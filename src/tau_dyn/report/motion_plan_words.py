@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tau_dyn.control.motion import MotionPlan
-from tau_dyn.report.words import Level, listed, number, percent
+from tau_dyn.report.formatting import Level, format_list, number, percent
 
 
 def headline(plan: MotionPlan) -> str:
@@ -21,7 +21,7 @@ def judgement(plan: MotionPlan) -> tuple[Level, str, str]:
         return "good", "Within limits", "It reaches no limit: the effort holds it back."
     reached = [f"{b.quantity} of {b.joint} ({percent(100 * b.share)} of the time)" for b in plan.binding]
     more = f" and {len(reached) - 4} more" if len(reached) > 4 else ""
-    return "good", "Within limits", f"What holds it back: {listed(reached[:4])}{more}."
+    return "good", "Within limits", f"What holds it back: {format_list(reached[:4])}{more}."
 
 
 def path_words(plan: MotionPlan) -> str:

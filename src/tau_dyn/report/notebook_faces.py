@@ -24,26 +24,26 @@ from tau_dyn.report import (
     calibration_words,
     check_words,
     comparison,
-    diagnosis_words,
-    figures,
+    diagnosis_text,
+    formatting,
+    identification_charts,
     identification_words,
-    modes_words,
-    words,
+    modes_text,
     workspace_words,
 )
 from tau_dyn.report.accuracy_charts import error_map
 from tau_dyn.report.calibration_charts import error_chart
+from tau_dyn.report.force_series import decimate_min_max
+from tau_dyn.report.formatting import count, format_list, number, percent, pretty_unit
 from tau_dyn.report.modes_charts import bode_chart, pairs
 from tau_dyn.report.notebook_face import Face, Row
 from tau_dyn.report.notebook_tables import table_of
+from tau_dyn.report.parameter_rows import parameter_rows
 from tau_dyn.report.quantities import estimate, interval
 from tau_dyn.report.robot_picture import robot_picture
-from tau_dyn.report.rows import parameter_rows
-from tau_dyn.report.series import thin
 from tau_dyn.report.signature import signature_charts
-from tau_dyn.report.svg import Chart, padded, tag
-from tau_dyn.report.waterfall import ladder
-from tau_dyn.report.words import count, listed, number, percent, pretty_unit
+from tau_dyn.report.svg import Chart, pad_limits, tag
+from tau_dyn.report.waterfall import build_total_series
 from tau_dyn.report.workspace_charts import section_chart
 from tau_dyn.robot import Robot
 
@@ -77,9 +77,9 @@ def _span(x: np.ndarray) -> list[str]:
 
 
 def _trace(log: Log, name: str) -> Markup:
-    t, columns = thin(log.t, log.channels[name][:, None], 400)
+    t, columns = decimate_min_max(log.t, log.channels[name][:, None], 400)
     y = columns[:, 0]
-    chart = Chart(*figures.SMALL, (float(t[0]), float(t[-1])), padded(y), name, "t [s]", "")
+    chart = Chart(*identification_charts.SMALL, (float(t[0]), float(t[-1])), pad_limits(y), name, "t [s]", "")
     return chart.render(chart.line(t, y, "predicted"))
 
 
@@ -121,35 +121,35 @@ def _model(found: Model) -> Face:
 @face_of.register
 def _identification(found: Identification) -> Face:
     judged, rows = identification_words.verdict(found), parameter_rows(found)
-    cells = [Row([r.name, r.estimate, r.unit, r.interval, r.nominal, figures.row_bar(r), r.note],
+    cells = [Row([r.name, r.estimate, r.unit, r.interval, r.nominal, identification_charts.row_bar(r), r.note],
                  "" if r.state == "known" else "care") for r in rows]  # fmt: skip
-    curves = figures.friction_curves(found)
+    curves = identification_charts.friction_curves(found)
     return Face(
         "Identification",
         found.model.robot.name,
         identification_words.headline(found),
         judged.level,
-        words.badge(judged.level),
+        formatting.format_recommendation(judged.level),
         ("parameter", "estimate", "unit", "95 % interval", "nominal", "", ""),
         cells,
-        [figures.friction_chart(curve) for curve in curves[:_PICTURES]],
+        [identification_charts.friction_chart(curve) for curve in curves[:_PICTURES]],
         [judged.sentence, *found.warnings],
     )
 
 
 @face_of.register
 def _diagnosis(found: Diagnosis) -> Face:
-    level, badge = diagnosis_words.badge(found)
-    steps = ladder(found)
+    level, badge = diagnosis_text.badge(found)
+    steps = build_total_series(found)
     rows = [
-        Row([r.label, _meter(steps.at(r.left)), percent(r.left) if np.isfinite(r.left) else "", listed(r.joints)])
+        Row([r.label, _meter(steps.at(r.left)), percent(r.left) if np.isfinite(r.left) else "", format_list(r.joints)])
         for r in steps.rungs
     ]
     shown = [f.signature for f in found.findings if f.signature is not None]
-    notes = [f"{diagnosis_words.title(f)} ({f.status}): {f.sentence}" for f in found.findings]
+    notes = [f"{diagnosis_text.title(f)} ({f.status}): {f.sentence}" for f in found.findings]
     return Face(
         "Diagnosis",
-        f"{found.model.robot.name}, {listed(found.outputs)}",
+        f"{found.model.robot.name}, {format_list(found.outputs)}",
         found.sentence,
         level,
         badge,
@@ -166,17 +166,17 @@ def _meter(share: float) -> Markup:
 
 @face_of.register
 def _modes(found: Modes) -> Face:
-    judged = modes_words.verdict(found)
+    judged = modes_text.verdict(found)
     rows = [
         Row([
-            modes_words.frequency(m), modes_words.interval(m.frequency_hz, m.frequency_stderr), modes_words.damping(m),
-            modes_words.interval(100 * m.damping_ratio, 100 * m.damping_stderr),
+            modes_text.frequency(m), modes_text.interval(m.frequency_hz, m.frequency_stderr), modes_text.damping(m),
+            modes_text.interval(100 * m.damping_ratio, 100 * m.damping_stderr),
         ])
         for m in found.modes
     ]  # fmt: skip
     charts = [bode_chart(found, i, j) for i, j in pairs(found)[:_PICTURES]]
     return Face(
-        "Modes", f"order {found.order}, {found.method}", modes_words.headline(found), judged.level, modes_words.badge(found),
+        "Modes", f"order {found.order}, {found.method}", modes_text.headline(found), judged.level, modes_text.badge(found),
         ("frequency [Hz]", "95 % interval", "damping [%]", "95 % interval"), rows, charts, [judged.sentence], ("modes",),
     )  # fmt: skip
 
@@ -187,16 +187,20 @@ def _calibration(found: Calibration) -> Face:
     rows = [_dimension(row) for row in found.parameter_rows()]
     return Face(
         "Calibration", f"{found.robot.name}, model {found.chosen.name}", calibration_words.headline(found), judged.level,
-        words.badge(judged.level), ("dimension", "value", "unit", "95 % interval", "nominal"), rows,
+        formatting.format_recommendation(judged.level), ("dimension", "value", "unit", "95 % interval", "nominal"), rows,
         [error_chart(found)], [judged.sentence, *found.warnings], ("calibration",),
     )  # fmt: skip
 
 
 def _dimension(row: dict[str, Any]) -> Row:
     stderr, ends = row["stderr"], row["ci95"]
-    between = f"{words.rounded(ends[0], stderr)} … {words.rounded(ends[1], stderr)}" if stderr and ends else ""
+    between = (
+        f"{formatting.round_to_stderr(ends[0], stderr)} … {formatting.round_to_stderr(ends[1], stderr)}"
+        if stderr and ends
+        else ""
+    )
     nominal = "" if row["nominal"] is None else number(row["nominal"], 6)
-    value = words.with_uncertainty(row["value"], stderr)
+    value = formatting.with_uncertainty(row["value"], stderr)
     return Row([row["name"], value, pretty_unit(row["unit"]), between, nominal], "" if row["determined"] else "care")
 
 
@@ -217,7 +221,7 @@ def _check(found: LogCheck) -> Face:
 def _workspace(found: Study) -> Face:
     judged, total = workspace_words.verdict(found), found.workspace.code.size
     rows = [
-        Row([r["reason"], percent(100 * r["points"] / total), listed(r["culprits"], 4)])
+        Row([r["reason"], percent(100 * r["points"] / total), format_list(r["culprits"], 4)])
         for r in found.workspace.counts()
     ]
     return Face(

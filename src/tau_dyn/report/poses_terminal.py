@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.calibrate.poses.automation import Plan
-from tau_dyn.calibrate.poses.enough import doubling_gain, fewest
+from tau_dyn.calibrate.poses.pose_count import compute_min_poses, doubling_gain
 from tau_dyn.report.calibration_words import angle, length
+from tau_dyn.report.formatting import format_list
 from tau_dyn.report.terminal import bare_table, plain, put, say, say_written
-from tau_dyn.report.words import listed
 
 _ROWS = 8
 
@@ -31,7 +31,7 @@ def print_pose_plan(console: Console, plan: Plan, written: Mapping[str, str] | N
     put(console, _curve(plan))
     blind = list(plan.choice.not_identifiable)
     if blind:
-        say(console, f"kept nominal, for no pose can tell: {listed(blind, 8)}", "dim")
+        say(console, f"kept nominal, for no pose can tell: {format_list(blind, 8)}", "dim")
     say_written(console, written)
 
 
@@ -50,7 +50,7 @@ def summary(plan: Plan) -> str:
     """Return what was looked at."""
     seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
     why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
-    rank, least = plan.choice.design.found.rank, fewest(plan.choice.design)
+    rank, least = plan.choice.design.found.rank, compute_min_poses(plan.choice.design)
     return f"{seen}{why}; {rank} parameters to be told, at least {least} poses"
 
 

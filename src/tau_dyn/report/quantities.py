@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tau_dyn.parameters import Parameter
-from tau_dyn.report.words import Z95, number, pretty_unit, rounded, steady, with_uncertainty
+from tau_dyn.report.formatting import Z95, format_fixed_digits, number, pretty_unit, round_to_stderr, with_uncertainty
 
 PREFIXED = ("m", "m/s", "rad", "rad/s", "s")
 """Units that take a prefix where the number is small."""
@@ -19,7 +19,7 @@ def shown_unit(unit: str, size: float) -> tuple[float, str]:
 def quantity(value: float, unit: str, digits: int = 3, *, steadily: bool = False) -> str:
     """Return a value with its unit, such as `43 µm`; steadily, it keeps the zeros at its end."""
     factor, shown = shown_unit(unit, value)
-    return f"{steady(factor * value) if steadily else number(factor * value, digits)} {shown}".strip()
+    return f"{format_fixed_digits(factor * value) if steadily else number(factor * value, digits)} {shown}".strip()
 
 
 def estimate(p: Parameter) -> str:
@@ -35,4 +35,4 @@ def interval(p: Parameter) -> str:
         return ""
     factor, _ = shown_unit(p.unit, p.value)
     low, high = (factor * (p.value + side * Z95 * p.stderr) for side in (-1, 1))
-    return f"{rounded(low, factor * p.stderr)} … {rounded(high, factor * p.stderr)}"
+    return f"{round_to_stderr(low, factor * p.stderr)} … {round_to_stderr(high, factor * p.stderr)}"

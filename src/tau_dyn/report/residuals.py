@@ -12,16 +12,16 @@ import numpy as np
 
 from tau_dyn.estimate import Regression
 from tau_dyn.identify import Identification
-from tau_dyn.report.words import Z95
+from tau_dyn.report.formatting import Z95
 
 LAGS = 20.0
 """Longest lag times the low-pass' cutoff; at least 0.3 s and at most 2 s are shown."""
-SYSTEMATIC = 0.2
+MAX_EXCESS_CORRELATION = 0.2
 """Autocorrelation beyond the filter's that counts as something left."""
 
 
 @dataclass(frozen=True)
-class Residual:
+class ResidualSummary:
     """One joint's residual over the samples that the fit uses.
 
     Attributes:
@@ -50,7 +50,7 @@ class Residual:
         return self.lasts_s <= 0.0
 
 
-def residuals_of(found: Identification) -> list[Residual]:
+def residuals_of(found: Identification) -> list[ResidualSummary]:
     """Return each joint's residual on the training logs; joints without a usable sample are left out."""
     regression = found.estimate.regression
     errors = found.estimate.residuals()
@@ -59,7 +59,7 @@ def residuals_of(found: Identification) -> list[Residual]:
     return [_residual(regression, errors, k, cutoff) for k in range(len(regression.outputs)) if used[k]]
 
 
-def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_hz: float) -> Residual:
+def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_hz: float) -> ResidualSummary:
     values = np.concatenate([e[run.usable[:, k], k] for run, e in zip(regression.runs, errors, strict=True)])
     step = max(float(np.median(np.diff(run.t))) for run in regression.runs)
     longest = max(len(run.t) for run in regression.runs)
@@ -74,9 +74,11 @@ def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_h
     lags = np.arange(n_lags) * step
     expected = filter_memory(lags, cutoff_hz)
     bound = Z95 * float(np.sqrt(np.sum(expected**2) * 2 / max(1, len(values))))
-    beyond = np.flatnonzero(np.abs(correlation - expected) > max(SYSTEMATIC, bound))
+    beyond = np.flatnonzero(np.abs(correlation - expected) > max(MAX_EXCESS_CORRELATION, bound))
     lasts = float(lags[beyond[-1]]) if beyond.size else 0.0
-    return Residual(regression.outputs[k], regression.units[k], values, lags, correlation, expected, bound, lasts)
+    return ResidualSummary(
+        regression.outputs[k], regression.units[k], values, lags, correlation, expected, bound, lasts
+    )
 
 
 def filter_memory(lags: np.ndarray, cutoff_hz: float, order: int = 4) -> np.ndarray:

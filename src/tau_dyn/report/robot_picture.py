@@ -1,7 +1,7 @@
 """The robot at home as a line drawing: guideways, carts, rods, plate, or the chain of an arm; from its tree alone.
 
 A link is drawn through the points where it meets others: its own joint, its children's joints and its loops' ends. Two
-points make a rod, more make a plate. The view is that of `space.py`.
+points make a rod, more make a plate. The view is that of `projection.py`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.kinematics import LoopSolver
-from tau_dyn.report.space import View, outline, triad
+from tau_dyn.report.projection import View, outline, triad
 from tau_dyn.report.svg import path_of, tag
 from tau_dyn.robot import Robot
 

@@ -6,9 +6,9 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.diagnose.result import Signature
-from tau_dyn.report.figures import BINS, SMALL, binned
-from tau_dyn.report.svg import Chart, padded
-from tau_dyn.report.words import pretty_unit
+from tau_dyn.report.formatting import pretty_unit
+from tau_dyn.report.identification_charts import BINS, SMALL, average_in_bins
+from tau_dyn.report.svg import Chart, pad_limits
 
 FINE = 90
 """Steps in which the fitted effect is drawn."""
@@ -24,7 +24,7 @@ def signature_charts(signature: Signature, *, explained: bool = True) -> list[Ma
         explained: Whether `fitted` is a named cause; else it is only a smooth curve through unexplained structure.
     """
     before, after = signature.y, signature.y - signature.fitted
-    xlim, ylim = padded(signature.x, share=0.03), _limits(signature)
+    xlim, ylim = pad_limits(signature.x, share=0.03), _limits(signature)
     first = Chart(*SMALL, xlim, ylim, "without the cause" if explained else signature.output,
                   pretty_unit(signature.x_label), pretty_unit(signature.y_label))  # fmt: skip
     at, fitted = _curve(signature)
@@ -40,8 +40,8 @@ def signature_charts(signature: Signature, *, explained: bool = True) -> list[Ma
 def _limits(signature: Signature) -> tuple[float, float]:
     """Return a vertical range that shows the effect and most of the cloud, the same in both frames."""
     cloud = np.quantile(np.concatenate([signature.y, signature.y - signature.fitted]), [0.01, 0.99])
-    _, means, _ = binned(signature.x, signature.y)
-    return padded(cloud, means, np.quantile(signature.fitted, [0.005, 0.995]))
+    _, means, _ = average_in_bins(signature.x, signature.y)
+    return pad_limits(cloud, means, np.quantile(signature.fitted, [0.005, 0.995]))
 
 
 def _cloud(chart: Chart, x: np.ndarray, y: np.ndarray) -> Markup:
@@ -50,13 +50,13 @@ def _cloud(chart: Chart, x: np.ndarray, y: np.ndarray) -> Markup:
 
 
 def _means(chart: Chart, x: np.ndarray, y: np.ndarray) -> Markup:
-    at, mean, _ = binned(x, y, BINS)
+    at, mean, _ = average_in_bins(x, y, BINS)
     return chart.dots(at, np.clip(mean, *chart.ylim), "mean")
 
 
 def _curve(signature: Signature) -> tuple[np.ndarray, np.ndarray]:
     """Return the fitted effect over the horizontal axis (n,), its mean in fine steps, broken where it jumps at zero."""
-    at, mean, _ = binned(signature.x, signature.fitted, FINE)
+    at, mean, _ = average_in_bins(signature.x, signature.fitted, FINE)
     change = np.flatnonzero(np.diff(np.sign(at)))
     if change.size and len(at) > 4:
         steps, k = np.abs(np.diff(mean)), int(change[0])

@@ -163,7 +163,7 @@ def label(value: float, limits: tuple[float, float]) -> str:
     return "0" if abs(value) < 1e-9 * span else f"{value / 10.0 ** power_of(limits):.5g}".replace("-", "−")
 
 
-def padded(*arrays: np.ndarray, share: float = 0.06) -> tuple[float, float]:
+def pad_limits(*arrays: np.ndarray, share: float = 0.06) -> tuple[float, float]:
     """Return limits that hold all values with some air."""
     values = np.concatenate([np.ravel(a) for a in arrays])
     values = values[np.isfinite(values)]

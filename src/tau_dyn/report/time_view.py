@@ -13,9 +13,9 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.log import Log, examine_clock
-from tau_dyn.report.series import Panel, gaps, pack, thin
-from tau_dyn.report.svg import Chart, padded
-from tau_dyn.report.words import pretty_unit
+from tau_dyn.report.force_series import ForcePanel, decimate_min_max, encode_int16, gaps
+from tau_dyn.report.formatting import pretty_unit
+from tau_dyn.report.svg import Chart, pad_limits
 
 TOTAL_POINTS = 120_000
 VIEW_POINTS = 8_000
@@ -89,17 +89,17 @@ def strip(
     label: str, height: int, *curves: Curve, masked: bool = False, bounds: Sequence[float] = (), symmetric: bool = False
 ) -> Strip:
     """Return a strip whose axis holds all curves, and the bounds that are not far outside."""
-    low, high = padded(*(c.values for c in curves))
+    low, high = pad_limits(*(c.values for c in curves))
     if symmetric:
         low, high = -max(-low, high), max(-low, high)
     near = tuple(
         float(b) for b in bounds if np.isfinite(b) and low - 0.5 * (high - low) <= b <= high + 0.5 * (high - low)
     )
-    limits = padded(np.array([low, high, *near]), share=0.02) if near else (low, high)
+    limits = pad_limits(np.array([low, high, *near]), share=0.02) if near else (low, high)
     return Strip(label, curves, limits, height, masked, near)
 
 
-def force_view(panel: Panel) -> View:
+def force_view(panel: ForcePanel) -> View:
     """Return measured and predicted force, and the residual below."""
     unit = pretty_unit(panel.unit)
     both = Curve("measured", "measured", panel.measured), Curve("predicted", "predicted", panel.predicted)
@@ -154,7 +154,8 @@ def _payload(view: View, most: int) -> dict[str, Any]:
                 "masked": s.masked,
                 "bounds": s.bounds,
                 "curves": [
-                    {"name": c.name, "ink": c.ink, "width": THICKNESS[c.ink], **pack(next(columns))} for c in s.curves
+                    {"name": c.name, "ink": c.ink, "width": THICKNESS[c.ink], **encode_int16(next(columns))}
+                    for c in s.curves
                 ],
             }
             for s in view.strips
@@ -185,4 +186,4 @@ def _drawing(view: View) -> Markup:
 
 
 def _thinned(view: View, most: int) -> tuple[np.ndarray, np.ndarray]:
-    return thin(view.t, np.column_stack([c.values for s in view.strips for c in s.curves]), most)
+    return decimate_min_max(view.t, np.column_stack([c.values for s in view.strips for c in s.curves]), most)

@@ -13,18 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.diagnose.result import Diagnosis, Errors, Finding
+from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors
+from tau_dyn.report.formatting import format_list, percent
 from tau_dyn.report.quantities import estimate, quantity
-from tau_dyn.report.words import listed, percent
 
-MEASURED_ON = 2
+TEST_PART = 2
 """Which part of a trace the errors are of."""
 CUT = 2.5
 """How many times the longest other bar the first may be before it is cut."""
 
 
 @dataclass(frozen=True)
-class Rung:
+class WaterfallStep:
     """One step: what it is called and what it leaves, in percent of the measured output.
 
     Attributes:
@@ -53,7 +53,7 @@ class Rung:
 
 
 @dataclass(frozen=True)
-class Ladder:
+class WaterfallSeries:
     """All steps for one output, or for all together.
 
     Attributes:
@@ -64,7 +64,7 @@ class Ladder:
     """
 
     output: str
-    rungs: tuple[Rung, ...]
+    rungs: tuple[WaterfallStep, ...]
     floor: float
     end: float
 
@@ -74,29 +74,29 @@ class Ladder:
 
 
 @dataclass(frozen=True, eq=False)
-class Yardstick:
+class OutputScale:
     """How large the outputs are where the errors were judged: rms (m,) and number of samples (m,); NaN where unknown."""
 
     rms: np.ndarray
     count: np.ndarray
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis) -> Yardstick:
+    def of(cls, diagnosis: Diagnosis) -> OutputScale:
         """Measure the outputs on the samples that were used for nothing but the gain."""
         squares, count = np.zeros((2, len(diagnosis.outputs)))
         for trace in diagnosis.traces:
-            judged = trace.usable & (trace.part == MEASURED_ON)[:, None]
+            judged = trace.usable & (trace.part == TEST_PART)[:, None]
             squares += np.sum(np.where(judged, trace.measured, 0.0) ** 2, axis=0)
             count += judged.sum(axis=0)
         rms = np.sqrt(squares / np.where(count > 0, count, np.nan))
         return cls(np.where(rms > 0, rms, np.nan), count)
 
-    def share(self, errors: Errors, k: int) -> tuple[float, float, float]:
+    def share(self, errors: OutputErrors, k: int) -> tuple[float, float, float]:
         """Return one output's error and its 95 % interval [%]."""
         scale = 100 / self.rms[k]
         return scale * float(errors.rms[k]), scale * float(errors.ci95[k, 0]), scale * float(errors.ci95[k, 1])
 
-    def total(self, errors: Errors) -> tuple[float, float, float]:
+    def total(self, errors: OutputErrors) -> tuple[float, float, float]:
         """Return the error over all outputs and its 95 % interval [%]."""
         n = np.where(self.count > 0, self.count, 0.0) if self.count.any() else np.ones(len(errors.rms))
         squares = n * errors.rms**2
@@ -109,28 +109,28 @@ class Yardstick:
         return error, error * float(np.sqrt(max(0.0, 1 - below / whole))), error * float(np.sqrt(1 + above / whole))
 
 
-def ladder(diagnosis: Diagnosis) -> Ladder:
+def build_total_series(diagnosis: Diagnosis) -> WaterfallSeries:
     """Return the steps over all outputs."""
-    yardstick = Yardstick.of(diagnosis)
+    yardstick = OutputScale.of(diagnosis)
     units = set(diagnosis.units)
     single = len(diagnosis.outputs) == 1 and len(units) == 1
     rungs = _rungs(diagnosis, yardstick.total, 0 if single else None)
-    return Ladder("", rungs, rungs[-1].left, _end(rungs))
+    return WaterfallSeries("", rungs, rungs[-1].left, _end(rungs))
 
 
-def ladders(diagnosis: Diagnosis) -> list[Ladder]:
+def build_output_series(diagnosis: Diagnosis) -> list[WaterfallSeries]:
     """Return the steps of each output, all on one axis; nothing for a single output."""
-    yardstick, outputs = Yardstick.of(diagnosis), diagnosis.outputs
+    yardstick, outputs = OutputScale.of(diagnosis), diagnosis.outputs
     known = [k for k in range(len(outputs)) if np.isfinite(yardstick.rms[k])]
     if len(outputs) < 2 or not known:
         return []
     found = {k: _rungs(diagnosis, lambda errors, k=k: yardstick.share(errors, k), k) for k in known}
     end = max(_end(rungs) for rungs in found.values())
-    return [Ladder(outputs[k], rungs, rungs[-1].left, end) for k, rungs in found.items()]
+    return [WaterfallSeries(outputs[k], rungs, rungs[-1].left, end) for k, rungs in found.items()]
 
 
-def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[Rung, ...]:
-    rungs: list[Rung] = []
+def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[WaterfallStep, ...]:
+    rungs: list[WaterfallStep] = []
     for step in diagnosis.waterfall:
         finding = finding_of(step.step, diagnosis.findings)
         label, about, kind = _said(step.step, finding, diagnosis.findings)
@@ -139,11 +139,11 @@ def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[Rung, ...]:
         rms = "" if k is None else quantity(float(step.errors.rms[k]), diagnosis.units[k], steadily=True)
         place = 0 if finding is None else 1 + diagnosis.findings.index(finding)
         joints = () if finding is None else finding.joints
-        rungs.append(Rung(label, about, kind, place, joints, left, low, high, previous, rms))
+        rungs.append(WaterfallStep(label, about, kind, place, joints, left, low, high, previous, rms))
     return tuple(rungs)
 
 
-def _end(rungs: tuple[Rung, ...]) -> float:
+def _end(rungs: tuple[WaterfallStep, ...]) -> float:
     """Return where the axis ends: at the longest bar, or well before it where it dwarfs all others."""
     ends = [r.high for r in rungs if np.isfinite(r.high)]
     others = max(ends[1:], default=0.0)
@@ -169,10 +169,10 @@ def _said(step: str, finding: Finding | None, findings: tuple[Finding, ...]) -> 
     if finding is None:
         return f"+ {step}", (), "cause"
     several = sum(f.cause == finding.cause for f in findings) > 1
-    return f"+ {finding.cause}{f' {listed(finding.joints)}' if several else ''}", figures_of(finding), "cause"
+    return f"+ {finding.cause}{f' {format_list(finding.joints)}' if several else ''}", format_finding(finding), "cause"
 
 
-def figures_of(finding: Finding, most: int = 3) -> tuple[str, ...]:
+def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
     """Return joints and main figures of a finding, such as `cart2`, `1.80 ± 0.10 N`, `period 20.9 mm`."""
     owners = {p.name.rsplit(".", 1)[0] for p in finding.parameters if "." in p.name}
     several = len([p for p in finding.parameters if p.unit == finding.parameters[0].unit]) > 1
@@ -181,11 +181,11 @@ def figures_of(finding: Finding, most: int = 3) -> tuple[str, ...]:
         name = p.name if len(owners) > 1 else p.name.rsplit(".", 1)[-1]
         parts.append(estimate(p) if not k and not several else f"{name} {estimate(p)}")
     more = len(finding.parameters) - most
-    joints = [listed(finding.joints, 4)] if finding.joints else []
+    joints = [format_list(finding.joints, 4)] if finding.joints else []
     return (*joints, *parts, *([f"{more} more"] if more > 0 else []))
 
 
-def spread(rung: Rung) -> str:
+def format_interval(rung: WaterfallStep) -> str:
     """Return a step's 95 % interval."""
     if not np.isfinite(rung.low):
         return ""

@@ -9,8 +9,8 @@ import numpy as np
 from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.study import Study
 from tau_dyn.report import workspace_charts as charts
-from tau_dyn.report.shell import Opening, render
-from tau_dyn.report.words import listed, minus, number, percent
+from tau_dyn.report.formatting import format_list, minus, number, percent
+from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.workspace_space import space_picture, tilt_chart
 from tau_dyn.report.workspace_words import SHOWN_UNITS, SIZE_UNITS, badge, headline, shown, summary, verdict
 
@@ -33,10 +33,10 @@ def workspace_page(found: Study, *, command_line: str = "") -> str:
     """
     judged, space = verdict(found), found.workspace
     robot = space.machine.robot
-    return render(
+    return render_page(
         "workspace.html.j2",
         f"{robot.name}: workspace",
-        Opening(headline(found), judged.level, badge(judged.level), judged.sentence, summary(found)),
+        PageHeader(headline(found), judged.level, badge(judged.level), judged.sentence, summary(found)),
         [],
         robot=robot,
         command_line=command_line,
@@ -138,7 +138,7 @@ def _tilt_words(found: Study) -> str:
     assert found.tilt is not None
     rows = found.tilt.to_dict()
     place = ", ".join(f"{x:.3g}" for x in found.tilt.place)
-    by = listed(sorted({r for r in found.tilt.reason if r}), 4)
+    by = format_list(sorted({r for r in found.tilt.reason if r}), 4)
     limited = f" Stopped by {by}." if by else ""
     return (
         f"At ({place}) m the tool leans {rows['every_way_deg']:.0f}° towards every side and {rows['best_way_deg']:.0f}° "
@@ -153,7 +153,7 @@ def _demands(found: Study) -> list[tuple[str, str]]:
     if space.judge.balls is not None:
         limits = np.rad2deg(np.unique(space.judge.balls.limits[np.isfinite(space.judge.balls.limits)]))
         axes = "given by the robot file" if space.judge.balls.given.all() else "the rods' directions at home"
-        rows.append(("ball joints", f"{listed([f'{x:.4g}°' for x in limits])} from their axes, which are {axes}"))
+        rows.append(("ball joints", f"{format_list([f'{x:.4g}°' for x in limits])} from their axes, which are {axes}"))
     apart = f"come closer than {1e3 * demands.clearance:.4g} mm" if demands.clearance else "touch"
     pairs = (
         f"none of {len(space.judge.pairs)} pairs of solids may {apart}" if space.judge.pairs else "no solids to test"
@@ -163,8 +163,8 @@ def _demands(found: Study) -> list[tuple[str, str]]:
     around = demands.surroundings
     ends = [f"{a} {lo:.4g} to {hi:.4g} m" for a, lo, hi in zip("xyz", around.lower, around.upper, strict=True)
             if np.isfinite([lo, hi]).any()]  # fmt: skip
-    rows += [("tool", listed(ends))] if ends else []
-    rows += [("obstacles", listed([o.name for o in around.obstacles], 12))] if around.obstacles else []
+    rows += [("tool", format_list(ends))] if ends else []
+    rows += [("obstacles", format_list([o.name for o in around.obstacles], 12))] if around.obstacles else []
     rows += [("border", f"{demands.border:g} m kept")] if demands.border else []
     size = frame.upper - frame.lower
     if frame.area > 0:

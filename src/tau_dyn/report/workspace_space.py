@@ -1,7 +1,7 @@
 """The workspace in space with the robot at home in it, and how far the tool leans.
 
 The cloud is a picture of the border's points, nearest on top, shaded by the way they face; frame, carts and plate are
-outlines, rods are lines, drawn over it. The view is that of `space.py`.
+outlines, rods are lines, drawn over it. The view is that of `projection.py`.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import pinocchio as pin
 from markupsafe import Markup
 from scipy import ndimage
 
-from tau_dyn.kinematics.collisions import Placed
+from tau_dyn.kinematics.collisions import PlacedSolid
 from tau_dyn.kinematics.loops import LoopSolver
 from tau_dyn.kinematics.obstacles import Obstacle
 from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace
 from tau_dyn.kinematics.workspace.orientations import Tilt
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.report.space import BOX_EDGES, View, box_corners, outline, seen, triad
+from tau_dyn.report.projection import BOX_EDGES, View, box_corners, outline, project_with_depth, triad
 from tau_dyn.report.svg import path_of, tag
 
 WIDTH, HEIGHT, MARGIN = 700, 520, 30
@@ -77,9 +77,9 @@ def _cloud(found: Study, view: View) -> Markup:
     step = max(1, len(index) // _SPLATS)
     index = index[::step]
     slope = np.stack([np.asarray(g)[tuple(index.T)] for g in np.gradient(soft)], axis=1)
-    facing = -seen(slope)
+    facing = -project_with_depth(slope)
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
-    at = seen(lattice.points(index))
+    at = project_with_depth(lattice.points(index))
     wide = int(np.ceil(1.5 * view.scale * lattice.step * np.sqrt(step) * _FINE))
     pixel = np.rint((view.scale * at[:, :2] + view.shift) * _FINE).astype(int)
     light = 0.62 + 0.38 * np.clip(facing @ np.array([-0.35, -0.55, 0.75]), -0.5, 1.0)
@@ -121,7 +121,7 @@ def png(picture: np.ndarray) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(raw, 9)) + chunk(b"IEND", b"")
 
 
-def _outline(solid: Placed) -> np.ndarray:
+def _outline(solid: PlacedSolid) -> np.ndarray:
     """Return points whose hull is a solid's outline (m, 3); of a rod its two ends."""
     shape, turn, place = solid.shape, solid.rotation[0], solid.position[0]
     if isinstance(shape, Capsule):
@@ -145,7 +145,7 @@ def _outline(solid: Placed) -> np.ndarray:
 def _obstacle(o: Obstacle) -> list[np.ndarray]:
     if isinstance(o.shape, HalfSpace):
         return []
-    return [_outline(Placed(o.shape, o.placement.rotation[None], o.placement.translation[None]))]
+    return [_outline(PlacedSolid(o.shape, o.placement.rotation[None], o.placement.translation[None]))]
 
 
 def _skeleton(found: Study) -> list[np.ndarray]:

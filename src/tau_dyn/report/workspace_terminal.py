@@ -9,8 +9,8 @@ from rich.table import Table
 
 from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.report.formatting import format_list, number, percent
 from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
-from tau_dyn.report.words import listed, number, percent
 from tau_dyn.report.workspace_words import headline, shown, summary, verdict
 
 _BAR = 16
@@ -32,7 +32,7 @@ def print_workspace(console: Console, found: Study, written: Mapping[str, str] |
     say(console, f"Stiffness: {found.catalogue.elasticity}.", "dim")
     if found.sections:
         areas = [f"{s.name}: {number(s.area, 3)} m²" for s in found.sections]
-        say(console, f"Cross-sections {listed(areas)}.")
+        say(console, f"Cross-sections {format_list(areas)}.")
     if found.tilt is not None:
         rows = found.tilt.to_dict()
         say(
@@ -47,7 +47,9 @@ def _reasons(found: Study) -> Table:
     for title, justify in (("why not elsewhere", "left"), ("", "left"), ("share of box", "right"), ("most by", "left")):
         table.add_column(title, justify=justify)  # type: ignore[arg-type]
     for row in found.workspace.counts():
-        most = listed([f"{name} {percent(100 * n / row['points'])}" for name, n in list(row["culprits"].items())[:2]])
+        most = format_list(
+            [f"{name} {percent(100 * n / row['points'])}" for name, n in list(row["culprits"].items())[:2]]
+        )
         table.add_row(*map(plain, [row["reason"], meter(row["share"], _BAR), percent(100 * row["share"]), most]))
     return table
 

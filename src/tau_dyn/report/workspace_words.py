@@ -6,7 +6,7 @@ import numpy as np
 
 from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.report.words import Level, Verdict, count, listed, number, percent
+from tau_dyn.report.formatting import Level, Recommendation, count, format_list, number, percent
 
 SHOWN_UNITS = {"N/m": (1e-6, "N/µm"), "m/s": (1.0, "m/s"), "N": (1.0, "N"), "1": (1.0, "")}
 """Factor and unit in which quantities are shown; files stay in SI."""
@@ -39,14 +39,14 @@ def headline(found: Study) -> str:
     return f"The tool reaches {size_words(found)} within {sides} m, connected to home."
 
 
-def verdict(found: Study) -> Verdict:
+def verdict(found: Study) -> Recommendation:
     """Return how far the numbers may be relied on."""
     space = found.workspace
     half = (space.size.high - space.size.low) / 2 / max(space.size.value, 1e-12)
     level: Level = "good" if half < 0.1 else "care" if half < 0.25 else "poor"
     words = f"Its size is certain to ± {percent(100 * half)}"
     advice = "" if level == "good" else f"; half the resolution of {number(space.lattice.step, 2)} m halves that"
-    return Verdict(level, f"{words}{advice}. {limits_words(found)}")
+    return Recommendation(level, f"{words}{advice}. {limits_words(found)}")
 
 
 def limits_words(found: Study) -> str:
@@ -56,7 +56,7 @@ def limits_words(found: Study) -> str:
     if not rows:
         return "Nothing but the robot's reach bounds it."
     named = [f"{row['reason']} ({percent(100 * row['share'])})" for row in rows[:3]]
-    return f"Beside reach it is cut by {listed(named)} of the box searched."
+    return f"Beside reach it is cut by {format_list(named)} of the box searched."
 
 
 def summary(found: Study) -> str:

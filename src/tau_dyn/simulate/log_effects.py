@@ -21,7 +21,7 @@ from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.effects.state import on_recording
 from tau_dyn.effects.timing import TimingEffect
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.names import ROOM_TEMPERATURE
+from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.simulate.memory import Memory, batch, warming_up
 from tau_dyn.simulate.plant import PlantRun

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log, differentiate, ensure_even, motion_band
-from tau_dyn.log.names import ROOM_TEMPERATURE
+from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.forces import SampledForces

@@ -11,7 +11,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
-from tau_dyn.log.table import LARGEST, read_table
+from tau_dyn.log.table import MAX_MAGNITUDE, read_table
 from tau_dyn.robot import Robot
 from tau_dyn.view import recompute
 from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Finding, Findings, Uncertainty
@@ -65,7 +65,7 @@ def read_cloud(path: Path) -> Cloud:
     columns = {column: table.numbers_or_none(column) for column in table.cells}
     numbers = {column: values for column, values in columns.items() if values is not None}
     for name in names:
-        if name not in numbers or np.any(np.abs(numbers[name]) >= LARGEST):
+        if name not in numbers or np.any(np.abs(numbers[name]) >= MAX_MAGNITUDE):
             table.numbers(name)  # says where the text or the giant stands
     shown = np.arange(len(table.places))
     if "inside" in numbers and set(numbers["inside"]) <= {0, 1}:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
-from tau_dyn.modes.on_robot import ShapesOnRobot, Swing
+from tau_dyn.modes.on_robot import ModeShape, ShapesOnRobot
 from tau_dyn.view.palette import NAMED, ROLES, plain
 from tau_dyn.view.placement import wxyz
 from tau_dyn.view.scene import between
@@ -48,7 +48,7 @@ class SwingPanel:
         self._say()
 
     @property
-    def swing(self) -> Swing:
+    def swing(self) -> ModeShape:
         """The shape that is shown; the measured one where the robot file has none."""
         pair = self._pairs[self._mode.value]
         return pair.model if self._source.value == OWN and pair.model is not None else pair.measured
@@ -80,7 +80,7 @@ class SwingPanel:
         self._draw_arrows(swing)
         self.draw(np.exp(1j * self._phase))
 
-    def _draw_arrows(self, swing: Swing) -> None:
+    def _draw_arrows(self, swing: ModeShape) -> None:
         """Draw how far each sensor swings to either side."""
         reach = 2.2 * _REACH * self._viewer.size * float(self._size.value)
         rows = []

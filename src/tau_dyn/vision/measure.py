@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.log.names import listed
+from tau_dyn.log.column_names import format_names
 from tau_dyn.vision.album import Album, Images, check_cameras, check_some, read_album
 from tau_dyn.vision.bundle import Views
 from tau_dyn.vision.cameras import Cameras, check_lens
@@ -131,7 +131,7 @@ def _robot(
         name for name, row, aside in zip(names, q, extra, strict=True) if not aside and not np.isfinite(row).all()
     ]
     said = f"{len(lacking)} images have no robot position in {positions.source} and served the cameras only: "
-    said += listed(lacking[:5])
+    said += format_names(lacking[:5])
     return q, positions.joints, [said] if lacking else []
 
 
@@ -144,7 +144,7 @@ def _doubts(seen: Album, refused: dict[str, str], solved: Solved, names: list[st
     unsure = [names[k] for k in keep if solved.unsure[k]]
     if unsure:
         said.append(
-            f"the tilt of {len(unsure)} plates has two answers of nearly the same picture ({listed(unsure[:5])}); "
+            f"the tilt of {len(unsure)} plates has two answers of nearly the same picture ({format_names(unsure[:5])}); "
             "their orientations are unsure: tilt the plate by 20 degrees or more, come closer, or use two cameras"
         )
     for c, noise in enumerate(solved.bundle.noise):

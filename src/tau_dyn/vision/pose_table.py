@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.names import listed
+from tau_dyn.log.column_names import format_names
 from tau_dyn.log.table import read_table
 from tau_dyn.vision.cameras import Cameras
 
@@ -154,7 +154,7 @@ class Positions:
                 f"{self.source}, column image: {unknown[0]} and all others are not among the images, such as {names[0]}"
             )
         if unknown:
-            raise InputError(f"{self.source}, column image: {listed(unknown[:5])} not among the images given")
+            raise InputError(f"{self.source}, column image: {format_names(unknown[:5])} not among the images given")
         return np.array([self.q[row[n]] if n in row else np.full(self.q.shape[1], np.nan) for n in names]).reshape(
             len(names), -1
         )
@@ -171,7 +171,7 @@ def read_positions(path: str | Path) -> Positions:
     if not columns:
         raise InputError(
             f"{table.name} has no column q_<joint>; robot positions need one for each actuated joint; "
-            f"it has {listed(table.cells)}"
+            f"it has {format_names(table.cells)}"
         )
     q = np.column_stack([table.numbers(name) for name in columns])
     images = None

@@ -22,8 +22,8 @@ from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
 from tau_dyn.calibrate.poses.tour import plan_tour
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.obstacles import Surroundings, surroundings_from
-from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.report.poses_terminal import headline, rehearsal_words, summary
 
 LAB = surroundings_from(
@@ -34,7 +34,7 @@ LAB = surroundings_from(
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     """A plan for L1 with a camera and a table."""
-    return plan_campaign(l1(), camera(), 20, demands=Demands(surroundings=LAB), candidates=250, runs=2)
+    return plan_campaign(l1(), camera(), 20, demands=PoseRequirements(surroundings=LAB), candidates=250, runs=2)
 
 
 def test_plan_has_what_was_asked_for(plan: Plan) -> None:
@@ -59,28 +59,28 @@ def test_candidates_keep_their_distance() -> None:
     """With safety distances, the tool can go as far to every side, the ball joints and the travel keep their reserve."""
     machine = machine_of(l1())
     safety = Safety(distance=0.1, angle=np.deg2rad(10.0), travel=0.05)
-    found = find_reachable(machine, Demands(surroundings=LAB), safety, wanted=200)
+    found = find_reachable(machine, PoseRequirements(surroundings=LAB), safety, wanted=200)
     assert found.n > 30
-    plain = PathCheck(machine, Demands(surroundings=LAB, ball_angle=np.deg2rad(35.0 + 1e-6), collisions=False))
+    plain = PathCheck(machine, PoseRequirements(surroundings=LAB, ball_angle=np.deg2rad(35.0 + 1e-6), collisions=False))
     assert (plain.reasons(found.q) == "").all()
     for step in 0.099 * np.vstack([np.eye(3), -np.eye(3)]):
         moved = machine.solve(at(*(found.tool.position + step)))
         assert moved.ok.all()
     travel = l1().upper - l1().lower
     assert (found.q >= l1().lower + 0.05 * travel).all() and (found.q <= l1().upper - 0.05 * travel).all()
-    wide = find_reachable(machine, Demands(collisions=False), Safety(0.1, 0.0, 0.0), wanted=200)
-    free = PathCheck(machine, Demands(collisions=False))
+    wide = find_reachable(machine, PoseRequirements(collisions=False), Safety(0.1, 0.0, 0.0), wanted=200)
+    free = PathCheck(machine, PoseRequirements(collisions=False))
     for step in 0.099 * np.vstack([np.eye(3), -np.eye(3)]):
         assert (free.reasons(machine.solve(at(*(wide.tool.position + step))).q) == "").all()
     assert LAB.obstacles[0].distance(found.tool.position).min() >= 0.1
-    assert find_reachable(machine, Demands(), Safety(0.0, 0.0, 0.0), wanted=200).n > 0
+    assert find_reachable(machine, PoseRequirements(), Safety(0.0, 0.0, 0.0), wanted=200).n > 0
 
 
 def test_more_safety_leaves_fewer_poses_and_too_much_none() -> None:
     """A safety distance beyond half the workspace leaves nothing; that is said, with what would help."""
     machine = machine_of(l1())
     with pytest.raises((CannotAnswer, InputError), match="safety|belong"):
-        find_reachable(machine, Demands(), Safety(distance=1.2), wanted=200)
+        find_reachable(machine, PoseRequirements(), Safety(distance=1.2), wanted=200)
     with pytest.raises(InputError, match="share of the travel"):
         Safety(travel=0.7)
     with pytest.raises(InputError, match="safety distances"):
@@ -209,7 +209,7 @@ def test_a_progress_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
 def test_the_gate_refuses_with_what_would_help(plan: Plan) -> None:
     """An accuracy beyond so many poses is refused with the number that would do; an impossible one asks for a better device."""
-    few = {"demands": Demands(collisions=False), "candidates": 250, "runs": 1}
+    few = {"demands": PoseRequirements(collisions=False), "candidates": 250, "runs": 1}
     with pytest.raises(CannotAnswer, match="asked for") as fault:
         plan_campaign(l1(), camera(), 10, required=0.6 * plan.choice.predicted.rms, **few)
     assert re.search(r"about \d+ poses instead of 10", fault.value.experiment)
@@ -225,7 +225,7 @@ def test_zones_for_the_tool_hide_nothing() -> None:
     for blocks in ("tool", "robot"):
         around: Surroundings = surroundings_from({"obstacles": [zone | {"blocks": blocks}]}, "lab")
         try:
-            given = Demands(surroundings=around, collisions=False)
+            given = PoseRequirements(surroundings=around, collisions=False)
             made.append(len(plan_campaign(l1(), camera(), 10, demands=given, candidates=120, runs=1).visible.index))
         except CannotAnswer as fault:
             assert "hidden by zone" in str(fault)

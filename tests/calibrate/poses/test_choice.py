@@ -12,16 +12,16 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from pose_rigs import candidates, l1_geometry
 
-from tau_dyn.calibrate.fit import fit
-from tau_dyn.calibrate.geometry import tie
+from tau_dyn.calibrate.geometry import constrain_parameters
+from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses.choice import PoseChoice, choose_from, choose_poses
 from tau_dyn.calibrate.poses.criteria import NAMES, criterion_of, indices
 from tau_dyn.calibrate.poses.design import Design, build_design
 from tau_dyn.calibrate.poses.devices import UniformDevice, noisy, seen
-from tau_dyn.calibrate.poses.enough import doubling_gain, fewest
 from tau_dyn.calibrate.poses.exchange import PoseExchange, leave_one_out
-from tau_dyn.calibrate.poses.gate import draw_robot, measured_by
+from tau_dyn.calibrate.poses.monte_carlo import draw_robot, measured_by
+from tau_dyn.calibrate.poses.pose_count import compute_min_poses, doubling_gain
 from tau_dyn.calibrate.poses.prediction import Prediction, predict
 from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.exceptions import InputError, UnknownName
@@ -93,7 +93,7 @@ def test_predicted_accuracy_comes_true(design: Design, n: int) -> None:
     geometry, errors = l1_geometry(), []
     for rng in np.random.default_rng(11).spawn(24):
         theta = draw_robot(geometry, design.q, 0.1 * design.unknowns.scales[:21], rng)
-        fitted = fit(geometry, measured_by(device, geometry, theta, choice.q, rng))
+        fitted = fit_geometry_to_poses(geometry, measured_by(device, geometry, theta, choice.q, rng))
         truth = PoseSet(design.q, seen(device.frames, geometry.forward(theta, design.q).poses).position)
         errors.append(fitted.errors(truth).position_size.rms)
     made = choice.predicted
@@ -120,7 +120,7 @@ def test_more_poses_never_hurt_and_are_worth_less_and_less(design: Design) -> No
 def test_auto_stops_where_the_gain_falls_below_the_threshold(design: Design) -> None:
     """One pose less and twice as many would still be worth the threshold; a smaller threshold asks for more poses."""
     loose, tight = choose_from(design, gain=0.06), choose_from(design, gain=0.03)
-    assert fewest(design) <= loose.n < tight.n
+    assert compute_min_poses(design) <= loose.n < tight.n
     assert doubling_gain(loose.curve[-1]) < 0.06 <= doubling_gain(loose.curve[-2])
 
 
@@ -154,7 +154,7 @@ def test_uneven_noise_is_predicted_for_both_kinds_of_fit() -> None:
         made[weighted] = predict(build_design(geometry, q, cov, weighted=weighted), index).rms
     for rng in np.random.default_rng(5).spawn(16):
         measured = noisy(places.take(index), cov[index], rng)
-        plain = fit(geometry, PoseSet(q[index], measured.position))
+        plain = fit_geometry_to_poses(geometry, PoseSet(q[index], measured.position))
         for weighted, fitted in ((False, plain), (True, refine(plain, cov[index]))):
             errors[weighted].append(fitted.errors(PoseSet(q, places.position)).position_size.rms)
     for weighted, reached in errors.items():
@@ -242,4 +242,4 @@ def test_nothing_free_is_refused() -> None:
     """A geometry without free parameters, frames known, leaves nothing to choose for."""
     names = l1_geometry().parameters.names
     with pytest.raises(InputError, match="no parameter is free"):
-        build_design(tie(l1_geometry(), {}, names), candidates(), (1e-4,), device=False)
+        build_design(constrain_parameters(l1_geometry(), {}, names), candidates(), (1e-4,), device=False)

@@ -14,14 +14,14 @@ from pose_rigs import MIDDLE, at, camera, candidates, l1, tracker
 from tau_dyn.calibrate.poses.camera import Pattern, looking
 from tau_dyn.calibrate.poses.device_file import read_camera, read_tracker
 from tau_dyn.calibrate.poses.devices import seen
+from tau_dyn.calibrate.poses.line_of_sight import find_occlusions
 from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.calibrate.poses.reachable import Reachable
-from tau_dyn.calibrate.poses.sight import hidden
 from tau_dyn.calibrate.poses.visible import find_visible
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.obstacles import Surroundings, surroundings_from
-from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 
 SPREAD = at((1.7, -0.6, 0.7), (1.4, -0.2, 1.0), (2.1, -0.9, 0.4), (1.8, -0.3, 0.3))
 
@@ -148,27 +148,27 @@ def test_an_obstacle_between_hides_the_target_one_behind_does_not() -> None:
     post = {"cylinder": {"centre": [3.5, -0.6, 0.7], "radius": 0.05, "height": 3}}
     behind = {"cylinder": {"centre": [0.9, -0.6, 0.7], "radius": 0.05, "height": 3}}
     beside = {"cylinder": {"centre": [3.5, 0.3, 0.7], "radius": 0.05, "height": 3}}
-    assert hidden(camera(), place, q, around(**post), None)[0] == "hidden by post"
-    assert hidden(camera(), place, q, around(**behind), None)[0] == ""
-    assert hidden(camera(), place, q, around(**beside), None)[0] == ""
-    assert hidden(tracker(), place, q, around(**post), None)[0] == "hidden by post"
+    assert find_occlusions(camera(), place, q, around(**post), None)[0] == "hidden by post"
+    assert find_occlusions(camera(), place, q, around(**behind), None)[0] == ""
+    assert find_occlusions(camera(), place, q, around(**beside), None)[0] == ""
+    assert find_occlusions(tracker(), place, q, around(**post), None)[0] == "hidden by post"
 
 
 def test_the_robot_hides_its_own_target() -> None:
     """Seen from behind the guideways the rods and carts stand between; from the front nothing does."""
     machine, q = machine_of(l1()), l1().home[None]
-    front = hidden(tracker(), machine.home, q, Surroundings(), machine)
+    front = find_occlusions(tracker(), machine.home, q, Surroundings(), machine)
     arm = machine.rods.base_points(q)[0, 0]
     direction = arm - machine.home.position[0]
     back = tracker(tuple(machine.home.position[0] + 1.2 * direction))
     assert front[0] == ""
-    assert "robot's own" in hidden(back, machine.home, q, Surroundings(), machine)[0]
+    assert "robot's own" in find_occlusions(back, machine.home, q, Surroundings(), machine)[0]
 
 
 def test_a_camera_inside_an_obstacle_is_refused_and_none_in_sight_says_why() -> None:
     """A camera in a box is a fault of the input; one that looks away cannot answer, and says what would help."""
     machine = machine_of(l1())
-    check = PathCheck(machine, Demands(collisions=False))
+    check = PathCheck(machine, PoseRequirements(collisions=False))
     q = candidates()[::20]
     reach = Reachable(q, check.poses(q)[0], check, ())
     box = around(box={"centre": [5.5, -0.6, 0.7], "size": [0.3, 0.3, 0.3]})

@@ -14,9 +14,9 @@ from tau_dyn.control import (
     LearningLaw,
     MotorSide,
     TimeShift,
+    apply_correction,
+    build_correction,
     controlled_actuators,
-    corrected,
-    correction_of,
     learn,
     low_pass,
     read_correction,
@@ -117,12 +117,12 @@ def test_a_learned_correction_comes_back_from_its_file(tmp_path) -> None:
     repeated = Repeated(0.004, motion.q, np.zeros((motion.n_samples, 3)), 100, 300, 50)
     law = LearningLaw(MotorSide(model), (low_pass(10, 0.004),) * 3, TimeShift(0.9, 2, 0.004))
     done = learn(_Lagging(), repeated, law, iterations=3)
-    correction = correction_of(done, law, ROBOT.actuated)
+    correction = build_correction(done, law, ROBOT.actuated)
     write_correction(tmp_path / "c.csv", MODEL, motion, correction)
     found = read_correction(tmp_path / "c.csv", ROBOT.actuated)
     np.testing.assert_allclose(found.dq, done.corrections[-1], rtol=0, atol=1e-11)
     assert np.abs(found.dq).max() > 1e-4 and found.motion == digest(motion)
-    both = corrected(MODEL, motion, found)
+    both = apply_correction(MODEL, motion, found)
     np.testing.assert_allclose(both.q, motion.q + done.corrections[-1], rtol=0, atol=1e-11)
     middle = slice(5, -5)
     np.testing.assert_allclose(found.dv[middle], (both.v - motion.v)[middle], rtol=0, atol=2e-3 * np.abs(both.v).max())

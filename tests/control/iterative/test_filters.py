@@ -10,9 +10,9 @@ from tau_dyn.control.iterative import (
     Reference,
     TimeShift,
     ZeroPhase,
+    analyse_convergence,
     band_stop,
     controlled_actuators,
-    convergence,
     dip,
     low_pass,
     product,
@@ -70,7 +70,7 @@ def test_case_1_has_the_singular_values_of_the_thesis() -> None:
     """(7.28): 0.90, 0.91, 0.93 from (6.11), gain 0.9, shift 5, second-order Butterworth at 10 Hz."""
     drives = controlled_actuators([Actuator.from_discrete(b, a, 5, DT) for b, a in PRINTED], DT)
     m = Reference(DT, np.zeros((900, 3)), np.zeros((900, 3)), 150, 750)
-    found = convergence(LearningLaw(MotorSide(drives), (low_pass(10, DT),) * 3, TimeShift(0.9, 5, DT)), m)
+    found = analyse_convergence(LearningLaw(MotorSide(drives), (low_pass(10, DT),) * 3, TimeShift(0.9, 5, DT)), m)
     assert_allclose(found.singular, (0.90, 0.91, 0.93), atol=0.01)
     assert found.monotone and found.stable
 

@@ -13,7 +13,7 @@ from tau_dyn.control.iterative import (
     NormOptimalLaw,
     TimeShift,
     ToolSide,
-    convergence,
+    analyse_convergence,
     iteration_operator,
     learn,
     low_pass,
@@ -82,7 +82,7 @@ def test_operator_is_the_printed_matrix() -> None:
     on = m.weights() > 0
     ours = iteration_operator(one, m) @ np.eye(2 * m.n)
     assert_allclose(ours[: m.n, : m.n][:, on], H[:, on], atol=1e-12)
-    found = convergence(one, m)
+    found = analyse_convergence(one, m)
     assert_allclose(found.singular[0], np.linalg.svd(H[:, on], compute_uv=False)[0], rtol=1e-5)
 
 
@@ -114,7 +114,7 @@ def test_dips_let_a_resonance_be_passed() -> None:
     Q = robust_filter(side, L, 30.0, growth=0.8)
     low, at, above = Q.response(np.array([2.0, 9.0, 22.0]))
     assert low > 0.9 and at < 0.2 and above > 2 * at
-    found = convergence(LearningLaw(side, (Q, Q), L), motion())
+    found = analyse_convergence(LearningLaw(side, (Q, Q), L), motion())
     assert found.monotone and max(found.singular) < 0.85
 
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from tau_dyn.control import Feedforward
 from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
 from tau_dyn.control.motion.coordinates import Free
-from tau_dyn.control.motion.judge import tightened
+from tau_dyn.control.motion.limit_check import tighten_limits
 from tau_dyn.control.motion.nodes import Nodes
 from tau_dyn.control.motion.path import joint_line
 from tau_dyn.exceptions import CannotAnswer
@@ -159,10 +159,10 @@ def test_what_a_limit_is_left_by_between_the_nodes_is_tightened():
     none = np.zeros((21, 0))
     nodes, ones = Nodes(np.zeros((11, 1)), np.zeros((11, 1)), ddx, none, none, T=1.0), np.ones((21, 1))
     law = Feedforward(model, width=0.02)
-    share = tightened(ones, nodes, coordinates, law, limits, [("force", 0)])
+    share = tighten_limits(ones, nodes, coordinates, law, limits, [("force", 0)])
     assert share is not None and share[8, 0] == pytest.approx(1 / 1.05) and np.sum(share < 1) <= 3
     ddx[4] = 0.99 * 400.0 / 95.0
-    assert tightened(ones, nodes, coordinates, law, limits, [("force", 0)]) is None
+    assert tighten_limits(ones, nodes, coordinates, law, limits, [("force", 0)]) is None
 
 
 def test_no_plan_leaves_the_conditionings_limit(gantry):

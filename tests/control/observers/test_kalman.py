@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm, solve_discrete_are
 
-from tau_dyn.control.observers import KalmanToolObserver, extended, log_likelihood, tune_kalman, whiteness
+from tau_dyn.control.observers import KalmanToolObserver, extend_model, log_likelihood, tune_kalman, whiteness
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes import StateSpace
 
@@ -39,7 +39,7 @@ def log(seed: int, n: int = 2000, direct: float = 0.0) -> tuple[np.ndarray, np.n
 
 def test_extended_matrices_are_the_printed_ones() -> None:
     """(7.21) block by block, for a model without a direct part."""
-    m, e = spring(), extended(spring())
+    m, e = spring(), extend_model(spring())
     differ = m.C @ (m.A - np.eye(2)) / DT
     assert not e.ahead
     assert_allclose(e.A, np.block([[m.A, np.zeros((2, 2))], [differ, 0, 0], [differ / DT, -1 / DT, 0]]))
@@ -49,7 +49,7 @@ def test_extended_matrices_are_the_printed_ones() -> None:
 @pytest.mark.parametrize("direct", [0.0, -0.25])
 def test_acceleration_state_is_the_acceleration_one_sample_before(direct) -> None:
     """Second differences of the position: x_a at a sample belongs to the sample before it, with a direct part too."""
-    e = extended(spring(direct))
+    e = extend_model(spring(direct))
     u = np.sin(0.05 * np.arange(60.0))
     x, z, a = np.zeros(len(e.A)), [], []
     for k in range(1, 60):
@@ -62,7 +62,7 @@ def test_acceleration_state_is_the_acceleration_one_sample_before(direct) -> Non
 def test_gain_is_that_of_the_riccati_equation() -> None:
     """K = A P Cy' (Cy P Cy' + R2)^-1 with P from scipy's solver, for the thesis' R1 = r I."""
     r = 1e-6 * np.eye(4)
-    observer, e = KalmanToolObserver(spring(), r, NOISE**2), extended(spring())
+    observer, e = KalmanToolObserver(spring(), r, NOISE**2), extend_model(spring())
     P = solve_discrete_are(e.A.T, e.acceleration.T, r, NOISE**2 * np.eye(1))
     S = e.acceleration @ P @ e.acceleration.T + NOISE**2
     assert_allclose(observer.gain, e.A @ P @ e.acceleration.T / S, rtol=1e-10)

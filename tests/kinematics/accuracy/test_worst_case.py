@@ -11,7 +11,7 @@ import pytest
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy import (
     ActuatorError,
-    Errors,
+    ErrorBounds,
     RodError,
     device_of,
     ellipsoids,
@@ -22,7 +22,7 @@ from tau_dyn.kinematics.accuracy import (
 from tau_dyn.kinematics.accuracy import certified as certified_bound
 from tau_dyn.kinematics.accuracy.monte_carlo import draw, monte_carlo
 from tau_dyn.kinematics.accuracy.rod_device import Moved, State
-from tau_dyn.kinematics.accuracy.worst import first_order, worst_case
+from tau_dyn.kinematics.accuracy.worst_case import first_order, worst_case
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import build_rods
@@ -51,8 +51,11 @@ def poses_of(rods, n: int = 5, seed: int = 0) -> tuple[np.ndarray, Poses]:
 def test_random_errors_stay_below_the_exact_worst_case_and_that_below_the_proved_bound() -> None:
     """No draw within the bounds moves the tool farther than the exact worst case, and none farther than what is proved."""
     for arms, errors in (
-        ("simplified", Errors(CASE_2, {"rod2": RodError(5e-5, 2e-5, 1e-5)})),
-        ("complete", Errors(CASE_2, {name: RodError(1e-5, 2e-5, 3e-5) for name in rods_of(arms="complete").names})),
+        ("simplified", ErrorBounds(CASE_2, {"rod2": RodError(5e-5, 2e-5, 1e-5)})),
+        (
+            "complete",
+            ErrorBounds(CASE_2, {name: RodError(1e-5, 2e-5, 3e-5) for name in rods_of(arms="complete").names}),
+        ),
     ):
         rods = rods_of(arms=arms)
         q, tool = poses_of(rods, 3)
@@ -72,7 +75,7 @@ def test_orthogonal_rods_with_equal_errors_err_by_root_three() -> None:
     """Orthogonal rods turn balls of radius r into a cube: the tool errs by sqrt(3) r, and never by less elsewhere."""
     rods = rods_of("l1")
     r = 1e-6
-    errors = Errors({j: same_in_all_directions(r) for j in rods.robot.actuated})
+    errors = ErrorBounds({j: same_in_all_directions(r) for j in rods.robot.actuated})
     device = device_of(rods.robot, rods, errors)
     q, tool = poses_of(rods, 60)
     state = device.state(q, tool)
@@ -92,7 +95,7 @@ def test_parallelepiped_is_the_brute_force_over_corners_for_small_errors() -> No
     """The farthest of the eight exact corners, found with lengths L +- h by forward kinematics, is A.4's longest diagonal."""
     rods = rods_of("l1")
     h = np.array([32e-6, 77e-6, 54e-6])
-    errors = Errors({j: same_in_all_directions(x) for j, x in zip(rods.robot.actuated, h, strict=True)})
+    errors = ErrorBounds({j: same_in_all_directions(x) for j, x in zip(rods.robot.actuated, h, strict=True)})
     device = device_of(rods.robot, rods, errors)
     q, tool = poses_of(rods, 1)
     state = device.state(q, tool)
@@ -114,7 +117,7 @@ def test_linear_departs_from_exact_with_the_square_of_the_errors() -> None:
     q, tool = poses_of(rods, 3)
     missed = []
     for scale in (10.0, 100.0):
-        errors = Errors(CASE_2).scaled(scale)
+        errors = ErrorBounds(CASE_2).scaled(scale)
         found = positioning_errors(
             device_of(rods.robot, rods, errors), errors, q, tool, methods=["parallelepiped", "exact"]
         )
@@ -127,7 +130,7 @@ def test_thesis_ellipsoids_are_exact_for_balls_and_too_thin_otherwise() -> None:
     rods = rods_of()
     q, tool = poses_of(rods)
     for actuators, equal in (({j: same_in_all_directions(5e-5) for j in CASE_2}, True), (CASE_2, False)):
-        errors = Errors(actuators)
+        errors = ErrorBounds(actuators)
         device = device_of(rods.robot, rods, errors)
         state = device.state(q, tool)
         shifts, count = ellipsoids.corners(device, state)
@@ -144,7 +147,7 @@ def test_thesis_ellipsoids_are_exact_for_balls_and_too_thin_otherwise() -> None:
 def test_errors_that_carts_share_turn_no_plate() -> None:
     """A cart moves all its rods alike: parallel rods keep the plate's orientation, and the tool goes as with one rod."""
     simple, complete = rods_of("l1"), rods_of("l1", "complete")
-    errors = Errors({"cart2": ActuatorError(3e-5, 6e-5), "cart3": same_in_all_directions(5e-5)})
+    errors = ErrorBounds({"cart2": ActuatorError(3e-5, 6e-5), "cart3": same_in_all_directions(5e-5)})
     q = simple.robot.home[None]
     sizes = []
     for rods in (simple, complete):
@@ -159,7 +162,7 @@ def test_errors_that_carts_share_turn_no_plate() -> None:
 def test_sensitivity_is_the_derivative_of_the_solved_constraints() -> None:
     """Central differences of the closed robot agree with the sensitivity, position and orientation, tool lever included."""
     for rods in (rods_of("d1", "complete"), build_rods(load_robot("stewart"))):
-        errors = Errors(
+        errors = ErrorBounds(
             {j: ActuatorError(1e-3) for j in rods.robot.actuated}, {n: RodError(1e-3, 1e-3, 1e-3) for n in rods.names}
         )
         device = device_of(rods.robot, rods, errors)
@@ -178,7 +181,7 @@ def test_near_a_singularity_the_linear_bound_is_wrong_and_nothing_is_proved() ->
     """Nearer to the plane of the base points the first-order bound runs off, the exact one says so, and no bound is certified."""
     rods = rods_of("l1")
     robot = rods.robot
-    errors = Errors({j: same_in_all_directions(2e-3) for j in robot.actuated})
+    errors = ErrorBounds({j: same_in_all_directions(2e-3) for j in robot.actuated})
     A = rods.base_points(robot.home[None])[0]
     n = np.cross(A[1] - A[0], A[2] - A[0])
     n /= np.linalg.norm(n)
@@ -243,7 +246,7 @@ def test_draws_fill_their_balls_evenly() -> None:
 def test_one_actuator_moves_the_tool_by_its_jacobian_column() -> None:
     """With one interval error all methods that take it agree on the Jacobian's column times the error."""
     rods = rods_of("l1")
-    errors = Errors({"cart1": ActuatorError(1e-6)})
+    errors = ErrorBounds({"cart1": ActuatorError(1e-6)})
     q, tool = poses_of(rods, 4)
     found = positioning_errors(
         device_of(rods.robot, rods, errors), errors, q, tool, methods=["linear", "parallelepiped", "exact"]
@@ -259,8 +262,8 @@ def test_bad_requests_are_refused() -> None:
     """No errors, unknown methods and poses that are no numbers end in one sentence."""
     rods = rods_of("l1")
     with pytest.raises(InputError, match="all errors are zero"):
-        device_of(rods.robot, rods, Errors())
-    errors = Errors({"cart1": ActuatorError(1e-6)})
+        device_of(rods.robot, rods, ErrorBounds())
+    errors = ErrorBounds({"cart1": ActuatorError(1e-6)})
     device = device_of(rods.robot, rods, errors)
     q, tool = poses_of(rods, 1)
     with pytest.raises(InputError, match="no method named 'guess'"):

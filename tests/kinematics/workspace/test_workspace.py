@@ -12,7 +12,7 @@ import pytest
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.obstacles import surroundings_from
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace import Demands, find_workspace, tilt
+from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace, tilt
 from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.kinematics.workspace.study import study
 from tau_dyn.robot import load_robot
@@ -28,14 +28,16 @@ def _robots():
 
 
 robots = _robots()
-FREE = Demands(ball_angle=np.pi, condition=1e9)
+FREE = PoseRequirements(ball_angle=np.pi, condition=1e9)
 """Nothing asked but actuator limits and the side of singularities."""
 ANNULUS = np.pi * (0.7**2 - 0.1**2)
 
 
-def obstacle(**more: object) -> Demands:
+def obstacle(**more: object) -> PoseRequirements:
     entry = {"name": "block", **more}
-    return Demands(ball_angle=np.pi, condition=1e9, surroundings=surroundings_from({"obstacles": [entry]}, "test"))
+    return PoseRequirements(
+        ball_angle=np.pi, condition=1e9, surroundings=surroundings_from({"obstacles": [entry]}, "test")
+    )
 
 
 def reasons(found) -> dict[str, int]:
@@ -102,7 +104,7 @@ def test_every_excluded_point_has_a_reason(gantry) -> None:
 def test_tighter_ball_joints_only_take_away(gantry) -> None:
     """Every point within 25 degrees is within 40 degrees; a rod at 25 degrees and no more is the border."""
     narrow, wide = (
-        find_workspace(gantry, resolution=0.08, demands=Demands(ball_angle=np.deg2rad(a), condition=1e9))
+        find_workspace(gantry, resolution=0.08, demands=PoseRequirements(ball_angle=np.deg2rad(a), condition=1e9))
         for a in (25, 40)
     )
     assert not (narrow.inside & ~wide.inside).any()
@@ -167,7 +169,9 @@ def test_rod_hits_an_obstacle_that_the_tool_does_not(gantry) -> None:
 def test_margin_to_the_border_erodes(gantry) -> None:
     """A pose kept 0.1 m from the border has only poses of the workspace within 0.1 m."""
     whole = find_workspace(gantry, resolution=0.05, demands=FREE)
-    kept = find_workspace(gantry, resolution=0.05, demands=Demands(ball_angle=np.pi, condition=1e9, border=0.1))
+    kept = find_workspace(
+        gantry, resolution=0.05, demands=PoseRequirements(ball_angle=np.pi, condition=1e9, border=0.1)
+    )
     assert not (kept.inside & ~whole.inside).any()
     index = np.argwhere(kept.inside)
     assert len(index) > 50
@@ -178,14 +182,14 @@ def test_margin_to_the_border_erodes(gantry) -> None:
 
 def test_probe_finds_a_hole_between_coarse_points() -> None:
     """A block of 5 cm within a coarse cell of 8 cm is found by the random points and then followed."""
-    from tau_dyn.kinematics.workspace.lattice import explore, lattice_over
+    from tau_dyn.kinematics.workspace.lattice import classify_lattice, lattice_over
 
     lattice = lattice_over(np.zeros(3), np.full(3, 0.64), np.zeros(3), 0.01, 8)
 
     def classify(points: np.ndarray) -> np.ndarray:
         return np.where(np.abs(points - 0.44).max(axis=1) < 0.0251, 1, 0)
 
-    found = explore(lattice, classify, probes=4000)
+    found = classify_lattice(lattice, classify, probes=4000)
     assert int((~found.inside).sum()) == 5**3
     assert int(found.asked.sum()) < 0.2 * found.code.size
 

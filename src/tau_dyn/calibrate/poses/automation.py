@@ -19,7 +19,7 @@ from tau_dyn.calibrate.poses.camera import Camera
 from tau_dyn.calibrate.poses.choice import PoseChoice, choose_from
 from tau_dyn.calibrate.poses.design import build_design
 from tau_dyn.calibrate.poses.devices import Device, UniformDevice
-from tau_dyn.calibrate.poses.gate import Rehearsal, approve, rehearse
+from tau_dyn.calibrate.poses.monte_carlo import MonteCarloCalibration, require_accuracy, simulate_calibrations
 from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.progress_file import Progress, new_progress
@@ -29,8 +29,8 @@ from tau_dyn.calibrate.poses.tour import Tour, plan_tour
 from tau_dyn.calibrate.poses.visible import Visible, find_visible
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.robot import Robot
 
 _NOISE = (1e-4, 1e-4)
@@ -61,7 +61,7 @@ class Plan:
     reachable: Reachable
     visible: Visible
     choice: PoseChoice
-    rehearsal: Rehearsal
+    rehearsal: MonteCarloCalibration
     tour: Tour
     check: PathCheck
     warnings: tuple[str, ...]
@@ -115,7 +115,7 @@ def plan_campaign(
     *,
     model: str | None = None,
     criterion: str = "tool",
-    demands: Demands | None = None,
+    demands: PoseRequirements | None = None,
     safety: Safety | None = None,
     required: float | None = None,
     known: Sequence[str] = (),
@@ -153,7 +153,7 @@ def plan_campaign(
         CannotAnswer: No pose can be reached or seen, or the calibration would not be accurate enough; says what would
             help.
     """
-    demands = demands if demands is not None else Demands()
+    demands = demands if demands is not None else PoseRequirements()
     machine = machine_of(robot)
     geometry = geometry_of(robot, model)
     device = _device_for(geometry, device)
@@ -179,8 +179,8 @@ def plan_campaign(
     choice = choose_from(design, n, criterion=criterion, target=required, seed=seed)
     progress("simulated calibration")
     said = _weighing(choice)
-    rehearsal = rehearse(choice, device, runs=runs, seed=seed, fix=fix, free=free, known=known)
-    approve(choice, rehearsal, required)
+    rehearsal = simulate_calibrations(choice, device, runs=runs, seed=seed, fix=fix, free=free, known=known)
+    require_accuracy(choice, rehearsal, required)
     progress("ordering poses")
     tour = _tour(choice, robot, reach)
     warnings = (*reach.warnings, *choice.warnings, *said, *_left_out(tour))

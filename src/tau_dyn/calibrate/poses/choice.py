@@ -12,8 +12,13 @@ from tau_dyn.calibrate.frames import Frames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.poses.criteria import SMOOTH, criterion_of, indices
 from tau_dyn.calibrate.poses.design import Design, build_design
-from tau_dyn.calibrate.poses.enough import GAIN, doubling_gain, fewest, grow
 from tau_dyn.calibrate.poses.exchange import PoseExchange
+from tau_dyn.calibrate.poses.pose_count import (
+    MIN_DOUBLING_GAIN,
+    add_poses_until_enough,
+    compute_min_poses,
+    doubling_gain,
+)
 from tau_dyn.calibrate.poses.prediction import Prediction, predict
 from tau_dyn.exceptions import InputError
 
@@ -73,7 +78,7 @@ class PoseChoice:
         return {
             "candidates": self.design.n,
             "chosen": self.n,
-            "fewest": fewest(self.design),
+            "fewest": compute_min_poses(self.design),
             "criterion": {"name": self.criterion, "trace": list(self.trace), **indices(self.information())},
             "predicted": self.predicted.to_dict(self.design.names),
             "predicted_at_random": self.at_random,
@@ -97,7 +102,7 @@ def choose_poses(
     device: bool = True,
     tool: bool = True,
     weighted: bool = False,
-    gain: float = GAIN,
+    gain: float = MIN_DOUBLING_GAIN,
     target: float | None = None,
     seed: int = 0,
 ) -> PoseChoice:
@@ -145,7 +150,7 @@ def choose_from(
     n: int | Literal["auto"] = "auto",
     *,
     criterion: str = "tool",
-    gain: float = GAIN,
+    gain: float = MIN_DOUBLING_GAIN,
     target: float | None = None,
     seed: int = 0,
 ) -> PoseChoice:
@@ -156,10 +161,10 @@ def choose_from(
     first = search if criterion in SMOOTH else PoseExchange(blocks, criterion_of("determinant", design))
     rng = np.random.default_rng(seed)
     if n == "auto":
-        picked, curve = grow(design, first, gain=gain, target=target, most=min(MOST, design.n))
+        picked, curve = add_poses_until_enough(design, first, gain=gain, target=target, most=min(MOST, design.n))
     else:
         picked = np.array([k for k, _ in zip(first.pick(), range(n), strict=False)])
-        marks = sorted({*np.unique(np.geomspace(fewest(design), n, 12).astype(int)).tolist(), n})
+        marks = sorted({*np.unique(np.geomspace(compute_min_poses(design), n, 12).astype(int)).tolist(), n})
         curve = [predict(design, picked[:k]) for k in marks]
     best = search.exchanged(picked)
     for _ in range(_STARTS - 1):
@@ -175,7 +180,7 @@ def choose_from(
 
 
 def _check_numbers(design: Design, n: int | Literal["auto"], gain: float, target: float | None) -> None:
-    least = fewest(design)
+    least = compute_min_poses(design)
     if design.n < least:
         have = "1 candidate pose is" if design.n == 1 else f"{design.n} candidate poses are"
         raise InputError(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.kinematics.collisions import Placed
+from tau_dyn.kinematics.collisions import PlacedSolid
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.demands import Demands
-from tau_dyn.kinematics.workspace.judge import Judge
 from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machine import Machine, Solved
+from tau_dyn.kinematics.workspace.machine import InverseSolution, WorkspaceModel
+from tau_dyn.kinematics.workspace.pose_check import PoseChecker
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 
 _STEPS = 40
 """Places at which a move over the whole travel is looked at."""
@@ -25,11 +25,11 @@ class PathCheck:
         demands: What every place on the way must satisfy.
     """
 
-    def __init__(self, machine: Machine, demands: Demands) -> None:
+    def __init__(self, machine: WorkspaceModel, demands: PoseRequirements) -> None:
         """Prepare."""
         self.machine = machine
         self._given = _Given(machine)
-        self._judge = Judge(self._given, demands)
+        self._judge = PoseChecker(self._given, demands)
         lower, upper = machine.robot.lower, machine.robot.upper
         self.travel = np.where(np.isfinite(upper - lower), upper - lower, 2 * np.pi)
 
@@ -64,15 +64,15 @@ class PathCheck:
 class _Given:
     """A machine whose positions are known already: the judge asks it for inverse kinematics and gets them."""
 
-    def __init__(self, machine: Machine) -> None:
+    def __init__(self, machine: WorkspaceModel) -> None:
         self.machine, self.robot, self.rods = machine, machine.robot, machine.rods
         self.home, self.bodies, self.meshes = machine.home, machine.bodies, machine.meshes
         self.q = np.zeros((0, machine.robot.na))
 
-    def solve(self, poses: Poses) -> Solved:
+    def solve(self, poses: Poses) -> InverseSolution:
         n = len(poses.position)
         now, self.q = self.q[:n], self.q[n:]  # the judge works in batches
-        return Solved(now, np.ones(n, bool), np.full(n, "", dtype=object), poses)
+        return InverseSolution(now, np.ones(n, bool), np.full(n, "", dtype=object), poses)
 
     def rates(self, q: np.ndarray, poses: Poses) -> Rates:
         if self.rods is None and not self.robot.loops:  # moves in joint space pass a serial arm's singularities
@@ -80,7 +80,7 @@ class _Given:
             return Rates(one, one, np.zeros(3, bool), 1.0)
         return self.machine.rates(q, poses)
 
-    def solids(self, q: np.ndarray, poses: Poses) -> list[Placed]:
+    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
         return self.machine.solids(q, poses)
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:

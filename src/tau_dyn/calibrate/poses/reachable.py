@@ -20,11 +20,11 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.ball_joints import DEFAULT_ANGLE
 from tau_dyn.kinematics.obstacles import Obstacle
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.find import find_workspace
-from tau_dyn.kinematics.workspace.judge import Judge
 from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machine import Machine, travel
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, travel
+from tau_dyn.kinematics.workspace.pose_check import PoseChecker
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 
 WANTED = 1000
 """Candidates that are enough to choose a hundred poses from."""
@@ -57,7 +57,7 @@ class Safety:
                 f"{self.distance} m, {np.rad2deg(self.angle):.3g} degrees and {self.travel}"
             )
 
-    def apply(self, demands: Demands) -> Demands:
+    def apply(self, demands: PoseRequirements) -> PoseRequirements:
         """Return demands with these margins."""
         around = demands.surroundings
         walls = tuple(_wider(o, self.distance) for o in around.obstacles)
@@ -97,8 +97,8 @@ class Reachable:
 
 
 def find_reachable(
-    machine: Machine,
-    demands: Demands | None = None,
+    machine: WorkspaceModel,
+    demands: PoseRequirements | None = None,
     safety: Safety | None = None,
     *,
     wanted: int = WANTED,
@@ -121,12 +121,12 @@ def find_reachable(
         CannotAnswer: There is none.
     """
     safety = safety if safety is not None else Safety()
-    strict = safety.apply(demands if demands is not None else Demands())
+    strict = safety.apply(demands if demands is not None else PoseRequirements())
     progress("looking for poses in reach")
     check = PathCheck(machine, strict)
     if machine.rods is not None:
-        plain = replace(demands if demands is not None else Demands(), collisions=False)
-        border = Judge(machine, plain), safety.distance
+        plain = replace(demands if demands is not None else PoseRequirements(), collisions=False)
+        border = PoseChecker(machine, plain), safety.distance
         q, tool, said = _on_grid(machine, strict, border, wanted, 0.0 if machine.rods.translates else tilt)
     else:
         q, tool, said = _over_travel(machine, check, wanted, seed)
@@ -143,7 +143,7 @@ def find_reachable(
 
 
 def _on_grid(
-    machine: Machine, demands: Demands, border: tuple[Judge, float], wanted: int, tilt: float
+    machine: WorkspaceModel, demands: PoseRequirements, border: tuple[PoseChecker, float], wanted: int, tilt: float
 ) -> tuple[np.ndarray, Poses, tuple[str, ...]]:
     lower, upper = machine.reach()
     coarse = float(np.max(upper - lower)) / _CELLS
@@ -170,7 +170,7 @@ def _on_grid(
 
 
 def _within(
-    places: np.ndarray, rotation: np.ndarray, shape: tuple[int, ...], judge: Judge, distance: float
+    places: np.ndarray, rotation: np.ndarray, shape: tuple[int, ...], judge: PoseChecker, distance: float
 ) -> np.ndarray:
     """Return where (N,) the tool can also be a distance away to all sides: not near the workspace's border."""
     good = np.ones(len(places), bool)
@@ -200,7 +200,7 @@ def _turns(tilt: float) -> list[np.ndarray]:
 
 
 def _over_travel(
-    machine: Machine, check: PathCheck, wanted: int, seed: int
+    machine: WorkspaceModel, check: PathCheck, wanted: int, seed: int
 ) -> tuple[np.ndarray, Poses, tuple[str, ...]]:
     low, high = travel(machine.robot)
     power = int(np.ceil(np.log2(_DRAWN * wanted)))

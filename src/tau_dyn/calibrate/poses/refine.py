@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.fit import Fit
+from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.residuals import Problem, State
 from tau_dyn.exceptions import InputError
 
@@ -20,7 +20,7 @@ _AT_REST = 1e-6
 """Longest last step, in standard errors."""
 
 
-def refine(fitted: Fit, covariance: np.ndarray) -> Fit:
+def refine(fitted: GeometryFit, covariance: np.ndarray) -> GeometryFit:
     """Return a fit with every pose weighed by its own covariance.
 
     Args:
@@ -59,7 +59,9 @@ def _whitened(problem: Problem, state: State, root: np.ndarray, kept: np.ndarray
     return columns.reshape(-1, len(kept)), r.ravel()
 
 
-def _result(fitted: Fit, problem: Problem, state: State, root: np.ndarray, kept: np.ndarray, converged: bool) -> Fit:
+def _result(
+    fitted: GeometryFit, problem: Problem, state: State, root: np.ndarray, kept: np.ndarray, converged: bool
+) -> GeometryFit:
     flat, r = _whitened(problem, state, root, kept)
     own = np.linalg.pinv(flat.T @ flat, rcond=1e-14, hermitian=True) * float(r @ r) / max(len(r) - len(kept), 1)
     cov = np.zeros_like(fitted.cov)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.calibrate.poses.devices import SEEN, Device
+from tau_dyn.calibrate.poses.line_of_sight import check_place, find_occlusions
 from tau_dyn.calibrate.poses.reachable import Reachable
-from tau_dyn.calibrate.poses.sight import check_place, hidden
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics.obstacles import Surroundings
-from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 
 _HELP = {
     "nearer": "a device farther away",
@@ -41,7 +41,7 @@ class Visible:
     reasons: dict[str, int]
 
 
-def find_visible(device: Device, poses: Reachable, around: Surroundings, machine: Machine | None) -> Visible:
+def find_visible(device: Device, poses: Reachable, around: Surroundings, machine: WorkspaceModel | None) -> Visible:
     """Return which poses a device sees.
 
     Args:
@@ -57,7 +57,7 @@ def find_visible(device: Device, poses: Reachable, around: Surroundings, machine
     check_place(device, around)
     why = device.reasons(poses.tool)
     left = np.flatnonzero(why == SEEN)
-    why[left] = hidden(device, poses.tool.take(left), poses.q[left], around, machine)
+    why[left] = find_occlusions(device, poses.tool.take(left), poses.q[left], around, machine)
     index = np.flatnonzero(why == SEEN)
     reasons = dict(Counter(why[why != SEEN].tolist()).most_common())
     if not len(index):

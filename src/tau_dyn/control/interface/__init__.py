@@ -3,24 +3,25 @@
 from tau_dyn.control.interface.check import broken_limits, check_motion
 from tau_dyn.control.interface.correction import (
     Correction,
-    corrected,
-    correction_of,
+    apply_correction,
+    build_correction,
     read_correction,
     write_correction,
 )
 from tau_dyn.control.interface.limits import CommandLimits
-from tau_dyn.control.interface.period import PERIOD
+from tau_dyn.control.interface.period import DEFAULT_PERIOD_S
 from tau_dyn.control.interface.rapid import rapid_motion
 from tau_dyn.control.interface.reference import read_reference, reference_of, write_reference
+from tau_dyn.deprecated_names import get_deprecated
 
 __all__ = [
-    "PERIOD",
+    "DEFAULT_PERIOD_S",
     "CommandLimits",
     "Correction",
+    "apply_correction",
     "broken_limits",
+    "build_correction",
     "check_motion",
-    "corrected",
-    "correction_of",
     "rapid_motion",
     "read_correction",
     "read_reference",
@@ -28,3 +29,7 @@ __all__ = [
     "write_correction",
     "write_reference",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

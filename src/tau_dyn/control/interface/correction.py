@@ -16,9 +16,9 @@ import pandas as pd
 
 from tau_dyn.control.interface.check import check_motion
 from tau_dyn.control.interface.limits import CommandLimits
-from tau_dyn.control.interface.period import PERIOD, require_period
+from tau_dyn.control.interface.period import DEFAULT_PERIOD_S, require_period
 from tau_dyn.control.interface.reference import digest
-from tau_dyn.control.iterative import Learning
+from tau_dyn.control.iterative import LearningHistory
 from tau_dyn.control.iterative.law import Law
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes, write_whole
@@ -66,7 +66,7 @@ class Correction:
         return (wide[2:] - wide[:-2]) / (2 * self.dt)
 
 
-def correction_of(done: Learning, law: Law, joints: Sequence[str], *, trial: int = -1) -> Correction:
+def build_correction(done: LearningHistory, law: Law, joints: Sequence[str], *, trial: int = -1) -> Correction:
     """Return what a learning has learnt, for the drives.
 
     Args:
@@ -79,12 +79,12 @@ def correction_of(done: Learning, law: Law, joints: Sequence[str], *, trial: int
     return Correction(tuple(joints), done.motion.dt, q - done.motion.q, digest(_reference(done, joints)))
 
 
-def _reference(done: Learning, joints: Sequence[str]) -> Trajectory:
+def _reference(done: LearningHistory, joints: Sequence[str]) -> Trajectory:
     t = np.arange(done.motion.n) * done.motion.dt
     return Trajectory.through(joints, t, done.motion.q)
 
 
-def corrected(
+def apply_correction(
     model: Model, reference: Trajectory, correction: Correction, limits: CommandLimits | None = None
 ) -> Trajectory:
     """Return a reference with its correction, checked as a whole.
@@ -93,7 +93,7 @@ def corrected(
         InputError: The correction belongs to another motion, joints or period, or a limit is broken.
     """
     limits = CommandLimits.of(model.robot) if limits is None else limits
-    require_fitting(reference, correction)
+    require_same_motion(reference, correction)
     _require_small(correction, limits, model.robot.position_units)
     q = reference.q + correction.dq
     found = Trajectory.through(reference.joints, reference.t, q, f"{reference.name} with its correction")
@@ -101,7 +101,7 @@ def corrected(
     return found
 
 
-def require_fitting(reference: Trajectory, correction: Correction) -> None:
+def require_same_motion(reference: Trajectory, correction: Correction) -> None:
     """Refuse a correction that belongs to another motion.
 
     Raises:
@@ -126,7 +126,7 @@ def write_correction(
     reference: Trajectory,
     correction: Correction,
     *,
-    period: float = PERIOD,
+    period: float = DEFAULT_PERIOD_S,
     limits: CommandLimits | None = None,
 ) -> None:
     """Write a correction file, the whole of it or none.
@@ -140,10 +140,10 @@ def write_correction(
         limits: By default the robot file's, 10 deg of a turning drive and 10 mm of a slide.
 
     Raises:
-        InputError: See `corrected`; or the controller has another sample period.
+        InputError: See `apply_correction`; or the controller has another sample period.
     """
     require_period(reference.t, period, reference.name)
-    corrected(model, reference, correction, limits)
+    apply_correction(model, reference, correction, limits)
     write_whole(path, correction_text(correction))
 
 
@@ -156,7 +156,7 @@ def correction_text(correction: Correction) -> str:
     return head + pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n")
 
 
-def read_correction(path: str | Path, joints: Sequence[str], *, period: float = PERIOD) -> Correction:
+def read_correction(path: str | Path, joints: Sequence[str], *, period: float = DEFAULT_PERIOD_S) -> Correction:
     """Read a correction file.
 
     Raises:

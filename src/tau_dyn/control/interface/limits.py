@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.control.per_joint import PerJoint, limit_of
+from tau_dyn.control.per_joint import PerJoint, broadcast_limit
 from tau_dyn.robot import Robot
 
 CORRECTION_TURN, CORRECTION_SLIDE = float(np.deg2rad(10.0)), 0.01
@@ -52,8 +52,8 @@ class CommandLimits:
         return cls(
             robot.lower,
             robot.upper,
-            limit_of(robot, "speed", speed, robot.velocity_limit),
-            limit_of(robot, "acceleration", acceleration, np.full(robot.na, np.inf)),
-            limit_of(robot, "force", force, robot.effort_limit),
-            limit_of(robot, "correction", correction, usual),
+            broadcast_limit(robot, "speed", speed, robot.velocity_limit),
+            broadcast_limit(robot, "acceleration", acceleration, np.full(robot.na, np.inf)),
+            broadcast_limit(robot, "force", force, robot.effort_limit),
+            broadcast_limit(robot, "correction", correction, usual),
         )

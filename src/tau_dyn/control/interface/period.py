@@ -12,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 from tau_dyn.exceptions import InputError
 from tau_dyn.simulate import Trajectory
 
-PERIOD = 0.004
+DEFAULT_PERIOD_S = 0.004
 """Sample period of the thesis' controller [s]."""
 
 _JITTER = 1e-3
@@ -40,7 +40,7 @@ def require_period(t: np.ndarray, period: float, name: str) -> None:
         )
 
 
-def at_period(motion: Trajectory, period: float, *, resample: bool = False) -> Trajectory:
+def resample_to_period(motion: Trajectory, period: float, *, resample: bool = False) -> Trajectory:
     """Return a motion on the controller's clock from zero.
 
     Args:

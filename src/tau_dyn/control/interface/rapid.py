@@ -15,7 +15,7 @@ from tau_dyn.kinematics import forward_kinematics, quaternions
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory
 
-MOST = 4000
+MAX_WAYPOINTS = 4000
 """Most places of a module."""
 
 
@@ -55,7 +55,7 @@ def rapid_motion(
     poses = forward_kinematics(robot, motion.q).poses if by == "tool" else None
     if poses is not None and not np.isfinite(poses.position).all():
         raise InputError(f"{motion.name}: it leaves the robot's reach, so there is no tool path to write")
-    keep = waypoints(motion.t, motion.q if poses is None else poses.position, tolerance)
+    keep = select_waypoints(motion.t, motion.q if poses is None else poses.position, tolerance)
     if poses is None:
         rows, kind = [jointtarget(row, robot.joint_kinds) for row in motion.q[keep]], "jointtarget"
     else:
@@ -65,7 +65,7 @@ def rapid_motion(
     return "\n".join(_module(robot, motion, name, kind, rows, seconds, (tool, wobj))) + "\n"
 
 
-def waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.ndarray:
+def select_waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.ndarray:
     """Return indices of the samples (k,) between which straight lines in time stay within a tolerance of a path (N, m).
 
     From each place the farthest sample is taken that a line reaches so, found by doubling and halving.
@@ -75,9 +75,9 @@ def waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.ndarray:
     """
     keep = [0]
     while keep[-1] < len(t) - 1:
-        if len(keep) >= MOST:
+        if len(keep) >= MAX_WAYPOINTS:
             raise InputError(
-                f"a RAPID module of more than {MOST} places is asked for; allow a larger tolerance, or cut the motion"
+                f"a RAPID module of more than {MAX_WAYPOINTS} places is asked for; allow a larger tolerance, or cut the motion"
             )
         keep.append(_farthest(t, path, keep[-1], tolerance))
     return np.array(keep)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tau_dyn.control.interface.check import check_motion
 from tau_dyn.control.interface.limits import CommandLimits
-from tau_dyn.control.interface.period import PERIOD, at_period, require_period
+from tau_dyn.control.interface.period import DEFAULT_PERIOD_S, require_period, resample_to_period
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory
 
@@ -21,7 +21,7 @@ def reference_of(
     model: Model,
     motion: Trajectory,
     *,
-    period: float = PERIOD,
+    period: float = DEFAULT_PERIOD_S,
     resample: bool = False,
     limits: CommandLimits | None = None,
 ) -> Trajectory:
@@ -37,7 +37,7 @@ def reference_of(
     Raises:
         InputError: The sample period is another one, or a limit is broken.
     """
-    found = at_period(motion, period, resample=resample)
+    found = resample_to_period(motion, period, resample=resample)
     check_motion(model, found, limits)
     return found
 
@@ -47,7 +47,7 @@ def write_reference(
     model: Model,
     motion: Trajectory,
     *,
-    period: float = PERIOD,
+    period: float = DEFAULT_PERIOD_S,
     resample: bool = False,
     limits: CommandLimits | None = None,
 ) -> None:
@@ -55,7 +55,7 @@ def write_reference(
     reference_of(model, motion, period=period, resample=resample, limits=limits).to_csv(path)
 
 
-def read_reference(path: str | Path, joints: Sequence[str], *, period: float = PERIOD) -> Trajectory:
+def read_reference(path: str | Path, joints: Sequence[str], *, period: float = DEFAULT_PERIOD_S) -> Trajectory:
     """Read a reference file.
 
     Args:

@@ -7,10 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
-from tau_dyn.control.iterative.lifted import Operator, on_signals
+from tau_dyn.control.iterative.learned_outputs import LearnedOutput
+from tau_dyn.control.iterative.lifted_system import Operator, on_signals
 from tau_dyn.control.iterative.reference import Reference
 from tau_dyn.control.iterative.shift import TimeShift
-from tau_dyn.control.iterative.sides import Side
 from tau_dyn.control.iterative.zero_phase import ZeroPhase
 from tau_dyn.exceptions import InputError
 
@@ -19,7 +19,7 @@ class Law(Protocol):
     """How one trial's error changes the next trial's correction."""
 
     @property
-    def side(self) -> Side:
+    def side(self) -> LearnedOutput:
         """What is learnt."""
         ...
 
@@ -52,7 +52,7 @@ class LearningLaw:
         bound: None: singular values have to be computed.
     """
 
-    side: Side
+    side: LearnedOutput
     forgetting: tuple[ZeroPhase, ...]
     learning: TimeShift
     bound: None = None

@@ -6,15 +6,15 @@ from typing import Protocol
 
 import numpy as np
 
-from tau_dyn.control.iterative.convergence import convergence, require
+from tau_dyn.control.iterative.convergence_analysis import analyse_convergence, require_convergence
 from tau_dyn.control.iterative.law import Law
-from tau_dyn.control.iterative.learning import Learning
+from tau_dyn.control.iterative.learned_outputs import TrialMeasurement
+from tau_dyn.control.iterative.learning import LearningHistory
 from tau_dyn.control.iterative.reference import Reference
-from tau_dyn.control.iterative.sides import Measured
 from tau_dyn.exceptions import InputError
 
 
-class Plant(Protocol):
+class TrialPlant(Protocol):
     """A robot with its controller, or a simulation of both: `simulate.LearningPlant`."""
 
     @property
@@ -22,13 +22,13 @@ class Plant(Protocol):
         """Step of references and sensors [s]."""
         ...
 
-    def run(self, reference: np.ndarray, trial: int) -> Measured:
+    def run(self, reference: np.ndarray, trial: int) -> TrialMeasurement:
         """Move along actuator references (N, na), from rest, and return what the sensors showed."""
         ...
 
 
 def learn(
-    plant: Plant,
+    plant: TrialPlant,
     motion: Reference,
     law: Law,
     iterations: int = 10,
@@ -36,7 +36,7 @@ def learn(
     monotone: bool = True,
     limit: float | None = None,
     first_trial: int = 0,
-) -> Learning:
+) -> LearningHistory:
     """Learn a motion.
 
     Args:
@@ -57,8 +57,8 @@ def learn(
         )
     if iterations < 1:
         raise InputError("learning takes at least one iteration")
-    before = convergence(law, motion)
-    require(before, monotone=monotone)
+    before = analyse_convergence(law, motion)
+    require_convergence(before, monotone=monotone)
     wanted = law.side.reference(motion)
     allowed = float(np.ptp(wanted, axis=0).max()) if limit is None else limit
     u = np.zeros_like(wanted)
@@ -69,7 +69,7 @@ def learn(
         error = wanted - law.side.estimate(trial)
         kept.append((u, error, motion.q - trial.q, motion.tool - trial.tool))
         u = law.update(motion, u, error)
-    return Learning(motion, before, *(np.array(part) for part in zip(*kept, strict=True)))
+    return LearningHistory(motion, before, *(np.array(part) for part in zip(*kept, strict=True)))
 
 
 def _require_small(u: np.ndarray, allowed: float, k: int) -> None:

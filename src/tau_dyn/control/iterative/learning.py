@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.control.iterative.convergence import Convergence
+from tau_dyn.control.iterative.convergence_analysis import Convergence
 from tau_dyn.control.iterative.reference import Reference
 
 
 @dataclass(frozen=True, eq=False)
-class Learning:
+class LearningHistory:
     """Errors and corrections of all trials; the first has no correction.
 
     Attributes:

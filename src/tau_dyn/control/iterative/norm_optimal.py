@@ -20,9 +20,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import aslinearoperator
 
-from tau_dyn.control.iterative.lifted import Operator, stacked, unstacked
+from tau_dyn.control.iterative.learned_outputs import LearnedOutput
+from tau_dyn.control.iterative.lifted_system import Operator, stack_channels, unstack_channels
 from tau_dyn.control.iterative.reference import Reference
-from tau_dyn.control.iterative.sides import Side
 from tau_dyn.exceptions import InputError
 
 
@@ -36,7 +36,7 @@ class NormOptimalLaw:
         change: Cost of the correction's change; a large one learns slowly and averages noise.
     """
 
-    side: Side
+    side: LearnedOutput
     effort: float = 1e-3
     change: float = 0.1
     _kept: list[tuple[Reference, tuple[np.ndarray, np.ndarray]]] = field(default_factory=list, init=False, repr=False)
@@ -54,7 +54,7 @@ class NormOptimalLaw:
     def update(self, motion: Reference, correction: np.ndarray, error: np.ndarray) -> np.ndarray:
         """Return the next correction (N, m)."""
         Q, G = self._solved(motion)
-        return unstacked(Q @ stacked(correction) + G @ stacked(error), correction.shape[1])
+        return unstack_channels(Q @ stack_channels(correction) + G @ stack_channels(error), correction.shape[1])
 
     def operators(self, motion: Reference) -> tuple[Operator, Operator]:
         """Return Q and Q L (m N, m N), channel after channel."""

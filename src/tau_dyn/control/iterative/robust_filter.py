@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tau_dyn.control.iterative.learned_outputs import LearnedOutput
 from tau_dyn.control.iterative.shift import TimeShift
-from tau_dyn.control.iterative.sides import Side
 from tau_dyn.control.iterative.zero_phase import ZeroPhase, dip, low_pass, product
 from tau_dyn.exceptions import InputError
 
@@ -20,7 +20,7 @@ _TURNS = 300
 
 
 def robust_filter(
-    side: Side, learning: TimeShift, cutoff_hz: float, *, growth: float = 0.9, tolerance: float = 0.03
+    side: LearnedOutput, learning: TimeShift, cutoff_hz: float, *, growth: float = 0.9, tolerance: float = 0.03
 ) -> ZeroPhase:
     """Return Q.
 
@@ -52,7 +52,7 @@ def robust_filter(
     )
 
 
-def _worst_nearby(f: np.ndarray, side: Side, learning: TimeShift, tolerance: float) -> np.ndarray:
+def _worst_nearby(f: np.ndarray, side: LearnedOutput, learning: TimeShift, tolerance: float) -> np.ndarray:
     """Return the largest growth without Q within the tolerance of each frequency (F,)."""
     L = learning.response(f)[:, None, None]
     response = side.response(f)

@@ -44,7 +44,7 @@ def matrix(name: str, value: float | np.ndarray) -> np.ndarray:
     return given
 
 
-def axis(name: str, value: np.ndarray) -> np.ndarray:
+def normalise_axis(name: str, value: np.ndarray) -> np.ndarray:
     """Return a unit vector (3,); raises `InputError` for anything without a direction."""
     given = np.asarray(value, float)
     if given.shape != (3,) or not np.isfinite(given).all() or np.linalg.norm(given) < 1e-9:
@@ -52,7 +52,7 @@ def axis(name: str, value: np.ndarray) -> np.ndarray:
     return given / np.linalg.norm(given)
 
 
-def checked(name: str, value: object) -> None:
+def require_valid_scalar(name: str, value: object) -> None:
     """Refuse a scalar setting that is no number, or on the wrong side of zero."""
     if name not in _POSITIVE | _NOT_NEGATIVE or value is None:
         return

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from tau_dyn.control.lead_through.checks import axis, checked, matrix, refuse_unstable
+from tau_dyn.control.lead_through.checks import matrix, normalise_axis, refuse_unstable, require_valid_scalar
 from tau_dyn.control.lead_through.sensor import ForceSensor
 from tau_dyn.control.lead_through.stability import ForceLoop
 from tau_dyn.exceptions import InputError, UnknownName
@@ -90,10 +90,10 @@ class LeadThroughSettings:
         for name in ("mass", "damping", "force_gain"):
             object.__setattr__(self, name, matrix(name, getattr(self, name)))
         for name in (f.name for f in fields(self)):
-            checked(name, getattr(self, name))
-        object.__setattr__(self, "normal", axis("normal", self.normal))
+            require_valid_scalar(name, getattr(self, name))
+        object.__setattr__(self, "normal", normalise_axis("normal", self.normal))
         if self.locked_axis is not None:
-            object.__setattr__(self, "locked_axis", axis("locked_axis", self.locked_axis))
+            object.__setattr__(self, "locked_axis", normalise_axis("locked_axis", self.locked_axis))
         self._in_order()
         refuse_unstable(self)
 

@@ -30,7 +30,7 @@ def one_place(law: ForceLaw, coordinates: Coordinates, limits: MotionLimits, wei
     _, v, a = at = coordinates.symbols(x, dx, ddx, T)
     tau = law.forces(*at, p, y)
     values = {"force": tau, "speed": v, "acceleration": a}
-    scaled = ca.vertcat(*(values[name][k] / getattr(limits, name)[k] for name, k in limited(limits)))
+    scaled = ca.vertcat(*(values[name][k] / getattr(limits, name)[k] for name, k in list_limited_quantities(limits)))
     point = ca.Function("point", [u], [scaled, law.residual(*at, p, y), T * _squares(tau, limits.force, weight)])
     return point if coordinates.forward else point.expand()  # splines cannot be expanded
 
@@ -85,7 +85,7 @@ def with_middles(x: Any, dx: Any, ddx: Any, N: int) -> list[Any]:
     return [ca.horzcat(z, middle)[:, order] for z, middle in zip((x, dx, ddx), middles, strict=True)]
 
 
-def limited(limits: MotionLimits) -> list[tuple[str, int]]:
+def list_limited_quantities(limits: MotionLimits) -> list[tuple[str, int]]:
     """Return what has a limit: pairs of quantity ('force', 'speed', 'acceleration') and joint index."""
     quantities = ("force", "speed", "acceleration")
     return [(name, int(k)) for name in quantities for k in np.flatnonzero(np.isfinite(getattr(limits, name)))]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.control.per_joint import PerJoint, limit_of
+from tau_dyn.control.per_joint import PerJoint, broadcast_limit
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
@@ -94,5 +94,5 @@ class MotionLimits:
 
 def _limit(robot: Robot, name: str, given: PerJoint | None, default: PerJoint) -> np.ndarray:
     """Return one limit a joint (na,), those that no drive reaches as none."""
-    values = limit_of(robot, name, given, default)
+    values = broadcast_limit(robot, name, given, default)
     return np.where(values < _NONE, values, np.inf)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import follow, forward_kinematics
+from tau_dyn.kinematics import follow_path, forward_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.model import Model
 
@@ -64,7 +64,7 @@ def tool_path(model: Model, start: np.ndarray, end: np.ndarray, shape: PathShape
     """
     poses, length = _poses(model, start, end, shape)
     s = np.linspace(0, 1, len(poses.position))
-    found = follow(model.robot, poses, start=start)
+    found = follow_path(model.robot, poses, start=start)
     if found.until < len(s):
         at = _at(poses.position[found.until])
         raise InputError(f"the path cannot be followed beyond {100 * s[found.until]:.0f} % at {at}: {found.reason}")

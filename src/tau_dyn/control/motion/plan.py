@@ -11,7 +11,7 @@ from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.motion.coordinates import Along, Coordinates, Free
 from tau_dyn.control.motion.ends import end_positions
 from tau_dyn.control.motion.expressions import ForceLaw, build_force_law, casadi
-from tau_dyn.control.motion.judge import EXCESS, shares_used, tightened
+from tau_dyn.control.motion.limit_check import MAX_LIMIT_EXCESS, compute_limit_usage, tighten_limits
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.control.motion.nodes import in_own_size, node_motion, start_nodes
 from tau_dyn.control.motion.path import JointPath, PathShape, joint_line, tool_path
@@ -68,7 +68,7 @@ def plan_motion(
     if np.abs(last - first).max() < _NEAR:
         raise InputError("start and end are one place; there is nothing to move")
     coordinates = _coordinates(model, first, last, path, limits)
-    search = _search(model, coordinates, limits.inside(EXCESS), energy_weight, nodes)
+    search = _search(model, coordinates, limits.inside(MAX_LIMIT_EXCESS), energy_weight, nodes)
     name = "free" if path is None else "line" if isinstance(path, str) else "points"
     return _sampled(model, coordinates, search, limits, energy_weight, name, dt)
 
@@ -131,7 +131,7 @@ def _search(model: Model, coordinates: Coordinates, limits: MotionLimits, weight
         if not found.ok:
             break
         best = found
-        share = tightened(share, found.nodes, coordinates, law.feedforward, limits, program.limited)
+        share = tighten_limits(share, found.nodes, coordinates, law.feedforward, limits, program.limited)
         if share is None:
             break
         found = program.again(found, share)
@@ -165,7 +165,7 @@ def _sampled(
     t = np.arange(steps + 1) * dt
     q, v, a = motion = node_motion(coordinates, nodes, np.arange(steps + 1) / steps, float(t[-1]))
     tau = feedforward(q, v, a)
-    used = shares_used(feedforward, motion, limits, search.which)
+    used = compute_limit_usage(feedforward, motion, limits, search.which)
     _refuse_between_nodes(used)
     _refuse_singular(model, q, limits)
     energy = float(np.trapezoid((tau**2).sum(axis=1), t))

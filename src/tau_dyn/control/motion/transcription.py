@@ -15,7 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.motion.constraints import integration, jerks, limited, one_place, simpson, slope, with_middles
+from tau_dyn.control.motion.constraints import (
+    integration,
+    jerks,
+    list_limited_quantities,
+    one_place,
+    simpson,
+    slope,
+    with_middles,
+)
 from tau_dyn.control.motion.coordinates import Coordinates
 from tau_dyn.control.motion.expressions import ForceLaw, casadi
 from tau_dyn.control.motion.limits import MotionLimits
@@ -75,7 +83,7 @@ class Transcription:
             weight: Weight of the squared forces [s per N^2 s].
         """
         ca = casadi()
-        self.N, self._coordinates, self.limited = nodes, coordinates, limited(limits)
+        self.N, self._coordinates, self.limited = nodes, coordinates, list_limited_quantities(limits)
         sizes = [(coordinates.n, nodes + 1)] * 3 + [(k, 2 * nodes + 1) for k in (law.n_passive, law.n_inner)]
         parts = [ca.SX.sym(name, *size) for name, size in zip(("x", "dx", "ddx", "p", "y"), sizes, strict=True)]
         x, dx, ddx, p, y = parts

@@ -22,7 +22,7 @@ from typing import Any, cast
 import numpy as np
 from scipy.signal import bilinear, butter, freqz, lfilter
 
-from tau_dyn.control.iterative.lifted import Operator, on_signals
+from tau_dyn.control.iterative.lifted_system import Operator, on_signals
 from tau_dyn.control.observers.signals import checked_signals
 from tau_dyn.exceptions import InputError
 

@@ -23,8 +23,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import null_space, solve_discrete_are, solve_discrete_lyapunov
 
-from tau_dyn.control.iterative.lifted import Operator, convolution, pulse_response
-from tau_dyn.control.observers.extended import Extended, extended
+from tau_dyn.control.iterative.lifted_system import Operator, convolution, pulse_response
+from tau_dyn.control.observers.extended_model import ExtendedModel, extend_model
 from tau_dyn.control.observers.signals import checked_signals
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.state_space import StateSpace
@@ -68,9 +68,9 @@ class KalmanToolObserver:
         return len(self.model.C)
 
     @cached_property
-    def extended(self) -> Extended:
+    def extended(self) -> ExtendedModel:
         """The model of (7.21)."""
-        return extended(self.model)
+        return extend_model(self.model)
 
     @cached_property
     def R1(self) -> np.ndarray:
@@ -170,7 +170,7 @@ class KalmanToolObserver:
         return kinematic - kinematic[0], y, kinematic[0]
 
 
-def disturbance_shape(model: Extended) -> np.ndarray:
+def disturbance_shape(model: ExtendedModel) -> np.ndarray:
     """Return E G G' E' (n, n): what unknown forces of size 1 do to the extended states in a step."""
     n0 = model.disturbed.shape[1]
     A, B, C = model.A[:n0, :n0], model.B[:n0], model.position[:, :n0]

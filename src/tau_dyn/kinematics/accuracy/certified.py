@@ -34,7 +34,7 @@ def applies(device: RodDevice) -> str:
     return "an actuator's error moves its points on a curve, which the bound leaves out" if curved else ""
 
 
-def certified(device: RodDevice, state: State) -> np.ndarray:
+def bound_displacement(device: RodDevice, state: State) -> np.ndarray:
     """Return a displacement of the tool (N,) [m] that no errors within their bounds exceed; nan where none is proved."""
     A, b, L = device.ends(state.q, None)
     s, shortest = device.sources, L.min(axis=1)

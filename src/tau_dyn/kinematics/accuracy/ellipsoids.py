@@ -6,7 +6,7 @@ the ray from the centre, take the tangent plane there, intersect the planes (ste
 
 These ellipsoids are too thin. The end's exact outer limit is the parallel surface of the error ellipsoid, so along a unit
 direction u it lies `sqrt(sum r_i^2 u_i^2)` outside the sphere, and the ellipsoid `L + r_i` only `sum r_i u_i^2`: equal on
-the axes and for a ball, too small everywhere else, to first order and not "slightly". `worst.py` has the exact limit.
+the axes and for a ball, too small everywhere else, to first order and not "slightly". `worst_case.py` has the exact limit.
 """
 
 from __future__ import annotations

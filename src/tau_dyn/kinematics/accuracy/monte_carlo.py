@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.kinematics.accuracy.rod_device import State
-from tau_dyn.kinematics.accuracy.worst import Device
+from tau_dyn.kinematics.accuracy.worst_case import Device
 
 BLOCK = 20_000
 """Poses solved at once."""

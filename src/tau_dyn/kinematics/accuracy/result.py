@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.errors import Errors
-from tau_dyn.kinematics.accuracy.growth import Growth, grow
+from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
+from tau_dyn.kinematics.accuracy.error_scaling import Growth, scale_errors
 from tau_dyn.kinematics.accuracy.monte_carlo import draw
 from tau_dyn.kinematics.accuracy.parallelepiped import half_edges
 from tau_dyn.kinematics.accuracy.section import Grid
@@ -185,7 +185,7 @@ def _section(grid: Grid) -> dict[str, Any]:
 def accuracy_study(
     robot: Robot,
     rods: Rods | None,
-    errors: Errors,
+    errors: ErrorBounds,
     q: np.ndarray,
     tool: Poses,
     *,
@@ -223,7 +223,9 @@ def accuracy_study(
     home = int(np.argmin(np.linalg.norm(q - robot.home, axis=1)))
     at = Poses(tool.position[worst : worst + 1], tool.rotation[worst : worst + 1])
     compared = [m for m in found.largest if m != "montecarlo"]
-    growth = grow(robot, rods, errors, q[worst], at, compared) if "exact" in compared and len(compared) > 1 else None
+    growth = (
+        scale_errors(robot, rods, errors, q[worst], at, compared) if "exact" in compared and len(compared) > 1 else None
+    )
     bodies = tuple(_body(device, found, q, tool, k, seed) for k in dict.fromkeys((home, worst)))
     return AccuracyResult(robot, found, grid, growth, bodies, measured or Measured(), from_measured)
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.errors import Errors
+from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
 from tau_dyn.kinematics.accuracy.rod_device import Moved, State
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.jacobians import jacobian
@@ -17,7 +17,7 @@ from tau_dyn.robot import Robot
 class SerialDevice:
     """A mechanism known by its tree alone; each actuator errs within an interval along its own motion."""
 
-    def __init__(self, robot: Robot, errors: Errors) -> None:
+    def __init__(self, robot: Robot, errors: ErrorBounds) -> None:
         """Prepare.
 
         Raises:

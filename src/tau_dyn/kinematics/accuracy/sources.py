@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy.errors import ActuatorError, Errors
+from tau_dyn.kinematics.accuracy.error_bounds import ActuatorError, ErrorBounds
 from tau_dyn.kinematics.rods import Rods
 
 
@@ -64,7 +64,7 @@ class _Source:
     length: np.ndarray
 
 
-def rod_sources(rods: Rods, errors: Errors) -> Sources:
+def rod_sources(rods: Rods, errors: ErrorBounds) -> Sources:
     """Return the sources of a parallel robot's errors.
 
     Raises:
@@ -110,7 +110,7 @@ def _along(error: ActuatorError | None, line: tuple[np.ndarray, np.ndarray] | No
     return float(np.linalg.norm(error.ellipsoid(line[0]).T @ line[0])) if line is not None else error.along
 
 
-def _actuators(rods: Rods, errors: Errors, lines: dict) -> Iterator[_Source]:
+def _actuators(rods: Rods, errors: ErrorBounds, lines: dict) -> Iterator[_Source]:
     n, na = len(rods.names), rods.robot.na
     for joint, error in errors.actuators.items():
         line, j = lines[joint], rods.robot.actuated.index(joint)
@@ -137,7 +137,7 @@ def _actuators(rods: Rods, errors: Errors, lines: dict) -> Iterator[_Source]:
             yield _Source(joint, k, np.zeros((na, k)), shift, np.zeros((n, 3, k)), np.zeros((n, k)))
 
 
-def _rods(rods: Rods, errors: Errors) -> Iterator[_Source]:
+def _rods(rods: Rods, errors: ErrorBounds) -> Iterator[_Source]:
     n, na = len(rods.names), rods.robot.na
     for name, error in errors.rods.items():
         i = rods.names.index(name)
@@ -164,7 +164,7 @@ def _touched(source: _Source, rods: Rods) -> int:
     return int(direct.sum())
 
 
-def _ellipsoids(rods: Rods, errors: Errors, lines: dict) -> tuple[np.ndarray, np.ndarray]:
+def _ellipsoids(rods: Rods, errors: ErrorBounds, lines: dict) -> tuple[np.ndarray, np.ndarray]:
     """Return principal axes (n, 3, 3) and semi-axes (n, 3) of each rod's base point; nan where that is no ellipsoid."""
     n = len(rods.names)
     axes, radii = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))

@@ -10,12 +10,12 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy import certified, ellipsoids, parallelepiped
-from tau_dyn.kinematics.accuracy.errors import Errors
+from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
 from tau_dyn.kinematics.accuracy.monte_carlo import monte_carlo
 from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State
 from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
 from tau_dyn.kinematics.accuracy.sources import rod_sources
-from tau_dyn.kinematics.accuracy.worst import first_order, worst_case
+from tau_dyn.kinematics.accuracy.worst_case import first_order, worst_case
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.robot import Robot
@@ -44,7 +44,7 @@ class Accuracy:
         samples: Draws a pose.
     """
 
-    errors: Errors
+    errors: ErrorBounds
     q: np.ndarray
     position: np.ndarray
     largest: dict[str, np.ndarray]
@@ -69,7 +69,7 @@ class Accuracy:
             return self.largest[method] / self.largest["exact"] - 1
 
 
-def device_of(robot: Robot, rods: Rods | None, errors: Errors) -> Any:
+def device_of(robot: Robot, rods: Rods | None, errors: ErrorBounds) -> Any:
     """Return the robot with its error sources, through its rods where it has them.
 
     Raises:
@@ -84,7 +84,7 @@ def device_of(robot: Robot, rods: Rods | None, errors: Errors) -> Any:
 
 def positioning_errors(
     device: Any,
-    errors: Errors,
+    errors: ErrorBounds,
     q: np.ndarray,
     tool: Poses,
     *,
@@ -152,7 +152,7 @@ def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed:
     if "ellipsoid" in methods:
         out["ellipsoid"] = ellipsoids.largest(ellipsoids.corners(device, state)[0])
     if "certified" in methods:
-        out["certified"] = certified.certified(device, state)
+        out["certified"] = certified.bound_displacement(device, state)
     if "montecarlo" in methods:
         drawn = monte_carlo(device, state, samples, seed)
         out |= {"montecarlo": drawn.largest, "usual": drawn.usual}

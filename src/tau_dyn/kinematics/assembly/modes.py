@@ -17,8 +17,8 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly.certificate import Certificate, apart, certify
 from tau_dyn.kinematics.assembly.counts import most_modes
 from tau_dyn.kinematics.assembly.equations import Hexapod, magnitudes, normalised, poses_of, quadrics, residuals
+from tau_dyn.kinematics.assembly.homotopy import nearly_null, track_homotopy
 from tau_dyn.kinematics.assembly.start import N_SOLUTIONS, general_hexapod, start_system
-from tau_dyn.kinematics.assembly.tracking import nearly_null, track
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +100,8 @@ def _search(hexapod: Hexapod, Q: np.ndarray, size: np.ndarray) -> tuple[Certific
     for route, tolerance in enumerate((1e-5, 1e-9)):
         if route:  # a detour by another general hexapod, with shorter steps
             middle = general_hexapod(np.random.default_rng(route))
-            x, start = track(start, middle, x, tolerance=tolerance).x, middle
-        paths = track(start, hexapod, x, tolerance=tolerance)
+            x, start = track_homotopy(start, middle, x, tolerance=tolerance).x, middle
+        paths = track_homotopy(start, hexapod, x, tolerance=tolerance)
         ends = np.where(paths.regular[:, None], _polished(Q, paths.x).astype(complex), paths.x)
         missed = ~certify(Q, size, ends).pose
         n_no_pose = int((missed & nearly_null(ends)).sum())

@@ -17,8 +17,8 @@ import numpy as np
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.files import write_whole
 from tau_dyn.kinematics.assembly.equations import Hexapod, quadrics
+from tau_dyn.kinematics.assembly.homotopy import track_homotopy
 from tau_dyn.kinematics.assembly.start import N_SOLUTIONS, START_FILE, general_hexapod, normal
-from tau_dyn.kinematics.assembly.tracking import track
 
 
 def all_solutions(rng: np.random.Generator, max_loops: int = 60) -> tuple[Hexapod, np.ndarray]:
@@ -34,7 +34,7 @@ def all_solutions(rng: np.random.Generator, max_loops: int = 60) -> tuple[Hexapo
         a, b = general_hexapod(rng), general_hexapod(rng)
         moved = found
         for start, end in ((hexapod, a), (a, b), (b, hexapod)):
-            paths = track(start, end, moved)
+            paths = track_homotopy(start, end, moved)
             moved = paths.x[paths.regular]
         found = distinct(np.concatenate([found, moved]))
     raise TauDynError(f"monodromy found {len(found)} of {N_SOLUTIONS} solutions in {max_loops} loops; try another seed")

@@ -18,7 +18,7 @@ _FINE = 8
 
 
 @dataclass(frozen=True)
-class Cycle:
+class PeriodicError:
     """The strongest cycle.
 
     Attributes:
@@ -43,7 +43,7 @@ class Cycle:
         }
 
 
-def strongest_cycle(q: np.ndarray, e: np.ndarray) -> Cycle | None:
+def find_strongest_period(q: np.ndarray, e: np.ndarray) -> PeriodicError | None:
     """Return the strongest cycle of `e` (N,) [m] over positions `q` (N,) [m]; None with too few points or no scatter."""
     places, index = np.unique(q, return_inverse=True)
     n, total = len(places), float(e @ e)
@@ -57,7 +57,7 @@ def strongest_cycle(q: np.ndarray, e: np.ndarray) -> Cycle | None:
     once = (1 - share) ** ((len(e) - 3) / 2)  # F test of two columns, exact for white normal scatter
     p = -np.expm1(independent * np.log1p(-min(once, 1 - 1e-15)))
     even = np.ptp(np.diff(places)) < 0.02 * spacing
-    return Cycle(
+    return PeriodicError(
         1 / float(f[best]), float(amplitude[best]), float(p), _aliases(float(f[best]), spacing) if even else ()
     )
 

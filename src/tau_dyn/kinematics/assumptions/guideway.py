@@ -16,19 +16,19 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.assumptions.cycles import Cycle, strongest_cycle
+from tau_dyn.kinematics.assumptions.cycles import PeriodicError, find_strongest_period
 
-FEWEST = 8
+MIN_POINTS = 8
 """Points below which a line with shape and scatter cannot be told apart."""
 SHAPE_DEGREE = 4
 """Polynomials up to this degree describe a guideway's slow shape."""
-SURE = 0.01
+SIGNIFICANCE_LEVEL = 0.01
 """p-value below which a shape, a cycle or a backlash counts as seen."""
 _MIXED = 3
 """Points in each direction of travel from which backlash is estimated."""
 
 
-class Seen(NamedTuple):
+class SizeEstimate(NamedTuple):
     """A size with its standard error [m] and the p-value of there being none."""
 
     size: float
@@ -38,7 +38,7 @@ class Seen(NamedTuple):
     @property
     def sure(self) -> bool:
         """Whether it is more than chance."""
-        return self.p_value < SURE
+        return self.p_value < SIGNIFICANCE_LEVEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +67,10 @@ class Guideway:
     covariance: np.ndarray
     along: np.ndarray
     across: np.ndarray
-    bow: Seen
+    bow: SizeEstimate
     shape: float
-    cycle: Cycle | None
-    backlash: Seen | None
+    cycle: PeriodicError | None
+    backlash: SizeEstimate | None
     points: np.ndarray
 
     @property
@@ -106,11 +106,11 @@ class Guideway:
         found = [f"95 % of its points lie within {along:.0f} um along and {across:.0f} um across a straight line"]
         if self.bow.sure:
             found.append(f"it bows by {1e6 * self.bow.size:.0f} +- {1e6 * self.bow.stderr:.0f} um")
-        elif self.shape < SURE:
+        elif self.shape < SIGNIFICANCE_LEVEL:
             found.append("it is crooked beyond its scatter")
         else:
             found.append("no crookedness beyond the scatter")
-        if self.cycle is not None and self.cycle.p_value < SURE:
+        if self.cycle is not None and self.cycle.p_value < SIGNIFICANCE_LEVEL:
             found.append(
                 f"a cycle of {1e3 * self.cycle.period:.0f} mm and +-{1e6 * self.cycle.amplitude:.0f} um along the motion"
             )
@@ -158,7 +158,7 @@ def fit_guideway(joint: str, q: np.ndarray, points: np.ndarray) -> Guideway:
     backlash, rest = _backlash(q, along)
     return Guideway(
         joint, q, centre - q.mean() * slope, slope, covariance, along, across, bow, shape,
-        strongest_cycle(q, rest), backlash, points,
+        find_strongest_period(q, rest), backlash, points,
     )  # fmt: skip
 
 
@@ -180,7 +180,7 @@ def load_shift(line: Guideway, q: np.ndarray, points: np.ndarray) -> dict[str, A
     t2 = float(mean @ np.linalg.pinv(variance) @ mean)
     largest = float(np.linalg.norm(e, axis=1).max())
     p_value, size = float(stats.chi2.sf(t2, 3)), float(np.linalg.norm(mean))
-    did = "moves" if p_value < SURE else "does not visibly move"
+    did = "moves" if p_value < SIGNIFICANCE_LEVEL else "does not visibly move"
     return {
         "joint": line.joint, "n_points": n, "shift": mean, "size": size, "p_value": p_value, "largest": largest,
         "sentence": f"{line.joint}: another load {did} the cart: {1e6 * size:.0f} um on average, {1e6 * largest:.0f} um at most.",
@@ -194,8 +194,8 @@ def _check(joint: str, q: np.ndarray, points: np.ndarray) -> None:
         )
     if not (np.isfinite(q).all() and np.isfinite(points).all()):
         raise InputError(f"{joint}: every measured point needs finite numbers")
-    if len(q) < FEWEST:
-        raise InputError(f"{joint}: {len(q)} points cannot tell a line from its errors; measure at least {FEWEST}")
+    if len(q) < MIN_POINTS:
+        raise InputError(f"{joint}: {len(q)} points cannot tell a line from its errors; measure at least {MIN_POINTS}")
     if np.ptp(q) < 10 * np.finfo(float).eps * max(1.0, np.abs(q).max()) or len(np.unique(q)) < SHAPE_DEGREE + 1:
         raise InputError(f"{joint}: the cart stands at {len(np.unique(q))} places; measure it along its guideway")
 
@@ -218,7 +218,7 @@ def _fitted(columns: np.ndarray, y: np.ndarray) -> np.ndarray:
     return columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
 
 
-def _shape(q: np.ndarray, across: np.ndarray, direction: np.ndarray) -> tuple[float, Seen]:
+def _shape(q: np.ndarray, across: np.ndarray, direction: np.ndarray) -> tuple[float, SizeEstimate]:
     """Return the p-value of no slow shape, and the bow, in the plane across the guideway."""
     plane = np.linalg.svd(direction[None])[2][1:]
     y, columns = across @ plane.T, _polynomials(q)
@@ -236,10 +236,12 @@ def _shape(q: np.ndarray, across: np.ndarray, direction: np.ndarray) -> tuple[fl
         1.5 * float(np.linalg.norm(c)),
         1.5 * float(np.sqrt(variance)),
     )  # P2: -1/2 in the middle, 1 at the ends
-    return p, Seen(size, stderr, float(stats.f.sf(float(c @ c) / (2 * variance), 2, 2 * free)) if variance > 0 else 1.0)
+    return p, SizeEstimate(
+        size, stderr, float(stats.f.sf(float(c @ c) / (2 * variance), 2, 2 * free)) if variance > 0 else 1.0
+    )
 
 
-def _backlash(q: np.ndarray, along: np.ndarray) -> tuple[Seen | None, np.ndarray]:
+def _backlash(q: np.ndarray, along: np.ndarray) -> tuple[SizeEstimate | None, np.ndarray]:
     """Return twice the part of `e_par` that follows the direction of approach, None with only one; and the rest (N,)."""
     way = np.sign(np.diff(q, prepend=2 * q[0] - q[1]))
     columns = _polynomials(q)
@@ -250,4 +252,4 @@ def _backlash(q: np.ndarray, along: np.ndarray) -> tuple[Seen | None, np.ndarray
     rest, free = along - columns @ c, len(q) - columns.shape[1]
     stderr = 2 * float(np.sqrt(float(rest @ rest) / free * np.linalg.pinv(columns.T @ columns)[-1, -1]))
     p = 2 * float(stats.t.sf(2 * abs(c[-1]) / stderr, free)) if stderr > 0 else 1.0
-    return Seen(2 * abs(float(c[-1])), stderr, p), rest
+    return SizeEstimate(2 * abs(float(c[-1])), stderr, p), rest

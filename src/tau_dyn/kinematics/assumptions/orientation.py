@@ -18,7 +18,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.assumptions.guideway import SURE
+from tau_dyn.kinematics.assumptions.guideway import SIGNIFICANCE_LEVEL
 from tau_dyn.kinematics.poses import Poses
 
 FEWEST = 6
@@ -76,7 +76,7 @@ class Orientation:
             return f"{start}; {self.why_not}."
         causes = [(self.across, "the rods and their joints: it changes from place to place across the guideways"),
                   (self.along, "carts that turn: it changes along the guideways")]  # fmt: skip
-        seen = sorted([c for c in causes if c[0].p_value < SURE], key=lambda c: -c[0].share)
+        seen = sorted([c for c in causes if c[0].p_value < SIGNIFICANCE_LEVEL], key=lambda c: -c[0].share)
         if not seen:
             return f"{start}; neither places across nor along the guideways explain it beyond chance."
         return (

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from tau_dyn.kinematics.assumptions.guideway import SURE, Guideway
+from tau_dyn.kinematics.assumptions.guideway import SIGNIFICANCE_LEVEL, Guideway
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Parallelism:
     @property
     def sure(self) -> bool:
         """Whether they are not parallel, beyond chance."""
-        return self.p_value < SURE
+        return self.p_value < SIGNIFICANCE_LEVEL
 
     @property
     def sentence(self) -> str:

@@ -9,13 +9,20 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.collisions import thickness
 from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.footprint import footprint_of
-from tau_dyn.kinematics.workspace.judge import Judge
-from tau_dyn.kinematics.workspace.lattice import INSIDE, Explored, Lattice, explore, lattice_over
-from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.kinematics.workspace.lattice import INSIDE, ClassifiedLattice, Lattice, classify_lattice, lattice_over
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 from tau_dyn.kinematics.workspace.machines import machine_of
-from tau_dyn.kinematics.workspace.measure import Size, bounding_box, connected, deep, missed_size, size_of
+from tau_dyn.kinematics.workspace.measure import (
+    Size,
+    bounding_box,
+    erode_by_margin,
+    find_connected,
+    missed_size,
+    size_of,
+)
+from tau_dyn.kinematics.workspace.pose_check import PoseChecker
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.robot import Robot
 
@@ -28,9 +35,9 @@ _GROWTH = 4
 
 
 def find_workspace(
-    robot: Robot | Machine,
+    robot: Robot | WorkspaceModel,
     *,
-    demands: Demands | None = None,
+    demands: PoseRequirements | None = None,
     resolution: float | None = None,
     rotation: np.ndarray | None = None,
     seed: int = 0,
@@ -51,7 +58,7 @@ def find_workspace(
         CannotAnswer: The tool moves in a plane or on a line that is not parallel to the axes.
     """
     machine = machine_of(robot) if isinstance(robot, Robot) else robot
-    judge = Judge(machine, demands if demands is not None else Demands())
+    judge = PoseChecker(machine, demands if demands is not None else PoseRequirements())
     turn = np.asarray(machine.home.rotation)[0]
     if rotation is not None:
         turn = np.asarray(checked_poses(Poses(machine.home.position, np.asarray(rotation, float)[None])).rotation)[0]
@@ -64,7 +71,7 @@ def find_workspace(
 class _Recorder:
     """Judges places at one orientation and keeps the positions found."""
 
-    def __init__(self, judge: Judge, turn: np.ndarray) -> None:
+    def __init__(self, judge: PoseChecker, turn: np.ndarray) -> None:
         self.judge, self.turn = judge, turn
         self.places: list[np.ndarray] = []
         self.q: list[np.ndarray] = []
@@ -78,8 +85,8 @@ class _Recorder:
 
 
 def _explored(
-    machine: Machine, judge: Judge, turn: np.ndarray, resolution: float | None, seed: int
-) -> tuple[Explored, _Recorder]:
+    machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray, resolution: float | None, seed: int
+) -> tuple[ClassifiedLattice, _Recorder]:
     """Explore the box, made larger where the workspace touches a side that is only an estimate."""
     lower, upper = _box(machine, judge.demands)
     step = _resolution(resolution, lower, upper)
@@ -87,7 +94,9 @@ def _explored(
         step = _suitable(machine, judge, turn, lower, upper)
     for _ in range(_GROWTH):
         recorder = _Recorder(judge, turn)
-        found = explore(lattice_over(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed)
+        found = classify_lattice(
+            lattice_over(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed
+        )
         below, above = _touched(found.inside)
         below &= lower > judge.demands.surroundings.lower
         above &= upper < judge.demands.surroundings.upper
@@ -98,7 +107,7 @@ def _explored(
     return found, recorder
 
 
-def _beside(machine: Machine, lower: np.ndarray, upper: np.ndarray, step: float) -> np.ndarray:
+def _beside(machine: WorkspaceModel, lower: np.ndarray, upper: np.ndarray, step: float) -> np.ndarray:
     """Return a place half a step beside home, so that limits at round places around home lie between points."""
     return machine.home.position[0] + np.where(upper > lower, step / 2, 0.0)
 
@@ -109,7 +118,7 @@ def _touched(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array([low and wide for low, _, wide in sides]), np.array([high and wide for _, high, wide in sides])
 
 
-def _check_home(machine: Machine, judge: Judge, turn: np.ndarray) -> None:
+def _check_home(machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray) -> None:
     judged = judge.judge(Poses(machine.home.position, turn[None]))
     if judged.code[0] == INSIDE:
         return
@@ -122,7 +131,7 @@ def _check_home(machine: Machine, judge: Judge, turn: np.ndarray) -> None:
     )
 
 
-def _box(machine: Machine, demands: Demands) -> tuple[np.ndarray, np.ndarray]:
+def _box(machine: WorkspaceModel, demands: PoseRequirements) -> tuple[np.ndarray, np.ndarray]:
     """Return the box to look in, cut by the tool's limits; an axis in which the tool does not move has no width."""
     lower, upper = machine.reach()
     home, around = machine.home.position[0], demands.surroundings
@@ -154,25 +163,29 @@ def _resolution(wanted: float | None, lower: np.ndarray, upper: np.ndarray) -> f
     return float(wanted)
 
 
-def _suitable(machine: Machine, judge: Judge, turn: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+def _suitable(
+    machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> float:
     """Return a round step that gives the workspace, not the box around it, some dozens of cells."""
     coarse = float((upper - lower).max()) / _FIRST
     look = _Recorder(judge, turn)
     lattice = lattice_over(lower, upper, machine.home.position[0], coarse, 1)
-    inside = explore(lattice, look, probes=0).inside
+    inside = classify_lattice(lattice, look, probes=0).inside
     low, high = bounding_box(inside, lattice.low, coarse)
     raw = (float((high - low).max()) + coarse) / _CELLS
     power = 10.0 ** np.floor(np.log10(raw))
     return power * max(m for m in (1.0, 2.0, 2.5, 5.0) if m * power <= raw * (1 + 1e-9))
 
 
-def _result(machine: Machine, judge: Judge, turn: np.ndarray, found: Explored, recorder: _Recorder) -> Workspace:
+def _result(
+    machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray, found: ClassifiedLattice, recorder: _Recorder
+) -> Workspace:
     lattice, demands = found.lattice, judge.demands
     code = found.code.copy()
-    belongs = connected(code == INSIDE, _start(lattice, code == INSIDE, machine.home.position[0]))
+    belongs = find_connected(code == INSIDE, _start(lattice, code == INSIDE, machine.home.position[0]))
     code[(code == INSIDE) & ~belongs] = judge.reasons.code("not connected to home")
     if demands.border > 0:
-        kept = deep(belongs, lattice.step, demands.border)
+        kept = erode_by_margin(belongs, lattice.step, demands.border)
         code[belongs & ~kept] = judge.reasons.code("too close to the border")
         belongs = kept
         if not belongs.any():
@@ -213,7 +226,7 @@ def _start(lattice: Lattice, inside: np.ndarray, home: np.ndarray) -> tuple[int,
     return tuple(index[int(np.argmin(np.linalg.norm(lattice.points(index) - home, axis=1)))].tolist())
 
 
-def _warnings(machine: Machine, judge: Judge, found: Explored, size: Size) -> list[str]:
+def _warnings(machine: WorkspaceModel, judge: PoseChecker, found: ClassifiedLattice, size: Size) -> list[str]:
     said = []
     coarse = found.lattice.step * found.lattice.stride
     for obstacle in judge.demands.surroundings.obstacles:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.kinematics.collisions import Placed
+from tau_dyn.kinematics.collisions import PlacedSolid
 from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace
-from tau_dyn.kinematics.workspace.machine import Machine, travel
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, travel
 from tau_dyn.kinematics.workspace.result import Footprint
 
 
-def footprint_of(machine: Machine) -> Footprint:
+def footprint_of(machine: WorkspaceModel) -> Footprint:
     """Return a robot's footprint."""
     solids = machine.solids(machine.robot.home[None], machine.home)
     fixed = [_corners(s) for s, body in zip(solids, machine.bodies, strict=True) if body.joint == 0]
@@ -33,7 +33,7 @@ def footprint_of(machine: Machine) -> Footprint:
     return Footprint(low[:2], high[:2], float(high[2] - low[2]), " and ".join(what))
 
 
-def _corners(solid: Placed) -> np.ndarray:
+def _corners(solid: PlacedSolid) -> np.ndarray:
     """Return the corners (8, 3) of a box around a solid at its first pose."""
     shape = solid.shape
     if isinstance(shape, Box):

@@ -88,7 +88,7 @@ def lattice_over(lower: np.ndarray, upper: np.ndarray, through: np.ndarray, step
 
 
 @dataclass(frozen=True, eq=False)
-class Explored:
+class ClassifiedLattice:
     """A classified lattice.
 
     Attributes:
@@ -112,7 +112,7 @@ class Explored:
 Classify = Callable[[np.ndarray], np.ndarray]
 
 
-def explore(lattice: Lattice, classify: Classify, *, probes: int = 1500, seed: int = 0) -> Explored:
+def classify_lattice(lattice: Lattice, classify: Classify, *, probes: int = 1500, seed: int = 0) -> ClassifiedLattice:
     """Classify a lattice, densely only along the borders of the set.
 
     Args:
@@ -137,7 +137,7 @@ def explore(lattice: Lattice, classify: Classify, *, probes: int = 1500, seed: i
         _divide(code, asked, ask, stride)
         stride //= 2
     share = _probe(code, asked, ask, probes, np.random.default_rng(seed))
-    return Explored(lattice, code, asked, share)
+    return ClassifiedLattice(lattice, code, asked, share)
 
 
 def cells(corners: np.ndarray, reduce: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.bodies import Body
-from tau_dyn.kinematics.collisions import Placed, moved, standing
+from tau_dyn.kinematics.collisions import PlacedSolid, moved, standing
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
@@ -19,7 +19,7 @@ _SAMPLES = 4000
 """Random positions from which a robot's reach is estimated."""
 
 
-class Solved(NamedTuple):
+class InverseSolution(NamedTuple):
     """Inverse kinematics of N poses.
 
     Attributes:
@@ -37,7 +37,7 @@ class Solved(NamedTuple):
     turned: float = 0.0
 
 
-class Machine(Protocol):
+class WorkspaceModel(Protocol):
     """What the workspace asks of a robot."""
 
     robot: Robot
@@ -46,7 +46,7 @@ class Machine(Protocol):
     bodies: list[Body]
     meshes: list[str]
 
-    def solve(self, poses: Poses) -> Solved:
+    def solve(self, poses: Poses) -> InverseSolution:
         """Return positions in home's configuration, whatever their limits."""
         ...
 
@@ -54,7 +54,7 @@ class Machine(Protocol):
         """Return the closure's rates."""
         ...
 
-    def solids(self, q: np.ndarray, poses: Poses) -> list[Placed]:
+    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
         """Return `bodies` at these poses."""
         ...
 
@@ -103,7 +103,7 @@ def frames_of(robot: Robot, joints: list, q: np.ndarray) -> Frames:
     return frames(joints, x)
 
 
-def carried(body: Body, at: Frames | None) -> Placed:
+def place_body(body: Body, at: Frames | None) -> PlacedSolid:
     """Return a body where its joint is, or where it stands."""
     if body.joint == 0 or at is None:
         return standing(body.shape, body.placement)

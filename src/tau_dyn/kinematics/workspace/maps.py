@@ -12,7 +12,7 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.dexterity import Rates, dexterity, worst_force, worst_speed
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.stiffness import Softest, Springs, compliance, in_series, softest
-from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 from tau_dyn.robot import Robot
 
 JOINT_STIFFNESS = 115e6
@@ -51,7 +51,9 @@ class Elasticity:
     assumed: bool
 
 
-def elasticity(machine: Machine, rod: float | None = None, actuators: Mapping[str, float] | None = None) -> Elasticity:
+def elasticity(
+    machine: WorkspaceModel, rod: float | None = None, actuators: Mapping[str, float] | None = None
+) -> Elasticity:
     """Return a robot's springs.
 
     Args:
@@ -110,7 +112,7 @@ class Quality:
         elasticity: Its springs.
     """
 
-    machine: Machine
+    machine: WorkspaceModel
     elasticity: Elasticity
 
     def available(self) -> list[str]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from tau_dyn.kinematics.workspace.lattice import Explored, cells
+from tau_dyn.kinematics.workspace.lattice import ClassifiedLattice, cells
 
 
 class Size(NamedTuple):
@@ -45,20 +45,20 @@ def size_of(inside: np.ndarray, step: float, missed: float = 0.0) -> Size:
     return Size(value, max(low - missed, 0.0), high + missed)
 
 
-def missed_size(found: Explored) -> float:
+def missed_size(found: ClassifiedLattice) -> float:
     """Return the size [m^d] that filled points may have wrong, with 95 %: all of them drawn from the same filled region."""
     filled = float((~found.asked).sum()) * found.lattice.step**found.lattice.dimension
     return found.missed_share * filled
 
 
-def connected(inside: np.ndarray, home: tuple[int, ...]) -> np.ndarray:
+def find_connected(inside: np.ndarray, home: tuple[int, ...]) -> np.ndarray:
     """Return which points are reached from `home` by steps along the axes through points that belong."""
     labels = np.zeros(inside.shape, np.int32)
     ndimage.label(inside, output=labels)
     return (labels == labels[home]) & inside
 
 
-def deep(inside: np.ndarray, step: float, margin: float) -> np.ndarray:
+def erode_by_margin(inside: np.ndarray, step: float, margin: float) -> np.ndarray:
     """Return which points keep a distance [m] from every point that does not belong; the lattice's edge is none."""
     far = ndimage.distance_transform_edt(inside, sampling=step)
     return np.asarray(far) >= margin

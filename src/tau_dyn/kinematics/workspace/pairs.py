@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.kinematics.bodies import Body
-from tau_dyn.kinematics.collisions import Placed, touch
-from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.kinematics.collisions import PlacedSolid, find_collisions
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 
 _NEAR = 0.02  # [m] what a cart keeps from the guideway that it rides on
 
@@ -27,12 +27,12 @@ class Pair:
     second: int
     name: str
 
-    def touches(self, solids: Mapping[int, Placed] | Sequence[Placed], margin: float) -> np.ndarray:
+    def touches(self, solids: Mapping[int, PlacedSolid] | Sequence[PlacedSolid], margin: float) -> np.ndarray:
         """Return at which poses (N,) they come closer than `margin` [m]."""
-        return touch(solids[self.first], solids[self.second], margin)
+        return find_collisions(solids[self.first], solids[self.second], margin)
 
 
-def pairs_of(machine: Machine, margin: float = 0.0) -> tuple[list[Pair], list[str]]:
+def pairs_of(machine: WorkspaceModel, margin: float = 0.0) -> tuple[list[Pair], list[str]]:
     """Return the pairs to test, and the names of those left out because they touch at home though nothing joins them."""
     bodies = machine.bodies
     solids = machine.solids(machine.robot.home[None], machine.home)
@@ -51,7 +51,7 @@ def pairs_of(machine: Machine, margin: float = 0.0) -> tuple[list[Pair], list[st
     return kept, list(dict.fromkeys(touching))
 
 
-def _joined(a: int, b: int, bodies: list[Body], solids: list[Placed], machine: Machine) -> bool:
+def _joined(a: int, b: int, bodies: list[Body], solids: list[PlacedSolid], machine: WorkspaceModel) -> bool:
     """Return whether two solids belong to one link, or one is a rod and the other holds its joint or carries what does."""
     if bodies[a].rod < 0:
         return bodies[a].joint == bodies[b].joint
@@ -62,20 +62,20 @@ def _joined(a: int, b: int, bodies: list[Body], solids: list[Placed], machine: M
         return True
     carts = [k for k, body in enumerate(bodies) if body.rod < 0 and body.joint in holders]
     under = [machine.robot.model.parents[j] for j in holders]
-    return bodies[b].joint in under and any(touch(solids[k], solids[b], _NEAR)[0] for k in carts)
+    return bodies[b].joint in under and any(find_collisions(solids[k], solids[b], _NEAR)[0] for k in carts)
 
 
-def _rides(a: Body, b: Body, machine: Machine) -> bool:
+def _rides(a: Body, b: Body, machine: WorkspaceModel) -> bool:
     """Return whether a joint lies between two links."""
     parents = machine.robot.model.parents
     return a.rod < 0 and (parents[a.joint] == b.joint or parents[b.joint] == a.joint)
 
 
-def _share_an_end(a: Placed, b: Placed) -> bool:
+def _share_an_end(a: PlacedSolid, b: PlacedSolid) -> bool:
     return bool(np.linalg.norm(_ends(a)[:, None] - _ends(b)[None], axis=2).min() < 1e-3)
 
 
-def _ends(rod: Placed) -> np.ndarray:
+def _ends(rod: PlacedSolid) -> np.ndarray:
     """Return a rod's joints (2, 3) at its first pose."""
     assert rod.length is not None
     half = rod.rotation[0][:, 2] * rod.length[0] / 2

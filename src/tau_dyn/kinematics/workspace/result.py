@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.demands import KINDS, Reasons
-from tau_dyn.kinematics.workspace.judge import Judge
 from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice
-from tau_dyn.kinematics.workspace.machine import Machine
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 from tau_dyn.kinematics.workspace.measure import Size
+from tau_dyn.kinematics.workspace.pose_check import PoseChecker
+from tau_dyn.kinematics.workspace.pose_requirements import KINDS, Reasons
 
 _MEASURES = {1: ("length", "m"), 2: ("area", "m2"), 3: ("volume", "m3")}
 
@@ -61,8 +61,8 @@ class Workspace:
         warnings: Sentences.
     """
 
-    machine: Machine
-    judge: Judge
+    machine: WorkspaceModel
+    judge: PoseChecker
     rotation: np.ndarray
     lattice: Lattice
     code: np.ndarray

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.kinematics.bodies import Body, read_bodies, rod_body, rod_radius
-from tau_dyn.kinematics.collisions import Placed, between, moved
+from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, moved
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.inverse import inverse_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.tree_arrays import joints_of
-from tau_dyn.kinematics.workspace.machine import Solved, carried, drawn_positions, frames_of
+from tau_dyn.kinematics.workspace.machine import InverseSolution, drawn_positions, frames_of, place_body
 
 _TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
 
@@ -53,13 +53,13 @@ class RodMachine:
             out.setdefault(tuple(twin) if len(twin) > 1 else (k,), stem if len(twin) > 1 else name)
         return [(name, list(members)) for members, name in out.items()]
 
-    def solve(self, poses: Poses) -> Solved:
+    def solve(self, poses: Poses) -> InverseSolution:
         """Return positions in home's configuration, whatever their limits."""
         found = inverse_kinematics(self._rods, poses, limits=False)
         turned = float(np.nanmax(np.where(found.ok, found.orientation_error, 0.0), initial=0.0))
         if turned > _TURNED:
             poses = Poses(poses.position, np.where(found.ok[:, None, None], found.rotation, poses.rotation))
-        return Solved(found.q, found.ok, found.reason, poses, turned)
+        return InverseSolution(found.q, found.ok, found.reason, poses, turned)
 
     def holders(self, rod: int) -> list[int]:
         """Return the joints whose links hold the joints of a rod among `bodies`."""
@@ -78,7 +78,7 @@ class RodMachine:
         turns = np.array([kind == "revolute" for kind in self.robot.joint_kinds])
         return Rates(tool, rods.gap_by_q(q, plate), turns, self.length)
 
-    def solids(self, q: np.ndarray, poses: Poses) -> list[Placed]:
+    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
         """Return `bodies` at these poses."""
         rods, plate = self._rods, self._rods.plate_poses(poses)
         start, end = rods.base_points(q), rods.plate_points(plate)
@@ -87,11 +87,13 @@ class RodMachine:
         for body in self.bodies:
             if body.rod >= 0:
                 members, capsule = self._sides[body.rod][1], body.shape
-                out.append(between(capsule.radius, capsule.length, start[:, members].mean(axis=1), end[:, members[0]]))
+                out.append(
+                    build_capsule(capsule.radius, capsule.length, start[:, members].mean(axis=1), end[:, members[0]])
+                )
             elif body.joint == self._plate:
                 out.append(moved(body, np.asarray(plate.rotation), plate.position))
             else:
-                out.append(carried(body, at))
+                out.append(place_body(body, at))
         return out
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:

@@ -11,12 +11,12 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.workspace.catalogue import Catalogue, catalogue
-from tau_dyn.kinematics.workspace.demands import Demands
 from tau_dyn.kinematics.workspace.find import find_workspace
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machines import machine_of
 from tau_dyn.kinematics.workspace.maps import Quality, elasticity
 from tau_dyn.kinematics.workspace.orientations import Tilt, tilt, turns_freely
+from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.kinematics.workspace.result import Workspace
 from tau_dyn.kinematics.workspace.sections import Section, parse_section, section, usual_sections
 from tau_dyn.robot import Robot
@@ -87,7 +87,7 @@ def _extents(s: Section) -> list[np.ndarray]:
 def study(
     robot: Robot,
     *,
-    demands: Demands | None = None,
+    demands: PoseRequirements | None = None,
     resolution: float | None = None,
     turn_deg: Sequence[float] | None = None,
     sections: Sequence[str] = (),

@@ -9,15 +9,15 @@ from scipy.spatial import cKDTree
 
 from tau_dyn.kinematics import jacobians
 from tau_dyn.kinematics.bodies import read_bodies
-from tau_dyn.kinematics.collisions import Placed
+from tau_dyn.kinematics.collisions import PlacedSolid
 from tau_dyn.kinematics.dexterity import Rates
-from tau_dyn.kinematics.engines import engine_of
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
+from tau_dyn.kinematics.solvers import get_solver
 from tau_dyn.kinematics.tree_pose import TreePose
-from tau_dyn.kinematics.workspace.machine import Solved, carried, drawn_positions
+from tau_dyn.kinematics.workspace.machine import InverseSolution, drawn_positions, place_body
 from tau_dyn.robot import Robot
 
 _WAVES = 300
@@ -58,7 +58,7 @@ class TreeMachine:
         self.robot = robot
         self.rods: Rods | None = None
         self.home = forward_kinematics(robot, robot.home[None]).poses
-        engine = engine_of(robot)
+        engine = get_solver(robot)
         assert isinstance(engine, TreePose)
         self._engine = engine
         self.bodies, self.meshes = read_bodies(robot)
@@ -77,7 +77,7 @@ class TreeMachine:
     def _jacobian(self, q: np.ndarray, poses: Poses | None) -> np.ndarray:
         return jacobians.jacobian(self.robot, q, poses)
 
-    def solve(self, poses: Poses) -> Solved:
+    def solve(self, poses: Poses) -> InverseSolution:
         """Return positions that are home's carried on from neighbour to neighbour, from home outwards."""
         n = len(poses.position)
         q, code = np.full((n, self.robot.na), np.nan), np.full(n, "out of reach", dtype=object)
@@ -93,7 +93,7 @@ class TreeMachine:
                 break
             tried[lost[go]] = away[go]
             turned = max(turned, self._try(poses, lost[go], start[go], q, code))
-        return Solved(q, code == "", code, poses, turned)
+        return InverseSolution(q, code == "", code, poses, turned)
 
     def _try(self, poses: Poses, index: np.ndarray, start: np.ndarray, q: np.ndarray, code: np.ndarray) -> float:
         """Solve some of the poses from known neighbours, write what was found, return how far the tool is turned."""
@@ -119,10 +119,10 @@ class TreeMachine:
         one = np.broadcast_to(np.eye(len(self._rows)), (len(q), len(self._rows), len(self._rows))).copy()
         return Rates(one, J, self._turns, self.length)
 
-    def solids(self, q: np.ndarray, poses: Poses) -> list[Placed]:
+    def solids(self, q: np.ndarray, poses: Poses) -> list[PlacedSolid]:
         """Return `bodies` at these poses."""
         at = self._engine.loops.close(q).at
-        return [carried(body, at) for body in self.bodies]
+        return [place_body(body, at) for body in self.bodies]
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a box around the places that random positions reach, with room to every side."""

@@ -1,0 +1,152 @@
+r"""Which additions to a model the residuals ask for, before any is fitted: an F test on what their columns take away.
+
+Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of
+their columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one
+and a half ranges down to `_SHORTEST`, which costs significance by their number. Reference: Draper & Smith 1998, 6;
+Scargle 1982.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.models import RodFamily, Spec
+from tau_dyn.calibrate.residuals import positions
+
+_SHORTEST = 0.004  # [m]: finer than any rack's teeth
+_LONGEST = 1.5  # of the range travelled
+_OVERSAMPLED = 4
+SIGNIFICANCE_LEVEL = 1e-3
+
+
+class AdditionTest(NamedTuple):
+    """An addition that residuals ask for.
+
+    Attributes:
+        addition: Its kind.
+        joints: Where.
+        p_value: Chance of so large a reduction by noise, tries counted.
+        share: Of the residuals' squares that it takes away.
+        period: Of a cyclic error [m or rad], 0 otherwise.
+    """
+
+    addition: str
+    joints: tuple[str, ...]
+    p_value: float
+    share: float
+    period: float = 0.0
+
+
+def screen_additions(fitted: GeometryFit, family: RodFamily, spec: Spec) -> list[AdditionTest]:
+    """Return the additions that would take away more than noise would, surest first."""
+    rest = _ProjectedResidual(fitted)
+    hints = []
+    for addition in ("backlash", "periodic", "periodic2", "compliant", "piecewise"):
+        for joint in family.can_have(addition):
+            first = spec.additions.get("periodic", ())
+            if joint in spec.additions.get(addition, ()) or (addition == "periodic2" and joint not in first):
+                continue
+            if addition.startswith("periodic"):
+                hint = _periodic(rest, family, joint, addition)
+            else:
+                hint = _plain(rest, family, spec, addition, joint)
+            if hint is not None and hint.p_value < SIGNIFICANCE_LEVEL:
+                hints.append(hint)
+    return sorted(hints, key=lambda h: (h.p_value, -h.share))
+
+
+class _ProjectedResidual:
+    """What a fit leaves, and how to free columns of what it could take up."""
+
+    def __init__(self, fitted: GeometryFit) -> None:
+        self.fitted = fitted
+        blocks = (3, 3) if fitted.residuals.shape[1] == 6 else (3,)
+        self.sigma = np.concatenate([np.full(n, s) for n, s in zip(blocks, fitted.noise, strict=True)])
+        self.q = np.linalg.qr(fitted.columns.reshape(-1, fitted.columns.shape[2]))[0]
+        flat = np.where(fitted.state.ok[:, None], fitted.residuals / self.sigma, 0.0).ravel()
+        self.r = self.free(flat)
+        self.total = float(self.r @ self.r)
+        self.left = len(flat) - fitted.n_estimated
+
+    def free(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (rows, ...) without their part in the fitted parameters' span."""
+        return columns - self.q @ (self.q.T @ columns)
+
+    def twists(self, base: np.ndarray) -> np.ndarray:
+        """Return whitened rows (N m, k) of tool twists (N, 6, k) in the robot's base frame."""
+        moved = self.fitted.frames.carried(self.fitted.state.base, base, self.fitted.poses.campaign)
+        return (moved[:, : len(self.sigma)] / self.sigma[None, :, None]).reshape(len(self.q), -1)
+
+    def judged(self, gain: float, k: int, tries: int = 1) -> tuple[float, float]:
+        """Return the p-value and the share of a reduction by `k` columns."""
+        share = gain / self.total
+        left = max(self.left - k, 1)
+        f = (share / k) / max((1 - share) / left, 1e-300)
+        p = float(stats.f.sf(f, k, left))
+        return min(1.0, p * tries), share
+
+
+def _plain(rest: _ProjectedResidual, family: RodFamily, spec: Spec, addition: str, joint: str) -> AdditionTest | None:
+    fitted = rest.fitted
+    q = positions(fitted.poses, fitted.state.slack)
+    if addition == "backlash":
+        a = family.joints.index(joint)
+        slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
+        columns = rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
+    else:
+        larger = family.build(spec.plus(addition, (joint,)))
+        old = dict(zip(fitted.geometry.parameters.names, fitted.theta.tolist(), strict=True))
+        names = larger.parameters.names
+        theta = np.array([old.get(p.name, p.value) for p in larger.parameters])
+        new = [k for k, name in enumerate(names) if name not in old]
+        columns = rest.twists(larger.tool_by_parameter(theta, q, fitted.state.base)[:, :, new])
+    norm = np.linalg.norm(columns, axis=0)
+    columns = rest.free(columns / np.where(norm > 0, norm, 1.0))
+    basis, s, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, s > 1e-6]
+    if not basis.shape[1] or rest.left <= basis.shape[1]:
+        return None
+    p, share = rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])
+    return AdditionTest(addition, (joint,), p, share)
+
+
+def _periodic(
+    rest: _ProjectedResidual, family: RodFamily, joint: str, addition: str = "periodic"
+) -> AdditionTest | None:
+    fitted = rest.fitted
+    a = family.joints.index(joint)
+    x = fitted.poses.q[:, a]
+    span = float(np.ptp(x))
+    if span <= 0 or rest.left <= 4:
+        return None
+    q = positions(fitted.poses, fitted.state.slack)
+    slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
+    frequencies = np.arange(1 / (_LONGEST * span), 1 / _SHORTEST, 1 / (_OVERSAMPLED * span))
+    gains = np.concatenate(
+        [_reductions(rest, slope, x, part) for part in np.array_split(frequencies, len(frequencies) // 300 + 1)]
+    )
+    best = int(np.argmax(gains))
+    p, share = rest.judged(float(gains[best]), 2, len(frequencies))
+    return AdditionTest(addition, (joint,), p, share, float(1 / frequencies[best]))
+
+
+def _reductions(rest: _ProjectedResidual, slope: np.ndarray, x: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+    """Return by how much a wave of each frequency reduces the residuals' squares."""
+    phase = 2 * np.pi * x[:, None] * frequencies
+    s, c = (rest.free(rest.twists(slope * wave[:, None])) for wave in (np.sin(phase), np.cos(phase)))
+    ss, cc, sc = np.sum(s * s, axis=0), np.sum(c * c, axis=0), np.sum(s * c, axis=0)
+    rs, rc = rest.r @ s, rest.r @ c
+    det = ss * cc - sc**2
+    good = det > 1e-6 * ss * cc
+    return np.where(good, (cc * rs**2 - 2 * sc * rs * rc + ss * rc**2) / np.where(good, det, 1.0), 0.0)
+
+
+def strongest_periods(fitted: GeometryFit, family: RodFamily, joints: tuple[str, ...]) -> dict[str, float]:
+    """Return the period [m] at each joint that takes most away from what a fit leaves."""
+    rest = _ProjectedResidual(fitted)
+    found = {joint: _periodic(rest, family, joint) for joint in joints}
+    return {joint: hint.period for joint, hint in found.items() if hint is not None}

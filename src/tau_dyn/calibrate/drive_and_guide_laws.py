@@ -1,0 +1,268 @@
+r"""What carts and drives do beside moving along a straight line: each law is a few more parameters, zero in the nominal robot.
+
+A `DriveLaw` changes the position that a joint really has, `q_eff = q + e(q)`; a `GuideLaw` displaces all rod ends
+that a slide carries, `A = A_0 + d(q)`, in base axes. Both are given `q` alone, so that forward kinematics stays a
+function of `q`; a load-dependent law takes its loads from the nominal robot, whose errors change them by parts in a
+thousand. Reference: thesis 4.2, 5.3 and figures 4.3, 5.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from tau_dyn.kinematics.chains import path
+from tau_dyn.kinematics.rods import Rods
+from tau_dyn.parameters import Parameter, Parameters
+
+AXES = ("x", "y", "z")
+Loads = Callable[[np.ndarray], np.ndarray]
+"""`q` (N, na) -> force of the rods on each actuated slide (N, na, 3) [N], in base axes."""
+
+
+class DriveShift(NamedTuple):
+    """A joint's error (N,), its slope by `q` (N,) and by the law's parameters (N, p)."""
+
+    error: np.ndarray
+    slope: np.ndarray
+    columns: np.ndarray
+
+
+class GuideShift(NamedTuple):
+    """Displacements (N, rods, 3) [m] of rods' ends, their slope by the slide's `q` and by parameters (N, rods, 3, p)."""
+
+    shift: np.ndarray
+    slope: np.ndarray
+    columns: np.ndarray
+
+
+class DriveLaw(Protocol):
+    """An error of one joint's position."""
+
+    @property
+    def actuator(self) -> int:
+        """Index of the joint in `q`."""
+        ...
+
+    @property
+    def parameters(self) -> Parameters:
+        """Its parameters, at their nominal values."""
+        ...
+
+    def drive(self, values: np.ndarray, q: np.ndarray) -> DriveShift:
+        """Return the error at `q` (N, na)."""
+        ...
+
+
+class GuideLaw(Protocol):
+    """A displacement of the rod ends that one slide carries."""
+
+    @property
+    def actuator(self) -> int:
+        """Index of the slide in `q`."""
+        ...
+
+    @property
+    def parameters(self) -> Parameters:
+        """Its parameters, at their nominal values."""
+        ...
+
+    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+        """Return the displacements at `q` (N, na)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicDriveLaw:
+    """A periodic drive error: `e = error_sin sin(2 pi q / error_period) + error_cos cos(..)`, pinions, racks, resolvers.
+
+    Attributes:
+        joint: Joint name.
+        actuator: Its index.
+        period: Starting value [m or rad].
+        label: What tells a second wave of the same joint apart, such as `2`.
+        unit: Of the joint.
+    """
+
+    joint: str
+    actuator: int
+    period: float
+    label: str = ""
+    unit: str = "m"
+
+    @property
+    def parameters(self) -> Parameters:
+        """Two amplitudes and the period."""
+        n, u, k = self.joint, self.unit, self.label
+        return Parameters(
+            [
+                Parameter(f"{n}.error{k}_sin", 0.0, u, origin="law"),
+                Parameter(f"{n}.error{k}_cos", 0.0, u, origin="law"),
+                Parameter(f"{n}.error{k}_period", self.period, u, origin="law"),
+            ]
+        )
+
+    def drive(self, values: np.ndarray, q: np.ndarray) -> DriveShift:
+        """Return the error."""
+        a, b, period = values
+        x = q[:, self.actuator]
+        w = 2 * np.pi / period
+        s, c = np.sin(w * x), np.cos(w * x)
+        slope = w * (a * c - b * s)
+        return DriveShift(a * s + b * c, slope, np.column_stack([s, c, -slope * x / period]))
+
+
+@dataclass(frozen=True, eq=False)
+class GuideBendLaw:
+    """A crooked guideway: displacement linear between knots along it, zero at the first and the last one.
+
+    Attributes:
+        joint: Slide's name.
+        actuator: Its index.
+        rods: Rods it carries.
+        n_rods: Number of all rods.
+        knots: Positions along the guideway (k,) [m].
+        base: Displacements that are known beforehand (k, 3) [m], from a measured guideway; the parameters come on top.
+    """
+
+    joint: str
+    actuator: int
+    rods: tuple[int, ...]
+    n_rods: int
+    knots: np.ndarray
+    base: np.ndarray | None = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """Three displacements for every inner knot."""
+        inner = range(1, len(self.knots) - 1)
+        return Parameters(Parameter(f"{self.joint}.bend_{k}_{a}", 0.0, "m", origin="law") for k in inner for a in AXES)
+
+    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+        """Return the displacements."""
+        x, knots = q[:, self.actuator], self.knots
+        k = np.clip(np.searchsorted(knots, x) - 1, 0, len(knots) - 2)
+        width = knots[k + 1] - knots[k]
+        share = np.clip((x - knots[k]) / width, 0.0, 1.0)
+        inside = ((x >= knots[0]) & (x <= knots[-1])).astype(float)
+        hat, by_q = np.zeros((len(x), len(knots))), np.zeros((len(x), len(knots)))
+        row = np.arange(len(x))
+        hat[row, k], hat[row, k + 1] = 1 - share, share
+        by_q[row, k], by_q[row, k + 1] = -inside / width, inside / width
+        at = np.zeros((len(knots), 3))
+        at[1:-1] = values.reshape(-1, 3)
+        if self.base is not None:
+            at = at + self.base
+        columns = np.einsum("nk,ab->nakb", hat[:, 1:-1], np.eye(3)).reshape(len(x), 3, -1)
+        return _on_rods(hat @ at, by_q @ at, columns, self.rods, self.n_rods)
+
+
+@dataclass(frozen=True, eq=False)
+class RodPathLaw:
+    """A rod's own path: its end leaves the cart's line by `drift` per metre of travel, as on a cart that turns while it travels.
+
+    Attributes:
+        rod: Name of the rod.
+        index: Its index.
+        actuator: Index of the slide.
+        n_rods: Number of all rods.
+    """
+
+    rod: str
+    index: int
+    actuator: int
+    n_rods: int
+
+    @property
+    def parameters(self) -> Parameters:
+        """Three drifts."""
+        return Parameters(Parameter(f"{self.rod}.drift_{a}", 0.0, "1", origin="law") for a in AXES)
+
+    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+        """Return the displacements."""
+        x = q[:, self.actuator]
+        columns = x[:, None, None] * np.eye(3)
+        slope = np.broadcast_to(values, (len(x), 3))
+        return _on_rods(x[:, None] * values, slope, columns, (self.index,), self.n_rods)
+
+
+@dataclass(frozen=True, eq=False)
+class CartComplianceLaw:
+    """A cart that yields to its rods' pull: `d = guideway_compliance F` across its guideway.
+
+    Attributes:
+        joint: Slide's name.
+        actuator: Its index.
+        rods: Rods it carries.
+        n_rods: Number of all rods.
+        direction: Unit vector of the guideway (3,).
+        loads: The rods' pull.
+    """
+
+    joint: str
+    actuator: int
+    rods: tuple[int, ...]
+    n_rods: int
+    direction: np.ndarray
+    loads: Loads
+
+    @property
+    def parameters(self) -> Parameters:
+        """One compliance."""
+        return Parameters([Parameter(f"{self.joint}.guideway_compliance", 0.0, "m/N", origin="law")])
+
+    def guide(self, values: np.ndarray, q: np.ndarray) -> GuideShift:
+        """Return the displacements."""
+        force = self.loads(q)[:, self.actuator]
+        across = force - (force @ self.direction)[:, None] * self.direction
+        return _on_rods(values[0] * across, np.zeros_like(across), across[:, :, None], self.rods, self.n_rods)
+
+
+@dataclass(frozen=True, eq=False)
+class DriveComplianceLaw:
+    """A drive that yields to its rods' pull: `e = drive_compliance F . n` along its guideway.
+
+    Attributes:
+        joint: Slide's name.
+        actuator: Its index.
+        direction: Unit vector of the guideway (3,).
+        loads: The rods' pull.
+    """
+
+    joint: str
+    actuator: int
+    direction: np.ndarray
+    loads: Loads
+
+    @property
+    def parameters(self) -> Parameters:
+        """One compliance."""
+        return Parameters([Parameter(f"{self.joint}.drive_compliance", 0.0, "m/N", origin="law")])
+
+    def drive(self, values: np.ndarray, q: np.ndarray) -> DriveShift:
+        """Return the error."""
+        along = self.loads(q)[:, self.actuator] @ self.direction
+        return DriveShift(values[0] * along, np.zeros(len(q)), along[:, None])
+
+
+def carried_by(rods: Rods, actuator: int) -> tuple[int, ...]:
+    """Return the rods that hang on a joint, directly or through others."""
+    joints, carrier = rods.numbers.joints, rods.numbers.carried.carrier
+    return tuple(k for k, c in enumerate(carrier) if any(joints[j].actuator == actuator for j in path(joints, c)))
+
+
+def guideways(rods: Rods) -> tuple[int, ...]:
+    """Return the indices in `q` of slides that stand on the base and carry rods."""
+    return tuple(j.actuator for j in rods.numbers.joints if j.slides and j.parent < 0)
+
+
+def _on_rods(shift: np.ndarray, slope: np.ndarray, columns: np.ndarray, rods: Sequence[int], n_rods: int) -> GuideShift:
+    out = np.zeros((len(shift), n_rods, 3))
+    by_q = np.zeros((len(shift), n_rods, 3))
+    by = np.zeros((len(shift), n_rods, 3, columns.shape[2]))
+    for k in rods:
+        out[:, k], by_q[:, k], by[:, k] = shift, slope, columns
+    return GuideShift(out, by_q, by)

@@ -1,0 +1,230 @@
+"""A geometry, the measuring device's frame and the target's place fitted to measured poses; the work is done in `descent.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.calibrate.count import check_count
+from tau_dyn.calibrate.frames import Frames, mean_rotation
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.identifiability import Identifiability
+from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
+from tau_dyn.calibrate.pose_errors import PoseErrors, errors_of
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.residuals import Problem, State, positions
+from tau_dyn.calibrate.start import starting_frames
+from tau_dyn.calibrate.unknowns import Unknowns, collect
+from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.parameters import Parameter, Parameters
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryFit:
+    """A geometry fitted to poses.
+
+    Attributes:
+        geometry: What was fitted.
+        poses: To what.
+        unknowns: All unknowns and which were free.
+        state: Their values, and predicted tool poses.
+        cov: Covariance of the free unknowns (f, f) in the order of `identifiability.names`; zero where not
+            identifiable.
+        residuals: (N, m), as the kind says.
+        kind: Of the residuals.
+        noise: Standard deviation of each block of residuals [m, rad].
+        weights: Of the poses (N,).
+        identifiability: What could be told.
+        columns: Whitened derivatives of the kept unknowns (N, m, r), for predictions and cross-validation.
+        steps: Gauss-Newton steps taken.
+        converged: Whether it came to rest.
+    """
+
+    geometry: Geometry
+    poses: PoseSet
+    unknowns: Unknowns
+    state: State
+    cov: np.ndarray
+    residuals: np.ndarray
+    kind: str
+    noise: tuple[float, ...]
+    weights: np.ndarray
+    identifiability: Identifiability
+    columns: np.ndarray
+    steps: int
+    converged: bool
+
+    @property
+    def theta(self) -> np.ndarray:
+        """The geometry's parameters (p,)."""
+        return self.state.theta
+
+    @property
+    def frames(self) -> Frames:
+        """Device and target."""
+        return self.state.frames
+
+    @property
+    def n_estimated(self) -> int:
+        """Number of estimated unknowns."""
+        return self.identifiability.rank
+
+    @property
+    def parameters(self) -> Parameters:
+        """All unknowns with values and, where estimated, standard errors."""
+        values = np.concatenate([self.theta, [p.value for p in self.frames.parameters()], self.state.slack])
+        error = dict(zip(self.identifiability.names, np.sqrt(np.diag(self.cov)), strict=True))
+        kept = {self.identifiability.names[k] for k in self.identifiability.kept}
+        rows = []
+        for p, value, free in zip(self.unknowns.rows, values, self.unknowns.free, strict=True):
+            known = p.name in kept
+            rows.append(
+                replace(
+                    p,
+                    value=float(value),
+                    stderr=float(error[p.name]) if known else None,
+                    free=bool(free),
+                    origin="calibration" if known else p.origin,
+                )
+            )
+        return Parameters(rows)
+
+    def interval(self, parameter: Parameter, share: float = 0.95) -> tuple[float, float] | None:
+        """Return a parameter's interval (Student's t), None where it was not estimated."""
+        if parameter.stderr is None:
+            return None
+        left = max(self.residuals.size - self.n_estimated, 1)
+        half = float(stats.t.ppf(0.5 + share / 2, left)) * parameter.stderr
+        return parameter.value - half, parameter.value + half
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlations of the free unknowns (f, f), zero where not estimated."""
+        error = np.sqrt(np.diag(self.cov))
+        safe = np.where(error > 0, error, 1.0)
+        return self.cov / np.outer(safe, safe)
+
+    def predict(self, poses: PoseSet) -> State:
+        """Return where this fit expects the tool at other poses' joints, in the robot's base frame."""
+        found = self.geometry.forward(self.theta, positions(poses, self.state.slack))
+        return State(self.theta, self.frames, found.poses, found.ok, self.state.slack)
+
+    def seen(self, poses: PoseSet, state: State | None = None) -> Poses:
+        """Return what the device should see of other poses."""
+        state = self.predict(poses) if state is None else state
+        campaign = np.minimum(poses.campaign, max(len(self.frames.device), len(self.frames.tool)) - 1)
+        return self.frames.measured(state.base, campaign)
+
+    def errors(self, poses: PoseSet) -> PoseErrors:
+        """Return measured minus predicted at other poses."""
+        return errors_of(poses, self.seen(poses), self._target(), own=self.geometry.orients)
+
+    def _target(self) -> np.ndarray | None:
+        """Return the target's orientation (3, 3) behind a plate that keeps its own: the mean that was measured."""
+        if self.geometry.orients or self.poses.rotation is None:
+            return None
+        seen = self.frames.measured(self.state.base, self.poses.campaign)
+        ok = self.state.ok
+        return mean_rotation(np.swapaxes(seen.rotation[ok], 1, 2) @ self.poses.rotation[ok])
+
+    def model_error(self, q: np.ndarray, campaign: int = 0) -> np.ndarray:
+        """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone."""
+        found = self.geometry.forward(self.theta, q)
+        at = np.full(len(q), campaign)
+        twist = self.geometry.tool_by_parameter(self.theta, q, found.poses)
+        device, tool = self.frames.columns(found.poses, self.frames.measured(found.poses, at), at)
+        moved = self.frames.carried(found.poses, twist, at)
+        play = np.zeros((len(q), 6, len(self.state.slack)))  # at the middle of the backlash
+        columns = np.concatenate([moved, device, tool, play], axis=2)[:, :3]
+        columns = columns[:, :, self.unknowns.free]
+        return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
+
+
+def fit_geometry_to_poses(
+    geometry: Geometry,
+    poses: PoseSet,
+    *,
+    fix: Sequence[str] = (),
+    free: Sequence[str] = (),
+    residual: str = "forward",
+    robust: str = "none",
+    device: bool = True,
+    tool: bool = True,
+    backlash: bool = False,
+    noise: tuple[float, ...] | None = None,
+    start: GeometryFit | State | None = None,
+    frames: Frames | None = None,
+    apart: tuple[bool, bool] = (False, False),
+    what: str = "this model",
+) -> GeometryFit:
+    """Fit a geometry's parameters, the measuring device's frame and the target's place to measured poses.
+
+    Args:
+        geometry: Mechanism with its nominal parameters; those that are not `free` stay.
+        poses: What was measured; without orientations the positions alone are fitted.
+        fix: Names or patterns that stay.
+        free: Names or patterns that may change although they would stay.
+        residual: `forward`, `closure` or `inverse`.
+        robust: Weights against bad poses: `none`, `huber` or `biweight`.
+        device: Whether the device's frame is unknown; otherwise it is the robot's base frame (or `frames`).
+        tool: Whether the target's place on the tool is unknown.
+        backlash: Whether the actuated joints' backlash is unknown.
+        noise: Standard deviations of each block of residuals (position [m], orientation [rad]); estimated unless given.
+        start: A fit of the same geometry, or its state, to start from.
+        frames: Device and target to start from; found by aligning the nominal robot unless given.
+        apart: Whether every campaign has a device frame, a target of its own.
+        what: The model's name, for messages.
+
+    Raises:
+        InputError: Poses that do not fit the robot, too few of them, or a left-handed device.
+        CannotAnswer: The geometry cannot reach the poses from where the fit stands.
+    """
+    turned = poses.rotation is not None and geometry.orients
+    state = _starting_state(geometry, poses, start, frames, device)
+    state = _own_frames(state, len(poses.campaigns), apart)
+    unknowns = collect(
+        geometry, state.frames, fix=fix, free=free, device=device, tool=tool, turned=turned, backlash=backlash
+    )
+    problem = Problem(geometry, poses, unknowns, residual, turned)
+    check_count(poses, geometry, unknowns, problem, what)
+    run = LevenbergMarquardt(problem, robust, noise)
+    state, noise, converged = run.minimise(state)
+    found = run.identifiable(state, noise)
+    state = run.reset_unidentifiable(state, noise, found)
+    if not state.ok.any():
+        raise CannotAnswer(
+            f"{poses.source}: {what} cannot reach the poses from where the fit stands",
+            "start from a robot file whose dimensions are nearer to the machine's",
+        )
+    weight, columns, cov = run.uncertainty(state, noise, found.kept)
+    residuals = problem.residuals(state)
+    return GeometryFit(
+        geometry, poses, unknowns, state, cov, residuals, residual, noise, weight, found, columns, run.steps, converged
+    )
+
+
+def _own_frames(state: State, campaigns: int, apart: tuple[bool, bool]) -> State:
+    """Return a state in which every campaign has frames of its own where asked for."""
+    device = apart[0] and len(state.frames.device) == 1
+    tool = apart[1] and len(state.frames.tool) == 1
+    return state._replace(frames=state.frames.apart(campaigns, device=device, tool=tool))
+
+
+def _starting_state(
+    geometry: Geometry, poses: PoseSet, start: GeometryFit | State | None, frames: Frames | None, device: bool
+) -> State:
+    if isinstance(start, GeometryFit):
+        start = start.state
+    if start is not None:
+        base = start.base if len(start.base.position) == poses.n else None
+        found = geometry.forward(start.theta, positions(poses, start.slack), base)
+        return State(start.theta, start.frames, found.poses, found.ok, start.slack)
+    theta = geometry.parameters.values
+    found = geometry.forward(theta, poses.q)
+    if frames is None:
+        frames = starting_frames(poses, found) if device else Frames()
+    return State(theta, frames, found.poses, found.ok, np.zeros(poses.na))

@@ -1,0 +1,257 @@
+r"""Gauss-Newton with Levenberg's damping on the manifold of all unknowns, in rounds that settle noise and weights.
+
+    minimise  sum_k w_k |r_k / sigma|^2 + sum_i ((theta_i - nominal_i) / scale_i)^2
+
+The second sum says that a robot is built to its drawing within `scale` (10 mm, 10 mrad): it decides nothing that
+poses can tell, and keeps combinations that they hardly see from running away; a 3-DOF Gantry-Tau sees a rod shifted
+parallel to itself only through the plate's tiny rotations. The noise `sigma` of each block (position, orientation) is
+the block's sum of squares by what the parameters leave of it, `n_b - trace(H_b)`, `H` the hat matrix. Reference:
+Khalil & Dombre 2002, 11.5; Nocedal & Wright 2006, 10.3.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg
+
+from tau_dyn.calibrate.identifiability import Identifiability, find_identifiable
+from tau_dyn.calibrate.residuals import Problem, State
+from tau_dyn.calibrate.weights import robust_scale, weights
+
+_ROUNDS = 15
+_STEPS = 15  # of Gauss-Newton in one round
+_SETTLED = 1e-2  # of the noise: what a round may still change
+_SMALL = 1e-3  # a step whose predictions move by less than this share of the noise (rms) is the last,
+_GAIN = 0.02  # and so is one that lowers the sum by less: a seventh of a standard error at most
+_FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
+_UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
+_FULL_STEPS = 4
+
+
+class LevenbergMarquardt:
+    """One fit."""
+
+    def __init__(self, problem: Problem, robust: str, noise: tuple[float, ...] | None) -> None:
+        """Prepare scales and the prior.
+
+        Args:
+            problem: Residuals and their derivatives.
+            robust: Kind of weights.
+            noise: Of each block, None to estimate it.
+        """
+        self.problem, self.robust, self.given = problem, robust, noise
+        self.unknowns = problem.unknowns
+        self.m = sum(problem.blocks)
+        self.free = np.flatnonzero(self.unknowns.free)
+        self.scales = self.unknowns.scales[self.free]
+        n = self.unknowns.n_geometry
+        tool = n + self.unknowns.n_device
+        frame = (self.free >= n) & (self.free < tool + self.unknowns.n_tool)
+        self.trust = np.where(frame, 1 / _FREE_FRAMES, 1.0)  # of the prior, in units of 1 / scale
+        self.homeless = frame  # what has no nominal value, or none that counts
+        self._housed = ~frame | (self.free >= tool) & (
+            (self.free - tool) % 6 < 3
+        )  # the target sits where the file's tool is
+        self.nominal = np.array([p.value for p in self.unknowns.rows])
+        self.nominal[n : tool + self.unknowns.n_tool] = 0.0
+        self.steps = 0
+
+    def minimise(self, state: State) -> tuple[State, tuple[float, ...], bool]:
+        """Return the state at the minimum, the noise, and whether both came to rest."""
+        noise = self._first_noise(state)
+        everything, near = np.arange(len(self.free)), False
+        for _ in range(_ROUNDS):
+            state, rested = self.descend(state, noise, everything, _STEPS if near else 3)
+            new = self._noise(state, noise)
+            change = max(abs(a / b - 1) for a, b in zip(new, noise, strict=True))
+            noise, near = new, change < 0.2
+            if rested and change < _SETTLED:
+                return state, noise, True
+        return state, noise, False
+
+    def identifiable(self, state: State, noise: tuple[float, ...]) -> Identifiability:
+        """Return what the poses can tell at a state."""
+        _, w = self._whitened(state, noise)
+        columns = self._columns(state, noise, w)
+        names = tuple(self.unknowns.names[k] for k in self.free)
+        flat = columns.reshape(-1, len(self.free))
+        return find_identifiable(flat, names, self.scales, self.unknowns.priority[self.free])
+
+    def reset_unidentifiable(self, state: State, noise: tuple[float, ...], found: Identifiability) -> State:
+        """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
+
+        The target's place among them: left adrift along what nobody sees, it would take dimensions with it.
+        """
+        if not len(found.dropped):
+            return state
+        own = found.dropped[self._housed[found.dropped]]
+        trust, homeless = self.trust.copy(), self.homeless.copy()
+        self.homeless[own] = False
+        if not np.any(self._deviation(state)[own]):
+            self.homeless = homeless
+            return state
+        self.trust[own] = _UNIDENTIFIABLE_PRIOR_WEIGHT
+        everything = np.arange(len(self.free))
+        state = self._full_steps(state, noise)
+        state, _ = self.descend(state, noise, everything, 2 * _STEPS)
+        state = self._exactly_nominal(state, own)
+        self.trust, self.homeless = trust, homeless
+        return state
+
+    def _full_steps(self, state: State, noise: tuple[float, ...]) -> State:
+        """Return the state after whole Gauss-Newton steps, which get along a curved valley where a falling sum would not."""
+        for _ in range(_FULL_STEPS):
+            r, w = self._whitened(state, noise)
+            a = self._columns(state, noise, w).reshape(-1, len(self.free)) * self.scales
+            a = np.vstack([a, np.diag(self.trust)])
+            b = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
+            q, triangle = np.linalg.qr(a)
+            trial = self._moved(state, _damped(triangle, q.T @ b, 0.0) * self.scales)
+            if trial.ok.sum() < state.ok.sum():
+                return state
+            state = trial
+            self.steps += 1
+        return state
+
+    def uncertainty(
+        self, state: State, noise: tuple[float, ...], kept: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""
+        _, w = self._whitened(state, noise)
+        columns = self._columns(state, noise, w)[:, :, kept]
+        f, scales = len(self.free), self.scales[kept]
+        cov = np.zeros((f, f))
+        if len(kept):
+            a = np.vstack([columns.reshape(-1, len(kept)) * scales, np.diag(self.trust[kept])])
+            inverse = linalg.solve_triangular(np.linalg.qr(a, mode="r"), np.eye(len(kept)))
+            cov[np.ix_(kept, kept)] = (inverse @ inverse.T) * np.outer(scales, scales)
+        return w, columns, cov
+
+    def descend(
+        self, state: State, noise: tuple[float, ...], kept: np.ndarray, most: int = _STEPS
+    ) -> tuple[State, bool]:
+        """Return the state where the sum is smallest, and whether the last step was small."""
+        if not len(kept):
+            return state, True
+        damping = 0.0
+        r, w = self._whitened(state, noise)
+        for _ in range(most):
+            a = self._columns(state, noise, w)[:, :, kept].reshape(-1, len(kept)) * self.scales[kept]
+            a = np.vstack([a, np.diag(self.trust[kept])])
+            b = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)[kept]])
+            state, r, damping, rested = self._step(state, noise, (a, b, w), kept, damping)
+            if rested:
+                return state, True
+            w = self._weights(r, state.ok)
+        return state, False
+
+    def _step(
+        self,
+        state: State,
+        noise: tuple[float, ...],
+        system: tuple[np.ndarray, np.ndarray, np.ndarray],
+        kept: np.ndarray,
+        damping: float,
+    ) -> tuple[State, np.ndarray, float, bool]:
+        a, b, w = system
+        q, triangle = np.linalg.qr(a)
+        target, cost = q.T @ b, float(b @ b)
+        enough = _SMALL * np.sqrt(len(b))
+        for _ in range(10):
+            y = _damped(triangle, target, damping)
+            small = float(np.linalg.norm(triangle @ y)) < enough
+            step = np.zeros(len(self.free))
+            step[kept] = y * self.scales[kept]
+            trial = self._moved(state, step)
+            self.steps += 1
+            if trial.ok.sum() >= state.ok.sum():
+                r, _ = self._whitened(trial, noise)
+                gone = float(np.sum(w[:, None] * r**2) + np.sum(self._prior(trial)[kept] ** 2))
+                if gone <= cost or (small and gone <= cost * (1 + 1e-6)):
+                    return trial, r, (damping / 10 if damping > 0.02 else 0.0), small or cost - gone < _GAIN
+            if small:
+                break
+            damping = max(5 * damping, 0.1)
+        return state, self._whitened(state, noise)[0], damping, True
+
+    def _moved(self, state: State, step: np.ndarray) -> State:
+        whole = np.zeros(len(self.unknowns.rows))
+        whole[self.free] = step
+        return self.problem.moved(state, whole)
+
+    def _deviation(self, state: State) -> np.ndarray:
+        """Return how far free unknowns are from nominal (f,); frames count as at home, wherever they are."""
+        frames = [p.value for p in state.frames.parameters()]
+        values = np.concatenate([state.theta, frames, state.slack])
+        return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
+
+    def _prior(self, state: State) -> np.ndarray:
+        return self._deviation(state) / self.scales * self.trust
+
+    def _exactly_nominal(self, state: State, own: np.ndarray) -> State:
+        """Return the state with these free unknowns at their nominal values, to the last bit or to rounding (the target)."""
+        step = np.zeros(len(self.unknowns.rows))
+        step[self.free[own]] = -self._deviation(state)[own]
+        _, device, tool, _ = self.unknowns.split(step)
+        theta, own = state.theta.copy(), self.free[own]
+        own = own[own < self.unknowns.n_geometry]
+        theta[own] = self.nominal[own]
+        return self.problem.place(
+            theta, state.frames.moved(device, tool), state.slack, state.base if state.ok.all() else None
+        )
+
+    def _first_noise(self, state: State) -> tuple[float, ...]:
+        if self.given is not None:
+            return self.given
+        r = self.problem.residuals(state)[state.ok]
+        return tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), 1e-9) for cut in self._cuts())
+
+    def _noise(self, state: State, noise: tuple[float, ...]) -> tuple[float, ...]:
+        if self.given is not None:
+            return self.given
+        r, w = self._whitened(state, noise)
+        a = self._columns(state, noise, w).reshape(-1, len(self.free)) * self.scales
+        hat = _leverage(np.vstack([a, np.diag(self.trust)]))[: len(a)].reshape(r.shape)
+        out = []
+        for cut, size, s in zip(self._cuts(), self.problem.blocks, noise, strict=True):
+            used = w > 0
+            left = max(float(used.sum()) * size - float(hat[used][:, cut].sum()), 1.0)
+            if self.robust == "none":
+                ratio = np.sqrt(float(np.sum(r[used][:, cut] ** 2)) / left)
+            else:
+                ratio = robust_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(used.sum() * size / left)
+            out.append(max(float(s * ratio), 1e-9))
+        return tuple(out)
+
+    def _cuts(self) -> list[slice]:
+        ends = np.cumsum((0, *self.problem.blocks))
+        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+    def _sigma(self, noise: tuple[float, ...]) -> np.ndarray:
+        return np.concatenate([np.full(n, s) for n, s in zip(self.problem.blocks, noise, strict=True)])
+
+    def _whitened(self, state: State, noise: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
+        r = self.problem.residuals(state) / self._sigma(noise)
+        r = np.where(state.ok[:, None], r, 0.0)
+        return r, self._weights(r, state.ok)
+
+    def _weights(self, r: np.ndarray, ok: np.ndarray) -> np.ndarray:
+        return np.where(ok, weights(self.robust, np.linalg.norm(r, axis=1), self.m), 0.0)
+
+    def _columns(self, state: State, noise: tuple[float, ...], w: np.ndarray) -> np.ndarray:
+        columns = self.problem.columns(state)[:, :, self.free]
+        columns = columns / self._sigma(noise)[None, :, None] * np.sqrt(w)[:, None, None]
+        return np.where(state.ok[:, None, None], columns, 0.0)
+
+
+def _damped(triangle: np.ndarray, target: np.ndarray, damping: float) -> np.ndarray:
+    if not damping:
+        return linalg.solve_triangular(triangle, target)
+    stacked = np.vstack([triangle, np.sqrt(damping) * np.eye(len(triangle))])
+    return np.linalg.lstsq(stacked, np.concatenate([target, np.zeros(len(triangle))]), rcond=None)[0]
+
+
+def _leverage(a: np.ndarray) -> np.ndarray:
+    """Return the hat matrix' diagonal (rows,)."""
+    return np.sum(np.linalg.qr(a)[0] ** 2, axis=1) if a.shape[1] else np.zeros(len(a))

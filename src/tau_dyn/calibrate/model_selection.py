@@ -1,0 +1,105 @@
+"""Which model the poses bear: structures from small to large, then additions that residuals ask for, each by cross-validation.
+
+A larger model is taken only where it predicts training poses that its refit had not seen significantly better, by a
+paired test over poses. Held-out poses take no part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tau_dyn.calibrate.addition_tests import screen_additions
+from tau_dyn.calibrate.candidates import CandidateModel, Options, SelectionStep, fit_and_cross_validate
+from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M, compare_paired
+from tau_dyn.calibrate.families import Family
+from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.exceptions import CannotAnswer, InputError
+
+_MOST_ADDITIONS = 12
+_MAX_CONSECUTIVE_FAILURES = 3
+
+
+def select_model(
+    family: Family, poses: PoseSet, options: Options, progress: Callable[[str], None] = lambda step: None
+) -> tuple[list[CandidateModel], list[SelectionStep], tuple[str, ...]]:
+    """Return the models of the ladder, the last one chosen, all steps that were tried, and warnings.
+
+    Raises:
+        InputError: Too few poses for the smallest model.
+    """
+    taken, steps, warnings = _structures(family, poses, options, progress)
+    if isinstance(family, RodFamily):
+        _additions(family, poses, options, taken, steps, progress)
+    return taken, steps, warnings
+
+
+def _structures(
+    family: Family, poses: PoseSet, options: Options, progress: Callable[[str], None]
+) -> tuple[list[CandidateModel], list[SelectionStep], tuple[str, ...]]:
+    taken: list[CandidateModel] = []
+    steps: list[SelectionStep] = []
+    warnings: list[str] = []
+    moved: dict[str, tuple[str, ...]] = {}
+    for spec in _list_structures(family):
+        structure = Spec(spec.structure, spec.additions | moved)
+        progress(f"fitting {structure.name_for(family.joints)}")
+        try:
+            candidate = fit_and_cross_validate(family, structure, poses, options)
+        except (InputError, CannotAnswer) as fault:
+            if not taken:
+                raise
+            warnings.append(str(fault))
+            break
+        if taken:
+            gain = compare_paired(taken[-1].unseen, candidate.unseen, ORIENTATION_LEVER_M, options.seed)
+            steps.append(SelectionStep(candidate.name, taken[-1].name, gain, gain.is_significant))
+            if not gain.is_significant:
+                continue
+        moved = candidate.spec.additions
+        taken.append(candidate)
+    return taken, steps, tuple(warnings)
+
+
+def _list_structures(family: Family) -> list[Spec]:
+    """Return the structures, and after the first one frames that moved between campaigns: what they do looks like geometry."""
+    first, *rest = family.structures
+    moved = [Spec(first, {a: family.can_have(a)}) for a in BETWEEN_CAMPAIGNS if family.can_have(a)]
+    return [Spec(first), *moved, *(Spec(s) for s in rest)]
+
+
+def _additions(
+    family: RodFamily,
+    poses: PoseSet,
+    options: Options,
+    taken: list[CandidateModel],
+    steps: list[SelectionStep],
+    progress: Callable[[str], None],
+) -> None:
+    periods: dict[str, float] = {}
+    refused: set[tuple[str, tuple[str, ...]]] = set()
+    for _ in range(_MOST_ADDITIONS):
+        now = taken[-1]
+        hints = [h for h in screen_additions(now.fit, family, now.spec) if (h.addition, h.joints) not in refused]
+        failed = 0
+        for hint in hints[:_MAX_CONSECUTIVE_FAILURES]:
+            progress(f"trying {hint.addition} at {', '.join(hint.joints)}")
+            label = "2" if hint.addition == "periodic2" else ""
+            tried = periods | ({hint.joints[0] + label: hint.period} if hint.period else {})
+            try:
+                candidate = fit_and_cross_validate(
+                    family, now.spec.plus(hint.addition, hint.joints), poses, options, now.fit, tried
+                )
+            except (InputError, CannotAnswer):
+                refused.add((hint.addition, hint.joints))
+                continue
+            gain = compare_paired(now.unseen, candidate.unseen, ORIENTATION_LEVER_M, options.seed)
+            steps.append(SelectionStep(candidate.name, now.name, gain, gain.is_significant))
+            if gain.is_significant:
+                taken.append(candidate)
+                periods = tried
+                break
+            refused.add((hint.addition, hint.joints))
+            failed += 1
+        if taken[-1] is now:
+            return

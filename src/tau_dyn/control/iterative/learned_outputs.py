@@ -1,0 +1,217 @@
+r"""What is learnt: the actuators' positions, or the tool's, measured or estimated (thesis 7.3, 7.4).
+
+A side knows four things: its reference r, its estimate of the controlled variable from a trial's measurements, the actuator
+references that a correction gives, and the model `F_u + F_y T_uy` from correction to estimate that stability is judged with. The
+correction is added to the reference of the same side: to actuator references (case 1), or to the tool's reference, which the
+inverse kinematics take to the actuators (cases 2 and 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tau_dyn.control.iterative.lifted_system import Operator, convolution, pulse_response
+from tau_dyn.control.iterative.reference import Reference
+from tau_dyn.exceptions import InputError
+from tau_dyn.modes.state_space import StateSpace
+
+
+class TrialMeasurement(Protocol):
+    """What sensors show of one trial, each (N, ...)."""
+
+    @property
+    def q(self) -> np.ndarray:
+        """Actuated positions (N, na) [m or rad]."""
+        ...
+
+    @property
+    def kinematic(self) -> np.ndarray:
+        """Tool positions computed from them (N, 3) [m]."""
+        ...
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """Of the tool (N, 3) [m/s^2]."""
+        ...
+
+    @property
+    def tool(self) -> np.ndarray:
+        """Tool positions, measured (N, 3) [m]."""
+        ...
+
+
+class ToolObserver(Protocol):
+    """What estimates tool positions; `ComplementaryToolObserver` and `KalmanToolObserver` do."""
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        ...
+
+    def estimate(self, kinematic: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """Return tool positions (N, m) [m]."""
+        ...
+
+    def operators(self, n: int) -> tuple[Operator, Operator]:
+        """Return its matrices from positions and accelerations (m n, m n)."""
+        ...
+
+    def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return its frequency responses from positions and accelerations."""
+        ...
+
+
+class LearnedOutput(Protocol):
+    """One choice of what is learnt."""
+
+    @property
+    def dt(self) -> float:
+        """Step that its models are made for [s]."""
+        ...
+
+    @property
+    def coupled(self) -> bool:
+        """Whether a correction of one channel moves the others."""
+        ...
+
+    def reference(self, motion: Reference) -> np.ndarray:
+        """Return r (N, m)."""
+        ...
+
+    def estimate(self, trial: TrialMeasurement) -> np.ndarray:
+        """Return the estimate of the controlled variable (N, m)."""
+        ...
+
+    def commands(self, motion: Reference, correction: np.ndarray) -> np.ndarray:
+        """Return actuator references (N, na) with a correction (N, m)."""
+        ...
+
+    def operator(self, n: int) -> Operator:
+        """Return `F_u + F_y T_uy` (m n, m n), channel after channel."""
+        ...
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the same as a response (F, m, m) at frequencies (F,) [Hz]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class MotorSide:
+    """Actuator positions: case 1, `F_r = F_u = 0`, `F_y = 1`.
+
+    Attributes:
+        model: Controlled actuators from references to positions, (6.11); each moves itself alone.
+    """
+
+    model: StateSpace
+    coupled: bool = False
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        return self.model.dt
+
+    def reference(self, motion: Reference) -> np.ndarray:
+        """Return the actuators' references."""
+        return motion.q
+
+    def estimate(self, trial: TrialMeasurement) -> np.ndarray:
+        """Return the measured actuator positions."""
+        return trial.q
+
+    def commands(self, motion: Reference, correction: np.ndarray) -> np.ndarray:
+        """Return references plus correction."""
+        return motion.q + correction
+
+    def operator(self, n: int) -> Operator:
+        """Return `T_uy`."""
+        return convolution(pulse_response(self.model, n))
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Return `T_uy` at frequencies."""
+        return self.model.frequency_response(frequency)
+
+
+@dataclass(frozen=True, eq=False)
+class ToolSide:
+    """Tool positions along some axes: measured (case 3), or estimated by an observer (case 2).
+
+    Attributes:
+        model: From the tool's reference to the tool, (6.12), along those axes.
+        inverse: Takes tool positions (N, 3) [m] to actuated positions (N, na).
+        axes: Of the tool.
+        observer: Estimates the tool; None where it is measured.
+        kinematic_model: From the tool's reference to the tool computed from the actuators; only an observer needs it.
+    """
+
+    model: StateSpace
+    inverse: Callable[[np.ndarray], np.ndarray]
+    axes: tuple[int, ...] = (0, 1)
+    observer: ToolObserver | None = None
+    kinematic_model: StateSpace | None = None
+    coupled: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse models and observers that do not fit together."""
+        m = len(self.axes)
+        if self.model.D.shape != (m, m):
+            raise InputError(
+                f"learning {m} tool axes takes a model with {m} inputs and outputs, not {self.model.D.shape}"
+            )
+        if self.observer is None:
+            return
+        if self.kinematic_model is None:
+            raise InputError(
+                "learning from an observer needs the model from the tool's reference to the computed tool too"
+            )
+        for what, dt in (("observer", self.observer.dt), ("model of the computed tool", self.kinematic_model.dt)):
+            if abs(dt - self.dt) > 1e-9 * self.dt:
+                raise InputError(f"the {what} is made for {1000 * dt:g} ms, the tool's model for {1000 * self.dt:g} ms")
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        return self.model.dt
+
+    def reference(self, motion: Reference) -> np.ndarray:
+        """Return the tool's reference along the axes."""
+        return motion.tool[:, self.axes]
+
+    def estimate(self, trial: TrialMeasurement) -> np.ndarray:
+        """Return the tool, measured or estimated, along the axes."""
+        if self.observer is None:
+            return trial.tool[:, self.axes]
+        return self.observer.estimate(trial.kinematic[:, self.axes], trial.acceleration[:, self.axes])
+
+    def commands(self, motion: Reference, correction: np.ndarray) -> np.ndarray:
+        """Return the actuator references of the corrected tool reference."""
+        tool = motion.tool.copy()
+        tool[:, self.axes] += correction
+        return self.inverse(tool)
+
+    def operator(self, n: int) -> Operator:
+        """Return `F_y T_uy`."""
+        if self.observer is None or self.kinematic_model is None:
+            return convolution(pulse_response(self.model, n))
+        slow, fast = self.observer.operators(n)
+        acceleration = convolution(_differentiated(pulse_response(self.model, n + 1), self.dt))
+        return slow @ convolution(pulse_response(self.kinematic_model, n)) + fast @ acceleration
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the same at frequencies."""
+        tool = self.model.frequency_response(frequency)
+        if self.observer is None or self.kinematic_model is None:
+            return tool
+        slow, fast = self.observer.responses(frequency)
+        acceleration = 2 * (np.cos(2 * np.pi * np.asarray(frequency) * self.dt) - 1) / self.dt**2
+        return slow @ self.kinematic_model.frequency_response(frequency) + fast @ (acceleration[:, None, None] * tool)
+
+
+def _differentiated(pulses: np.ndarray, dt: float) -> np.ndarray:
+    """Return pulse responses of the acceleration (n, p, m): the second central difference of those of positions (n + 1, p, m)."""
+    before = np.concatenate([np.zeros((1, *pulses.shape[1:])), pulses[:-2]])
+    return (pulses[1:] - 2 * pulses[:-1] + before) / dt**2

@@ -1,0 +1,99 @@
+r"""Systems over a whole trial as matrices (thesis 7.8, 7.9): samples of one channel stay together, channel after channel.
+
+A trial of 1400 samples and two channels makes matrices of 2800 rows. To find a largest singular value they need not be built:
+an operator that filters signals, and one that does so backwards, is enough (`LinearOperator`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import toeplitz
+from scipy.sparse.linalg import LinearOperator
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.modes.actuators import Actuator
+from tau_dyn.modes.state_space import StateSpace
+
+Operator = Any
+"""A scipy `LinearOperator`: `A @ x`, `A.T`, sums and products; its type stubs know less than it does."""
+
+
+def make_operator(
+    shape: tuple[int, int], forth: Callable[[np.ndarray], np.ndarray], back: Callable[[np.ndarray], np.ndarray]
+) -> Operator:
+    """Return the operator of a linear map of vectors and of its transpose."""
+    return cast(Any, LinearOperator)(shape, matvec=forth, rmatvec=back, dtype=np.float64)
+
+
+def pulse_response(model: StateSpace, n: int) -> np.ndarray:
+    """Return the first `n` pulse response coefficients (n, p, m), the delay included."""
+    late = model.markov(max(n - model.delay, 1))
+    return np.concatenate([np.zeros((model.delay, *model.D.shape)), late])[:n]
+
+
+def build_lifted_matrix(pulses: np.ndarray) -> np.ndarray:
+    """Return the block matrix (p n, m n) of lower triangular Toeplitz matrices, (7.9), of coefficients (n, p, m)."""
+    n, p, m = pulses.shape
+    return np.block([[toeplitz(pulses[:, i, j], np.zeros(n)) for j in range(m)] for i in range(p)])
+
+
+def convolution(pulses: np.ndarray) -> Operator:
+    """Return the same as an operator that convolves by the fast Fourier transform."""
+    n, p, m = pulses.shape
+    length = next_fast_len(2 * n, real=True)
+    response = np.asarray(rfft(pulses, length, axis=0))
+
+    def through(x: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+        return np.asarray(
+            irfft(np.einsum("fij,fj->fi", matrices, np.asarray(rfft(x, length, axis=0))), length, axis=0)
+        )[:n]
+
+    def back(x: np.ndarray) -> np.ndarray:  # the transpose of a lower triangular Toeplitz matrix runs backwards
+        return through(x[::-1], response.transpose(0, 2, 1))[::-1]
+
+    return on_signals(lambda x: through(x, response), back, n, p, m)
+
+
+def on_signals(
+    forth: Callable[[np.ndarray], np.ndarray], back: Callable[[np.ndarray], np.ndarray], n: int, p: int, m: int
+) -> Operator:
+    """Return the operator of a map from signals (n, m) to signals (n, p) and of its transpose."""
+    return make_operator(
+        (p * n, m * n),
+        lambda x: stack_channels(forth(unstack_channels(np.ravel(x), m))),
+        lambda x: stack_channels(back(unstack_channels(np.ravel(x), p))),
+    )
+
+
+def stack_channels(x: np.ndarray) -> np.ndarray:
+    """Return signals (N, m) as one vector (m N,)."""
+    return x.T.ravel()
+
+
+def unstack_channels(x: np.ndarray, m: int) -> np.ndarray:
+    """Return a vector (m N,) as signals (N, m)."""
+    return x.reshape(m, -1).T
+
+
+def controlled_actuators(actuators: Sequence[Actuator], dt: float, jacobian: np.ndarray | None = None) -> StateSpace:
+    """Return models of controlled actuators side by side, from references to positions, (6.11).
+
+    Args:
+        actuators: One a joint; delays of whole samples, the same for all.
+        dt: Step [s].
+        jacobian: The tool's (p, na) at the pose; then the way from the tool's reference to the tool computed from the joints,
+            both (p,), is returned. With p below na the other tool directions are not moved.
+    """
+    sampled = [a.discrete(dt) for a in actuators]
+    b, poles = np.array([s[0].sum() for s in sampled]), np.array([s[1] for s in sampled])
+    steps = {s[2] for s in sampled}
+    if len(steps) != 1 or any(abs(s[0][1]) > 1e-9 * abs(s[0][0]) for s in sampled):
+        raise InputError("actuators side by side need the same delay, of whole samples")
+    eye = np.eye(len(b))
+    B, C = (eye, np.diag(b)) if jacobian is None else (np.linalg.pinv(jacobian), jacobian * b)
+    p = len(C)
+    return StateSpace(np.diag(poles), B, C, np.zeros((p, B.shape[1])), np.zeros((len(b), p)), dt, steps.pop() - 1)

@@ -1,0 +1,246 @@
+r"""Every cause tried on every group of joints with every setting: how much each would explain, and what noise alone would.
+
+For each cause and group the best setting's `T` counts. What the search over settings makes of pure noise is seen from draws of
+white noise put through the same projection: the largest of many correlated `T` is distributed as that of `m` independent ones,
+`P(T <= t) = F(t)^m`, and `m` is fitted to the draws (maximum likelihood), so that its tail reaches beyond them. How a
+cause's groups are judged together stands in `group_tests.py`.
+
+`T` is divided by an inflation where the residual's scatter over 2 s blocks exceeds what the noise model says (White 1980).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import optimize, stats
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.group_tests import Candidate, GroupTest, combine_group_tests
+from tau_dyn.diagnose.null_model import NullModel, compute_score_test
+from tau_dyn.effects import Effect
+
+N_NULL_DRAWS = 60
+DENSE_DRAWS = 24
+"""Of a scan of thousands of periods, whose largest value hardly varies."""
+_CHUNK = 64
+PRIOR_WEIGHT_BLOCKS = 10.0
+"""Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
+_WORTH_MATCHING = 30.0
+"""What a setting must explain for it to be fitted before it is chosen; the best of chance is some 20."""
+_PROPOSAL_MARGIN = 0.03
+"""Share of what the best setting explains that a proposed one may lack."""
+_MATCHES = 12
+_MATCHED = 2e-3
+"""Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
+
+
+class Columns(Sequence[np.ndarray]):
+    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
+
+    def __init__(self, channel: Channel, effect: Effect) -> None:
+        """Make nothing yet."""
+        self._channel, self._effect = channel, effect
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self._channel.runs)
+
+    def __getitem__(self, run: int) -> np.ndarray:  # type: ignore[override]  # slices are of no use here
+        """Return the columns of one run."""
+        if run >= len(self):
+            raise IndexError(run)
+        if run not in self._made:
+            self._made[run] = self._channel.run_columns(self._effect, run)
+        return self._made[run]
+
+
+class ColumnCache:
+    """Columns of effects on one channel, made once."""
+
+    def __init__(self, channel: Channel) -> None:
+        """Start empty."""
+        self.channel = channel
+        self._made: dict[tuple, Columns] = {}
+
+    def columns(self, effect: Effect) -> Columns:
+        """Return an effect's exact columns."""
+        return self._made.setdefault(get_effect_key(effect), Columns(self.channel, effect))
+
+
+def get_columns(library: ColumnCache, effects: Sequence[Effect]) -> list[Columns]:
+    """Return the columns (n, m, k) of several effects."""
+    return [library.columns(effect) for effect in effects]
+
+
+def get_effect_key(effect: Effect) -> tuple:
+    """Return what tells two effects apart."""
+    return (effect.name, effect.joints, tuple(sorted(effect.settings.items())), effect.label)
+
+
+def find_nonnegative(effect: Effect) -> np.ndarray:
+    """Return which amplitudes only make sense from zero up (k,)."""
+    return np.array([p.lower >= 0 for p in effect.parameters])
+
+
+def scan_causes(
+    library: ColumnCache, ground: NullModel, draws: np.ndarray, causes: Sequence[type[Effect]], taken: set[tuple]
+) -> list[Candidate]:
+    """Try every cause; return those that can be tried at all.
+
+    Args:
+        library: Makes columns.
+        ground: What is accounted for already.
+        draws: Noise after the same projection (R, D).
+        causes: The causes.
+        taken: `(cause, joints)` that are in the model already.
+    """
+    found = []
+    for cls in causes:
+        tried = [fit_group(library, ground, draws, cls, group) for group in groups(library.channel, cls, taken)]
+        fits = [fit for fit in tried if fit is not None]
+        if fits:
+            found.append(combine_group_tests(cls.name, fits))
+    return found
+
+
+def groups(channel: Channel, cls: type[Effect], taken: set[tuple]) -> list[tuple[str, ...]]:
+    """Return the groups of joints worth trying."""
+    if cls.untestable(channel.scene) is not None:
+        return []
+    mine = {joint for cause, joints in taken if cause == cls.name for joint in joints}
+    return [
+        group for group in cls.groups(channel.scene) if (cls.name, group) not in taken and not _covered(group, mine)
+    ]
+
+
+def _covered(group: tuple[str, ...], taken: set[str]) -> bool:
+    """Tell whether a cause acts on all joints of a group already; pairs may share a joint with another pair."""
+    return set(group) <= taken
+
+
+def fit_group(
+    library: ColumnCache, ground: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]
+) -> GroupTest | None:
+    """Scan one cause's settings on one group of joints; None where there is nothing to try."""
+    scene = library.channel.scene
+    grid = cls.grid(scene, group)
+    if not grid:
+        return None
+    units = [scene.units[scene.index(j)] for j in group]
+    plain = cls(group, units)
+    effects = [plain.with_settings(**setting) for setting in grid]
+    both = np.concatenate([ground.e[:, None], draws], axis=1)
+    if cls.dense:
+        return _fit_alike(effects, library, ground, both[:, : 1 + DENSE_DRAWS])
+    sizes = [len(effect.parameters) for effect in effects]
+    alike = [[e for e, size in zip(effects, sizes, strict=True) if size == n] for n in sorted(set(sizes))]
+    fits = [_fit_alike(part, library, ground, both) for part in alike]
+    best = max(fits, key=lambda fit: fit.penalised_statistic)
+    return replace(best, n_effective_tests=best.n_effective_tests * len(alike))
+
+
+def _fit_alike(effects: list[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray) -> GroupTest:
+    """Scan settings with the same number of columns against the residual and the noise draws (R, 1 + D)."""
+    sided = find_nonnegative(effects[0])
+    explained = _explained(effects, library, ground, both)
+    best = int(np.argmax(explained[:, 0]))
+    noise = explained[:, 1:].max(axis=0)
+    simple = bool(sided.all()) and len(sided) == 1
+    tries = _tries(noise, len(sided), simple)
+    near = tuple(dict(effects[k].settings) for k in (best - 1, best + 1) if 0 <= k < len(effects))
+    T = float(explained[best, 0])
+    fit = GroupTest(effects[best], T, tries, len(sided), simple, 1.0, noise, near)
+    fit = rescore_group(fit, library, ground) if T > 4 else fit
+    return match_settings(fit, library, ground) if T > _WORTH_MATCHING else fit
+
+
+def rescore_group(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest:
+    """Return a fit with its exact `T` and its inflation by blocks."""
+    C = ground.whiten_columns(library.columns(fit.effect))
+    T, s, G = compute_score_test(ground, C, find_nonnegative(fit.effect))
+    return GroupTest(
+        fit.effect,
+        T,
+        fit.n_effective_tests,
+        fit.dof,
+        fit.one_sided,
+        _inflation(ground, C, s, G),
+        fit.noise,
+        fit.neighbours,
+    )
+
+
+def match_settings(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest:
+    """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and what it explains so.
+
+    The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973, without
+    derivatives): what the baseline leaves of a column may fall with its setting's square, so amplitude and setting do not agree
+    by themselves. A proposal of a fit of the whole baseline that explains as much is better: `e` is whitened by a model of
+    noise that holds the effect itself.
+    """
+    effect = fit.effect
+    if not effect.matched:
+        return fit
+    ((key, _),) = effect.matched.items()
+    scene = library.channel.scene
+
+    def misfit(x: float) -> float:
+        if x == 0:
+            return 0.0
+        c = ground.whiten_columns(library.columns(effect.with_settings(**{key: x})))
+        return float(x**2 * ground.gram(c)[0, 0] - 2 * x * (c.T @ ground.e)[0])
+
+    grid = sorted({setting[key] for setting in type(effect).grid(scene, effect.joints)})
+    tried = grid if key in effect.positive else sorted({*(-x for x in grid), *grid})
+    best = min(tried, key=misfit)
+    k = tried.index(best)
+    low = tried[k - 1] if k > 0 else best
+    high = tried[k + 1] if k + 1 < len(tried) else best
+    if low < high:
+        options = {"xatol": _MATCHED * abs(best), "maxiter": _MATCHES}
+        found = optimize.minimize_scalar(misfit, bounds=(low, high), method="bounded", options=options)
+        best = float(found.x) if found.fun < misfit(best) else best
+    proposed = type(effect).propose(scene, effect.joints)
+    if proposed is not None and misfit(proposed) < (1 - _PROPOSAL_MARGIN) * misfit(best):
+        best = proposed
+    exact = rescore_group(replace(fit, effect=effect.with_settings(**{key: best})), library, ground)
+    return replace(exact, statistic=max(0.0, -misfit(best)))
+
+
+def _explained(effects: list[Effect], library: ColumnCache, ground: NullModel, both: np.ndarray) -> np.ndarray:
+    """Return what each setting explains of the residual and of each noise draw (g, 1 + D)."""
+    scanned = library.channel.scan(effects, ground, both)
+    found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
+    left = np.flatnonzero(np.isnan(found[:, 0]))
+    for start in range(0, len(left), _CHUNK):
+        part = left[start : start + _CHUNK]
+        rows = np.stack([ground.whiten_columns(library.columns(effects[k])) for k in part], axis=1)
+        found[part] = ground.explained(rows, both, find_nonnegative(effects[0]))
+    return found
+
+
+def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
+    """Return the number of independent tries `m` with `P(T <= t) = F(t)^m`, by maximum likelihood.
+
+    Where all amplitudes of a one-sided column come out negative `T` is zero: a draw seen only as `T <= 0`.
+    """
+    tail = stats.chi2.sf(noise, dof) / (2 if simple else 1)
+    seen = int(np.sum(noise > 0)) if simple else len(noise)
+    return float(max(1.0, -seen / np.sum(np.log1p(-np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12)))))
+
+
+def _inflation(ground: NullModel, C: np.ndarray, s: np.ndarray, G: np.ndarray) -> float:
+    """Return the scatter of 2 s blocks' scores along the fitted direction over what the noise model says."""
+    amplitude = np.linalg.lstsq(G, s, rcond=1e-9)[0]
+    along = ground.project_out(C @ amplitude)
+    square = float(along @ along)
+    if square <= 0:
+        return 1.0
+    e = ground.e - along * float(along @ ground.e) / square
+    blocks = np.bincount(ground.whiten.block, along * e)
+    count = len(np.unique(ground.whiten.block))
+    ratio = float(np.sum(blocks**2)) / square
+    return max(1.0, (count * ratio + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))

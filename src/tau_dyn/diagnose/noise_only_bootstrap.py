@@ -1,0 +1,155 @@
+r"""What encoder noise alone would make of a cause, found by making the same mistake on purpose.
+
+Encoder noise sits in the columns and, times a mass, in the residual; whitening cannot cure what both share. So the fitted
+baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs, its forces
+what the controller answers to that noise (`feedback.py`), and the whole preparation is repeated. What a cause explains of that
+misfit, in the mean of several draws, is the noncentrality that its score would have on a clean log: chance is then judged by a
+noncentral chi-square, with twice that noncentrality, as it is an estimate itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.candidate_scan import ColumnCache, find_nonnegative
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.data_split import TRAIN
+from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
+from tau_dyn.diagnose.filters import decimate_log
+from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, GROUP_LEVEL, Candidate
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
+from tau_dyn.effects import Effect
+from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
+from tau_dyn.model import Model
+
+N_BOOTSTRAP_DRAWS = 4
+"""Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
+NONCENTRALITY_SAFETY_FACTOR = 2.0
+_WIDEST = 0.45
+"""Low-pass of a motion that fills the whole band, as a share of the rate."""
+
+
+def simulate_noise_only_logs(
+    channel: ForceChannel, model: Model, logs: Sequence[Log], smooth_hz: Sequence[float], rng: np.random.Generator
+) -> list[Log]:
+    """Return logs as the fitted baseline would have made them: fresh encoder noise, and in the forces only the answer to it.
+
+    Args:
+        channel: The measured channel.
+        model: The fitted baseline.
+        logs: Its pieces as they were logged, before they were thinned.
+        smooth_hz: Low-pass of each piece's positions [Hz].
+        rng: Where the noise comes from.
+    """
+    found, joints = [], channel.outputs
+    for piece, log, smooth in zip(channel.prepared, logs, smooth_hz, strict=True):
+        m, cutoff = piece.motion, piece.preparation.position_cutoff_hz
+        whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # the made motion's own reversals
+        force = model.columns(whole) @ model.parameters.values
+        seen = decimate_log(_noise(log, joints, min(smooth, cutoff), smooth, rng), cutoff)
+        rate = piece.log.rate_hz
+        smooth_q = m.q if smooth < cutoff else lowpass(piece.log.joint("q", joints), min(smooth, _WIDEST * rate), rate)
+        q, force = smooth_q + seen.joint("q", joints), force + seen.joint("tau", joints)
+        channels = dict(piece.log.channels)
+        for k, joint in enumerate(joints):
+            channels |= {f"q_{joint}": q[:, k], f"tau_{joint}": force[:, k]}
+        found.append(replace(piece.log, channels=channels))
+    return found
+
+
+def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, rng: np.random.Generator) -> Log:
+    """Return a log of nothing but fresh encoder noise, rounded as positions are, and what forces answer to it."""
+    read = log.joint("q", joints)
+    smooth = lowpass(read, smooth_hz, log.rate_hz)
+    step = quantisation_step(read)
+    before = np.sqrt(np.maximum(encoder_noise(read) ** 2 - step**2 / 12, 0))  # what rounding adds follows the place
+    q = smooth + before * rng.standard_normal(read.shape)
+    grid = np.where(step > 0, step, 1.0)
+    phase = rng.uniform(size=len(step))  # on the logs' own grid a rest would be exact
+    noise = np.where(step > 0, (np.round(q / grid + phase) - phase) * grid, q) - smooth
+    signals = {"q": noise, "tau": apply_feedback_taps(estimate_feedback_taps(log, joints, signal_hz), noise)}
+    return replace(log, channels={f"{key}_{j}": x[:, k] for key, x in signals.items() for k, j in enumerate(joints)})
+
+
+class NoiseOnlyBootstrap:
+    """Channels of logs that hold nothing but the baseline and encoder noise, made when first needed."""
+
+    def __init__(self, make: Callable[[], Sequence[Channel]]) -> None:
+        """`make` returns the channels, a draw of noise each."""
+        self._make = make
+
+    @cached_property
+    def channels(self) -> Sequence[Channel]:
+        """The channels, draw by draw."""
+        return self._make()
+
+    @cached_property
+    def libraries(self) -> list[ColumnCache]:
+        """Columns of effects on each."""
+        return [ColumnCache(channel) for channel in self.channels]
+
+    def within(self, parts: tuple[np.ndarray, ...]) -> NoiseOnlyBootstrap:
+        """Return the same channels divided otherwise."""
+        return NoiseOnlyBootstrap(lambda: [replace(channel, parts=parts) for channel in self.channels])
+
+    def fit_null_models(self, ground: NullModel, effects: Sequence[Effect]) -> list[NullModel]:
+        """Return the training part of each channel with effects accounted for, white as `ground` is."""
+        return [
+            NullModel.of(channel, (TRAIN,), ground.noise, [library.columns(effect) for effect in effects])
+            for channel, library in zip(self.channels, self.libraries, strict=True)
+        ]
+
+    def reject_artefacts(
+        self, ground: NullModel, candidate: Candidate, others: Sequence[Effect], n: int
+    ) -> Candidate | None:
+        """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
+
+        Args:
+            ground: The training part of the measured channel, for its noise model and scale.
+            candidate: The cause, on measured data.
+            others: The other causes.
+            n: Number of causes tried, which count in the chance as the candidate's groups and settings do.
+        """
+        blanks = self.fit_null_models(ground, others)
+        chances = []
+        for fit in candidate.fits:
+            columns = [library.columns(fit.effect) for library in self.libraries]
+            bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(
+                blanks, ground, columns, find_nonnegative(fit.effect)
+            )
+            T = fit.statistic / fit.overdispersion
+            tail = float(stats.ncx2.sf(T, fit.dof, bias) if bias > 0 else stats.chi2.sf(T, fit.dof))
+            chances.append(min(1.0, fit.n_effective_tests * tail))
+        least = min(chances)
+        if least * len(candidate.tested) * n >= FAMILY_LEVEL:
+            return None
+        kept = tuple(f for f, chance in zip(candidate.fits, chances, strict=True) if chance <= max(GROUP_LEVEL, least))
+        return replace(candidate, fits=kept)
+
+
+def estimate_noncentrality(
+    blanks: Sequence[NullModel],
+    ground: NullModel,
+    columns: Sequence[Sequence[np.ndarray]],
+    sided: np.ndarray,
+    absorbed: float = MIN_UNABSORBED_SHARE,
+) -> float:
+    """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise.
+
+    It is the mean over draws of the noise, less what the draws' own chance adds to the mean of squares. More than the measured
+    noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of what the made logs have, in power,
+    and so is what columns find in it.
+    """
+    T = [
+        compute_score_test(b, b.whiten_columns(c), np.zeros_like(sided), absorbed)[0]
+        for b, c in zip(blanks, columns, strict=True)
+    ]
+    share = [min(1.0, b.scale / ground.scale) ** 2 for b in blanks]
+    chance = len(sided) * (1 - 1 / len(T))
+    return max(0.0, float(np.mean(T)) - chance) * float(np.mean(share))

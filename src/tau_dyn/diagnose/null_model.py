@@ -1,0 +1,168 @@
+r"""What is accounted for already, on one part of the data, and how much a further column would add.
+
+With white rows `y = B theta + C gamma + e`, `Q` an orthonormal basis of `B` and `e_0 = (I - Q Q') y`,
+
+    s = C' e_0,   G = C' C - (Q'C)'(Q'C),   T = s' G^-1 s,
+
+the gain in twice the log-likelihood by `C`, the baseline refitted (Frisch & Waugh 1933). Under the null it is chi-square with
+as many degrees of freedom as columns; `T` of the true column alone has the noncentrality `lambda`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, cast
+
+import numpy as np
+from scipy import linalg
+
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.estimate import Autoregression, Whitener
+
+MIN_UNABSORBED_SHARE = 1e-4
+"""Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
+because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
+
+
+@dataclass(frozen=True, eq=False)
+class NullModel:
+    """White rows of one part with everything accounted for projected out.
+
+    Attributes:
+        channel: Where the data come from.
+        whiten: Makes rows of arrays over the runs.
+        Q: Orthonormal basis of what is accounted for (R, r).
+        e: What it leaves of the measurements (R,).
+        noise: Noise model of each output.
+        scale: Standard deviation of white rows (1 where the noise model is right); rows are divided by it.
+    """
+
+    channel: Channel
+    whiten: Whitener
+    Q: np.ndarray
+    e: np.ndarray
+    noise: tuple[Autoregression, ...]
+    scale: float
+
+    @classmethod
+    def of(
+        cls,
+        channel: Channel,
+        parts: Sequence[int],
+        noise: Sequence[Autoregression],
+        extra: Sequence[Sequence[np.ndarray]] = (),
+    ) -> NullModel:
+        """Project out the baseline's free columns and further columns (lists over runs of (n, m, k))."""
+        whiten = Whitener.of(channel.runs, channel.masks(*parts), noise)
+        prior_rows, prior_y = channel.prior
+        B = [whiten(channel.free_columns), *(whiten(c) for c in extra)]
+        blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
+        stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
+        y = np.concatenate([whiten(channel.target), prior_y])
+        Q = orthonormal(stacked)
+        e = y - Q @ (Q.T @ y)
+        n = whiten.n_rows
+        dof = max(1, n - Q.shape[1])
+        scale = float(np.sqrt(e @ e / dof))
+        return cls(channel, whiten, Q[:n], e[:n] / scale, tuple(noise), scale)
+
+    @property
+    def n_rows(self) -> int:
+        """Number of white rows R."""
+        return len(self.e)
+
+    def whiten_columns(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """Return white rows (R, k) of columns over the runs, scaled like the residual."""
+        return self.whiten(columns) / self.scale
+
+    def draw_null_residuals(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return residuals (R, count) of pure noise after the same projection."""
+        noise = rng.standard_normal((self.n_rows, count))
+        return noise - self.Q @ (self.Q.T @ noise)
+
+    def augment(self, extra: Sequence[Sequence[np.ndarray]]) -> NullModel:
+        """Return what is left with further columns (lists over runs of (n, m, k)) accounted for too."""
+        more = orthonormal(self.project_out(np.concatenate([self.whiten_columns(c) for c in extra], axis=1)))
+        return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
+
+    def gram(self, C: np.ndarray) -> np.ndarray:
+        """Return `G` (k, k) of white rows (R, k)."""
+        A = self.Q.T @ C
+        return C.T @ C - A.T @ A
+
+    def project_out(self, C: np.ndarray) -> np.ndarray:
+        """Return white rows (R, k) with everything accounted for projected out."""
+        return C - self.Q @ (self.Q.T @ C)
+
+    def explained(self, C: np.ndarray, both: np.ndarray, nonnegative: np.ndarray) -> np.ndarray:
+        """Return `T` (g, d) of white rows (R, g, k) of g settings at once for residuals (R, d); see
+        `compute_score_statistics`."""
+        R, g, k = C.shape
+        flat = C.reshape(R, g * k)
+        s, A = (flat.T @ both).reshape(g, k, -1), (self.Q.T @ flat).reshape(-1, g, k)
+        G = np.einsum("rgk,rgl->gkl", C, C) - np.einsum("rgk,rgl->gkl", A, A)
+        return compute_score_statistics(s, G, np.einsum("rgk,rgk->gk", C, C), nonnegative)
+
+
+def orthonormal(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
+    """Return an orthonormal basis (R, r) of columns (R, p), dependent ones left out."""
+    norm = np.linalg.norm(B, axis=0)
+    B = B[:, norm > 0] / norm[norm > 0]
+    if B.size == 0:
+        return np.zeros((len(B), 0))
+    Q, R, _ = cast(Any, linalg.qr(B, mode="economic", pivoting=True))
+    diagonal = np.abs(np.diag(R))
+    return Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
+
+
+def compute_score_test(
+    ground: NullModel, C: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return `T` of one setting's white rows (R, k), their scores `s` (k,) and `G` (k, k); see `compute_score_statistics`."""
+    s, G = C.T @ ground.e, ground.gram(C)
+    T = compute_score_statistics(s[None, :, None], G[None], np.sum(C**2, axis=0)[None], nonnegative, absorbed)
+    return float(T[0, 0]), s, G
+
+
+def compute_score_statistics(
+    s: np.ndarray, G: np.ndarray, raw: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
+) -> np.ndarray:
+    """Return `T` for many settings and many residuals.
+
+    Args:
+        s: Scores (g, k, d) of g settings with k columns each and d residuals.
+        G: Gram matrices (g, k, k), baseline projected out.
+        raw: The columns' own squares (g, k), to see which the baseline absorbs.
+        nonnegative: Which amplitudes only make sense from zero up (k,).
+        absorbed: Part of a column that the baseline must leave for it to count.
+
+    Returns:
+        (g, d); zero where the best admissible amplitude is zero or the baseline absorbs the columns.
+    """
+    best = np.zeros((s.shape[0], s.shape[2]))
+    k = s.shape[1]
+    constrained = np.flatnonzero(nonnegative)
+    for size in range(len(constrained) + 1):
+        for off in combinations(constrained, size):
+            on = [c for c in range(k) if c not in off]
+            if not on:
+                continue
+            T, amplitude = _unconstrained(s[:, on], G[:, on][:, :, on], raw[:, on], absorbed)
+            bound = [i for i, c in enumerate(on) if nonnegative[c]]
+            feasible = np.all(amplitude[:, bound] >= 0, axis=1) if bound else np.ones_like(T, bool)
+            best = np.maximum(best, np.where(feasible, T, 0.0))
+    return best
+
+
+def _unconstrained(s: np.ndarray, G: np.ndarray, raw: np.ndarray, absorbed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return `T` (g, d) and the amplitudes (g, k, d)."""
+    norm = np.sqrt(np.maximum(raw, 1e-300))
+    scaled = G / norm[:, :, None] / norm[:, None, :]
+    values, vectors = np.linalg.eigh(scaled)
+    inverse = np.where(values > absorbed, 1 / np.maximum(values, absorbed), 0.0)
+    along = np.einsum("gkl,gkd->gld", vectors, s / norm[:, :, None])
+    T = np.einsum("gld,gl->gd", along**2, inverse)
+    amplitude = np.einsum("gkl,gl,gld->gkd", vectors, inverse, along) / norm[:, :, None]
+    return T, amplitude

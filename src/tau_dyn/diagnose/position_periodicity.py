@@ -1,0 +1,62 @@
+"""Waves over the place that positions themselves show, above the band in which they stand out of the encoder's noise.
+
+Positions are smoothed before columns are made of them (`filters.smooth_cutoff`): what lies above is noise to a spectrum in
+time. An encoder's periodic error, or a motion that cogging shakes, may lie there: a few micrometres spread over many
+frequencies by the changing speed, but at one line over the place. Such positions must not be smoothed: the error would be gone
+from speeds and accelerations before anybody looks for it, and the force of a true motion would pass for an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tau_dyn.diagnose.force import ForceChannel
+from tau_dyn.diagnose.periodogram import explained_by_periods, of_force
+from tau_dyn.effects import TransmissionError
+from tau_dyn.log import decimate, lowpass
+
+_DRAWS = 8
+_ROOM = 1.25
+_CHANCE = 1e-6
+"""Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
+
+
+def detect_position_periodicity(channel: ForceChannel, smooth_hz: Sequence[float]) -> bool:
+    """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
+
+    Pieces in which these lie hardly above it are passed over: what little is between is in the columns anyway.
+    """
+    rng = np.random.default_rng(0)
+    return any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
+
+
+def _wave(channel: ForceChannel, joint: str, smooth_hz: Sequence[float], rng: np.random.Generator) -> bool:
+    j, fastest, top = channel.scene.index(joint), 0.0, channel.preparation.force_cutoff_hz
+    pieces, lowest = [], top
+    for piece, motion, smooth in zip(channel.prepared, channel.thinned, smooth_hz, strict=True):
+        if _ROOM * smooth >= top:
+            continue
+        read, rate = piece.log.joint("q", [joint])[:, 0], piece.log.rate_hz
+        made = rng.standard_normal((len(read), _DRAWS))
+        both = np.column_stack([read, made])
+        above = _between(both, smooth, top, rate)
+        size = np.std(above, axis=0)  # what is left of the motion counts as noise
+        pieces.append((motion.q[:, j], motion.v[:, j], decimate(above / np.where(size > 0, size, 1.0), piece.factor)))
+        fastest, lowest = max(fastest, float(np.max(np.abs(motion.v[:, j])))), min(lowest, smooth)
+    if not pieces:
+        return False
+    q, v, u = (np.concatenate(x) for x in zip(*pieces, strict=True))
+    periods = np.array([setting["period"] for setting in TransmissionError.grid(channel.scene, (joint,))])
+    periods = periods[fastest / periods > lowest]
+    if not periods.size:
+        return False
+    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, top, of_force(q))
+    return bool(len(periods) * len(channel.scene.joints) * np.exp(-0.5 * T[:, 0].max()) < _CHANCE)
+
+
+def _between(x: np.ndarray, low_hz: float, high_hz: float, rate_hz: float) -> np.ndarray:
+    """Return what of columns (N, n) lies between two frequencies [Hz]."""
+    wide = lowpass(x, high_hz, rate_hz)
+    return wide - lowpass(wide, low_hz, rate_hz)

@@ -1,0 +1,222 @@
+r"""The unknown unknown: structure in the residual that no named cause explains.
+
+The residual of each output is tried against smooth functions (Legendre, degree 4) of every variable, products (degree 2 by 2)
+of every pair, and both times the direction of motion (`dependence.py`), in the same white rows and against the same noise draws
+as the causes. What survives is confirmed like a cause. A formula is the single product of simple terms that explains nearly as
+much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.diagnose.candidate_scan import PRIOR_WEIGHT_BLOCKS
+from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.dependence import Dependence, dependences
+from tau_dyn.diagnose.noise_only_bootstrap import (
+    NONCENTRALITY_SAFETY_FACTOR,
+    NoiseOnlyBootstrap,
+    estimate_noncentrality,
+)
+from tau_dyn.diagnose.null_model import NullModel, compute_score_statistics
+from tau_dyn.effects import Effect
+
+MIN_2LOGL_DIFFERENCE = 8.0
+"""Difference of merit (twice the log-likelihood) below which two sets of variables are not told apart."""
+_MOST_ALIKE = 6
+_PAIR_PRICE = 4.0
+"""What a second variable, or another joint's direction, has to explain more, in twice the log-likelihood, beside its freedom."""
+_LEFT = 0.01
+"""Part of a function that the baseline must leave: the functions are not filtered as the baseline's columns are."""
+_SIMPLE = 0.85
+"""Share of the structure that one term must explain to be suggested as its formula."""
+
+
+class _StructureCandidate(NamedTuple):
+    """What smooth functions of some variables explain of an output's residual."""
+
+    penalised_statistic: float
+    on: Dependence
+    statistic: float
+    dof: int
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Dependence of one output's residual on some variables.
+
+    Attributes:
+        on: The output, the variables, and whose direction of motion it follows.
+        statistic: What it explains, in units of the noise.
+        dof: Number of its columns.
+        p_value: Chance on clean data, all sets tried taken into account.
+        n_effective_tests: Number of independent tries that the search over sets amounts to.
+        penalised_statistic: What it explains less the price of its freedom, not divided by the scatter of blocks as `T` is.
+        share: Its part of the output's residual variance.
+        columns: Its columns (n, m, k) of each run.
+        formula: A simple expression, or empty.
+        alike: Other sets of variables that explain as much, best first.
+    """
+
+    on: Dependence
+    statistic: float
+    dof: int
+    p_value: float
+    n_effective_tests: float
+    penalised_statistic: float
+    share: float
+    columns: list[np.ndarray]
+    formula: str
+    alike: tuple[_StructureCandidate, ...] = ()
+
+    @property
+    def output(self) -> str:
+        """The output."""
+        return self.on.output
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """What it depends on."""
+        return self.on.variables
+
+
+def find_structure(channel: Channel, ground: NullModel, draws: np.ndarray, level: float) -> Structure | None:
+    """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
+    shapes, tries = _tried(channel, ground, draws)
+    if not shapes:
+        return None
+    best = shapes[0]
+    if level < 1 and _chance(best, tries, _inflation(channel, ground, best.on)) >= level:
+        return None
+    near = [
+        s
+        for s in shapes[1:]
+        if s.on.output == best.on.output and s.penalised_statistic > best.penalised_statistic - MIN_2LOGL_DIFFERENCE
+    ]
+    return _structure(channel, ground, best, tries, tuple(near[:_MOST_ALIKE]))
+
+
+def list_indistinguishable(channel: Channel, ground: NullModel, structure: Structure) -> list[Structure]:
+    """Return the structures that a structure was not told apart from on the training part."""
+    return [_structure(channel, ground, shape, structure.n_effective_tests, ()) for shape in structure.alike]
+
+
+def _structure(
+    channel: Channel,
+    ground: NullModel,
+    shape: _StructureCandidate,
+    tries: float,
+    alike: tuple[_StructureCandidate, ...],
+) -> Structure:
+    k = channel.outputs.index(shape.on.output)
+    rows = np.flatnonzero(ground.whiten.index == k)
+    inflation = _inflation(channel, ground, shape.on)
+    return Structure(
+        shape.on,
+        shape.statistic / inflation,
+        shape.dof,
+        _chance(shape, tries, inflation),
+        tries,
+        shape.penalised_statistic,
+        min(1.0, shape.statistic / max(float(ground.e[rows] @ ground.e[rows]), 1e-300)),
+        [_placed(b, k, len(channel.outputs)) for b in shape.on.bases(channel.variables())],
+        _formula(channel, ground, shape),
+        alike,
+    )
+
+
+def _chance(shape: _StructureCandidate, tries: float, inflation: float) -> float:
+    """Return the chance that noise alone explains as much, all sets tried taken into account."""
+    tail = min(float(stats.chi2.sf(shape.statistic / inflation, shape.dof)), 1 - 1e-16)
+    return float(-np.expm1(tries * np.log1p(-tail)))
+
+
+def _tried(channel: Channel, ground: NullModel, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
+    """Return all sets of variables, the largest merit first, and how many independent tries the search over them amounts to."""
+    values = channel.variables()
+    found: list[_StructureCandidate] = []
+    noise_chances = []
+    for k, output in enumerate(channel.outputs):
+        rows = np.flatnonzero(ground.whiten.index == k)
+        both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
+        Q = ground.Q[rows]
+        for on in dependences(values, output):
+            C = _rows(ground, k, on.bases(values))
+            if C.shape[1] == 0:
+                continue
+            A = Q.T @ C
+            G, raw = C.T @ C - A.T @ A, np.sum(C**2, axis=0)
+            T = compute_score_statistics((C.T @ both)[None], G[None], raw[None], np.zeros(C.shape[1], bool), _LEFT)[0]
+            noise_chances.append(stats.chi2.sf(T[1:], C.shape[1]))
+            merit = float(T[0]) - 2 * C.shape[1] - _PAIR_PRICE * on.further
+            found.append(_StructureCandidate(merit, on, float(T[0]), C.shape[1]))
+    if not found:
+        return [], 1.0
+    smallest = np.min(noise_chances, axis=0)
+    tries = max(1.0, -len(smallest) / float(np.sum(np.log1p(-np.clip(smallest, 1e-12, 1 - 1e-12)))))
+    return sorted(found, key=lambda shape: -shape.penalised_statistic), tries
+
+
+def compute_structure_p_value(
+    noise: NoiseOnlyBootstrap, ground: NullModel, structure: Structure, others: Sequence[Effect]
+) -> float:
+    """Return a structure's chance when encoder noise does to it what it does to noise-only logs (see
+    `noise_only_bootstrap.py`)."""
+    columns = []
+    for clean in noise.channels:
+        bases = structure.on.bases(clean.variables())
+        columns.append([_placed(b, clean.outputs.index(structure.output), len(clean.outputs)) for b in bases])
+    dof = columns[0][0].shape[-1]
+    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(
+        noise.fit_null_models(ground, others), ground, columns, np.zeros(dof, bool), _LEFT
+    )
+    tail = stats.ncx2.sf(structure.statistic, dof, bias) if bias > 0 else stats.chi2.sf(structure.statistic, dof)
+    return min(1.0, structure.n_effective_tests * float(tail))
+
+
+def _rows(ground: NullModel, output: int, basis: Sequence[np.ndarray]) -> np.ndarray:
+    return ground.whiten.one(output, basis) / ground.scale
+
+
+def _inflation(channel: Channel, ground: NullModel, on: Dependence) -> float:
+    """Return the scatter of blocks over what the noise model says, at least 1."""
+    k = channel.outputs.index(on.output)
+    rows = np.flatnonzero(ground.whiten.index == k)
+    C = _rows(ground, k, on.bases(channel.variables()))
+    left = C - ground.Q[rows] @ (ground.Q[rows].T @ C)
+    gamma = np.linalg.lstsq(left, ground.e[rows], rcond=1e-7)[0]
+    along = left @ gamma
+    square = float(along @ along)
+    if square <= 0:
+        return 1.0
+    scores = np.bincount(ground.whiten.block[rows], along * (ground.e[rows] - along))
+    count = len(np.unique(ground.whiten.block[rows]))
+    return max(1.0, (count * float(np.sum(scores**2)) / square + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+
+
+def _formula(channel: Channel, ground: NullModel, shape: _StructureCandidate) -> str:
+    """Return the one product of simple terms that explains nearly all, or an empty text."""
+    k = channel.outputs.index(shape.on.output)
+    rows = np.flatnonzero(ground.whiten.index == k)
+    best, text = _SIMPLE * shape.statistic, ""
+    for label, bases in shape.on.terms(channel.variables()).items():
+        C = _rows(ground, k, bases)
+        A = ground.Q[rows].T @ C
+        G = float(np.sum(C**2) - np.sum(A**2))
+        if G <= _LEFT * float(np.sum(C**2)):
+            continue
+        s = float(C[:, 0] @ ground.e[rows])
+        if s * s / G > best:
+            best, text = s * s / G, f"{s / G:.3g} * {label}"
+    return text
+
+
+def _placed(basis: np.ndarray, output: int, n_outputs: int) -> np.ndarray:
+    out = np.zeros((len(basis), n_outputs, basis.shape[1]))
+    out[:, output] = basis
+    return out

@@ -1,0 +1,195 @@
+r"""Keep an estimate physical: the nearest admissible parameters, in the metric of the data.
+
+    minimise  || R (theta_B + K theta_D - beta) ||^2 + eps || (theta - theta_nominal) / scale ||^2
+    subject to  lower <= theta <= upper,   pseudo-inertia of every body >= 0
+
+A conic program (cvxpy, clarabel). The second term chooses, of all vectors the data cannot tell apart, the one nearest the
+robot file; `eps` is too small to move what the data see. Reference: Sousa & Cortesao 2014; Wensing, Kim & Slotine 2018.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.estimate.base_parameters import BaseParameters
+from tau_dyn.estimate.physics import PSEUDO_INERTIA_BASIS, InertialBody, PhysicalConstraints, pseudo_inertia
+from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.parameters import Parameters
+
+_EPS = (1e-4, 1e-2)
+"""Pull towards the robot file: the smallest that leaves the program solvable is taken. On TX40 1e-4 moves no base parameter by
+0.03 of its standard error, while 1e-6 lets link masses wander off to 55 kg and the solver stop early."""
+_MAX_CHI2_RISE = 1e-2
+"""Rise of chi-square above which physics has moved the answer beyond what the data leave open; the solver is more accurate."""
+_ROUNDS = 12
+"""How often the program is solved again from its answer, where a file that is off by orders of magnitude (placeholders, grams,
+millimetres) moved that by its pull or its scale; physics alone gives the same rise again, and the first answer stays."""
+_WORTH = 0.8
+"""Share of the rise of chi-square below which another round was worth it."""
+_EDGE = 1e-6
+"""Part of a parameter's typical size within which it counts as being on its bound."""
+
+
+@dataclass(frozen=True)
+class ConstrainedParameters:
+    """Admissible parameters, and what a constraint holds away from its plain estimate (name -> plain value)."""
+
+    parameters: Parameters
+    moved: Mapping[str, float]
+
+
+def solve_consistent(
+    parameters: Parameters, base: BaseParameters, beta: np.ndarray, R: np.ndarray, physics: PhysicalConstraints | None
+) -> ConstrainedParameters:
+    """Return the admissible parameters nearest to base estimates `beta` (r,).
+
+    Args:
+        parameters: All parameters with bounds; fixed ones stay.
+        base: Base parameters of the free columns.
+        beta: Plain base estimates (r,).
+        R: Triangular factor (r, r) with `R' R = W' W` of the weighted rows, so that a bound acts as fixing there would.
+        physics: Bodies to keep physical; None for bounds alone.
+    """
+    plain = parameters.with_values(_plain_values(parameters, base, beta))
+    bodies = [b for b in (physics.bodies if physics else ()) if len(b.parameters) > 1]
+    if _within_bounds(plain) and all(_is_physical(b, plain) for b in bodies):
+        return ConstrainedParameters(plain, {})
+    theta = _program(parameters, base, beta, R, bodies)
+    rise = float(np.sum((R @ (base.combine(theta) - beta)) ** 2))
+    for _ in range(_ROUNDS):
+        if rise <= _MAX_CHI2_RISE:
+            break
+        near = parameters.with_values(dict(zip(base.names, theta, strict=True)))
+        try:
+            again = _program(near, base, beta, R, bodies)
+        except InputError:
+            break
+        if (left := float(np.sum((R @ (base.combine(again) - beta)) ** 2))) > _WORTH * rise:
+            break
+        theta, rise = again, left
+    solved = parameters.with_values(dict(zip(base.names, theta, strict=True)))
+    physical = _made_physical(solved, plain, bodies) if rise > _MAX_CHI2_RISE else {}
+    return ConstrainedParameters(solved, _out_of_bounds(plain, base) | physical)
+
+
+def _plain_values(parameters: Parameters, base: BaseParameters, beta: np.ndarray) -> dict[str, float]:
+    """Return values that predict as `beta` does, with the dropped parameters where they were."""
+    theta = parameters.select(base.names).values
+    theta[base.kept] = beta - base.K @ theta[base.dropped]
+    return dict(zip(base.names, theta, strict=True))
+
+
+def _within_bounds(parameters: Parameters) -> bool:
+    return all(p.lower <= p.value <= p.upper for p in parameters if p.free)
+
+
+def _smallest(body: InertialBody, parameters: Parameters) -> tuple[float, float]:
+    """Return the smallest eigenvalue of a body's pseudo-inertia, and its trace."""
+    J = pseudo_inertia(body.map @ parameters.select(body.parameters).values)
+    return float(np.linalg.eigvalsh(J)[0]), float(np.trace(J))
+
+
+def _is_physical(body: InertialBody, parameters: Parameters) -> bool:
+    least, trace = _smallest(body, parameters)
+    return least >= -1e-12 * abs(trace)  # a point mass is physical
+
+
+def _program(
+    parameters: Parameters, base: BaseParameters, beta: np.ndarray, R: np.ndarray, bodies: list[InertialBody]
+) -> np.ndarray:
+    import cvxpy as cp  # slow to import, and most fits never need it
+
+    free = parameters.select(base.names)
+    nominal = free.values
+    scale = _scale(free, base, beta)
+    x = cp.Variable(len(free))  # in units of `scale`
+    theta = cp.multiply(scale, x)
+    combine = np.zeros((base.rank, len(free)))
+    combine[range(base.rank), base.kept] = 1.0
+    combine[:, base.dropped] = base.K
+    misfit = (R @ combine * scale) @ x - R @ beta
+    lower, upper = np.array([p.lower for p in free]), np.array([p.upper for p in free])
+    constraints = _within(x, lower / scale, upper / scale)
+    position = {name: k for k, name in enumerate(base.names)}
+    for body in bodies:
+        constraints.append(_pseudo_inertia_of(body, parameters, position, theta) >> 0)
+    # what the data do not see keeps its value; what they see is pulled by far less than its own uncertainty
+    _minimise(cp.sum_squares(misfit), cp.sum_squares(x - nominal / scale), constraints, bodies, x)
+    solution = np.clip(scale * x.value, lower, upper)
+    for edge in (lower, upper):  # an interior-point solver stops just short of an edge
+        solution = np.where(np.abs(solution - edge) < _EDGE * scale, edge, solution)
+    return solution
+
+
+def _within(x: Any, lower: np.ndarray, upper: np.ndarray) -> list[Any]:
+    """Return the constraints that finite bounds make."""
+    low, high = np.isfinite(lower), np.isfinite(upper)
+    return [*([x[low] >= lower[low]] if low.any() else []), *([x[high] <= upper[high]] if high.any() else [])]
+
+
+def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[InertialBody], x: Any) -> None:
+    """Solve the program with the smallest pull that leaves it solvable; `x` has the answer then."""
+    import cvxpy as cp
+
+    for eps in _EPS:
+        problem = cp.Problem(cp.Minimize(misfit + eps * pull), constraints)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # an inaccurate solution shows in the status
+            try:
+                problem.solve(solver=cp.CLARABEL)
+            except cp.SolverError:
+                continue
+        if problem.status == cp.OPTIMAL:
+            break
+    if x.value is None and not bodies:  # bounds alone always leave room
+        raise CannotAnswer(
+            f"{x.size} parameters are too many for so short or dull a log",
+            "record 10 s or more of varied motion of all joints",
+        )
+    if x.value is None:
+        listed = ", ".join(body.name for body in bodies) or "the bounds"
+        raise InputError(
+            f"no admissible parameters exist ({problem.status}): what is fixed or bounded contradicts itself or the physics of "
+            f"{listed}"
+        )
+
+
+def _pseudo_inertia_of(body: InertialBody, parameters: Parameters, position: dict[str, int], theta: Any) -> Any:
+    """Return a body's pseudo-inertia (4, 4) as an expression of the program's variables."""
+    total, expression = np.zeros((4, 4)), 0 * theta[0] * np.eye(4)
+    for name, column in zip(body.parameters, body.map.T, strict=True):
+        J = np.tensordot(column, PSEUDO_INERTIA_BASIS, axes=1)
+        if name in position:
+            expression = expression + theta[position[name]] * J
+        else:
+            total = total + parameters[name].value * J
+    return expression + total
+
+
+def _scale(free: Parameters, base: BaseParameters, beta: np.ndarray) -> np.ndarray:
+    """Return a typical size of each parameter, so that the program is well scaled."""
+    size = np.abs(free.values)
+    size[base.kept] = np.maximum(size[base.kept], np.abs(beta))
+    typical = np.median(size[size > 0]) if np.any(size > 0) else 1.0
+    return np.where(size > 1e-3 * typical, size, 1e-3 * typical)
+
+
+def _out_of_bounds(plain: Parameters, base: BaseParameters) -> dict[str, float]:
+    """Return the parameters that the data alone put outside their bounds, with plain values."""
+    seen = [plain[name] for name, alone in zip(base.names, base.alone, strict=True) if alone]
+    return {p.name: p.value for p in seen if not p.lower <= p.value <= p.upper}
+
+
+def _made_physical(solved: Parameters, plain: Parameters, bodies: list[InertialBody]) -> dict[str, float]:
+    """Return the bodies on the edge of the physical that were beyond it, with their plain smallest eigenvalue."""
+    moved = {}
+    for body in bodies:
+        least, trace = _smallest(body, solved)
+        if least < 1e-6 * max(trace, 1e-12) and not _is_physical(body, plain):
+            moved[f"{body.name} inertia"] = _smallest(body, plain)[0]
+    return moved

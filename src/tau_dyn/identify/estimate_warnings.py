@@ -1,0 +1,209 @@
+"""What an estimate should not be believed about, in sentences, and which descriptions the data cannot tell apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from tau_dyn.coded_warning import CodedWarning
+from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate
+from tau_dyn.identify.errors import ForceErrors
+from tau_dyn.parameters import Parameters
+from tau_dyn.robot import INERTIAL
+
+_ILL_CONDITIONED = 200.0
+_CORRELATED = 0.99
+_OBJECTS = 3.0
+"""Standard errors outside of what is physical from which the data object; nearer is noise."""
+
+_MAX_INERTIA_RATIO = 30.0
+"""Factor between identified and nominal inertia beyond which units are doubted; a robot file may be wrong by much less."""
+
+
+def list_estimate_warnings(estimate: Estimate) -> list[str]:
+    """Return a sentence for each thing about the estimate that a reader must know before using it."""
+    return [
+        *_moved(estimate),
+        *_at_bound(estimate),
+        *_unseen(estimate),
+        *_undetermined(estimate),
+        *_conditioning(estimate),
+    ]
+
+
+def list_unjudged_joint_warnings(train: ForceErrors, holdout: ForceErrors | None) -> list[str]:
+    """Return a sentence where the masks leave nothing of a joint, so that its errors of zero say nothing."""
+    why = "all are next to rests, reversals, gaps or forces at the drive's limit"
+    found = []
+    if train.unjudged:
+        found.append(
+            f"no sample of {', '.join(train.unjudged)} can be fitted ({why}); what is said of it comes from the others"
+        )
+    if holdout is not None and (rest := [joint for joint in holdout.unjudged if joint not in train.unjudged]):
+        found.append(
+            f"no held-out sample of {', '.join(rest)} can be used ({why}); its held-out error is unknown, not zero"
+        )
+    return found
+
+
+def list_inertia_scale_warnings(estimate: Estimate, nominal: Parameters) -> list[str]:
+    """Return a sentence where masses and inertias are orders of magnitude from the robot file's: mostly a unit is wrong."""
+    base = estimate.base
+    before, names = base.combine(nominal.select(base.names).values), [base.names[k] for k in base.kept]
+    inertial = np.array([name.rpartition(".")[2] in INERTIAL for name in names], bool)
+    seen = inertial & (estimate.stderr < MAX_RELATIVE_STDERR * np.abs(estimate.beta)) & (before != 0)
+    if not seen.any():
+        return []
+    ratio = np.abs(estimate.beta[seen] / before[seen])
+    typical = float(np.exp(np.median(np.log(ratio))))
+    if 1 / _MAX_INERTIA_RATIO < typical < _MAX_INERTIA_RATIO:
+        return []
+    k = np.flatnonzero(seen)[np.argmin(np.abs(np.log(ratio / typical)))]
+    such = f"{names[k]} with {estimate.beta[k]:.3g} instead of {before[k]:.3g} {estimate.parameters[names[k]].unit}"
+    sentence = (
+        f"masses and inertias are about {typical:.2g} times those of the robot file, such as {such}; check the units of t [s], "
+        "q [m or rad] and tau [N or N m], and the file's"
+    )
+    return [CodedWarning("scale_wrong", sentence)]
+
+
+_RESISTS = ("coulomb", "viscous", "coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg")
+"""Friction parameters, which oppose motion."""
+
+
+def equivalences(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the descriptions that fit exactly as well as the one reported."""
+    found = []
+    for joint in joints:
+        names = [f"{joint}.{q}" for q in ("coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg")]
+        if not all(n in estimate.parameters for n in names):
+            continue
+        fc_pos, fc_neg, fv_pos, fv_neg = (estimate.parameters[n] for n in names)
+        both = np.hypot(fv_pos.stderr or 0.0, fv_neg.stderr or 0.0)
+        one_viscous = both > 0 and abs(fv_pos.value - fv_neg.value) < 2 * both
+        mean, half = (fc_pos.value + fc_neg.value) / 2, (fc_pos.value - fc_neg.value) / 2
+        unit = fc_pos.unit
+        text = f"{joint}: Coulomb friction {fc_pos.value:.4g} / {fc_neg.value:.4g} {unit} is the same as {mean:.4g} {unit} in "
+        text += f"both directions with a constant offset of {half:+.3g} {unit}; no force log can tell which it is"
+        if one_viscous:
+            text += "; one viscous coefficient would do"
+        found.append(text)
+    return tuple(found)
+
+
+def _moved(estimate: Estimate) -> list[str]:
+    """Return what had to be made physical against the data."""
+    bodies = [name.removesuffix(" inertia") for name in estimate.moved if name.endswith(" inertia")]
+    found = _held_by_physics(estimate, bodies) if bodies else []
+    found += list_friction_sign_warnings(estimate)
+    for name, plain in estimate.moved.items():
+        if name.endswith(" inertia"):
+            continue
+        p = estimate.parameters[name]
+        if _excess(estimate, name, plain) < _OBJECTS:
+            continue
+        sentence = (
+            f"{name}: plain least squares gives {plain:.4g} {p.unit}, more than {_OBJECTS:g} standard errors outside what is "
+            f"admissible; the nearest admissible estimate has {p.value:.4g} {p.unit} and moves others along "
+            "(some force is not in the model, or the motion is dull)"
+        )
+        found.append(CodedWarning("not_physical", sentence))
+    return found
+
+
+def _excess(estimate: Estimate, name: str, plain: float) -> float:
+    """Return how far a plain estimate lies outside its bounds, in standard errors; none where it is not determined alone."""
+    p = estimate.parameters[name]
+    alone = [k for k, kept in enumerate(estimate.base.kept) if estimate.base.names[kept] == name]
+    if not alone or not estimate.stderr[alone[0]] > 0:
+        return 0.0
+    return max(p.lower - plain, plain - p.upper) / float(estimate.stderr[alone[0]])
+
+
+def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
+    """Return a sentence for each joint whose friction comes out as if it pushed.
+
+    So it does where a force or a position has its sign turned, or is another joint's.
+    """
+    found = []
+    for joint in estimate.regression.outputs:
+        friction = [n for n in estimate.base.names if n.rsplit(".", 1)[0] == joint and n.rsplit(".", 1)[1] in _RESISTS]
+        pushing = [n for n in friction if n in estimate.moved and _excess(estimate, n, estimate.moved[n]) > _OBJECTS]
+        if len(pushing) >= max(2, len(friction) / 2):
+            sentence = (
+                f"{joint}: friction comes out negative, as if it pushed; check the sign of tau_{joint} (what the actuator "
+                f"applies along q_{joint}) and that q_{joint} and tau_{joint} are this joint's columns"
+            )
+            found.append(CodedWarning("sign_reversed", sentence))
+    return found
+
+
+def _held_by_physics(estimate: Estimate, bodies: list[str]) -> list[str]:
+    """Say which bodies had to be made physical, where the data object.
+
+    The truth is physical and lies within chi-square of the plain estimate, and the nearest physical estimate lies nearer; so a
+    distance beyond the 99.9 % quantile objects to the model, in at most 0.1 % of sound logs.
+    """
+    moved = estimate.beta - estimate.beta_plain
+    stderr = np.where(estimate.stderr > 0, estimate.stderr, np.inf)
+    shift = np.abs(moved) / stderr
+    worst = int(np.argmax(shift))
+    widened = estimate.cov + np.diag(np.maximum(estimate.stderr**2 - np.diag(estimate.cov), 0.0))
+    distance = float(moved @ np.linalg.lstsq(widened, moved, rcond=None)[0])
+    if shift[worst] < _OBJECTS or distance < chi2.ppf(0.999, len(moved)):
+        return []
+    sentence = (
+        f"no mass distribution has the plain least-squares inertia of {', '.join(bodies)}; the estimate is the nearest that "
+        f"exists, which moves {estimate.base.names[estimate.base.kept[worst]]} most, by {shift[worst]:.2g} standard errors "
+        "(some force is not in the model, or the noise is underrated)"
+    )
+    return [CodedWarning("not_physical", sentence)]
+
+
+def _at_bound(estimate: Estimate) -> list[str]:
+    at = [
+        p.name
+        for p in estimate.parameters
+        if p.free and p.at_bound and p.stderr is not None and p.name not in estimate.moved
+    ]
+    return [f"at a bound: {', '.join(at)}"] if at else []
+
+
+def _unseen(estimate: Estimate) -> list[str]:
+    """Say what the robot could show but this motion does not, and what would."""
+    structural = estimate.structural
+    if structural is None:
+        return []
+    lost = [n for n in estimate.base.names if estimate.identifiable(n) and estimate.parameters[n].stderr is None]
+    if not lost:
+        return []
+    joints = sorted({n.rsplit(".", 1)[0] for n in lost if n.rsplit(".", 1)[0] in estimate.regression.outputs})
+    remedy = f"move {', '.join(joints)}" if joints else "accelerate all joints independently of each other"
+    return [f"this motion does not show {', '.join(lost)} at all; to see them, {remedy}"]
+
+
+def _undetermined(estimate: Estimate) -> list[str]:
+    weak = [n for n in estimate.base.names if estimate.parameters[n].stderr is not None and not estimate.determined(n)]
+    if not weak:
+        return []
+    listed = ", ".join(
+        f"{n} = {estimate.parameters[n].value:.3g} +- {estimate.parameters[n].stderr:.2g} {estimate.parameters[n].unit}"
+        for n in weak[:8]
+    )
+    more = f" and {len(weak) - 8} more" if len(weak) > 8 else ""
+    return [f"not determined by these data (standard error above 30 %): {listed}{more}"]
+
+
+def _conditioning(estimate: Estimate) -> list[str]:
+    found = []
+    if estimate.cond > _ILL_CONDITIONED:
+        found.append(
+            f"the regression is ill-conditioned (condition number {estimate.cond:.3g}); single values lean on small differences"
+        )
+    correlation = np.abs(np.triu(estimate.correlation, 1))
+    for i, j in np.argwhere(correlation > _CORRELATED)[:5]:
+        a, b = estimate.base.expression(int(i)), estimate.base.expression(int(j))
+        found.append(
+            f"{a} and {b} are correlated by {estimate.correlation[i, j]:+.3f}; trust their combination, not each"
+        )
+    return found

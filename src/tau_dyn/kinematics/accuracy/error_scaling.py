@@ -1,0 +1,48 @@
+"""Until which size of errors a linear bound holds: the same errors, all enlarged together, at one pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tau_dyn.kinematics.accuracy.error_bounds import LARGEST, ErrorBounds
+from tau_dyn.kinematics.accuracy.study import Accuracy, device_of, positioning_errors
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.rods import Rods
+from tau_dyn.robot import Robot
+
+FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
+
+
+class Growth(NamedTuple):
+    """Errors enlarged at one pose.
+
+    Attributes:
+        factors: By how much (k,).
+        largest: Largest displacement by method, each (k,) [m]; nan where there is none.
+    """
+
+    factors: np.ndarray
+    largest: dict[str, np.ndarray]
+
+    def holds_to(self, method: str, share: float) -> float:
+        """Return the largest factor, of those tried, up to which a method is within a share of the exact; nan for none."""
+        with np.errstate(all="ignore"):
+            off = np.abs(self.largest[method] / self.largest["exact"] - 1)
+        good = np.cumprod(off <= share).astype(bool)
+        return float(self.factors[good][-1]) if good.any() else float("nan")
+
+
+def scale_errors(
+    robot: Robot, rods: Rods | None, errors: ErrorBounds, q: np.ndarray, tool: Poses, methods: Sequence[str],
+    factors: Sequence[float] = FACTORS,
+) -> Growth:  # fmt: skip
+    """Return the methods' largest displacements at one pose (q (na,), tool 1 sample) for enlarged errors."""
+    kept = [f for f in factors if errors.largest * f <= LARGEST]
+    rows: list[Accuracy] = []
+    for factor in kept:
+        more = errors.scaled(factor)
+        rows.append(positioning_errors(device_of(robot, rods, more), more, q[None], tool, methods=methods, samples=1))
+    return Growth(np.array(kept), {m: np.array([r.largest[m][0] for r in rows]) for m in rows[0].largest})

@@ -1,0 +1,196 @@
+"""What a colleague would say about a diagnosis: the verdict, a finding's weight, what would have been seen, what was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import floor, isfinite, log10
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.diagnose.result import Diagnosis, Finding, Gain, Limit, Status, Unexplained, Untestable
+from tau_dyn.report.formatting import Level, Recommendation, count, format_list, number, percent, pretty_unit
+from tau_dyn.report.quantities import quantity
+
+BADGE: dict[str, tuple[Level, str]] = {
+    "named": ("good", "Cause named"),
+    "nothing_found": ("good", "Nothing hidden found"),
+    "cannot_tell": ("care", "The data cannot tell"),
+    "unexplained": ("care", "Unexplained"),
+}
+STATUS_LEVEL: dict[Status, Level] = {"confirmed": "good", "suspected": "care", "parameter": "care"}
+MEASURED = {"force": "measured force", "tool": "measured tool position", "deflection": "measured deflection"}
+FULL_EFFECT_SHARE = 0.8
+"""Share of the predicted effect from which held-out data are said to show it all."""
+
+
+def badge(diagnosis: Diagnosis) -> tuple[Level, str]:
+    """Return the verdict's level and its few words; several causes are counted."""
+    level, text = BADGE[diagnosis.verdict]
+    n = sum(f.status == "confirmed" for f in diagnosis.findings)
+    return (level, f"{count(n, 'cause')} named") if diagnosis.verdict == "named" and n > 1 else (level, text)
+
+
+def recommend_model(diagnosis: Diagnosis) -> Recommendation:
+    """Return what to do with the answer, in a sentence."""
+    level, _ = BADGE[diagnosis.verdict]
+    what, floor_ = measured(diagnosis), percent(diagnosis.noise_floor.relative_error_percent)
+    before, after = (percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
+    if diagnosis.recommendation == "neither":
+        return Recommendation("poor", f"Use neither model: {diagnosis.recommendation_why}.")
+    if diagnosis.recommendation == "extended":
+        text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
+        return Recommendation(level, f"{text}; noise alone is {floor_}. No joint becomes worse.")
+    if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
+        return Recommendation("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
+    if diagnosis.verdict == "cannot_tell":
+        return Recommendation(level, f"The experiment that would: {sentence(diagnosis.experiment)}")
+    if diagnosis.verdict == "unexplained":
+        joints = format_list(dict.fromkeys(u.joint for u in diagnosis.unexplained))
+        return Recommendation(
+            level, f"Something real is left on {joints} that no cause known here explains; look at its plot."
+        )
+    text = f"Use the refitted model: its error is {before} of the {what}, noise alone is {floor_}."
+    if diagnosis.verdict == "named":
+        return Recommendation(level, text)
+    return Recommendation(level, f"{text} What would have been seen is listed under “Not found”.")
+
+
+def all_samples_words(diagnosis: Diagnosis) -> str:
+    """Return the errors over all samples, and how much of them the errors above use, in a sentence; empty where not known."""
+    before, after = diagnosis.baseline.all_samples, diagnosis.extended.all_samples
+    if before is None or after is None:
+        return ""
+    more = f", the extended one {percent(after.relative_error_percent)}" if diagnosis.verdict == "named" else ""
+    shares = diagnosis.baseline.used_shares
+    each = format_list([f"{o} {percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
+    return (
+        f"Over all samples, reversals and rests included, the refitted model misses {percent(before.relative_error_percent)}"
+        f"{more}; the errors above use {each}."
+    )
+
+
+def summary(diagnosis: Diagnosis) -> str:
+    """Return what went in: logs, seconds, how they were divided."""
+    logs = list(dict.fromkeys(trace.log for trace in diagnosis.traces))
+    named = f"{format_list(logs) if len(logs) <= 3 else count(len(logs), 'log')}; " if logs else ""
+    return f"{named}{parts_words(diagnosis)}."
+
+
+def parts_words(diagnosis: Diagnosis) -> str:
+    """Return how many seconds served what."""
+    train, confirm, judge = (f"{number(s, 3)} s" for s in diagnosis.n_parts)
+    return f"trained on {train}, confirmed on {confirm}, gain measured on {judge}"
+
+
+def measured(diagnosis: Diagnosis) -> str:
+    """Return what the errors are a share of."""
+    return MEASURED.get(diagnosis.channel, "measurement")
+
+
+def title(finding: Finding) -> str:
+    """Return a finding's heading, such as `Cyclic ripple · cart2`."""
+    name = finding.cause.replace("_", " ")
+    return f"{name[:1].upper()}{name[1:]}{' · ' if finding.joints else ''}{format_list(finding.joints)}"
+
+
+def plain_name(cause: str) -> str:
+    """Return a cause's name as words."""
+    return cause.replace("_", " ")
+
+
+def format_p_value(p_value: float) -> str:
+    """Return a probability as odds, such as `1 in 5000`."""
+    if not p_value > 0 or p_value < 1e-6:
+        return "less than 1 in a million"
+    if p_value > 0.5:
+        return "more likely than not"
+    odds = 1 / p_value
+    digits = 10.0 ** (floor(log10(odds)) - 1)
+    return f"1 in {round(odds / digits) * digits:,.0f}".replace(",", " ")
+
+
+def gain_words(gain: Gain | None, unit: str = "") -> str:
+    """Return what a cause is worth on data used for nothing else, with its interval."""
+    if gain is None:
+        return "none to measure: the refitted parameters absorb it"
+    low, high = (number(x, 2) for x in gain.ci95)
+    before, after = quantity(gain.rms_before, unit), quantity(gain.rms_after, unit)
+    return f"{number(gain.reduction_percent, 2)} % less residual ({low} … {high} %), {before} → {after} rms"
+
+
+def confirmation_words(confirmation: tuple[float, float] | None) -> str:
+    """Return how much of the predicted effect the second part of the data shows."""
+    if confirmation is None:
+        return ""
+    share, sigma = (100 * x for x in confirmation)
+    text = f"{share:.0f} ± {max(sigma, 1.0):.0f} % of the predicted effect"
+    if share + 2 * sigma < 100 * FULL_EFFECT_SHARE:
+        return f"{text}: weaker than predicted there"
+    return f"{text}; 100 % is all of it"
+
+
+def unexplained_words(item: Unexplained) -> str:
+    """Return what is left and what it depends on, in a sentence."""
+    share = percent(100 * item.share_of_residual_variance)
+    text, on = f"{share} of what is left on {item.joint}", format_list(item.depends_on)
+    if item.indistinguishable_from:
+        on += f" (or as well on {'; or on '.join(format_list(others) for others in item.indistinguishable_from)})"
+    if item.status == "suspected":
+        return f"{text} seems to depend on {on}; a second part of the data did not confirm it."
+    return f"{text} depends on {on}, and no cause known here does that."
+
+
+def limits_words(limits: Sequence[Limit]) -> list[str]:
+    """Return from where on each cause would have been seen."""
+    return [
+        pretty_unit(limit.phrase) or f"{plain_name(limit.cause)} {quantity(limit.amplitude, limit.unit, 2)}"
+        for limit in limits
+    ]
+
+
+def by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:
+    """Return each reason why causes could not be tested, with the names of the causes that it holds for."""
+    causes: dict[str, list[str]] = {}
+    for item in items:
+        causes.setdefault(item.why, []).append(plain_name(item.cause))
+    return list(causes.items())
+
+
+def sentence(text: str) -> str:
+    """Return a text that ends in a full stop; nothing stays nothing."""
+    return text if not text or text.endswith((".", "!", "?")) else f"{text}."
+
+
+def settings_rows(settings: Mapping[str, Any], owner: str = "") -> list[tuple[str, str]]:
+    """Return settings as names and texts, those within others after their owner's name."""
+    rows: list[tuple[str, str]] = []
+    for key, value in settings.items():
+        name = f"{owner}{str(key).replace('_', ' ')}"
+        if isinstance(value, Mapping):
+            rows += settings_rows(value, f"{name}: ")
+        else:
+            rows.append((name, value_words(value)))
+    return rows
+
+
+def simulation_rows(simulation: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+    """Return quantity, before and after of the closed-loop simulation, whatever it compared."""
+    before, after = ((simulation or {}).get(key) for key in ("before", "after"))
+    if not isinstance(before, Mapping) or not isinstance(after, Mapping):
+        return []
+    texts = dict(settings_rows(after))
+    return [(name, text, texts.get(name, "")) for name, text in settings_rows(before)]
+
+
+def value_words(value: Any) -> str:
+    """Return a setting's value as text."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, int | np.integer):
+        return str(value)
+    if isinstance(value, float | np.floating):
+        return number(float(value), 4) if isfinite(value) else "none"
+    if isinstance(value, list | tuple | np.ndarray):
+        return format_list([value_words(item) for item in value], 12)
+    return "none" if value is None else str(value)

@@ -1,0 +1,133 @@
+"""Why a result may be trusted, in words: what the fit used, what it left out, how well the motion tells parameters apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tau_dyn.identify import Identification
+from tau_dyn.report.formatting import (
+    count,
+    format_list,
+    number,
+    percent,
+    pretty_expression,
+    pretty_unit,
+    with_uncertainty,
+)
+from tau_dyn.report.parameter_rows import ParameterRow
+from tau_dyn.report.residuals import ResidualSummary
+
+WELL, FAIR = 30.0, 200.0
+MIN_REPORTED_CORRELATION = 0.9
+
+
+def preparation_words(found: Identification) -> list[str]:
+    """Return how logs became a regression, one sentence a step."""
+    regression = found.estimate.regression
+    p, robot = regression.settings["preparation"], found.model.robot
+    rate = 1 / float(np.median(np.diff(regression.runs[0].t)))
+    slowest = [
+        f"{_speed(float(v), unit)} ({joint})"
+        for joint, v, unit in zip(regression.outputs, p.speed_threshold, robot.position_units, strict=True)
+    ]
+    sentences = [
+        f"Positions pass a zero-phase low-pass of {number(p.position_cutoff_hz, 3)} Hz before they are differentiated; "
+        f"forces and every column of the regression pass the same one of {number(p.force_cutoff_hz, 3)} Hz.",
+        f"Both are then thinned together to {number(rate, 3)} Hz.",
+        f"A joint is left out within {number(1000 * p.window_s, 2)} ms of a reversal and of speeds below "
+        f"{format_list(slowest)}, where the sign of its friction is unsure; so are the ends of each log and saturated forces.",
+    ]
+    if p.exclude:
+        sentences.append(f"Samples flagged by {format_list(p.exclude)} are left out.")
+    return sentences
+
+
+def _speed(v: float, unit: str) -> str:
+    return f"{number(1000 * v, 2)} mm/s" if unit == "m" and v < 0.1 else f"{number(v, 2)} {unit}/s"
+
+
+def used_words(found: Identification) -> str:
+    """Return how much of the data the fit uses, and what the rest looks like."""
+    train, n = found.train, found.estimate.regression.n_samples
+    text = f"The fit uses {percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
+    if train.all_samples is not None:
+        text += (
+            f" Over all samples, reversals included, its error is {percent(train.all_samples.relative_error_percent)}"
+        )
+        text += f" instead of {percent(train.relative_error_percent)}."
+    return text
+
+
+def conditioning_words(cond: float) -> str:
+    """Return how well a motion separates the parameters, by its condition number."""
+    judged = separation_words(cond)
+    return f"Condition number {number(cond, 3)} (below {WELL:g} is good, above {FAIR:g} is poor): {judged}."
+
+
+def separation_words(cond: float) -> str:
+    """Return what a condition number means, as a clause."""
+    if cond < WELL:
+        return "the motion separates the parameters well"
+    if cond < FAIR:
+        return "acceptable; a richer motion would sharpen single values"
+    return "ill-conditioned; single values lean on small differences, their combinations do not"
+
+
+def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, str]]:
+    """Return the strongest correlations above 0.9: both parameters, and the number."""
+    base, matrix = found.estimate.base, np.triu(found.estimate.correlation, 1)
+    pairs = sorted(np.argwhere(np.abs(matrix) > MIN_REPORTED_CORRELATION), key=lambda ij: -abs(matrix[ij[0], ij[1]]))[
+        :most
+    ]
+    return [
+        (base.expression(int(i)), base.expression(int(j)), f"{matrix[i, j]:+.3f}".replace("-", "−")) for i, j in pairs
+    ]
+
+
+def combinations(found: Identification) -> list[str]:
+    """Return what the data do see of parameters that they cannot see alone, with values; best known (relative error) first."""
+    together = [row for row in found.base_rows() if row["expression"] != row["name"]]
+    together.sort(key=lambda row: row["stderr"] / max(abs(row["value"]), 1e-300))
+    return [
+        f"{pretty_expression(row['expression'])} = {with_uncertainty(row['value'], row['stderr'], row['unit'])}"
+        for row in together
+    ]
+
+
+def describe_truth_errors(rows: list[ParameterRow]) -> str:
+    """Return how the estimates compare with the true values of a simulation."""
+    distances = [float(r.distance) for r in rows if r.distance]
+    if not distances:
+        return ""
+    near = sum(d <= 2 for d in distances)
+    text = f"{near} of {count(len(distances), 'estimate')} lie within 2 standard errors (σ) of the true value; "
+    text += "95 % would by chance."
+    if near < 0.8 * len(distances):
+        text += " So many outside mean that the simulated robot has a force which this model lacks, and that the "
+        text += "estimates make up for it."
+    return text
+
+
+def whiteness_words(residuals: list[ResidualSummary]) -> str:
+    """Return what the autocorrelation says."""
+    left = [f"{r.joint} ({number(r.lasts_s, 2)} s)" for r in residuals if not r.white]
+    if not left:
+        return "Nothing systematic is left: each residual forgets itself as fast as the fit's own low-pass lets it."
+    return (
+        f"The residual of {format_list(left)} stays correlated longer than the fit's low-pass explains: some force is not in the "
+        "model. The standard errors allow for its colour, not for the bias it may cause."
+    )
+
+
+def fixed_words(found: Identification) -> list[str]:
+    """Return what was kept at a given value."""
+    return [f"{p.name} = {number(p.value)} {pretty_unit(p.unit)} ({p.origin})" for p in found.parameters if not p.free]
+
+
+def summary_words(found: Identification) -> str:
+    """Return what went in, in a line: robot, logs, seconds, rate, how it was judged."""
+    runs = found.estimate.regression.runs
+    logs = list(dict.fromkeys(run.name for run in runs))
+    seconds = sum(float(run.t[-1] - run.t[0]) for run in runs)
+    named = format_list(logs, 3) if len(logs) <= 3 else count(len(logs), "log")
+    return f"{named}, {number(seconds, 3)} s; judged on {found.holdout_how}"

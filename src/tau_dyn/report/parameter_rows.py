@@ -1,0 +1,176 @@
+"""The parameter table as a person reads it: one line a parameter, shared by the page and the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from tau_dyn.identify import Identification
+from tau_dyn.model import Model
+from tau_dyn.report.formatting import Z95, format_list, number, percent, pretty_unit, round_to_stderr, with_uncertainty
+
+State = Literal["known", "weak", "unseen"]
+
+
+@dataclass(frozen=True)
+class IntervalBar:
+    """Where estimate and interval sit relative to the nominal value, as shares of the scale from -1 to 1.
+
+    Attributes:
+        low: Lower end of the 95 % interval, cut at -1.
+        high: Upper end, cut at 1.
+        at: The estimate; None where it lies off the scale.
+        trust: Half-width of what the nominal value is trusted to; 0 where there is no nominal.
+    """
+
+    low: float
+    high: float
+    at: float | None
+    trust: float
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """A parameter in words.
+
+    Attributes:
+        name: Contract name.
+        group: Heading it stands under.
+        state: `known` to 30 %, `weak`, or `unseen` by itself.
+        estimate: Value ± standard error; the nominal value where it is unseen.
+        interval: 95 % interval.
+        unit: Its unit.
+        nominal: Nominal value, empty where there is no trusted one.
+        note: What a reader must know, empty where all is well.
+        bar: Picture of the interval; None where there is nothing to draw.
+        true: The true value of a simulation, empty where it is not known.
+        distance: Estimate minus true value in standard errors.
+        before: What the model without the causes says, where there is one to compare with.
+    """
+
+    name: str
+    group: str
+    state: State
+    estimate: str
+    interval: str
+    unit: str
+    nominal: str
+    note: str
+    bar: IntervalBar | None
+    true: str = ""
+    distance: str = ""
+    before: str = ""
+
+
+def parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[ParameterRow]:
+    """Return the table's lines, in the order of `found.rows()`."""
+    raw = found.rows()
+    scale = bar_scale(raw)
+    rows = [row_of(r, scale, group_of(found.model, r["name"]), _note(found, r)) for r in raw]
+    return [
+        _compared(row, r, truth[row.name]) if truth and row.name in truth else row
+        for row, r in zip(rows, raw, strict=True)
+    ]
+
+
+def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRow]]]:
+    """Return the lines by heading, headings in the order in which they first appear."""
+    found: dict[str, list[ParameterRow]] = {}
+    for row in rows:
+        found.setdefault(row.group, []).append(row)
+    return list(found.items())
+
+
+def bar_scale(rows: list[dict[str, Any]]) -> float:
+    """Return the bars' common half-width as a share of the reference value, wide enough for what is determined."""
+    extents = [0.05]
+    for r in rows:
+        reference = r["nominal"] or r["value"]
+        if r["determined"] and reference:
+            extents.append(max(abs(x - reference) for x in r["ci95"]) / abs(reference))
+    return float(min(1.0, _round_up(1.05 * float(np.quantile(extents, 0.95)))))
+
+
+def _round_up(x: float) -> float:
+    steps = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 1.0])
+    return float(steps[min(np.searchsorted(steps, x), len(steps) - 1)])
+
+
+def row_of(r: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
+    """Return a parameter of the contract's form in words."""
+    seen, sigma = r["stderr"] is not None, r["stderr"]
+    return ParameterRow(
+        name=r["name"],
+        group=group,
+        state="known" if r["determined"] else "weak" if seen else "unseen",
+        estimate=with_uncertainty(r["value"], sigma) if seen else number(r["value"]),
+        interval=f"{round_to_stderr(r['ci95'][0], sigma)} … {round_to_stderr(r['ci95'][1], sigma)}" if seen else "",
+        unit=pretty_unit(r["unit"]),
+        nominal="" if r["nominal"] is None else number(r["nominal"]),
+        note=note,
+        bar=_bar(r, scale) if seen else None,
+    )
+
+
+def _compared(row: ParameterRow, r: dict[str, Any], true: float) -> ParameterRow:
+    sigma = r["stderr"]
+    text = number(true) if sigma is None else round_to_stderr(true, sigma)
+    return replace(row, true=text, distance=f"{abs(r['value'] - true) / sigma:.1f}" if sigma else "")
+
+
+def group_of(model: Model, name: str) -> str:
+    """Return the heading that a parameter stands under: its joint, or the rigid body."""
+    owner = name.rsplit(".", 1)[0]
+    return "Rigid body" if name in model.robot.parameters and owner not in model.robot.actuated else owner
+
+
+def _note(found: Identification, r: dict[str, Any]) -> str:
+    if r["stderr"] is None:
+        return _unseen(r)
+    plain = found.estimate.moved.get(r["name"])
+    if plain is not None:
+        return f"held where physics allows; unconstrained it would be {number(plain, 3)}"
+    return explain_unreliable(r) or against_nominal(r)
+
+
+def explain_unreliable(r: dict[str, Any]) -> str:
+    """Return why an estimate is not to be read as physics; empty where it may be."""
+    if r["at_bound"]:
+        return "at its bound"
+    if r["determined"]:
+        return ""
+    relative = 100 * r["stderr"] / max(abs(r["value"]), 1e-300)
+    return f"not determined: standard error {percent(relative)}" if relative < 100 else "not told from zero"
+
+
+def _unseen(r: dict[str, Any]) -> str:
+    shares = r.get("depends_on") or []
+    if not shares:
+        return (
+            "nominal value; this motion does not show it" if r["identifiable"] else "nominal value; no motion shows it"
+        )
+    return f"nominal value; seen only together with {format_list(shares, 3)}"
+
+
+def against_nominal(r: dict[str, Any]) -> str:
+    """Return how far an estimate is off its nominal value, where that is beyond both uncertainties."""
+    nominal, trust = r["nominal"], r["nominal_stderr"]
+    if not nominal:
+        return ""
+    change = (r["value"] - nominal) / abs(nominal)
+    if trust is None or abs(r["value"] - nominal) < Z95 * np.hypot(r["stderr"], trust):
+        return ""
+    return f"{percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, beyond both uncertainties"
+
+
+def _bar(r: dict[str, Any], scale: float) -> IntervalBar | None:
+    reference = r["nominal"] or r["value"]
+    if not reference or abs(reference) < 1e-3 * r["stderr"]:
+        return None
+    low, high, at = ((x - reference) / abs(reference) / scale for x in (*r["ci95"], r["value"]))
+    trust = Z95 * r["nominal_stderr"] / abs(reference) / scale if r["nominal_stderr"] else 0.0
+    cut = [float(np.clip(x, -1, 1)) for x in (low, high)]
+    return IntervalBar(cut[0], cut[1], float(at) if abs(at) <= 1 else None, min(1.0, trust))
