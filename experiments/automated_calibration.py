@@ -27,9 +27,9 @@ import numpy as np
 from tau_dyn.calibrate.frames import Frame
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.poses import Plan, plan_campaign
-from tau_dyn.calibrate.poses.camera import Camera, Pattern, facing, looking
-from tau_dyn.calibrate.poses.devices import seen
+from tau_dyn.calibrate.poses import CalibrationCampaign, plan_campaign
+from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
+from tau_dyn.calibrate.poses.devices import transform_to_device
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot
 from tau_dyn.calibrate.poses.progress_file import run_campaign
 from tau_dyn.calibrate.poses.refine import refine
@@ -50,16 +50,16 @@ LAB = {
 def camera() -> Camera:
     """Return the camera in front of the robot."""
     return Camera(
-        pose=looking(np.array([5.5, -0.6, 0.8]), np.array([1.7, -0.6, 0.7]), UP),
-        on_tool=facing(np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), UP),
-        pattern=Pattern(8, 6, 0.04),
+        pose=build_camera_frame(np.array([5.5, -0.6, 0.8]), np.array([1.7, -0.6, 0.7]), UP),
+        on_tool=build_target_frame(np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), UP),
+        pattern=CameraPattern(8, 6, 0.04),
         focal=(1400.0, 1400.0),
         image=(1280, 960),
         centre=(639.5, 479.5),
     )
 
 
-def plan(n: int | str, seed: int, *, weighted: bool) -> Plan:
+def plan(n: int | str, seed: int, *, weighted: bool) -> CalibrationCampaign:
     """Return a plan and say what it found."""
     start = time.process_time()
     demands = PoseRequirements(surroundings=surroundings_from(LAB, "the lab"))
@@ -72,7 +72,7 @@ def plan(n: int | str, seed: int, *, weighted: bool) -> Plan:
     return made
 
 
-def grid_like(made: Plan, n: int) -> np.ndarray:
+def grid_like(made: CalibrationCampaign, n: int) -> np.ndarray:
     """Return indices of candidates nearest to a regular grid of about `n` points over the poses in sight."""
     tool = made.choice.design.tool.position
     low, high = tool.min(axis=0), tool.max(axis=0)
@@ -87,7 +87,9 @@ def grid_like(made: Plan, n: int) -> np.ndarray:
     return picked[np.linspace(0, len(picked) - 1, n).astype(int)]
 
 
-def campaign(made: Plan, theta: np.ndarray, index: np.ndarray, rng: np.random.Generator, folder: Path) -> PoseSet:
+def campaign(
+    made: CalibrationCampaign, theta: np.ndarray, index: np.ndarray, rng: np.random.Generator, folder: Path
+) -> PoseSet:
     """Return what the camera measures of a robot at candidates, pose by pose through the progress file.
 
     All pictures are taken first: a plate that only translates shows one orientation in all of them.
@@ -100,18 +102,20 @@ def campaign(made: Plan, theta: np.ndarray, index: np.ndarray, rng: np.random.Ge
     return run_campaign(told, lambda pose, _: (taken.position[pose], None), path)
 
 
-def judged(made: Plan, theta: np.ndarray, poses: PoseSet, index: np.ndarray, *, weighed: bool) -> tuple[float, float]:
+def judged(
+    made: CalibrationCampaign, theta: np.ndarray, poses: PoseSet, index: np.ndarray, *, weighed: bool
+) -> tuple[float, float]:
     """Return the mean error [m] of the calibrated robot at other places, and the mean distance from its own measurements."""
     design, device = made.choice.design, made.device
     fitted = fit_geometry_to_poses(design.geometry, poses)
     if weighed:
         fitted = refine(fitted, device.covariance(design.tool.take(index)))
-    places = seen(device.frames, design.geometry.forward(theta, design.workspace).poses)
+    places = transform_to_device(device.frames, design.geometry.forward(theta, design.workspace).poses)
     true = fitted.errors(PoseSet(design.workspace, places.position)).position_size.mean
     return true, fitted.errors(poses).position_size.mean
 
 
-def study(made: Plan, runs: int, seed: int, *, weighed: bool) -> None:
+def study(made: CalibrationCampaign, runs: int, seed: int, *, weighed: bool) -> None:
     """Print accuracy by way of choosing."""
     design, n = made.choice.design, made.choice.n
     scales = design.unknowns.scales[: len(design.geometry.parameters)]
@@ -149,7 +153,7 @@ def main() -> None:
     turned = replace(camera(), on_tool=Frame(camera().on_tool.rotation, np.array([0.1, 0.0, 0.0])), steady=False)
     there = made.choice.design.tool
     off = np.array([turned.measure(there, rng).position for rng in np.random.default_rng(given.seed).spawn(given.runs)])
-    bias = np.mean(off - seen(turned.frames, there).position, axis=(0, 1))
+    bias = np.mean(off - transform_to_device(turned.frames, there).position, axis=(0, 1))
     print(
         f"each picture with its own orientation instead of one for all: depth off by {1e3 * bias[2]:+.2f} mm on average"
     )

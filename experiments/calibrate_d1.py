@@ -21,8 +21,8 @@ import numpy as np
 
 from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.candidates import Options
-from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, carried_by
-from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, find_carried_rods
+from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import constrain_parameters
 from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
@@ -96,7 +96,7 @@ def _bow(rods: Rods, k: int, home: float, rng: np.random.Generator) -> GuideBend
     shape = np.sin(np.pi * (knots - knots[0]) / np.ptp(knots) * rng.uniform(1.2, 2.0))
     base = BOW[k] * shape[:, None] * across / np.linalg.norm(across) + along[:, None] * rods.numbers.joints[k].direction
     name = rods.robot.actuated[k]
-    return GuideBendLaw(name, k, carried_by(rods, k), rods.n, knots, base)
+    return GuideBendLaw(name, k, find_carried_rods(rods, k), rods.n, knots, base)
 
 
 def grid() -> np.ndarray:
@@ -120,7 +120,7 @@ def guideways(true: Machine, rng: np.random.Generator) -> dict[int, np.ndarray]:
     straight = plain._at(plain.parameters.values, q).points
     out = {}
     for k in range(3):
-        rod = carried_by(true.rods, k)[0]
+        rod = find_carried_rods(true.rods, k)[0]
         e = bent[:, rod] - straight[:, rod] + NOISE[0] * rng.standard_normal((28, 3))
         x = np.column_stack([np.ones(28), q[:, k]])
         out[k] = e - x @ np.linalg.lstsq(x, e, rcond=None)[0]
@@ -132,7 +132,7 @@ def measured_bends(
 ) -> tuple[GuideBendLaw, ...]:
     """Return guideways as measured (5.7)."""
     return tuple(
-        GuideBendLaw(rods.robot.actuated[k], k, carried_by(rods, k), rods.n, q[:, k], measured[k]) for k in which
+        GuideBendLaw(rods.robot.actuated[k], k, find_carried_rods(rods, k), rods.n, q[:, k], measured[k]) for k in which
     )
 
 
@@ -183,7 +183,7 @@ def study(seed: int) -> dict[str, tuple[float, float, float]]:
     """Return one simulated campaign's errors by model."""
     rng = np.random.default_rng(seed)
     true = machine(rng)
-    poses = simulate_poses(true.geometry, true.theta, grid(), rng, noise=NOISE, frames=Frames(TRACKER.device))
+    poses = simulate_poses(true.geometry, true.theta, grid(), rng, noise=NOISE, frames=DeviceFrames(TRACKER.device))
     home = true.rods.robot.home
     inside = np.all((poses.q > home + RANGE[0]) & (poses.q < home + RANGE[1]), axis=1)
     poses = poses.take(inside)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.candidates import Options, fit_spec
-from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, carried_by
+from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, find_carried_rods
 from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
@@ -70,7 +70,7 @@ def _crooked(rods: Rods, k: int, x: np.ndarray, rng: np.random.Generator) -> Gui
     bow = BOW[k] * np.sin(np.pi * rng.uniform(1.5, 2.5) * (knots - knots[0]) / np.ptp(knots) + rng.uniform(0, 6))
     wave = WAVE[k] * np.sin(2 * np.pi * knots / PERIOD + rng.uniform(0, 6))
     base = bow[:, None] * across / np.linalg.norm(across) + wave[:, None] * np.array([1.0, 0.0, 0.0])
-    return GuideBendLaw(rods.robot.actuated[k], k, carried_by(rods, k), rods.n, knots, base)
+    return GuideBendLaw(rods.robot.actuated[k], k, find_carried_rods(rods, k), rods.n, knots, base)
 
 
 def study(seed: int) -> None:

@@ -22,14 +22,14 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.poses.automation import geometry_of
+from tau_dyn.calibrate.poses.automation import build_geometry
 from tau_dyn.calibrate.poses.choice import choose_from
-from tau_dyn.calibrate.poses.criteria import NAMES, indices
-from tau_dyn.calibrate.poses.design import Design, build_design
-from tau_dyn.calibrate.poses.devices import UniformDevice, seen
+from tau_dyn.calibrate.poses.criteria import NAMES, compute_observability_indices
+from tau_dyn.calibrate.poses.design import PoseDesign, build_design
+from tau_dyn.calibrate.poses.devices import UniformDevice, transform_to_device
 from tau_dyn.calibrate.poses.exchange import leave_one_out
-from tau_dyn.calibrate.poses.monte_carlo import draw_robot, measured_by
-from tau_dyn.calibrate.poses.pose_count import doubling_gain
+from tau_dyn.calibrate.poses.monte_carlo import draw_robot, simulate_measurement
+from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain
 from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
 from tau_dyn.kinematics.poses import Poses
@@ -47,7 +47,7 @@ class Case:
     """A robot, its candidates, and how many are chosen."""
 
     name: str
-    design: Design
+    design: PoseDesign
     device: UniformDevice
     n: int
     criteria: tuple[str, ...]
@@ -57,7 +57,7 @@ def l1(seed: int) -> Case:
     """Return the L1 prototype with a guideway direction each."""
     robot = load_robot("gantry_tau")
     q = find_reachable(machine_of(robot), safety=Safety(0.05, 0.0, 0.0), seed=seed).q
-    return _case("L1", geometry_of(robot), q, (1e-4,), 30, NAMES, seed)
+    return _case("L1", build_geometry(robot), q, (1e-4,), 30, NAMES, seed)
 
 
 def f1(seed: int) -> Case:
@@ -74,7 +74,7 @@ def f1(seed: int) -> Case:
     print(f"F1: {len(q)} grid poses within the limits, {min(GRID, len(q))} taken as candidates (thesis {GRID})")
     q = q[np.sort(np.random.default_rng(seed).choice(len(q), min(GRID, len(q)), replace=False))]
     return _case(
-        "F1", geometry_of(robot), q, (1e-4, 1e-4), 200, ("tool", "determinant", "amplification", "condition"), seed
+        "F1", build_geometry(robot), q, (1e-4, 1e-4), 200, ("tool", "determinant", "amplification", "condition"), seed
     )
 
 
@@ -84,7 +84,7 @@ def serial(seed: int) -> Case:
 
     robot = own_arm()
     q = robot.home + np.random.default_rng(seed).uniform(-1.6, 1.6, (1000, robot.na))
-    return _case("serial arm", geometry_of(robot), q, (5e-5,), 40, NAMES, seed)
+    return _case("serial arm", build_geometry(robot), q, (5e-5,), 40, NAMES, seed)
 
 
 def _case(
@@ -102,8 +102,8 @@ def achieved(case: Case, draw, runs: int, seed: int) -> np.ndarray:  # noqa: ANN
     for rng in np.random.default_rng(seed).spawn(runs):
         q = design.q[draw(rng)]
         theta = draw_robot(geometry, np.vstack([q, design.workspace]), scales, rng)
-        fitted = fit_geometry_to_poses(geometry, measured_by(case.device, geometry, theta, q, rng))
-        places = seen(case.device.frames, geometry.forward(theta, design.workspace).poses)
+        fitted = fit_geometry_to_poses(geometry, simulate_measurement(case.device, geometry, theta, q, rng))
+        places = transform_to_device(case.device.frames, geometry.forward(theta, design.workspace).poses)
         out.append(fitted.errors(PoseSet(design.workspace, places.position)).position_size.rms)
     return np.array(out)
 
@@ -134,7 +134,7 @@ def table(case: Case, runs: int, seed: int) -> None:
 def _row(case: Case, name: str, index: np.ndarray, runs: int, seed: int, cost: float) -> None:
     made = achieved(case, lambda rng: index, runs, seed)
     part = case.design.whitened()[index].reshape(-1, case.design.slopes.shape[2])
-    found = indices(part.T @ part)
+    found = compute_observability_indices(part.T @ part)
     more = f"  worst {1e6 * predict(case.design, index).worst:6.1f}  cond {found['condition_number']:8.0f}  "
     _print(
         name,
@@ -163,7 +163,7 @@ def enough(case: Case, runs: int, seed: int) -> None:
             f"{n} poses",
             choice.predicted.rms,
             made,
-            f"  twice as many: {100 * doubling_gain(choice.predicted):.1f} % of the held-out error",
+            f"  twice as many: {100 * compute_doubling_gain(choice.predicted):.1f} % of the held-out error",
         )
     auto = choose_from(case.design, seed=seed)
     print(

@@ -36,7 +36,7 @@ from tau_dyn.vision import Pattern, solve
 from tau_dyn.vision.bundle import Views
 from tau_dyn.vision.camera import project
 from tau_dyn.vision.detect import _in_order, find_corners
-from tau_dyn.vision.render import Photography, clutter, facing, render
+from tau_dyn.vision.render import Photography, draw_facing_rotation, render, render_clutter
 
 PATTERN = Pattern(9, 6, 0.05)
 SIZE = np.array([1024, 768])
@@ -81,14 +81,14 @@ def robot(rng: np.random.Generator, n: int):
 def plates_on(robot_at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pattern's rotation (3, 3) and positions (n, 3) in the first camera's frame, of a plate that only translates."""
     middle = robot_at.mean(axis=0)
-    return facing(np.radians(25), 0.8, 0.1), (robot_at - middle) @ LOOK.T + [0, 0, DISTANCE]
+    return draw_facing_rotation(np.radians(25), 0.8, 0.1), (robot_at - middle) @ LOOK.T + [0, 0, DISTANCE]
 
 
 def by_hand(rng: np.random.Generator, n: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return plates held by hand, tilted by 20 to 45 degrees, within the first image."""
     out = []
     while len(out) < n:
-        r = facing(rng.uniform(0.35, 0.8), rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5))
+        r = draw_facing_rotation(rng.uniform(0.35, 0.8), rng.uniform(0, 2 * np.pi), rng.uniform(-0.5, 0.5))
         t = rng.uniform([-0.7, -0.5, 1.2], [0.7, 0.5, 2.2])
         pixels = project(PATTERN.points @ r.T + t, NUMBERS[0])
         if np.all((pixels > 30) & (pixels < SIZE - 31)):
@@ -101,7 +101,7 @@ def look(
 ) -> Views:
     """Return what the cameras see of plates, where they see them whole."""
     corners, camera, plate = [], [], []
-    rooms = [clutter(tuple(SIZE), rng) for _ in range(2)] if photographs else []
+    rooms = [render_clutter(tuple(SIZE), rng) for _ in range(2)] if photographs else []
     for k, (r, t) in enumerate(plates):
         for c in range(2):
             rc, tc = cameras.rotation[c] @ r, cameras.rotation[c] @ t + cameras.position[c]
@@ -206,9 +206,9 @@ def corner_table(n: int, seed: int) -> None:
     numbers = np.array([640, 642, 322, 238, -0.20, 0.08, 8e-4, -6e-4, 0.0])
     for name, photography in kinds.items():
         rng = np.random.default_rng(seed)
-        room, off = clutter(tuple(small), rng), {"SB": [], "SubPix": [], "ours": []}
+        room, off = render_clutter(tuple(small), rng), {"SB": [], "SubPix": [], "ours": []}
         for _ in range(n):
-            r = facing(rng.uniform(0, 0.7), rng.uniform(0, 6.28), rng.uniform(-3.1, 3.1))
+            r = draw_facing_rotation(rng.uniform(0, 0.7), rng.uniform(0, 6.28), rng.uniform(-3.1, 3.1))
             t = rng.uniform([-0.2, -0.15, 1.0], [0.2, 0.15, 1.6])
             image = render(PATTERN, r, t, numbers, tuple(small), rng, background=room, photography=photography)
             found = find_corners(image, PATTERN).corners

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.files import write_whole
-from tau_dyn.scale.journal import code_hash
+from tau_dyn.scale.journal import compute_code_hash
 
 HERE = Path(__file__).resolve().parent
 
@@ -75,13 +75,13 @@ def main(names: list[str], jobs: int, out_dir: Path) -> int:
     done = json.loads(book.read_text()) if book.exists() else {}
     for name in names:
         entry = done.get(name, {})
-        if entry.get("code") == code_hash() and entry.get("status") is not None:
+        if entry.get("code") == compute_code_hash() and entry.get("status") is not None:
             print(f"{name}: done, status {entry['status']}")
             continue
         begun = time.monotonic()
         status = _run(name, jobs, _folder(out_dir, name, entry))
         spent = entry.get("seconds", 0.0) + time.monotonic() - begun
-        done[name] = {"code": code_hash(), "status": status, "seconds": round(spent, 1)}
+        done[name] = {"code": compute_code_hash(), "status": status, "seconds": round(spent, 1)}
         write_whole(book, json.dumps(done, indent=1) + "\n")
         print(f"{name}: status {status}, {spent:.0f} s")
     return max((done[name]["status"] for name in names), default=0)
@@ -91,11 +91,11 @@ def _folder(out_dir: Path, name: str, entry: dict) -> Path:
     """Return a campaign's folder; what other code left there makes way."""
     folder = out_dir / name
     mark = folder / "code.txt"
-    other = not mark.exists() or mark.read_text() != code_hash()
+    other = not mark.exists() or mark.read_text() != compute_code_hash()
     if folder.exists() and (other or entry.get("status") is not None or not CAMPAIGNS[name].resumes):
         shutil.rmtree(folder)
     folder.mkdir(exist_ok=True)
-    mark.write_text(code_hash())
+    mark.write_text(compute_code_hash())
     return folder
 
 

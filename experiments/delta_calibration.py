@@ -24,7 +24,7 @@ from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
-from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
+from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.kinematics.rods import build_rods
 from tau_dyn.robot import Robot, load_robot
 
@@ -86,7 +86,7 @@ def below(poses: PoseSet, fitted: GeometryFit, depth: float) -> np.ndarray:
 
 def compared(geometry: TreeGeometry, robot: Robot, runs: int, rng: np.random.Generator) -> None:
     """Print what the complete and the simplified model leave on held-out poses."""
-    simple = tree_geometry(load_robot(FILE, arms="simplified"))
+    simple = build_tree_geometry(load_robot(FILE, arms="simplified"))
     rows: dict[str, list[list[float]]] = {"complete": [], "simplified": [], "nominal": []}
     cost = []
     for _ in range(runs):
@@ -181,7 +181,7 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
     given = parser.parse_args()
     robot = load_robot(FILE)
-    geometry = tree_geometry(robot).only(NAMES)
+    geometry = build_tree_geometry(robot).only(NAMES)
     streams = np.random.default_rng(given.seed).spawn(4)
     print(f"{len(NAMES)} parameters; frames of device and target: {TRACKER.device[0].translation} m away")
     if "told" in given.parts:

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from chromium import Page, find_chromium
 
-from tau_dyn.files import writing_whole
-from tau_dyn.robot import Robot, load_robot, short_names
-from tau_dyn.view import Placer, shapes_of
-from tau_dyn.view.placement import pose
-from tau_dyn.view.scene import Figure, add_floor, light_scene, outline
+from tau_dyn.files import write_atomically
+from tau_dyn.robot import Robot, list_robot_names, load_robot
+from tau_dyn.view import Placer, build_furniture
+from tau_dyn.view.placement import convert_pose
+from tau_dyn.view.scene import RobotFigure, add_floor, compute_outline, light_scene
 
 WIDTH, HEIGHT, FOV = 600, 450, 0.5
 MARGIN = 1.1
@@ -48,16 +48,16 @@ def draw(server: Any, client: Any, robot: Robot, azimuth: float, elevation: floa
     server.scene.world_axes.visible = False
     server.scene.set_up_direction("+z")
     light_scene(server.scene, shadows=True)
-    place = Placer(robot, shapes_of(robot))
+    place = Placer(robot, build_furniture(robot))
     placed = place(robot.home)
-    Figure(server.scene, "robot", place.shapes).move(placed)
-    corners = outline(place.shapes, placed)
+    RobotFigure(server.scene, "robot", place.shapes).move(placed)
+    corners = compute_outline(place.shapes, placed)
     low, high = corners.min(axis=0), corners.max(axis=0)
     if place.tool is not None:
         length = 0.07 * float(np.linalg.norm(high - low))
         corners = np.vstack([corners, place.tool.translation + length * np.vstack([np.eye(3), -np.eye(3)])])
         axes = server.scene.add_frame("/tool", axes_length=length, axes_radius=0.04 * length)
-        axes.position, axes.wxyz = pose(place.tool)
+        axes.position, axes.wxyz = convert_pose(place.tool)
     add_floor(server.scene, low, high)
     position, wxyz = camera(corners, azimuth, elevation)
     server.flush()
@@ -111,11 +111,11 @@ def main() -> None:
         while not server.get_clients():
             page.wait(0.5)
         client = next(iter(server.get_clients().values()))
-        for name in given.only or short_names():
+        for name in given.only or list_robot_names():
             robot = load_robot(name, **VARIANTS.get(name, {}))
             path = given.out / f"{name}.png"
             picture = draw(server, client, robot, *VIEWS.get(name, USUAL))
-            with writing_whole(path) as temporary:
+            with write_atomically(path) as temporary:
                 temporary.write_bytes(picture)
             print(f"{path}: {path.stat().st_size // 1024} kB", flush=True)
     finally:

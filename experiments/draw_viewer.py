@@ -26,7 +26,7 @@ from pathlib import Path
 from chromium import Page
 
 from tau_dyn.cli import view
-from tau_dyn.files import writing_whole
+from tau_dyn.files import write_atomically
 
 WIDTH, HEIGHT = 1280, 800
 _TOAST = "document.querySelectorAll('[class*=Notification-root]').forEach(e => e.remove())"
@@ -47,7 +47,7 @@ def shrink(source: Path, to: Path) -> None:
     from PIL import Image
 
     image = Image.open(source).convert("RGB").quantize(256)
-    with writing_whole(to) as temporary:
+    with write_atomically(to) as temporary:
         image.save(temporary, "PNG", optimize=True)
 
 

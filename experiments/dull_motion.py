@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from tau_dyn.cli.demo import true_model
-from tau_dyn.identify import build_regression, force_errors, identify
+from tau_dyn.identify import build_force_errors, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -108,7 +108,10 @@ def trial(name: str, seed: int) -> list[dict]:
     for column, value in zip(e.base.kept, e.beta_plain, strict=True):
         plain[names.index(e.base.names[column])] = value
     regression = build_regression(found.model, held, preparation=e.regression.settings["preparation"])
-    errors = {"rms_consistent": force_errors(regression, e.theta).rms, "rms_plain": force_errors(regression, plain).rms}
+    errors = {
+        "rms_consistent": build_force_errors(regression, e.theta).rms,
+        "rms_plain": build_force_errors(regression, plain).rms,
+    }
     rows = []
     for rod in (f"rod{k}_link.mass" for k in (1, 2, 3)):
         p = e.parameters[rod]

@@ -33,10 +33,10 @@ from tau_dyn.estimate import solve_least_squares
 from tau_dyn.estimate.position_noise import PositionNoise
 from tau_dyn.identify import Preparation, build_model, build_regression
 from tau_dyn.identify.full_rate_estimators import estimate_full_rate
-from tau_dyn.log import Log, noise_gain
+from tau_dyn.log import Log, compute_noise_gain
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate import Sensors, drive, named_motion
+from tau_dyn.simulate import Sensors, build_named_motion, drive
 from tau_dyn.simulate.simulate import Feedback
 
 ESTIMATORS = ("plain", "wls", "ml", "iv", "robust")
@@ -78,7 +78,7 @@ def recording(scenario: Scenario, seed: int, plants: int, folder: Path) -> dict[
     path = folder / f"{scenario.motion}-{scenario.duration:g}s-plant{number}-{scenario.feedback}-{noise:g}-{own}.npz"
     if not path.is_file():
         truth = true_plant("l1", number)
-        motion = named_motion(scenario.motion, truth, scenario.duration, 100 + number)
+        motion = build_named_motion(scenario.motion, truth, scenario.duration, 100 + number)
         rng = np.random.default_rng([own, number])
         sensors = Sensors(encoder_noise=noise)
         run = drive(truth, motion, None, sensors, rng, rate_hz=CONTROL_HZ, feedback=scenario.feedback)
@@ -132,7 +132,7 @@ def bound(scenario: Scenario, seed: int, plants: int, folder: Path, kept: tuple[
 def widest(chosen: Preparation, log: Log, encoder_noise: float) -> Preparation:
     """Return filters as wide as the log's rate allows."""
     force, position = 0.16 * log.rate_hz, 0.4 * log.rate_hz
-    threshold = np.full(len(chosen.speed_threshold), 10 * encoder_noise * noise_gain(log.rate_hz, position))
+    threshold = np.full(len(chosen.speed_threshold), 10 * encoder_noise * compute_noise_gain(log.rate_hz, position))
     return replace(chosen, position_cutoff_hz=position, force_cutoff_hz=force, rate_hz=2.5 * force,
                    speed_threshold=threshold, window_s=2 / position)  # fmt: skip
 

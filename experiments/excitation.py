@@ -20,11 +20,11 @@ import time
 import numpy as np
 
 from tau_dyn.estimate import solve_least_squares
-from tau_dyn.excitation import Design, Noise, Prediction, design_motion, predict
+from tau_dyn.excitation import ExcitationDesign, InformationPrediction, Noise, design_motion, predict
 from tau_dyn.identify import build_model, build_regression
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
-from tau_dyn.simulate import Sensors, fourier_motion, simulate
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
+from tau_dyn.simulate import Sensors, build_fourier_motion, simulate
 
 ROBOTS = {
     "l1": ("gantry_tau", 5.0, 5e-6, 90.0),
@@ -50,7 +50,7 @@ def study(name: str, args: argparse.Namespace) -> None:
     """Compare and check one robot."""
     model, noise = truth(name)
     seeds = np.random.default_rng(args.seed).integers(2**31, size=args.random)
-    random = [predict(model, fourier_motion(model, 30.0, int(s)), noise, args.seed) for s in seeds]
+    random = [predict(model, build_fourier_motion(model, 30.0, int(s)), noise, args.seed) for s in seeds]
     best = min(random, key=lambda p: p.worst[1])
     print(
         f"\n{name}: best of {args.random} random: worst {100 * best.worst[1]:.3g} % ({best.worst[0]}), "
@@ -98,10 +98,18 @@ def six_axes() -> Robot:
             f'<actuator name="m{k}"/></transmission>'
         )
         parent = f"l{k}_link"
-    return robot_from_urdf("".join([*parts, "</robot>"]), "six_r")
+    return load_robot_from_urdf("".join([*parts, "</robot>"]), "six_r")
 
 
-def told(criterion: str, design: Design, best: Prediction, cpu: float, model: Model, noise: Noise, seed: int) -> None:
+def told(
+    criterion: str,
+    design: ExcitationDesign,
+    best: InformationPrediction,
+    cpu: float,
+    model: Model,
+    noise: Noise,
+    seed: int,
+) -> None:
     """Print what one design gains."""
     p = predict(model, design.motion, noise, seed)
     same = p.expressions == best.expressions
@@ -113,7 +121,7 @@ def told(criterion: str, design: Design, best: Prediction, cpu: float, model: Mo
     )
 
 
-def checked(model: Model, design: Design, noise: Noise, runs: int, seed: int) -> None:
+def checked(model: Model, design: ExcitationDesign, noise: Noise, runs: int, seed: int) -> None:
     """Drive a design and print scatter and reported errors over the predicted ones."""
     sensors = Sensors(force_noise=tuple(noise.force), encoder_noise=tuple(noise.encoder))
     found, reported = [], []

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.files import read_yaml
-from tau_dyn.robot.expand import urdf_folder
+from tau_dyn.robot.expand import find_urdf_folder
 
 PARALLEL = np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]])
 """The plate's axes when it is parallel to joint plate 3: x down, y to +x, z to -y."""
@@ -87,7 +87,7 @@ def main() -> None:
     for name, default in (("--places", 40), ("--starts", 6), ("--seed", 0)):
         parser.add_argument(name, type=int, default=default)
     given = parser.parse_args()
-    table = read_yaml(urdf_folder() / "prototypes" / "f1.yaml")
+    table = read_yaml(find_urdf_folder() / "prototypes" / "f1.yaml")
     print(
         "1u_2 last  quaternions   lengths met   plate from parallel [deg], median (range)   |2a 2b| on cart, plate [mm]"
     )

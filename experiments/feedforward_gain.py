@@ -20,7 +20,7 @@ from tau_dyn.diagnose import diagnose
 from tau_dyn.identify import identify
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, named_motion, simulate
+from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, build_named_motion, simulate
 from tau_dyn.simulate.simulate import drive
 
 SENSORS = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=500.0)
@@ -36,8 +36,8 @@ def off_nominal(model: Model, rng: np.random.Generator) -> Model:
 def models(truth: Model, seed: int) -> dict[str, Model | None]:
     """Return what each step gives."""
     robot = load_robot("gantry_tau", prototype="l1")
-    motion = named_motion("fourier", truth, 60.0, seed)
-    held = named_motion("fourier", truth, 40.0, seed + 100)
+    motion = build_named_motion("fourier", truth, 60.0, seed)
+    held = build_named_motion("fourier", truth, 40.0, seed + 100)
     logs = [simulate(truth, m, sensors=SENSORS, seed=seed + k, name=f"log{k}") for k, m in enumerate((motion, held))]
     fit = identify(robot, logs[0], holdout=logs[1], seed=seed)
     why = diagnose(robot, logs[0], holdout=logs[1], seed=seed)
@@ -46,7 +46,7 @@ def models(truth: Model, seed: int) -> dict[str, Model | None]:
 
 def tracked(truth: Model, model: Model | None, motion: str, seed: int) -> float:
     """Return the rms distance of the tool from its reference [m]."""
-    path = named_motion(motion, truth, MOTIONS[motion], seed)
+    path = build_named_motion(motion, truth, MOTIONS[motion], seed)
     law = CascadeLaw.for_model(Model.of(load_robot("gantry_tau", prototype="l1")))
     given = None if model is None else Feedforward(model.steady(), width=WIDTH)
     start = truth.steady() if model is None else None

@@ -23,8 +23,8 @@ from tau_dyn.control.iterative import (
     TimeShift,
     ToolSide,
     analyse_convergence,
+    design_low_pass,
     learn,
-    low_pass,
 )
 from tau_dyn.control.iterative import controlled_actuators as controlled
 from tau_dyn.exceptions import InputError
@@ -100,9 +100,9 @@ def refused(seed: int) -> None:
     tool = ToolSide(found.reference_to_tool, robot.actuators)
     tries = {
         "case 1, no shift, 60 Hz": LearningLaw(
-            MotorSide(controlled(printed_actuators(), DT)), (low_pass(60, DT),) * 3, TimeShift(0.9, 0, DT)
+            MotorSide(controlled(printed_actuators(), DT)), (design_low_pass(60, DT),) * 3, TimeShift(0.9, 0, DT)
         ),
-        "case 3, low-pass at 10 Hz": LearningLaw(tool, (low_pass(10, DT),) * 2, TimeShift(0.9, 5, DT)),
+        "case 3, low-pass at 10 Hz": LearningLaw(tool, (design_low_pass(10, DT),) * 2, TimeShift(0.9, 5, DT)),
     }
     for name, law in tries.items():
         seen = analyse_convergence(law, path)

@@ -24,7 +24,7 @@ from scipy.linalg import eigh
 
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.second_order import SecondOrder, pack
 from tau_dyn.modes.simulate import simulate
 from tau_dyn.modes.subspace import subspace_factors
@@ -63,7 +63,7 @@ def record(truth: SecondOrder, driven, sensed, n: int, snr_db: float, rng: np.ra
     return Record(quiet.u, x + noise, DT, *names)
 
 
-def engine(test: Record, order: int) -> Refined:
+def engine(test: Record, order: int) -> RefinedModel:
     """Return the refined model of a test."""
     start = subspace_factors([test]).model(order, direct=False)
     return refine(start, [test], direct=False)

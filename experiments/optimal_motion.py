@@ -4,7 +4,8 @@
 
 The simplified Gantry-Tau with L1's masses, 300 N a cart, rest to rest over 0.97 m, cart 3 travelling furthest as in the thesis.
 Weights are the thesis', converted by the ratio of the drives' limits (its motors' limit follows from its table, see `weight`).
-Printed: the table; motions planned with the friction of Table 6.1 within 800 N less what `margin_for` keeps for the feedback,
+Printed: the table; motions planned with the friction of Table 6.1 within 800 N less what `compute_feedback_margin` keeps for
+the feedback,
 run on a simulated plant whose masses and friction are off by up to 5 %; a serial arm and robots with loops; how the solver
 fares between random ends. The answer stands in docs/optimal_motion.md.
 """
@@ -18,8 +19,14 @@ import pandas as pd
 
 from tau_dyn.cli.demo import TABLE_6_1
 from tau_dyn.control import Feedforward
-from tau_dyn.control.motion import MotionLimits, MotionPlan, feedback_noise, margin_for, plan_motion
-from tau_dyn.effects import friction_model
+from tau_dyn.control.motion import (
+    MotionLimits,
+    MotionPlan,
+    compute_feedback_margin,
+    estimate_feedback_noise,
+    plan_motion,
+)
+from tau_dyn.effects import build_friction_model
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -51,7 +58,7 @@ def weight(w: float) -> float:
 
 def l1_with_friction() -> Model:
     robot = load_robot("gantry_tau", prototype="l1")
-    model = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    model = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
     names = ("coulomb_neg", "coulomb_pos", "viscous_neg", "viscous_pos")
     return model.with_values(
         {
@@ -97,8 +104,10 @@ def on_the_plant(model: Model, noise: float, seed: int) -> pd.DataFrame:
     sensors = Sensors(encoder_noise=noise)
     law = CascadeLaw.for_model(model)  # limited by the file's 2000 N: an excess of the plan's limit would be seen
     bare, home = MotionLimits.of(model, force=DRIVE), model.robot.home[None]
-    margin = margin_for(bare, law, home, noise, unknown=UNKNOWN)
-    print(f"encoders of {1e6 * noise:g} um: {np.round(feedback_noise(law, home, noise), 1)} N rms, margin {margin:.3f}")
+    margin = compute_feedback_margin(bare, law, home, noise, unknown=UNKNOWN)
+    print(
+        f"encoders of {1e6 * noise:g} um: {np.round(estimate_feedback_noise(law, home, noise), 1)} N rms, margin {margin:.3f}"
+    )
     plans = planned(model, MotionLimits.of(model, force=DRIVE, margin=margin))
     for name, plan in plans.items():
         controller = CascadeController(law, feedforward=Feedforward(model, width=0.01))

@@ -17,8 +17,8 @@ from unittest.mock import patch
 import pandas as pd
 
 from tau_dyn.effects import AsymmetricFriction, ReducerCoupling, SymmetricFriction, TorqueOffset
-from tau_dyn.estimate import combination, solve_least_squares
-from tau_dyn.identify import Choices, build_regression, force_errors
+from tau_dyn.estimate import combine_parameters, solve_least_squares
+from tau_dyn.identify import Choices, build_force_errors, build_regression
 from tau_dyn.identify import preparation as rule
 from tau_dyn.log import Log, read_log
 from tau_dyn.model import Model
@@ -67,10 +67,10 @@ def deviations(model: Model, log: Log, published: dict) -> Iterator[dict]:
     settings = {
         "force_cutoff_hz": regression.settings["preparation"].force_cutoff_hz,
         "n_samples": regression.n_samples,
-        "relative_error_percent": force_errors(regression, estimate.theta).relative_error_percent,
+        "relative_error_percent": build_force_errors(regression, estimate.theta).relative_error_percent,
     }
     for name, (ours, theirs) in published.items():
-        value, stderr = combination(estimate, dict.fromkeys(ours, 1.0))
+        value, stderr = combine_parameters(estimate, dict.fromkeys(ours, 1.0))
         percent = {"deviation_percent": 100 * (value / theirs - 1), "stderr_percent": 100 * stderr / theirs}
         yield settings | {"parameter": name} | percent
 

@@ -21,7 +21,7 @@ from tau_dyn.diagnose import diagnose
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.files import write_whole
 from tau_dyn.log import Log, read_log
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 HERE = Path(__file__).resolve().parent
 MAPS = HERE.parent / "identification"
@@ -56,7 +56,7 @@ def double_pendulum() -> Iterator[Case]:
     for build, file in (("A.0", "published_A.0_model_2.0.yml"), ("C.0", "published_C.0_model_3.0.yml")):
         about = yaml.safe_load((folder / file).read_text())
         logs = [_renamed(pd.read_parquet(path), path.stem) for path in sorted(folder.glob(f"{build}_*.parquet"))]
-        yield f"double_pendulum {build}", robot_from_urdf(_pendulum(about), build), logs[:-2], logs[-2:]
+        yield f"double_pendulum {build}", load_robot_from_urdf(_pendulum(about), build), logs[:-2], logs[-2:]
 
 
 def _renamed(table: pd.DataFrame, name: str) -> Log:
@@ -99,7 +99,7 @@ def simple_pendulum() -> Iterator[Case]:
         table = pd.read_csv(DATA / "simple_pendulum" / f"{name}.csv").rename(columns={"pos": "position"})
         channels = {"q_j1": table["position"].to_numpy(), "tau_j1": table["torque"].to_numpy()}
         logs.append(Log(table["time"].to_numpy(), channels, name))
-    yield "simple_pendulum", robot_from_urdf(urdf, "simple_pendulum"), logs[:1], logs[2:]
+    yield "simple_pendulum", load_robot_from_urdf(urdf, "simple_pendulum"), logs[:1], logs[2:]
 
 
 def so101() -> Iterator[Case]:

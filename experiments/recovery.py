@@ -24,14 +24,14 @@ import pandas as pd
 import yaml
 
 from tau_dyn.cli.demo import true_model
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.files import write_whole
 from tau_dyn.identify import Identification, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 from tau_dyn.scale import run_journaled
-from tau_dyn.simulate import CascadeController, CascadeLaw, PlantRun, Sensors, drive, measure, named_motion
+from tau_dyn.simulate import CascadeController, CascadeLaw, PlantRun, Sensors, build_named_motion, drive, measure
 from tau_dyn.version import __version__
 
 PLANTS = 5
@@ -86,7 +86,7 @@ def plant(robot: str, motion: str, duration: float, number: int, feedback_seed: 
     """Return what happened on one plant; `feedback_seed` is None where the controller knows true positions."""
     truth = true_plant(robot, number)
     controller = CascadeController(CascadeLaw.emps()) if robot == "linear_axis" else None
-    path = named_motion(motion, truth, duration, 100 + number)
+    path = build_named_motion(motion, truth, duration, 100 + number)
     feedback = "ideal" if feedback_seed is None else "encoder"
     rate = (
         4000.0 if robot == "linear_axis" else 1000.0
@@ -100,7 +100,7 @@ def true_plant(robot: str, number: int) -> Model:
     nominal = ROBOTS[robot]()
     if robot != "linear_axis":
         return true_model(nominal, number)
-    model = Model.of(nominal, friction_model("asymmetric", nominal.actuated, nominal.force_units))
+    model = Model.of(nominal, build_friction_model("asymmetric", nominal.actuated, nominal.force_units))
     friction = {"coulomb_pos": 20.1, "coulomb_neg": 20.6, "viscous_pos": 167.0, "viscous_neg": 240.0}
     return model.with_values({f"axis.{k}": x for k, x in friction.items()} | {"carriage_link.mass": 90.0 + 3 * number})
 

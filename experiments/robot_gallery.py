@@ -22,7 +22,7 @@ from draw_robots import VARIANTS
 
 from tau_dyn.files import write_whole
 from tau_dyn.kinematics.workspace.machines import machine_of
-from tau_dyn.robot import Robot, load_robot, short_names
+from tau_dyn.robot import Robot, list_robot_names, load_robot
 
 _SECONDS = 60
 _ACROSS = 50
@@ -84,7 +84,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     rows = []
-    for name in given.only or short_names():
+    for name in given.only or list_robot_names():
         rows.append(facts(name, VARIANTS.get(name, {}), given.seed))
         print(said(rows[-1]), flush=True)
     if given.out:

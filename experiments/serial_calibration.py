@@ -16,8 +16,8 @@ import numpy as np
 
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 NOISE = (5e-5, 1e-4)  # m, rad
 ERROR = 1e-3  # m, rad
@@ -41,7 +41,9 @@ def own_arm() -> Robot:
             '<limit lower="-2.8" upper="2.8" velocity="3" effort="100"/></joint>'
         )
     rows.append('<link name="tool"/><joint name="flange" type="fixed"><origin xyz="0 0 0.15"/>')
-    return robot_from_urdf("".join(rows) + '<parent link="l6_link"/><child link="tool"/></joint></robot>', "six axes")
+    return load_robot_from_urdf(
+        "".join(rows) + '<parent link="l6_link"/><child link="tool"/></joint></robot>', "six axes"
+    )
 
 
 def spread(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -116,7 +118,7 @@ def main() -> None:
     parser.add_argument("--tool")
     given = parser.parse_args()
     robot = load_robot(given.robot) if given.robot else own_arm()
-    geometry = tree_geometry(robot, tool=given.tool)
+    geometry = build_tree_geometry(robot, tool=given.tool)
     streams = np.random.default_rng(given.seed).spawn(3)
     names = told(geometry, streams[0])
     accuracy(geometry, given.runs, streams[1])

@@ -21,13 +21,13 @@ from scipy.signal import cont2discrete, lfilter
 from thesis_6_3_parts.robots import with_wrist
 
 from tau_dyn.diagnose import Diagnosis, diagnose
-from tau_dyn.diagnose.resonances import proposed
-from tau_dyn.diagnose.tool import tool_channel
+from tau_dyn.diagnose.resonances import propose_resonances
+from tau_dyn.diagnose.tool import build_tool_channel
 from tau_dyn.dynamics import Linearised
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Trajectory, named_motion
+from tau_dyn.simulate import Trajectory, build_named_motion
 
 RATE_HZ = 250.0
 FRICTION = {"coulomb": 12.0, "viscous": 40.0}
@@ -116,7 +116,7 @@ def axis_log(
 ) -> tuple[Model, Log]:
     """Return a sledge with pendulums on it, and its log; without any it is rigid."""
     model, rng = Model.of(load_robot("linear_axis")), np.random.default_rng([seed, 78])
-    motion = named_motion("multisine", model, duration, seed).resampled(RATE_HZ)
+    motion = build_named_motion("multisine", model, duration, seed).resampled(RATE_HZ)
     force = rigid_forces(model, motion)
     for f, z, mass in pendulums:
         force += np.sqrt(mass) * swings(motion.t, -np.sqrt(mass) * motion.a[:, 0], 2 * np.pi * f, z)[1][:, None]
@@ -189,7 +189,7 @@ def main(what: list[str], runs: int, seed: int, duration: float) -> None:
             model, log = axis_log(number, pendulums=(), duration=25.0)
             report("clean axis", number, diagnose(model.robot, log, model="symmetric"), [])
             log = gantry_log(number, yields=False, tool=True, duration=25.0)
-            print(f"    clean tool: proposed {proposed(tool_channel(rigid(), [log]))}", flush=True)
+            print(f"    clean tool: proposed {propose_resonances(build_tool_channel(rigid(), [log]))}", flush=True)
 
 
 if __name__ == "__main__":

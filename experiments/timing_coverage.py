@@ -20,7 +20,7 @@ from scipy import stats
 from tau_dyn.files import write_whole
 from tau_dyn.identify import identify
 from tau_dyn.log import Log
-from tau_dyn.robot import robot_from_urdf
+from tau_dyn.robot import load_robot_from_urdf
 
 RATE_HZ = 500.0
 SECONDS = 30.0
@@ -155,7 +155,7 @@ def record(truth: Truth, rng: np.random.Generator, offset: str) -> Log:
 def one_run(name: str, offset: str, number: int, seed: int) -> dict:
     rng = np.random.default_rng([seed, number, len(name), len(offset)])
     truth = Truth(name, rng)
-    robot = robot_from_urdf(urdf(name), f"arm_{name}")
+    robot = load_robot_from_urdf(urdf(name), f"arm_{name}")
     found = identify(robot, record(truth, rng, offset))
     base, estimate = found.estimate.base, found.estimate
     held_within = found.model.robot.parameters  # drive inertia that bodies hold belongs to the first joint's

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tau_dyn.diagnose.deflection import deflection_channel, diagnose_deflection
+from tau_dyn.diagnose.deflection import build_deflection_channel, diagnose_deflection
 from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.stiffness import stiffness_readings
+from tau_dyn.diagnose.stiffness import estimate_stiffness
 from tau_dyn.log import read_log
 from tau_dyn.robot import load_robot
 
@@ -41,7 +41,7 @@ def main(folder: Path, out_dir: Path) -> tuple[dict[str, Diagnosis], pd.DataFram
         (out_dir / f"kr300_{train}_{test}.json").write_text(json.dumps(answer.to_dict(), indent=2) + "\n")
         write_report(out_dir / f"kr300_{train}_{test}.html", answer)
         print_diagnosis(Console(), answer, {})
-        for reading in stiffness_readings(deflection_channel(robot, [logs[train]], [logs[test]])):
+        for reading in estimate_stiffness(build_deflection_channel(robot, [logs[train]], [logs[test]])):
             named = {"train": train, "test": test, "causes": " + ".join(reading.causes)}
             for k, joint in enumerate(reading.joints):
                 error = reading.stderr[k] / 1e6

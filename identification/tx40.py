@@ -21,7 +21,7 @@ from pathlib import Path
 import pandas as pd
 
 from tau_dyn.effects import ReducerCoupling, SymmetricFriction, TorqueOffset
-from tau_dyn.estimate import combination
+from tau_dyn.estimate import combine_parameters
 from tau_dyn.identify import Choices, identify
 from tau_dyn.log import read_log
 from tau_dyn.model import Model
@@ -64,7 +64,7 @@ def main(folder: Path, out_dir: Path) -> pd.DataFrame:
 
     columns = ["published_as", "ols", "ols_sd_percent", "published", "published_sd_percent"]
     table = pd.read_csv(folder / "reference_TX40_bp_5.csv", header=None, names=columns)[[columns[0], *columns[3:]]]
-    ours = [combination(found.estimate, weights(expression)) for expression in table.published_as]
+    ours = [combine_parameters(found.estimate, weights(expression)) for expression in table.published_as]
     table["value"], table["stderr"] = zip(*ours, strict=True)
     theirs = table.published.abs() * table.published_sd_percent / 100
     table["deviation_percent"] = 100 * (table.value / table.published - 1)

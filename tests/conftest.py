@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 ROOT = Path(__file__).resolve().parents[1]
 FOUR_BAR = SimpleNamespace(base=0.8, crank=0.3, coupler=0.9, rocker=0.6)  # [m], a crank-rocker by Grashof's rule
@@ -124,25 +124,25 @@ def write() -> SimpleNamespace:
 @pytest.fixture
 def pendulum() -> Robot:
     """A point mass of 2 kg on 0.5 m."""
-    return robot_from_urdf(pendulum_text(), "pendulum")
+    return load_robot_from_urdf(pendulum_text(), "pendulum")
 
 
 @pytest.fixture
 def two_link() -> Robot:
     """Two uniform rods in a vertical plane."""
-    return robot_from_urdf(two_link_text(), "two_link")
+    return load_robot_from_urdf(two_link_text(), "two_link")
 
 
 @pytest.fixture
 def four_bar() -> Robot:
     """A crank-rocker, driven at the crank."""
-    return robot_from_urdf(four_bar_text(), "four_bar")
+    return load_robot_from_urdf(four_bar_text(), "four_bar")
 
 
 @pytest.fixture
 def block() -> Robot:
     """A sliding block of 5 kg."""
-    return robot_from_urdf(block_text(), "block")
+    return load_robot_from_urdf(block_text(), "block")
 
 
 @pytest.fixture(scope="session")

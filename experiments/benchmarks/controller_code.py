@@ -31,9 +31,9 @@ from tau_dyn.control import (
     TimeShift,
     build_kinematics,
     controlled_actuators,
+    design_low_pass,
     kinematics_source,
     learning_source,
-    low_pass,
     observer_source,
 )
 from tau_dyn.kinematics import forward_kinematics, jacobian
@@ -155,7 +155,7 @@ def filters(args) -> list[tuple[str, str, float]]:
                      np.zeros(400), args)  # fmt: skip
         rows.append((name, "step", cost))
     side = MotorSide(controlled_actuators([Actuator.from_discrete(0.2, 0.8, 2, dt)] * 3, dt))
-    law = LearningLaw(side, (low_pass(10, dt),) * 3, TimeShift(0.9, 5, dt))
+    law = LearningLaw(side, (design_low_pass(10, dt),) * 3, TimeShift(0.9, 5, dt))
     trial = 1e-3 * rng.standard_normal((3, N, 3))
     call = f"ilc_update({N}, NULL, a, b, c)"
     cost = timed(learning_source(law, 1e6, "ilc"), "ilc", call, "", tuple(trial), np.zeros(1), args, calls=5)

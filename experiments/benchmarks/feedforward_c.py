@@ -29,7 +29,7 @@ import pinocchio as pin
 
 from tau_dyn.control import Feedforward, Program, build_program, c_source
 from tau_dyn.control.export_model import random_states
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 
@@ -119,7 +119,7 @@ def measured(
     rows, how = [], "C++ from the wheel's headers, over the whole tree"
     for k, (name, arguments) in enumerate(ROBOTS.items()):
         robot = load_robot("linear_axis") if arguments is None else load_robot("gantry_tau", **arguments)
-        plain = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+        plain = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
         sizes = np.random.default_rng(seed).uniform(20, 120, len(plain.effect_parameters))
         model = plain.with_values(dict(zip(plain.effect_parameters.names, sizes, strict=True)))
         own, difference = _own(build_program(Feedforward(model)), folder / str(k), repeats, seed)

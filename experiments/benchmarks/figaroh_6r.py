@@ -19,7 +19,7 @@ from bench import show, stop_watch
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import SufficientStatistics, find_base
 from tau_dyn.identify import choose_preparation
-from tau_dyn.identify.regression import columns_of, prepare_segment
+from tau_dyn.identify.regression import compute_columns, prepare_segment
 from tau_dyn.log import even_segments, read_log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
@@ -42,11 +42,13 @@ def ours(model: Model, data: tuple[np.ndarray, ...], fresh: tuple[np.ndarray, ..
         total = SufficientStatistics.zero(model.robot.na, len(model.parameters))
         for start in range(0, len(data[0]), BLOCK):
             q, v, a, tau = (x[start : start + BLOCK] for x in data)
-            total = total + SufficientStatistics.of(columns_of(model, Motion.of(model.robot.actuated, q, v, a)), tau)
+            total = total + SufficientStatistics.of(
+                compute_columns(model, Motion.of(model.robot.actuated, q, v, a)), tau
+            )
         rows = total.R.reshape(-1, total.R.shape[2])
         base = find_base(rows[:, :-1], model.parameters.names)
         beta = np.linalg.lstsq(rows[:, base.kept], rows[:, -1], rcond=None)[0]
-    Y = columns_of(model, Motion.of(model.robot.actuated, *fresh))
+    Y = compute_columns(model, Motion.of(model.robot.actuated, *fresh))
     return Y[:, :, base.kept] @ beta, watch.wall, watch.cpu
 
 

@@ -19,7 +19,7 @@ from tau_dyn.dynamics import TreeMechanism, build_mechanism
 from tau_dyn.dynamics.samplewise import SamplewiseTree
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import SufficientStatistics
-from tau_dyn.identify.regression import columns_of
+from tau_dyn.identify.regression import compute_columns
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 
@@ -49,7 +49,7 @@ def motion_of(model: Model, samples: int) -> tuple[np.ndarray, ...]:
 def step(model: Model, data: tuple[np.ndarray, ...]) -> SufficientStatistics:
     """Return the totals of one block."""
     q, v, a, tau = data
-    return SufficientStatistics.of(columns_of(model, Motion.of(model.robot.actuated, q, v, a)), tau)
+    return SufficientStatistics.of(compute_columns(model, Motion.of(model.robot.actuated, q, v, a)), tau)
 
 
 def whole(models: list[Model], data: tuple[np.ndarray, ...]) -> SufficientStatistics:

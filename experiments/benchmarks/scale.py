@@ -21,7 +21,7 @@ from bench import made_recording, show
 from tau_dyn.identify import BlockExecutor, identify
 from tau_dyn.log import open_log
 from tau_dyn.robot import load_robot
-from tau_dyn.scale.run_many import connected, run_many
+from tau_dyn.scale.run_many import connect_client, run_many
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -63,7 +63,7 @@ def main(seeds: int, samples: int, folder: Path, out_dir: Path) -> None:
     path = made_recording(folder / f"gantry_{samples}.parquet", samples)
     rows, first = [], {}
     for label, workers, kill in (("1 worker", 1, False), ("2 workers", 2, False), ("2 workers, one killed", 2, True)):
-        with connected(None, workers) as client:
+        with connect_client(None, workers) as client:
             runs = {"Monte Carlo study": study(client, seeds, kill)}
             if not kill:
                 runs["identification"] = identification(client, path)

@@ -111,11 +111,11 @@ def _motion(path: Path) -> None:
 def _view_log(path: Path) -> None:
     """Read a log as the viewer does: positions to play, a ghost, and the tool's trail."""
     from tau_dyn.log import read_log
-    from tau_dyn.view.playback import playback_of, trail
+    from tau_dyn.view.playback import build_playback, compute_trail
 
     log = read_log(path)
-    shown = playback_of(log, pendulum(), log)
-    shown.apart(), shown.at(0.1), trail(pendulum(), shown.q)
+    shown = build_playback(log, pendulum(), log)
+    shown.apart(), shown.at(0.1), compute_trail(pendulum(), shown.q)
 
 
 def _pose_table(path: Path) -> None:
@@ -134,10 +134,10 @@ def _path_points(path: Path) -> None:
 
     from tau_dyn.cli import plan_motion
     from tau_dyn.control.motion import MotionLimits
-    from tau_dyn.control.motion.path import tool_path
+    from tau_dyn.control.motion.path import build_tool_path
 
     points = plan_motion._path(Namespace(path=str(path)))
-    tool_path(axis(), np.array([-0.3]), np.array([0.3]), points, MotionLimits.of(axis()))
+    build_tool_path(axis(), np.array([-0.3]), np.array([0.3]), points, MotionLimits.of(axis()))
 
 
 def _guideway(path: Path) -> None:

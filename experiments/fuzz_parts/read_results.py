@@ -10,13 +10,13 @@ from fuzz_parts.reader import JOURNAL, JSON, YAML, Reader, axis, of, pendulum
 
 
 def _compared(path: Path) -> None:
-    from tau_dyn.cli.common import to_json
+    from tau_dyn.cli.common import format_json
     from tau_dyn.compare import compare, read_side
     from tau_dyn.report.comparison import comparison_page
 
     side = read_side(path)
     found = compare(side, side)
-    to_json(found.to_dict())
+    format_json(found.to_dict())
     comparison_page(found, command_line="tau-dyn compare a b")
 
 

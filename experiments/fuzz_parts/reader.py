@@ -76,9 +76,9 @@ def beside(folder: Path, name: str, made: Callable[[], bytes]) -> Path:
 @cache
 def pendulum():
     """Return the robot that most files are about: one joint, `axis`, that turns."""
-    from tau_dyn.robot import robot_from_urdf
+    from tau_dyn.robot import load_robot_from_urdf
 
-    return robot_from_urdf(seeds.PENDULUM, "pendulum.urdf")
+    return load_robot_from_urdf(seeds.PENDULUM, "pendulum.urdf")
 
 
 @cache

@@ -50,20 +50,20 @@ def guideway() -> bytes:
 
 def correction() -> bytes:
     """Return a correction file of the pendulum."""
-    from tau_dyn.control.interface.correction import Correction, correction_text
+    from tau_dyn.control.interface.correction import Correction, format_correction_text
 
-    return correction_text(Correction(("axis",), 0.01, np.zeros((30, 1)) + 1e-4, "0123456789abcdef")).encode()
+    return format_correction_text(Correction(("axis",), 0.01, np.zeros((30, 1)) + 1e-4, "0123456789abcdef")).encode()
 
 
 def learned(folder: Path) -> bytes:
     """Return a correction of the motion `at_rest`."""
-    from tau_dyn.control.interface.correction import Correction, correction_text
+    from tau_dyn.control.interface.correction import Correction, format_correction_text
     from tau_dyn.control.interface.reference import digest, read_reference
 
     (folder / "seed_rest.csv").write_bytes(at_rest())
     motion = read_reference(folder / "seed_rest.csv", ("axis",), period=0.01)
     added = 1e-4 * np.sin(np.linspace(0, np.pi, motion.n_samples))[:, None] ** 4
-    return correction_text(Correction(("axis",), 0.01, added, digest(motion))).encode()
+    return format_correction_text(Correction(("axis",), 0.01, added, digest(motion))).encode()
 
 
 def positions() -> bytes:

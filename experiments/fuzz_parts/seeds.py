@@ -258,9 +258,9 @@ def model_file(folder: Path) -> bytes:
     """Return a model file of the pendulum with effects."""
     from tau_dyn.effects.read import read_effects
     from tau_dyn.model import Model
-    from tau_dyn.robot import robot_from_urdf
+    from tau_dyn.robot import load_robot_from_urdf
 
-    robot = robot_from_urdf(PENDULUM, "pendulum.urdf")
+    robot = load_robot_from_urdf(PENDULUM, "pendulum.urdf")
     rows = [{"effect": "asymmetric_friction"}, {"effect": "cyclic_ripple"}]
     made = Model.of(robot, read_effects(rows, robot, "seed"), {"logs": [{"path": "a.csv", "sha256": "00"}]})
     made.save(folder / "seed.yaml")
@@ -272,11 +272,11 @@ def compensation_file(folder: Path) -> bytes:
     """Return a compensation file of the pendulum."""
     from tau_dyn.calibrate.compensation import build_compensation
     from tau_dyn.calibrate.compensation_file import save_compensation
-    from tau_dyn.calibrate.tree_geometry import tree_geometry
-    from tau_dyn.robot import robot_from_urdf
+    from tau_dyn.calibrate.tree_geometry import build_tree_geometry
+    from tau_dyn.robot import load_robot_from_urdf
 
-    robot = robot_from_urdf(PENDULUM, "pendulum.urdf")
-    geometry = tree_geometry(robot)
+    robot = load_robot_from_urdf(PENDULUM, "pendulum.urdf")
+    geometry = build_tree_geometry(robot)
     save_compensation(build_compensation(robot, geometry, geometry.parameters.values), folder / "seed_c.yaml")
     return (folder / "seed_c.yaml").read_bytes()
 
@@ -295,10 +295,10 @@ def calibrated(folder: Path) -> bytes:
     from tau_dyn.calibrate import calibrate
     from tau_dyn.calibrate.pose_set import read_poses
     from tau_dyn.calibrate.saved import save_calibration
-    from tau_dyn.robot import robot_from_urdf
+    from tau_dyn.robot import load_robot_from_urdf
 
     (folder / "seed_poses.csv").write_bytes(csv_of(poses()))
-    found = calibrate(robot_from_urdf(PENDULUM, "pendulum.urdf"), read_poses(folder / "seed_poses.csv", ("axis",)))
+    found = calibrate(load_robot_from_urdf(PENDULUM, "pendulum.urdf"), read_poses(folder / "seed_poses.csv", ("axis",)))
     save_calibration(folder / "seed_calibrated.yaml", found)
     return (folder / "seed_calibrated.yaml").read_bytes()
 

@@ -16,7 +16,7 @@ from tau_dyn.calibrate.calibrate import calibrate
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.diagnose import diagnose
 from tau_dyn.dynamics import build_mechanism
-from tau_dyn.effects import ReducerCoupling, SymmetricFriction, TorqueOffset, friction_model
+from tau_dyn.effects import ReducerCoupling, SymmetricFriction, TorqueOffset, build_friction_model
 from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.kinematics import forward_kinematics, inverse_kinematics
 from tau_dyn.kinematics.poses import Poses
@@ -25,7 +25,7 @@ from tau_dyn.log import Log, read_log
 from tau_dyn.model import Model
 from tau_dyn.modes import find_modes
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import named_motion
+from tau_dyn.simulate import build_named_motion
 
 COLUMNS = Path(__file__).resolve().parents[2] / "identification" / "columns"
 
@@ -121,11 +121,11 @@ def l1():
 def l1_log(seed: int, hidden: float = 0.0) -> Log:
     """Return 25 s of the L1 at 250 Hz: 5 N and 5 um of noise, and a peak of `hidden` newtons at low speeds of cart 2."""
     robot = l1()
-    model = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units)).with_values(
+    model = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units)).with_values(
         {f"{j}.{what}": x for j in robot.actuated for what, x in
          (("coulomb_pos", 40.0), ("coulomb_neg", 44.0), ("viscous_pos", 110.0), ("viscous_neg", 120.0))}
     )  # fmt: skip
-    path = named_motion("strokes" if hidden else "fourier", model, 25.0, seed).every(4)
+    path = build_named_motion("strokes" if hidden else "fourier", model, 25.0, seed).every(4)
     force = model.torque(path.q, path.v, path.a)
     force[:, 1] += hidden * np.sign(path.v[:, 1]) * np.exp(-((path.v[:, 1] / 0.04) ** 2))
     rng = np.random.default_rng(seed)

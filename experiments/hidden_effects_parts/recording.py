@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 from hidden_effects_parts.robots import TURNING, Rig
 from tau_dyn.log import Log
-from tau_dyn.simulate import Trajectory, concatenate, fourier_motion, named_motion
+from tau_dyn.simulate import Trajectory, build_fourier_motion, build_named_motion, concatenate
 
 RATE_HZ = 1000.0
 LOG_RATES_HZ = (250.0, 500.0, 1000.0)
@@ -133,15 +133,15 @@ def draw_motion(rig: Rig, duration: float, rng: np.random.Generator, kind: str |
     if kind == "fourier":
         return _fourier(rig, duration, seeds[0], rng)
     if kind != "mixed":
-        return named_motion(kind, rig.driven, duration, seeds[0])
+        return build_named_motion(kind, rig.driven, duration, seeds[0])
     parts = (
         _fourier(rig, 0.45 * duration, seeds[0], rng),
-        named_motion("prbs", rig.driven, 0.3 * duration, seeds[1]),
-        named_motion(str(rng.choice(("slow", "strokes"))), rig.driven, max(6.5, 0.2 * duration), seeds[2]),
+        build_named_motion("prbs", rig.driven, 0.3 * duration, seeds[1]),
+        build_named_motion(str(rng.choice(("slow", "strokes"))), rig.driven, max(6.5, 0.2 * duration), seeds[2]),
     )
     return concatenate([parts[k] for k in rng.permutation(3)], name="mixed")
 
 
 def _fourier(rig: Rig, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     harmonics, fast = int(rng.integers(4, 8)), float(rng.uniform(0.9, 1.6))
-    return fourier_motion(rig.driven, duration, seed, harmonics=harmonics, fast_hz=fast)
+    return build_fourier_motion(rig.driven, duration, seed, harmonics=harmonics, fast_hz=fast)

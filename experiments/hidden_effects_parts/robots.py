@@ -14,10 +14,10 @@ from functools import cache
 import numpy as np
 
 from tau_dyn.dynamics import Mechanism, build_mechanism
-from tau_dyn.effects import SymmetricFriction, friction_model
+from tau_dyn.effects import SymmetricFriction, build_friction_model
 from tau_dyn.identify.drive_inertia import free_drive_inertias
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 # Dressler 2012, Table 6.1: coulomb_neg, coulomb_pos [N], viscous_neg, viscous_pos [N/(m/s)] of each cart
 TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00), (177.22, 239.06, 197.52, 185.94))
@@ -86,7 +86,7 @@ def nominal_robot(name: str) -> Robot:
         for j in [row[0] for row in _GEARED][: 6 if name == "geared" else 3]
     )
     urdf = _geared_urdf() if name == "geared" else _ARM_URDF
-    return robot_from_urdf(urdf.replace("TRANSMISSIONS", "\n".join(drives)), name)
+    return load_robot_from_urdf(urdf.replace("TRANSMISSIONS", "\n".join(drives)), name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ class Rig:
     @property
     def driven(self) -> Model:
         """The true robot as the library's simulator takes it, without what hides."""
-        model = Model.of(self.robot, friction_model("asymmetric", self.joints, self.robot.force_units))
+        model = Model.of(self.robot, build_friction_model("asymmetric", self.joints, self.robot.force_units))
         return model.with_values(
             {f"{j}.{key}": float(getattr(self.friction, key)[k]) for k, j in enumerate(self.joints)
              for key in ("coulomb_neg", "coulomb_pos", "viscous_neg", "viscous_pos")}
@@ -167,7 +167,7 @@ class Rig:
     def _effects(self) -> tuple:
         if self.base == "plain":
             return (SymmetricFriction(self.joints, self.nominal.force_units),)
-        return friction_model(self.base, self.joints, self.nominal.force_units)
+        return build_friction_model(self.base, self.joints, self.nominal.force_units)
 
 
 def draw_rig(name: str, base: str, rng: np.random.Generator, *, off: float = OFF, nominal: str | None = None) -> Rig:

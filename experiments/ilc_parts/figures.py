@@ -6,12 +6,12 @@ import numpy as np
 from ilc_parts.bench import AXES
 
 from tau_dyn.control.iterative import LearningHistory, compute_frequency_condition
-from tau_dyn.control.iterative.law import Law
+from tau_dyn.control.iterative.law import UpdateLaw
 
 COLOURS = {"1": "0.5", "2A": "tab:blue", "2B": "tab:red", "3": "tab:green", "3, norm-optimal": "tab:purple"}
 
 
-def draw(folder: Path, learnt: dict[str, list[LearningHistory]], known: dict[str, Law]) -> None:
+def draw(folder: Path, learnt: dict[str, list[LearningHistory]], known: dict[str, UpdateLaw]) -> None:
     import matplotlib
 
     matplotlib.use("Agg")

@@ -11,10 +11,10 @@ from tau_dyn.control.iterative import (
     TimeShift,
     ToolSide,
     controlled_actuators,
-    low_pass,
-    robust_filter,
+    design_low_pass,
+    design_robust_filter,
 )
-from tau_dyn.control.iterative.law import Law
+from tau_dyn.control.iterative.law import UpdateLaw
 from tau_dyn.control.observers import ComplementaryToolObserver, tune_kalman
 from tau_dyn.simulate.learning_plant import LearningPlant, Trial
 
@@ -27,15 +27,15 @@ COMPLEMENTARY = (4.50, 2.63)  # Hz, (7.18)
 def motor_law() -> LearningLaw:
     """Case 1, on the printed (6.11)."""
     side = MotorSide(controlled_actuators(printed_actuators(), DT))
-    return LearningLaw(side, (low_pass(MOTOR_CUTOFF, DT),) * 3, LEARNING)
+    return LearningLaw(side, (design_low_pass(MOTOR_CUTOFF, DT),) * 3, LEARNING)
 
 
 def tool_law(side: ToolSide) -> LearningLaw:
-    Q = robust_filter(side, LEARNING, TOOL_CUTOFF, growth=GROWTH, tolerance=TOLERANCE)
+    Q = design_robust_filter(side, LEARNING, TOOL_CUTOFF, growth=GROWTH, tolerance=TOLERANCE)
     return LearningLaw(side, (Q,) * len(AXES), LEARNING)
 
 
-def laws(robot: LearningPlant, found: Models, trial: Trial) -> dict[str, Law]:
+def laws(robot: LearningPlant, found: Models, trial: Trial) -> dict[str, UpdateLaw]:
     """All laws; the Kalman filter is tuned on one trial without a correction."""
     kalman = tune_kalman(found.computed_to_tool, trial.kinematic[:, AXES], trial.acceleration[:, AXES]).observer
     measured = ToolSide(found.reference_to_tool, robot.actuators)

@@ -13,7 +13,7 @@ from tau_dyn.calibrate.compensation import build_compensation
 from tau_dyn.calibrate.geometry import ConstrainedGeometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
+from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot, load_robot
 
@@ -46,7 +46,7 @@ _TIES = {
 def machine(h: float) -> tuple[Robot, ConstrainedGeometry]:
     """Return the robot file with tool length `h` [m] and its geometry in the paper's nine parameters."""
     robot = load_robot(FILE, h=h)
-    tree: TreeGeometry = tree_geometry(robot)
+    tree: TreeGeometry = build_tree_geometry(robot)
     matrix = np.zeros((len(tree.knobs), len(NAMES)))
     for column, name in enumerate(NAMES):
         for own, factor in _TIES[name].items():

@@ -7,7 +7,7 @@ import numpy as np
 
 from tau_dyn.dynamics import GantryTauMechanism
 from tau_dyn.simulate import Trajectory, concatenate
-from tau_dyn.simulate.profiles import Segment, ramp_time, speed_path
+from tau_dyn.simulate.profiles import Segment, build_speed_profile, compute_ramp_time
 
 C = (1.5, -0.65, 0.62)
 WELL = (  # moves all three axes, and at frequencies of their own
@@ -59,12 +59,12 @@ def strokes(
     q = q - 0.5 * np.max(q - home) - 0.5 * np.min(q - home)  # carts as near the middle of their travel as they can be
     segments = []
     for speed in speeds:
-        ramp = ramp_time(speed, ACCELERATION)
+        ramp = compute_ramp_time(speed, ACCELERATION)
         steady = min(LONGEST, (STROKE - ramp * speed) / speed)
         for way in (speed, -speed):
             segments += [Segment(ramp, 0, way), Segment(steady, way, way), Segment(ramp, way, 0), Segment(0.2, 0, 0)]
     t = np.arange(0.0, sum(s.duration for s in segments), 1 / RATE)
-    path = speed_path(t, segments)
+    path = build_speed_profile(t, segments)
     middle = 0.5 * (path.q.max() + path.q.min())
     begins = np.cumsum([0.0, *(s.duration for s in segments[:-1])])
     steady = np.zeros(len(t), bool)

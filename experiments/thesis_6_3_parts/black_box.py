@@ -18,7 +18,7 @@ from tau_dyn.modes.refine import refine
 from tau_dyn.modes.simulate import simulate
 from tau_dyn.modes.state_space import StateSpace
 from tau_dyn.modes.subspace import subspace_factors
-from tau_dyn.simulate import VibrationSensors, binary_log, vibration_log
+from tau_dyn.simulate import VibrationSensors, simulate_binary_log, simulate_vibration_log
 from thesis_6_3_parts.printed import DRIVE_SAMPLES, ORDER_KINEMATICS, ORDER_REFERENCE
 from thesis_6_3_parts.robots import CARTS, fit_percent, kinematics, record, with_tool_side, with_wrist
 
@@ -42,15 +42,17 @@ def experiment(kind: str, duration: float, seed: int) -> Log:
     sensors = VibrationSensors.length_gauges()
     near = with_wrist()
     if kind == "carts":
-        log = binary_log(
+        log = simulate_binary_log(
             near, duration=duration, amplitude=AMPLITUDE, drives=L1_DRIVES, sensors=sensors, seed=seed, name=kind
         )
     else:
-        two = binary_log(near, duration=duration, amplitude=AMPLITUDE, joints=CARTS[:2], seed=seed)
+        two = simulate_binary_log(near, duration=duration, amplitude=AMPLITUDE, joints=CARTS[:2], seed=seed)
         tool = two.joint("q_ref", CARTS) - near.q  # two sequences, now of x and y
         reference = tool @ np.linalg.inv(kinematics().tool_jacobian(near.q[None])[0]).T
         still = np.zeros_like(reference)
-        log = vibration_log(near, reference, still, two.dt, drives=L1_DRIVES, sensors=sensors, seed=seed, name=kind)
+        log = simulate_vibration_log(
+            near, reference, still, two.dt, drives=L1_DRIVES, sensors=sensors, seed=seed, name=kind
+        )
     return with_tool_side(log)
 
 

@@ -8,7 +8,7 @@ from tau_dyn.dynamics import L1_DRIVES
 from tau_dyn.log import Log
 from tau_dyn.modes.actuator_fit import ActuatorFit, fit_actuators
 from tau_dyn.modes.record import Record
-from tau_dyn.simulate import VibrationSensors, vibration_log
+from tau_dyn.simulate import VibrationSensors, simulate_vibration_log
 from thesis_6_3_parts.printed import STEPS
 from thesis_6_3_parts.robots import CARTS, fit_percent, with_wrist
 
@@ -32,7 +32,7 @@ def steps(amplitude: float, seed: int) -> Log:
     reference[100 : 100 + HALF] = amplitude
     still = np.zeros_like(reference)
     sensors = VibrationSensors.length_gauges()
-    return vibration_log(with_wrist(), reference, still, DT, drives=L1_DRIVES, sensors=sensors, seed=seed)
+    return simulate_vibration_log(with_wrist(), reference, still, DT, drives=L1_DRIVES, sensors=sensors, seed=seed)
 
 
 def study(seed: int) -> DriveStudy:

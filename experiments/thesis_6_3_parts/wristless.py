@@ -8,12 +8,12 @@ from tau_dyn.modes.era import era_records
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.second_order import SecondOrder
 from tau_dyn.modes.simulate import simulate
 from tau_dyn.modes.subspace import subspace_factors
 from tau_dyn.modes.thesis_route import PRINTED, Character, character, unconstrained
-from tau_dyn.simulate import VibrationSensors, push_log, vibration_log
+from tau_dyn.simulate import VibrationSensors, push_log, simulate_vibration_log
 from thesis_6_3_parts.printed import ORDER_TRACKER, ORDER_VISION
 from thesis_6_3_parts.robots import AXES, fit_percent, record, without_wrist
 
@@ -27,7 +27,7 @@ class TrackerModel:
     """A model of some directions from pushes, and how it simulates pushes it was not fitted on."""
 
     axes: str
-    refined: Refined
+    refined: RefinedModel
     held_out: list[Record]
     simulated: list[np.ndarray]
     fit: np.ndarray
@@ -80,7 +80,7 @@ def tracker_model(axes: str, order: int, seed: int) -> TrackerModel:
     )
 
 
-def structure(refined: Refined) -> Structure:
+def structure(refined: RefinedModel) -> Structure:
     by_thesis = unconstrained(refined.model)
     return Structure(by_thesis, character(by_thesis), fit_mechanical(refined))
 
@@ -92,7 +92,7 @@ def cart_3(seed: int) -> Record:
     reference = np.zeros((len(t), 3))
     reference[:, 2] = 2e-3 / len(SINES) * np.sin(2 * np.pi * np.outer(t, SINES) + phase).sum(axis=1)
     sensors = VibrationSensors(1e-6, VISION_NOISE, accelerometer_hz=None)
-    log = vibration_log(near, reference, np.zeros_like(reference), 0.004, sensors=sensors, seed=seed)
+    log = simulate_vibration_log(near, reference, np.zeros_like(reference), 0.004, sensors=sensors, seed=seed)
     return record(log, ["q_cart3"], [f"{a}_tool" for a in AXES])
 
 

@@ -9,15 +9,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-LONGEST_SENTENCE = 1000
+MAX_MESSAGE_CHARACTERS = 1000
 """Characters of a message; what a file holds may be quoted in it, and has no end."""
 
 
 def one_line(text: str) -> str:
     """Return text as one printable line of bounded length: names in it must neither steer a terminal nor fill it."""
     words = " ".join(text.split())
-    if len(words) > LONGEST_SENTENCE:
-        words = f"{words[: LONGEST_SENTENCE - 300]} ... {words[-250:]}"
+    if len(words) > MAX_MESSAGE_CHARACTERS:
+        words = f"{words[: MAX_MESSAGE_CHARACTERS - 300]} ... {words[-250:]}"
     return (
         words if words.isprintable() else "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)
     )

@@ -22,7 +22,7 @@ import yaml
 from tau_dyn.exceptions import InputError
 
 _NUMBER = count()
-_LONGEST = 120
+_MAX_NAME_CHARACTERS = 120
 """Characters of a name that its temporary file repeats; file systems allow 255 bytes in all."""
 
 _ADVICE = {
@@ -36,14 +36,14 @@ _ADVICE = {
     errno.EIO: "the disk reports a fault; name a file on another one",
 }
 
-LARGEST_YAML = 4 * 2**20
+MAX_YAML_BYTES = 4 * 2**20
 """[bytes] A model file with its robot is a few hundred kB."""
 
-_MOST_NODES = 10**6
+_MAX_NODES = 10**6
 """Nodes of a YAML file with its aliases written out."""
 
-_DEEPEST = 100
-_LONGEST_NUMBER = 400
+_MAX_LEVELS = 100
+_MAX_NUMBER_CHARACTERS = 400
 
 _PATIENCE = 10.0
 """[s] How long a pipe may keep silent before anything came through it."""
@@ -90,13 +90,13 @@ def _from_pipe(handle: int, path: str | Path, most: int | None) -> bytes:
     return b"".join(pieces)
 
 
-def sha256_of(path: str | Path) -> str:
+def compute_sha256(path: str | Path) -> str:
     """Return the SHA-256 of a file's bytes, in hex."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def sha256_together(digests: Iterable[str]) -> str:
+def compute_joint_sha256(digests: Iterable[str]) -> str:
     """Return one hash for all of them: that of a single file, or the hash of the hashes."""
     digests = list(digests)
     return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
@@ -112,8 +112,8 @@ class PlainLoader(yaml.SafeLoader):
 
     def fetch_flow_collection_start(self, TokenClass: Any) -> None:  # noqa: N803
         """Open a bracket; PyYAML's time grows with the square of how many are open."""
-        if self.flow_level >= _DEEPEST:
-            raise yaml.YAMLError(f"brackets stand more than {_DEEPEST} deep inside each other")
+        if self.flow_level >= _MAX_LEVELS:
+            raise yaml.YAMLError(f"brackets stand more than {_MAX_LEVELS} deep inside each other")
         super().fetch_flow_collection_start(TokenClass)
 
     def whole_number(self, node: Any) -> int | float:
@@ -137,7 +137,7 @@ def _written_out(node: Any, known: dict[int, int], above: set[int]) -> int:
     if id(node) in above:
         raise yaml.YAMLError("an alias stands inside what it names")
     if id(node) not in known:
-        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and len(node.value) > _LONGEST_NUMBER:
+        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and len(node.value) > _MAX_NUMBER_CHARACTERS:
             raise yaml.YAMLError(
                 f"a number of {len(node.value)} characters"
             )  # takes long to read and cannot be printed
@@ -147,8 +147,8 @@ def _written_out(node: Any, known: dict[int, int], above: set[int]) -> int:
             inside = [child for pair in node.value for child in pair]
         known[id(node)] = 1 + sum(_written_out(child, known, above) for child in inside)
         above.discard(id(node))
-        if known[id(node)] > _MOST_NODES:
-            raise yaml.YAMLError(f"with its aliases written out it has more than {_MOST_NODES} entries")
+        if known[id(node)] > _MAX_NODES:
+            raise yaml.YAMLError(f"with its aliases written out it has more than {_MAX_NODES} entries")
     return known[id(node)]
 
 
@@ -162,7 +162,7 @@ def read_yaml(path: str | Path) -> Any:
         return yaml.load(text, Loader=PlainLoader)  # noqa: S506
 
 
-def yaml_text(path: str | Path) -> str:
+def format_yaml(path: str | Path) -> str:
     """Return the text of a YAML file that somebody else's loader may read: nothing in it takes long or grows without end."""
     with _yaml_of(path) as text:
         yaml.compose(text, Loader=PlainLoader)
@@ -173,7 +173,7 @@ def yaml_text(path: str | Path) -> str:
 def _yaml_of(path: str | Path) -> Iterator[str]:
     """Give a YAML file's text; faults of it become sentences."""
     try:
-        yield read_bytes(path, LARGEST_YAML).decode("utf-8")
+        yield read_bytes(path, MAX_YAML_BYTES).decode("utf-8")
     except InputError:
         raise
     except FileNotFoundError as fault:
@@ -184,7 +184,7 @@ def _yaml_of(path: str | Path) -> Iterator[str]:
         raise InputError(f"{path}: not valid YAML ({' '.join(str(fault).split())})") from fault
 
 
-def destination(path: str | Path) -> Path:
+def resolve_destination(path: str | Path) -> Path:
     """Return where a file to be written lies: behind links, but a pipe or a device as it was named.
 
     Raises:
@@ -208,7 +208,7 @@ def destination(path: str | Path) -> Path:
 
 
 @contextmanager
-def writing_whole(path: str | Path) -> Iterator[Path]:
+def write_atomically(path: str | Path) -> Iterator[Path]:
     """Give a temporary file to write; it takes the place of `path` when the block ends well, and goes away when it does not.
 
     What a killed process left beside `path` goes away too. An existing file keeps its permissions; a write-protected one stays.
@@ -216,20 +216,22 @@ def writing_whole(path: str | Path) -> Iterator[Path]:
     Raises:
         InputError: The destination cannot be written.
     """
-    path = destination(path)  # a link keeps pointing where it did
+    path = resolve_destination(path)  # a link keeps pointing where it did
     if path.is_dir():
         raise InputError(f"{path} cannot be written: it is a folder; name a file")
-    if path.name.endswith(".part") and f".{owner()}." in path.name:  # temporary already: whoever gave it sees to it
+    if (
+        path.name.endswith(".part") and f".{get_owner_name()}." in path.name
+    ):  # temporary already: whoever gave it sees to it
         yield path
         return
-    temporary = path.with_name(f".{path.name[:_LONGEST]}.{owner()}.{next(_NUMBER)}.part")
+    temporary = path.with_name(f".{path.name[:_MAX_NAME_CHARACTERS]}.{get_owner_name()}.{next(_NUMBER)}.part")
     try:
         if path.exists() and not path.is_file():  # a pipe or a device is written to, never replaced
             yield path
             return
         if path.exists() and not os.access(path, os.W_OK):
             raise InputError(f"{path} is write-protected; name another file, or allow writing to it")
-        sweep(path.parent, f".{path.name[:_LONGEST]}.")
+        remove_stale_files(path.parent, f".{path.name[:_MAX_NAME_CHARACTERS]}.")
         try:
             yield temporary
             _settle(temporary, path)
@@ -239,10 +241,10 @@ def writing_whole(path: str | Path) -> Iterator[Path]:
     except BrokenPipeError:
         raise
     except OSError as fault:
-        raise refusal(path, fault) from fault
+        raise build_write_error(path, fault) from fault
 
 
-def refusal(path: Path, fault: OSError) -> InputError:
+def build_write_error(path: Path, fault: OSError) -> InputError:
     """Return the sentence about a file that cannot be written."""
     advice = _ADVICE.get(fault.errno or 0, "name a file in an existing folder")
     return InputError(f"{path} cannot be written: {fault.strerror or fault}; {advice}")
@@ -250,18 +252,18 @@ def refusal(path: Path, fault: OSError) -> InputError:
 
 def write_whole(path: str | Path, text: str) -> None:
     """Write a text file so that it appears whole or not at all."""
-    with writing_whole(path) as temporary:
+    with write_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def owner() -> str:
+def get_owner_name() -> str:
     """Return a name for this process among all that may share a folder, without dots."""
     return f"{platform.node().replace('.', '_')[:40] or 'here'}-{os.getpid()}"
 
 
-def sweep(folder: Path, start: str) -> None:
+def remove_stale_files(folder: Path, start: str) -> None:
     """Remove what processes of this machine that are dead left behind: names `<start><owner>.<number>.part`."""
-    machine, _, _ = owner().rpartition("-")
+    machine, _, _ = get_owner_name().rpartition("-")
     for left in folder.glob("*.part"):
         name, _, _ = left.name.removeprefix(start).partition(".")
         theirs, _, number = name.rpartition("-")

@@ -23,7 +23,7 @@ from tau_dyn.effects.state import beyond_a_state
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.parameters import Parameters
-from tau_dyn.robot import INERTIAL, Robot, robot_from_urdf
+from tau_dyn.robot import INERTIAL, Robot, load_robot_from_urdf
 from tau_dyn.shown import Shown
 
 _FORMAT = 1
@@ -267,7 +267,7 @@ class Model(Shown):
         about = content["robot"]
         for key, kind in (("actuated", list), ("arguments", dict), ("tool", str)):
             _expect({key: kind(), **about}, key, kind, f"{path}: robot")
-        robot = robot_from_urdf(
+        robot = load_robot_from_urdf(
             content["urdf"],
             str(about.get("source", path)),
             actuated=about.get("actuated"),
@@ -290,7 +290,7 @@ def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> Non
 
 def _tied_names(robot: Robot) -> set[str]:
     """Return the parameter names that the robot has without untying anything."""
-    plain = robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated)
+    plain = load_robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated)
     return set(plain.parameters.names)
 
 

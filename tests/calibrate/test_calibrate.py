@@ -15,12 +15,12 @@ from calibration_rigs import Spec, family_at, measured, rods_of, spoiled
 from tau_dyn.calibrate import calibrate, causes, read_poses
 from tau_dyn.calibrate.candidates import Options, fit_and_cross_validate
 from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M
-from tau_dyn.calibrate.families import family_of
-from tau_dyn.calibrate.frames import Frame, Frames
+from tau_dyn.calibrate.families import get_family
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.saved import load_calibration, save_calibration
-from tau_dyn.calibrate.sensitivity import sensitivities
-from tau_dyn.calibrate.simulated import TRACKER, simulate_poses, to_csv
+from tau_dyn.calibrate.sensitivity import compute_sensitivities
+from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.forward import forward_kinematics
@@ -119,7 +119,7 @@ def test_a_base_that_moved_between_campaigns_is_named():
         geometry.parameters.values,
         q,
         rng,
-        frames=Frames((TRACKER.device[0], moved), TRACKER.tool),
+        frames=DeviceFrames((TRACKER.device[0], moved), TRACKER.tool),
         campaign=campaign,
     )
     found = calibrate(rods.robot, poses)
@@ -144,8 +144,8 @@ def test_models_without_a_cause_keep_what_the_user_fixed(monkeypatch):
 def test_backlash_has_the_unit_of_its_joint():
     """Backlash of a cart is a length, of a turning joint an angle."""
     for name, unit in (("gantry_tau", "m"), ("delta", "rad")):
-        geometry = family_of(load_robot(name), PoseSet(np.zeros((2, 3)), np.zeros((2, 3)))).build(Spec("complete"))
-        unknowns = collect(geometry, Frames(), device=True, tool=True, turned=False, backlash=True)
+        geometry = get_family(load_robot(name), PoseSet(np.zeros((2, 3)), np.zeros((2, 3)))).build(Spec("complete"))
+        unknowns = collect(geometry, DeviceFrames(), device=True, tool=True, turned=False, backlash=True)
         assert {row.unit for row in unknowns.rows if row.name.endswith(".backlash")} == {unit}
 
 
@@ -163,7 +163,7 @@ def test_sensitivity_is_what_moving_one_parameter_does(worn):
         ).sum()
         for sign in (1, -1)
     )
-    assert sensitivities(fitted)[k].position == pytest.approx(moved, rel=0.01)
+    assert compute_sensitivities(fitted)[k].position == pytest.approx(moved, rel=0.01)
 
 
 def _poses(n: int, seed: int = 0) -> PoseSet:
@@ -217,7 +217,7 @@ def test_bad_files_are_told_in_a_sentence(tmp_path, spoil, sentence):
     """Missing columns, broken rows, empty numbers and wrong units each name the place."""
     rods = rods_of()
     path = tmp_path / "poses.csv"
-    path.write_text(spoil(to_csv(_poses(12), rods.robot.actuated)))
+    path.write_text(spoil(format_csv(_poses(12), rods.robot.actuated)))
     with pytest.raises(InputError, match=sentence):
         read_poses(path, rods.robot.actuated)
 
@@ -235,7 +235,7 @@ def test_poses_come_back_from_their_file(tmp_path):
     rods = rods_of("gantry_tau_f1")
     poses, _ = measured(rods, "complete", 10, 0, reach=0.2)
     poses = replace(poses, campaign=np.repeat([0, 1], [4, poses.n - 4]), campaigns=("1", "2"))
-    (tmp_path / "p.csv").write_text(to_csv(poses, rods.robot.actuated))
+    (tmp_path / "p.csv").write_text(format_csv(poses, rods.robot.actuated))
     again = read_poses(tmp_path / "p.csv", rods.robot.actuated)
     np.testing.assert_allclose(again.q, poses.q, atol=1e-8)
     assert again.rotation is not None and poses.rotation is not None

@@ -11,7 +11,7 @@ from tau_dyn.calibrate.compensation import Compensation, build_compensation
 from tau_dyn.calibrate.compensation_file import load_compensation, save_compensation
 from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.rod_geometry import RodGeometry
-from tau_dyn.calibrate.tree_geometry import tree_geometry
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import build_rods
@@ -24,7 +24,7 @@ URDF = Path(__file__).resolve().parents[2] / "urdf"
 def delta() -> Compensation:
     """Return the compensation of a Delta with errors of a tenth of a millimetre everywhere."""
     robot = load_robot(URDF / "delta.urdf.xacro")
-    geometry = tree_geometry(robot)
+    geometry = build_tree_geometry(robot)
     rng = np.random.default_rng(2)
     free = np.array(geometry.parameters.free)
     return build_compensation(robot, geometry, geometry.parameters.values + rng.normal(0, 1e-4, len(free)) * free)
@@ -69,7 +69,7 @@ def test_poses_and_positions_agree(delta: Compensation) -> None:
 def test_two_geometries_of_one_robot_agree() -> None:
     """Points and distances give the same corrected positions as the tree, rod lengths being wrong."""
     robot = load_robot(URDF / "delta.urdf.xacro")
-    tree, rods = tree_geometry(robot), RodGeometry(build_rods(robot))
+    tree, rods = build_tree_geometry(robot), RodGeometry(build_rods(robot))
     lengths = {f"rod{i}{j}.length": 1e-3 * (i - 2) + (5e-4 if j == "a" else 0.0) for i in (1, 2, 3) for j in "ab"}
     q = robot.home + np.array([[0.1, -0.2, 0.05], [0.0, 0.0, 0.3]])
     results = []
@@ -84,14 +84,14 @@ def test_two_geometries_of_one_robot_agree() -> None:
 def test_commanded_axes(name: str, axes: tuple[str, ...]) -> None:
     """A robot commands those parts of the pose that its joints move independently."""
     robot = load_robot(URDF / f"{name}.urdf.xacro")
-    geometry = tree_geometry(robot)
+    geometry = build_tree_geometry(robot)
     assert build_compensation(robot, geometry, geometry.parameters.values).axes == axes
 
 
 def test_parallelogram_tied_parameters() -> None:
     """Tied parameters, here two equal rods, are compensated like their originals: rods 1 mm longer on both sides."""
     robot = load_robot(URDF / "parallelogram.urdf.xacro")
-    tree = tree_geometry(robot)
+    tree = build_tree_geometry(robot)
     tied = constrain_parameters(tree, {"rods": ["rod2.length"]}, left_out=["crank.offset"])
     theta = tied.parameters.with_values({"rods": 0.951, "plate_turn.origin_z": -0.951}).values
     q = np.linspace(-0.6, 0.6, 5)[:, None]
@@ -117,7 +117,7 @@ def test_failures_have_reasons(delta: Compensation) -> None:
 def test_beyond_limit_is_named() -> None:
     """A correction that leaves the joint's range is refused and names the joint."""
     robot = load_robot(URDF / "parallelogram.urdf.xacro")
-    geometry = tree_geometry(robot)
+    geometry = build_tree_geometry(robot)
     theta = geometry.parameters.with_values({"crank.offset": -0.01}).values
     found = build_compensation(robot, geometry, theta)(np.array([robot.upper, robot.home]))
     assert found.reason[0] == "crank beyond its limit" and found.ok[1]

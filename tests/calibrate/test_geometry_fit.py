@@ -11,13 +11,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import family_at, measured, rods_of, spoiled
 
-from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.calibrate.weights import tuning, weights
+from tau_dyn.calibrate.weights import compute_robust_weights, compute_tuning_constant
 
 
 @pytest.mark.parametrize("residual", ["forward", "closure", "inverse"])
@@ -124,7 +124,7 @@ def test_known_frames_are_not_fitted():
     rng = np.random.default_rng(5)
     theta = spoiled(geometry, rng)
     poses = simulate_poses(
-        geometry, theta, rods.robot.home + 0.4 * (2 * rng.random((60, 3)) - 1), rng, frames=Frames(), turned=False
+        geometry, theta, rods.robot.home + 0.4 * (2 * rng.random((60, 3)) - 1), rng, frames=DeviceFrames(), turned=False
     )
     found = fit_geometry_to_poses(geometry, poses, device=False)
     assert found.n_estimated == 21 and not len(found.identifiability.dropped)
@@ -158,14 +158,14 @@ def test_robust_weights_shrug_off_bad_poses():
 def test_tuning_constants_keep_95_percent_of_the_information(m):
     """On Gaussian residuals an M-estimate of location scatters as its efficiency says."""
     if m == 1:
-        assert tuning("huber", 1) == pytest.approx(1.345, abs=2e-3) and tuning("biweight", 1) == pytest.approx(
-            4.685, abs=2e-3
-        )
+        assert compute_tuning_constant("huber", 1) == pytest.approx(1.345, abs=2e-3) and compute_tuning_constant(
+            "biweight", 1
+        ) == pytest.approx(4.685, abs=2e-3)
     rng = np.random.default_rng(0)
     x = rng.standard_normal((4000, 50, m))
     for kind in ("huber", "biweight"):
         at = np.zeros((4000, m))
         for _ in range(8):
-            w = weights(kind, np.linalg.norm(x - at[:, None], axis=2).ravel(), m).reshape(4000, 50, 1)
+            w = compute_robust_weights(kind, np.linalg.norm(x - at[:, None], axis=2).ravel(), m).reshape(4000, 50, 1)
             at = (w * x).sum(axis=1) / w.sum(axis=1)
         assert (1 / 50) / at.var() == pytest.approx(0.95, abs=0.025)

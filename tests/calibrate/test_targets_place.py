@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import Frame, Frames
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
-from tau_dyn.calibrate.tree_geometry import tree_geometry
-from tau_dyn.robot import robot_from_urdf
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
+from tau_dyn.robot import load_robot_from_urdf
 
 JOINTS = (("s1", "revolute", "0 0 0.5"), ("s2", "revolute", "0.4 0 0"), ("z3", "prismatic", "0.3 0 0"),
           ("r4", "revolute", "0 0 -0.1"))  # fmt: skip
@@ -29,13 +29,13 @@ def scara_text() -> str:
 
 def test_a_blind_target_stays_where_the_file_has_it_and_takes_no_dimension_along() -> None:
     """Shifted along leaning axes the target would make an elbow's offset of 4 mrad up: 0.8 m for 54 standard errors."""
-    geometry = tree_geometry(robot_from_urdf(scara_text(), "scara"))
+    geometry = build_tree_geometry(load_robot_from_urdf(scara_text(), "scara"))
     truth = {"s2.offset": 0.004, "s2.rx": 0.002, "s2.origin_x": 0.4012, "z3.origin_x": 0.2991}
     theta = geometry.parameters.with_values(truth).values
     rng = np.random.default_rng(3)
     q = rng.uniform([0.2, -2.2, 0.05, -2.2], [1.4, -0.3, 0.25, 2.2], (60, 4))
     seat = Frame(TRACKER.tool[0].rotation, np.array([0.02, -0.01, 0.0]))  # beside the file's tool, but no higher
-    frames = Frames(TRACKER.device, (seat,))
+    frames = DeviceFrames(TRACKER.device, (seat,))
     found = fit_geometry_to_poses(geometry, simulate_poses(geometry, theta, q, rng, frames=frames, noise=(NOISE, 1e-4)))
     blind = {found.identifiability.names[k] for k in found.identifiability.dropped}
     assert "tool.z" in blind and abs(found.parameters["tool.z"].value) < 1e-12

@@ -9,10 +9,10 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
+from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
 
@@ -68,8 +68,8 @@ def differences(geometry: TreeGeometry, theta: np.ndarray, q: np.ndarray, step: 
 @pytest.mark.parametrize("slide", [None, 3, 4])
 def test_serial_derivatives(slide: int | None) -> None:
     """Twists of all placements, offsets and gear ratios of a serial arm are those of finite differences, far from nominal."""
-    robot = robot_from_urdf(six_axes(slide), "six")
-    geometry, rng = tree_geometry(robot), np.random.default_rng(3)
+    robot = load_robot_from_urdf(six_axes(slide), "six")
+    geometry, rng = build_tree_geometry(robot), np.random.default_rng(3)
     theta = geometry.parameters.values + rng.normal(0, 0.05, len(geometry.knobs))
     q = rng.uniform(-1, 1, (4, 6))
     by_parameter, by_joint = differences(geometry, theta, q)
@@ -79,8 +79,8 @@ def test_serial_derivatives(slide: int | None) -> None:
 
 def test_serial_against_pinocchio() -> None:
     """The tool is where Pinocchio puts it when its joint placements are moved by the same numbers."""
-    robot = robot_from_urdf(six_axes(), "six")
-    geometry, rng = tree_geometry(robot), np.random.default_rng(4)
+    robot = load_robot_from_urdf(six_axes(), "six")
+    geometry, rng = build_tree_geometry(robot), np.random.default_rng(4)
     p = geometry.parameters
     changes = {n: float(rng.normal(0, 0.03)) for n in p.names if ".tool" not in n and not n.startswith("tool.")}
     theta = np.array([row.value + changes.get(row.name, 0.0) for row in p])
@@ -106,7 +106,7 @@ def test_serial_against_pinocchio() -> None:
 
 def test_nominal_values_are_the_files() -> None:
     """An origin's value is the number in the file, also where a fixed joint lies between the links."""
-    p = tree_geometry(robot_from_urdf(six_axes(), "six")).parameters
+    p = build_tree_geometry(load_robot_from_urdf(six_axes(), "six")).parameters
     for k, (xyz, _, _) in enumerate(PLACES, start=1):
         assert np.allclose([p[f"j{k}.origin_{a}"].value for a in "xyz"], [float(x) for x in xyz.split()])
 
@@ -115,7 +115,7 @@ def test_nominal_values_are_the_files() -> None:
 def test_loops(name: str) -> None:
     """With all dimensions 1 mm off, loops close to rounding, and derivatives through them are finite differences'."""
     robot = load_robot(URDF / f"{name}.urdf.xacro")
-    geometry, rng = tree_geometry(robot), np.random.default_rng(5)
+    geometry, rng = build_tree_geometry(robot), np.random.default_rng(5)
     free = np.array(geometry.parameters.free)
     theta = geometry.parameters.values + rng.normal(0, 1e-3, len(free)) * free
     reach = np.minimum(np.where(np.isfinite(robot.upper), 0.2 * (robot.upper - robot.lower), 0.2), 0.2)
@@ -135,7 +135,7 @@ def test_loops(name: str) -> None:
 
 def test_delta_has_the_papers_parameters() -> None:
     """A Delta's free parameters are the paper's 51 (20) and its actuators' places, which (13) merges into others."""
-    geometry = tree_geometry(load_robot(URDF / "delta.urdf.xacro"))
+    geometry = build_tree_geometry(load_robot(URDF / "delta.urdf.xacro"))
     free = {p.name for p in geometry.parameters if p.free}
     bases = {f"arm{i}.origin_{a}" for i in (1, 2, 3) for a in "xyz"}
     assert len(free) == 60 and bases <= free
@@ -144,7 +144,7 @@ def test_delta_has_the_papers_parameters() -> None:
 
 def test_planar_loop_ignores_what_lies_across() -> None:
     """Of a planar loop only what lies in its plane reaches the tool: rod 2's place across it does not, the crank's does."""
-    geometry = tree_geometry(load_robot(URDF / "parallelogram.urdf.xacro"))
+    geometry = build_tree_geometry(load_robot(URDF / "parallelogram.urdf.xacro"))
     assert geometry.loops.over_constrained == 1
     p = geometry.parameters
     assert not p["rod2_turn.origin_y"].free and not p["rod2_turn.rx"].free and p["crank.origin_y"].free
@@ -153,7 +153,7 @@ def test_planar_loop_ignores_what_lies_across() -> None:
 def test_out_of_reach_is_said() -> None:
     """Positions that the loops cannot follow come back as nan with a reason, the others unharmed."""
     robot = load_robot(URDF / "stewart.urdf.xacro")
-    geometry = tree_geometry(robot)
+    geometry = build_tree_geometry(robot)
     q = np.stack([robot.home, robot.home + [0.9, -0.3, 0.9, -0.3, 0.9, -0.3]])
     found = geometry.forward(geometry.parameters.values, q)
     assert found.ok.tolist() == [True, False] and found.reason[1]
@@ -163,7 +163,7 @@ def test_out_of_reach_is_said() -> None:
 
 def test_impossible_geometry_is_said() -> None:
     """Rods too short to reach the plate are no closure."""
-    geometry = tree_geometry(load_robot(URDF / "delta.urdf.xacro"))
+    geometry = build_tree_geometry(load_robot(URDF / "delta.urdf.xacro"))
     theta = geometry.parameters.values.copy()
     for i in (1, 2, 3):
         for j in "ab":
@@ -175,7 +175,7 @@ def test_impossible_geometry_is_said() -> None:
 def test_order_of_calls_changes_nothing() -> None:
     """A closure depends on its own numbers, not on the geometry asked for before, but for rounding."""
     robot = load_robot(URDF / "delta.urdf.xacro")
-    one, two = tree_geometry(robot), tree_geometry(robot)
+    one, two = build_tree_geometry(robot), build_tree_geometry(robot)
     q, theta = robot.home[None] + 0.1, one.parameters.values
     far = theta + 2e-3 * np.array(one.parameters.free)
     two.forward(far, q)
@@ -186,20 +186,20 @@ def test_order_of_calls_changes_nothing() -> None:
 def test_tool_is_asked_for() -> None:
     """A robot with two tips and no frame `tool` is refused with the frames it has; an unknown frame likewise."""
     two = six_axes().replace('name="tool"', 'name="tip_link"').replace('link="tool"', 'link="tip_link"')
-    assert tree_geometry(robot_from_urdf(two, "two")).shape.tool.link == "tip_link"
+    assert build_tree_geometry(load_robot_from_urdf(two, "two")).shape.tool.link == "tip_link"
     branch = (
         '<link name="l7_link"/><joint name="j7" type="revolute"><parent link="l3_link"/><child link="l7_link"/>'
         '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
     )
     with pytest.raises(InputError, match="several chains.*l7_link"):
-        tree_geometry(robot_from_urdf(two.replace("</robot>", branch), "two"))
+        build_tree_geometry(load_robot_from_urdf(two.replace("</robot>", branch), "two"))
     with pytest.raises(UnknownName, match="nowhere"):
-        tree_geometry(robot_from_urdf(six_axes(), "six"), tool="nowhere")
+        build_tree_geometry(load_robot_from_urdf(six_axes(), "six"), tool="nowhere")
 
 
 def test_wrong_arrays_are_refused() -> None:
     """Arrays of the wrong length name what is expected."""
-    geometry = tree_geometry(robot_from_urdf(six_axes(), "six"))
+    geometry = build_tree_geometry(load_robot_from_urdf(six_axes(), "six"))
     with pytest.raises(InputError, match="6 actuated joints"):
         geometry.forward(geometry.parameters.values, np.zeros((2, 5)))
     with pytest.raises(InputError, match="parameters"):

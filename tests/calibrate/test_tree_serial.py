@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
-from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
-from tau_dyn.robot import robot_from_urdf
+from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
+from tau_dyn.robot import load_robot_from_urdf
 
 NOISE = 5e-5  # m, each axis
 PLACES = [
@@ -36,7 +36,7 @@ def arm() -> TreeGeometry:
         )
     tool = '<link name="tool"/><joint name="flange" type="fixed"><origin xyz="0 0 0.12"/>'
     tool += '<parent link="l6_link"/><child link="tool"/></joint>'
-    return tree_geometry(robot_from_urdf("".join(rows) + tool + "</robot>", "six"))
+    return build_tree_geometry(load_robot_from_urdf("".join(rows) + tool + "</robot>", "six"))
 
 
 def spread(n: int, rng: np.random.Generator) -> np.ndarray:

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tau_dyn.calibrate.corrected_urdf import corrected_urdf
-from tau_dyn.calibrate.tree_geometry import tree_geometry
+from tau_dyn.calibrate.corrected_urdf import format_corrected_urdf
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
 
@@ -19,7 +19,7 @@ URDF = Path(__file__).resolve().parents[2] / "urdf"
 def test_the_file_is_the_calibrated_robot(name: str) -> None:
     """The tool of the written file's nominal robot is the calibrated tool of the original, offsets and rod lengths included."""
     robot = load_robot(URDF / f"{name}.urdf.xacro")
-    geometry = tree_geometry(robot)
+    geometry = build_tree_geometry(robot)
     changed = np.array([p.free or p.name.startswith("tool.") for p in geometry.parameters])
     theta = geometry.parameters.values + np.random.default_rng(1).normal(0, 1e-3, len(changed)) * changed
     if (
@@ -29,7 +29,9 @@ def test_the_file_is_the_calibrated_robot(name: str) -> None:
         theta = geometry.parameters.with_values(
             {n: v for n, v in zip(geometry.parameters.names, theta, strict=True) if n not in flat}
         ).values
-    again = tree_geometry(robot_from_urdf(corrected_urdf(geometry, theta), "calibrated", actuated=robot.actuated))
+    again = build_tree_geometry(
+        load_robot_from_urdf(format_corrected_urdf(geometry, theta), "calibrated", actuated=robot.actuated)
+    )
     q = robot.home + np.random.default_rng(2).uniform(-0.1, 0.1, (3, robot.na))
     a, b = geometry.forward(theta, q).poses, again.forward(again.parameters.values, q).poses
     assert np.abs(a.position - b.position).max() < 1e-11 and np.abs(a.rotation - b.rotation).max() < 1e-11
@@ -38,6 +40,6 @@ def test_the_file_is_the_calibrated_robot(name: str) -> None:
 
 def test_gear_ratios_are_refused() -> None:
     """A robot file has no gear ratios; leaving one out silently would be wrong by centimetres."""
-    geometry = tree_geometry(load_robot(URDF / "delta.urdf.xacro"))
+    geometry = build_tree_geometry(load_robot(URDF / "delta.urdf.xacro"))
     with pytest.raises(InputError, match="arm2.gain"):
-        corrected_urdf(geometry, geometry.parameters.with_values({"arm2.gain": 1.01}).values)
+        format_corrected_urdf(geometry, geometry.parameters.with_values({"arm2.gain": 1.01}).values)

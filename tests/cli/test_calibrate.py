@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "calibrate"))
 from calibration_rigs import measured, rods_of  # pyright: ignore[reportMissingImports]
 
 from tau_dyn.calibrate.saved import load_calibration
-from tau_dyn.calibrate.simulated import to_csv
+from tau_dyn.calibrate.simulated import format_csv
 from tau_dyn.cli import main
 
 
@@ -24,9 +24,9 @@ def campaign(tmp_path_factory):
     rods = rods_of()
     poses, _ = measured(rods, "nonparallel", 120, 5)
     every = np.arange(poses.n)
-    (folder / "poses.csv").write_text(to_csv(poses.take(every[::2]), rods.robot.actuated))
-    (folder / "held.csv").write_text(to_csv(poses.take(every[1::4]), rods.robot.actuated))
-    (folder / "more.csv").write_text(to_csv(poses.take(every[3::4]), rods.robot.actuated))
+    (folder / "poses.csv").write_text(format_csv(poses.take(every[::2]), rods.robot.actuated))
+    (folder / "held.csv").write_text(format_csv(poses.take(every[1::4]), rods.robot.actuated))
+    (folder / "more.csv").write_text(format_csv(poses.take(every[3::4]), rods.robot.actuated))
     held = [str(folder / "held.csv"), str(folder / "more.csv")]
     status = main(
         ["calibrate", "gantry_tau", str(folder / "poses.csv"), "--holdout", *held, "--quiet"]

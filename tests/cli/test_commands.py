@@ -8,7 +8,7 @@ import pytest
 from tau_dyn.cli import main
 from tau_dyn.control import Feedforward
 from tau_dyn.model import Model
-from tau_dyn.robot import short_names
+from tau_dyn.robot import list_robot_names
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def test_robots_and_causes_are_listed(tmp_path, capsys):
     robots, causes = tmp_path / "robots.json", tmp_path / "causes.json"
     assert main(["robots", "--json", str(robots)]) == 0 and main(["causes", "--json", str(causes)]) == 0
     named = {row["name"]: row for row in json.loads(robots.read_text())["robots"]}
-    assert set(short_names()) <= set(named) and named["delta"]["about"].startswith("Delta")
+    assert set(list_robot_names()) <= set(named) and named["delta"]["about"].startswith("Delta")
     rows = json.loads(causes.read_text())["causes"]
     assert {"stribeck", "payload", "force_scale", "rod_length"} <= {row["cause"] for row in rows}
     assert all(row["equation"] for row in rows)

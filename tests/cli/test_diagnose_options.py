@@ -126,7 +126,7 @@ def test_the_controller_is_an_input_and_its_simulation_a_result(tmp_path, law, m
         gains.append(float(law.velocity_gain[0]))
         return replace(found, simulation={"before": {"error": 2.0}, "after": {"error": 1.0}})
 
-    monkeypatch.setattr(SIMULATED, "with_simulation", with_simulation)
+    monkeypatch.setattr(SIMULATED, "add_simulation", with_simulation)
     result = tmp_path / "r.json"
     assert (
         main(["diagnose", "linear_axis", str(tmp_path / "full.csv"), "--controller", law, "--json", str(result)]) == 0

@@ -8,7 +8,7 @@ import pytest
 from tau_dyn.cli import main
 from tau_dyn.vision import Cameras, Pattern, write_cameras
 from tau_dyn.vision.camera import INTRINSICS
-from tau_dyn.vision.render import facing, render
+from tau_dyn.vision.render import draw_facing_rotation, render
 
 cv2 = pytest.importorskip("cv2")
 NUMBERS = np.array([620, 620, 319.5, 239.5, -0.1, 0.0, 0, 0, 0.0])
@@ -20,7 +20,12 @@ def folder(tmp_path_factory):
     rng = np.random.default_rng(0)
     for k in range(2):
         image = render(
-            Pattern(5, 4, 0.05), facing(0.4, k, 0.1), np.array([0.02 * k, 0.0, 1.0]), NUMBERS, (640, 480), rng
+            Pattern(5, 4, 0.05),
+            draw_facing_rotation(0.4, k, 0.1),
+            np.array([0.02 * k, 0.0, 1.0]),
+            NUMBERS,
+            (640, 480),
+            rng,
         )
         cv2.imwrite(str(here / f"at{k}.png"), image)
     (here / "q.csv").write_text("image,q_a\nat0.png,0.1\nat1.png,0.2\n")

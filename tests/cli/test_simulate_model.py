@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.cli import main
-from tau_dyn.effects import EFFECTS, friction_model
+from tau_dyn.effects import EFFECTS, build_friction_model
 from tau_dyn.log import read_log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -22,7 +22,7 @@ def file(request, tmp_path_factory):
     robot = load_robot(request.param)
     first = robot.actuated[:1], robot.force_units[:1]
     ripple = EFFECTS["cyclic_ripple"](*first, label="_tooth", period=0.05)
-    effects = [*friction_model("symmetric", robot.actuated, robot.force_units), ripple, EFFECTS["delay"](*first)]
+    effects = [*build_friction_model("symmetric", robot.actuated, robot.force_units), ripple, EFFECTS["delay"](*first)]
     mass = next(p for p in robot.parameters if p.name.endswith(".mass"))
     values = {f"{first[0][0]}.ripple_sin_tooth": 12.0, f"{first[0][0]}.delay": 0.002, mass.name: 1.2 * mass.value}
     path = tmp_path_factory.mktemp("model") / "m.yaml"

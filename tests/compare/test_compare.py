@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.cli import main
-from tau_dyn.compare import Side, compare, read_side
-from tau_dyn.compare.read import Quantity
+from tau_dyn.compare import ComparedSide, compare, read_side
+from tau_dyn.compare.read import MeasuredQuantity
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
@@ -19,9 +19,9 @@ from tau_dyn.robot import load_robot
 
 def side(quantities, name="a", **more):
     """Return a side with these `name: (value, stderr, unit)`."""
-    found = {n: Quantity(*q) for n, q in quantities.items()}
+    found = {n: MeasuredQuantity(*q) for n, q in quantities.items()}
     given = {"errors": {}, "findings": {}, "logs": frozenset()} | more
-    return Side(Path(name), name, "identify", found, **given)
+    return ComparedSide(Path(name), name, "identify", found, **given)
 
 
 def test_two_estimates_of_one_robot_name_a_change_once_in_twenty(rng):
@@ -173,7 +173,7 @@ def test_reading_a_result_of_identify(tmp_path):
     held_out = {"relative_error_percent": 3.5}
     path.write_text(json.dumps({"command": "identify", "parameters": [row], "inputs": files, "holdout": held_out}))
     read = read_side(path)
-    assert read.quantities["cart1.viscous_pos"] == Quantity(60.0, 2.0, "N/(m/s)")
+    assert read.quantities["cart1.viscous_pos"] == MeasuredQuantity(60.0, 2.0, "N/(m/s)")
     assert read.errors == {"holdout error": (3.5, "%")} and read.logs == {"s"}
     assert np.isclose(compare(read, side({"cart1.viscous_pos": (61.0, 2.0, "N/(m/s)")}, "b")).changes[0].stderr, 8**0.5)
 
@@ -211,9 +211,9 @@ def test_two_runs_say_what_was_different(tmp_path, capsys):
 
 def test_files_are_matched_by_path_then_content_then_name():
     """A log that moved is renamed, one that was recorded again is changed, one that is gone is said."""
-    from tau_dyn.compare.circumstances import input_changes
+    from tau_dyn.compare.circumstances import list_input_changes
 
-    found = input_changes({"a/m.csv": "1", "a/n.csv": "2", "x": "3"}, {"b/m.csv": "1", "b/n.csv": "4", "y": "5"})
+    found = list_input_changes({"a/m.csv": "1", "a/n.csv": "2", "x": "3"}, {"b/m.csv": "1", "b/n.csv": "4", "y": "5"})
     assert [(i.a, i.b, i.state) for i in found] == [
         ("a/m.csv", "b/m.csv", "renamed"),
         ("a/n.csv", "b/n.csv", "changed"),

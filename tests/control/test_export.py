@@ -15,10 +15,10 @@ import pytest
 from tau_dyn.cli import main
 from tau_dyn.control import Feedforward, Program, build_program, c_source, python_source
 from tau_dyn.control.export_model import random_states
-from tau_dyn.effects import EFFECTS, Effect, JointwiseEffect, friction_model
+from tau_dyn.effects import EFFECTS, Effect, JointwiseEffect, build_friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 BY_STATE = (
@@ -43,17 +43,17 @@ def serial_text(write) -> str:
 
 def made(robot: Robot, *effects: Effect, size: float = 5.0) -> Model:
     """Return a model with asymmetric friction and effects, all amplitudes of one size."""
-    model = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), *effects])
+    model = Model.of(robot, [*build_friction_model("asymmetric", robot.actuated, robot.force_units), *effects])
     return model.with_values({name: size * (1 + 0.1 * k) for k, name in enumerate(model.effect_parameters.names)})
 
 
 def built(name: str, write) -> Model:
     """Return a model by a short name."""
     if name == "serial":
-        model = made(robot_from_urdf(serial_text(write), "serial"))
+        model = made(load_robot_from_urdf(serial_text(write), "serial"))
         return model.with_values({"c.armature": 0.4})
     if name == "four_bar":
-        return made(robot_from_urdf(write.four_bar(), "four_bar"))
+        return made(load_robot_from_urdf(write.four_bar(), "four_bar"))
     if name == "complete":
         return made(load_robot("gantry_tau", arms="complete"))
     robot = load_robot(name)
@@ -129,7 +129,7 @@ def test_c_and_python_files_are_the_feedforward(name: str, shape: str, write, tm
 def test_out_of_reach_is_a_status_and_leaves_the_forces_alone(name: str, write, tmp_path) -> None:
     """A controller is never handed a NaN: carts too far apart, a position that is no number, and back to work after it."""
     robot = load_robot("gantry_tau", arms="complete") if name == "complete" else None
-    model = made(robot or (load_robot(name) if name == "gantry_tau" else robot_from_urdf(write.four_bar(), name)))
+    model = made(robot or (load_robot(name) if name == "gantry_tau" else load_robot_from_urdf(write.four_bar(), name)))
     compiled, home = Compiled(build_program(Feedforward(model)), tmp_path), model.robot.home
     rest = np.zeros_like(home)
     wrong = [np.full_like(home, np.nan)] + ([home + np.array([0.0, 3.0, -3.0])] if name != "four_bar" else [])

@@ -12,9 +12,9 @@ from tau_dyn.control import (
     MotorSide,
     NormOptimalLaw,
     TimeShift,
+    design_low_pass,
     dip,
     learning_source,
-    low_pass,
     observer_source,
     product,
 )
@@ -84,7 +84,7 @@ def test_the_zero_phase_observer_takes_a_trial(compiled, rng) -> None:
 def law() -> LearningLaw:
     """Return filters for two channels, one with a dip."""
     side = MotorSide(springy(0.0, 1))
-    Q = low_pass(10, DT), product([low_pass(30, DT), dip(11.0, 2.0, 0.1, DT)])
+    Q = design_low_pass(10, DT), product([design_low_pass(30, DT), dip(11.0, 2.0, 0.1, DT)])
     return LearningLaw(side, Q, TimeShift(0.9, 5, DT))
 
 

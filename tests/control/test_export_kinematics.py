@@ -13,7 +13,7 @@ from tau_dyn.control.export_c_text import identifiers
 from tau_dyn.control.export_check import draw_reachable_positions
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import build_rods, forward_kinematics, inverse_kinematics, jacobian
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 IRB140 = Path(__file__).parents[2] / "experiments" / "lead_through_parts" / "irb140.urdf"
 POSITIONS = 6
@@ -144,7 +144,7 @@ def test_an_arm_with_a_joint_to_spare_stays_near_its_start(write, compiled, rng)
         write.link("tool"),
         f'<joint name="end" type="fixed"><parent link="{parent}"/><child link="tool"/></joint>',
     ]
-    arm = robot_from_urdf(write.text("seven", *rows), "seven")
+    arm = load_robot_from_urdf(write.text("seven", *rows), "seven")
     program = build_kinematics(arm)
     assert program.idle and program.rank == 6
     kin = Kinematics(program, compiled)
@@ -211,7 +211,7 @@ def test_hostile_names_make_plain_c(write, compiled) -> None:
         write.joint(joint, "prismatic", "base_link", "cart_link", "1 0 0"), write.drive(joint),
         '<joint name="end" type="fixed"><parent link="cart_link"/><child link="tool"/></joint>',
     )  # fmt: skip
-    source, header = kinematics_source(build_kinematics(robot_from_urdf(text, "evil\\\n*/ int y; /*")), "kin")
+    source, header = kinematics_source(build_kinematics(load_robot_from_urdf(text, "evil\\\n*/ int y; /*")), "kin")
     compiled((source, header), "kin")
     assert header.count("*/") == 2 and "#define KIN_JOINT_x____error" in header
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.control import Feedforward
-from tau_dyn.effects import EFFECTS, ReducerCoupling, friction_model
+from tau_dyn.effects import EFFECTS, ReducerCoupling, build_friction_model
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -17,7 +17,7 @@ from tau_dyn.robot import load_robot
 def model() -> Model:
     """The L1 with asymmetric friction."""
     robot = load_robot("gantry_tau")
-    plain = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    plain = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
     sizes = {"coulomb_pos": 90.0, "coulomb_neg": 70.0, "viscous_pos": 130.0, "viscous_neg": 110.0}
     return plain.with_values({f"{j}.{k}": x for j in robot.actuated for k, x in sizes.items()})
 
@@ -132,7 +132,7 @@ def extended(name: str, cause: str, size: float = 1e-3) -> Model:
     robot, cls = load_robot(name), EFFECTS[cause]
     joints = robot.actuated[:2] if cause == "reducer_coupling" else robot.actuated
     effect = cls(joints, robot.force_units[: len(joints)])
-    plain = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), effect])
+    plain = Model.of(robot, [*build_friction_model("asymmetric", robot.actuated, robot.force_units), effect])
     values = dict.fromkeys(plain.effects[0].parameters.names, 80.0)
     return plain.with_values(values | dict.fromkeys(effect.parameters.names, SIZES.get(cause, size)))
 

@@ -16,7 +16,7 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, Scene
-from tau_dyn.estimate import Autoregression, Run
+from tau_dyn.estimate import Autoregression, RegressionRun
 from tau_dyn.parameters import Parameter, Parameters
 
 RATE_HZ = 50.0
@@ -116,7 +116,7 @@ def bench(
     for k, motion in enumerate(motions):
         W = baseline(motion)
         y = W @ theta + hidden(motion) + noise * coloured(rng, *motion.v.shape)
-        runs.append(Run(f"log{k}", np.asarray(motion.t), W, y, sure(motion), W, y))
+        runs.append(RegressionRun(f"log{k}", np.asarray(motion.t), W, y, sure(motion), W, y))
     names = [(f"{j}_{what}", x) for j in joints for what, x in KNOWN.items()]
     q, v = (np.concatenate([getattr(m, key) for m in motions]) for key in "qv")
     signals = frozenset.intersection(*(frozenset(m.signals) for m in motions))

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, fit_group, groups, scan_causes
+from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, fit_group, list_joint_groups, scan_causes
 from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
 from tau_dyn.diagnose.group_tests import GroupTest, combine_group_tests
 from tau_dyn.effects import Delay, PositionFriction, QuadraticDrag, ReducerCoupling, Stribeck, ThermalDrift
@@ -196,18 +196,18 @@ def test_groups_that_are_covered_are_not_tried_again(make, rng):
     pairs = (("x", "y"), ("x", "z"), ("y", "z"))
     channel = replace(channel, scene=replace(channel.scene, signals=frozenset({"force"}), coupled=pairs))
     everyone = ("x", "y", "z")
-    assert groups(channel, Delay, set()) == [everyone, ("x",), ("y",), ("z",)]
-    assert groups(channel, Delay, {("delay", everyone)}) == []
-    assert groups(channel, Delay, {("delay", ("x",))}) == [everyone, ("y",), ("z",)]
-    assert groups(channel, Delay, {("stribeck", everyone)}) == groups(channel, Delay, set())
-    assert groups(channel, ReducerCoupling, {("reducer_coupling", ("x", "y"))}) == [("x", "z"), ("y", "z")]
+    assert list_joint_groups(channel, Delay, set()) == [everyone, ("x",), ("y",), ("z",)]
+    assert list_joint_groups(channel, Delay, {("delay", everyone)}) == []
+    assert list_joint_groups(channel, Delay, {("delay", ("x",))}) == [everyone, ("y",), ("z",)]
+    assert list_joint_groups(channel, Delay, {("stribeck", everyone)}) == list_joint_groups(channel, Delay, set())
+    assert list_joint_groups(channel, ReducerCoupling, {("reducer_coupling", ("x", "y"))}) == [("x", "z"), ("y", "z")]
 
 
 def test_what_the_motion_cannot_show_is_not_tried(make, rng):
     """Without a temperature thermal drift has no groups; a joint that never left its slow speeds has no Stribeck grid."""
     channel = make.bench(rng, n=500)
     ground = make.ground(channel)
-    assert groups(channel, ThermalDrift, set()) == []
+    assert list_joint_groups(channel, ThermalDrift, set()) == []
 
     library = ColumnCache(replace(channel, scene=replace(channel.scene, fast=channel.scene.slow)))
     assert fit_group(library, ground, ground.draw_null_residuals(4, rng), Stribeck, ("x",)) is None

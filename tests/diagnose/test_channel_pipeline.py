@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose import channel_pipeline, diagnose, internal_validation
-from tau_dyn.diagnose.channel_pipeline import confirmation, select_confirmed, select_supported
+from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.data_split import TEST
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
@@ -16,11 +16,11 @@ from tau_dyn.diagnose.plausibility import find_inconsistent
 from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.result import Gain
 from tau_dyn.diagnose.stepwise_selection import select_causes
-from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, friction_model
+from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Sensors, named_motion, simulate
+from tau_dyn.simulate import Sensors, build_named_motion, simulate
 
 
 @pytest.mark.parametrize(("last", "within", "stands"), [(1.0, False, True), (-1.0, False, False), (-1.0, True, False)])
@@ -37,7 +37,7 @@ def test_the_last_part_has_a_veto(make, last: float, within: bool, stands: bool)
 
     channel = make.bench(rng, hidden, n=8000, causes=(QuadraticDrag,))
     hunt = select_causes(channel, rng, lambda step: None)
-    tests = [replace(confirmation(channel, hunt, one), within=within) for one in hunt.found]
+    tests = [replace(confirm_cause(channel, hunt, one), within=within) for one in hunt.found]
     claims = select_confirmed(channel, hunt, tests)
     assert [one.candidate.cause for one in claims.kept] == ["quadratic_drag"]
     stood, bars = select_supported(channel, hunt, claims, rng)
@@ -48,7 +48,7 @@ def test_the_last_part_has_a_veto(make, last: float, within: bool, stands: bool)
 def stand(channel, rng):
     """Return the claims that stand of one cause, and the recommendation."""
     hunt = select_causes(channel, rng, lambda step: None)
-    claims = select_confirmed(channel, hunt, [confirmation(channel, hunt, one) for one in hunt.found])
+    claims = select_confirmed(channel, hunt, [confirm_cause(channel, hunt, one) for one in hunt.found])
     claims, bars = select_supported(channel, hunt, claims, rng)
     return claims, recommend(channel, hunt, claims, bars, rng)
 
@@ -143,14 +143,14 @@ def test_noise_is_made_once_and_divided_as_a_second_search_is(make, rng):
 def test_a_log_that_is_not_what_it_claims_confirms_nothing():
     """Forces of the wrong sign name no cause, whatever fits them, and leave neither model to use."""
     axis = load_robot("linear_axis")
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
         {
             f"axis.{key}": x
             for key, x in (("coulomb_pos", 20), ("coulomb_neg", 21), ("viscous_pos", 200), ("viscous_neg", 210))
         }
     )
     sensors = Sensors(encoder_noise=1e-6, force_noise=1.0, log_rate_hz=250.0)
-    log = simulate(model, named_motion("fourier", model, 30.0, 2), sensors=sensors, seed=2)
+    log = simulate(model, build_named_motion("fourier", model, 30.0, 2), sensors=sensors, seed=2)
     turned = replace(log, channels={**log.channels, "tau_axis": -log.channels["tau_axis"]})
     found = diagnose(axis, [turned])
     assert found.verdict == "cannot_tell" and found.recommendation == "neither" and found.exit_status == 3

@@ -5,16 +5,16 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION, split_by_blocks
-from tau_dyn.estimate import Run
+from tau_dyn.estimate import RegressionRun
 
 RATE_HZ = 100.0
 
 
-def run_of(duration: float, start: float = 0.0) -> Run:
+def run_of(duration: float, start: float = 0.0) -> RegressionRun:
     """Return a run of this length [s]."""
     n = round(duration * RATE_HZ)
     none, y = np.zeros((n, 1, 0)), np.zeros((n, 1))
-    return Run("made", start + np.arange(n) / RATE_HZ, none, y, np.ones((n, 1), bool), none, y)
+    return RegressionRun("made", start + np.arange(n) / RATE_HZ, none, y, np.ones((n, 1), bool), none, y)
 
 
 def share(parts: np.ndarray, number: int) -> float:

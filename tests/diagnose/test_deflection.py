@@ -7,15 +7,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.deflection import deflection_channel, diagnose_deflection
-from tau_dyn.diagnose.noise import noise_models
+from tau_dyn.diagnose.deflection import build_deflection_channel, diagnose_deflection
+from tau_dyn.diagnose.noise import fit_noise_models
 from tau_dyn.diagnose.null_model import NullModel
-from tau_dyn.diagnose.stiffness import stiffness_readings
+from tau_dyn.diagnose.stiffness import estimate_stiffness
 from tau_dyn.effects import EFFECTS
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import ColumnMap, Log
-from tau_dyn.log.column_names import signal_and_joint
-from tau_dyn.robot import robot_from_urdf
+from tau_dyn.log.column_names import split_column_name
+from tau_dyn.robot import load_robot_from_urdf
 
 JOINTS = ("shoulder", "elbow", "wrist")  # the wrist has no encoder on its load side
 STIFFNESS = 5e6  # [N m/rad]
@@ -30,7 +30,7 @@ _PARTS = [
     f'<actuator name="{child}_motor"/></transmission>'
     for parent, child in zip(("base", *JOINTS), JOINTS, strict=False)
 ]
-robot = robot_from_urdf(f'<robot name="arm"><link name="base_link"/>{"".join(_PARTS)}</robot>', "arm")
+robot = load_robot_from_urdf(f'<robot name="arm"><link name="base_link"/>{"".join(_PARTS)}</robot>', "arm")
 
 
 def motion(rng: np.random.Generator, duration: float = 40.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,8 +103,8 @@ def test_a_loop_left_out_makes_the_joint_look_soft(rng) -> None:
     """Friction lets torque follow the direction of motion, so compliance takes the loop over: the stiffness drops by half."""
     t, q, tau = motion(rng)
     load = q - spring(tau) - 2e-4 * bristle(q, 0.03)
-    channel = deflection_channel(robot, [recorded(t, q, tau, load, rng)])
-    readings = {reading.causes: reading for reading in stiffness_readings(channel)}
+    channel = build_deflection_channel(robot, [recorded(t, q, tau, load, rng)])
+    readings = {reading.causes: reading for reading in estimate_stiffness(channel)}
     alone, both = readings[("joint_compliance",)], readings[("joint_compliance", "hysteresis")]
     assert_allclose(both.stiffness, STIFFNESS, rtol=0.15)
     assert np.all(alone.stiffness < 0.65 * both.stiffness)
@@ -131,7 +131,7 @@ def test_a_late_encoder_passes_for_a_soft_joint_with_a_loop(rng) -> None:
     t, q, tau = motion(rng)
     late = CubicSpline(t, q)(t - 3e-3)
     log = recorded(t, q, tau, late, rng)
-    readings = {r.causes: r for r in stiffness_readings(deflection_channel(robot, [log]))}
+    readings = {r.causes: r for r in estimate_stiffness(build_deflection_channel(robot, [log]))}
     assert np.all(readings[("joint_compliance",)].stiffness < 1e7)
     assert np.all(readings[("joint_compliance", "clock_offset")].stiffness > 1e8)
     displacements = [EFFECTS[name] for name in ("joint_compliance", "hysteresis", "backlash", "pinion_scale")]
@@ -159,7 +159,7 @@ def test_every_log_has_its_own_zeros(rng) -> None:
     one, other = (recorded(t, q, tau, q, rng, name) for name in "ab")
     whole = np.abs(t - 20) > 1
     cut = Log(t[whole], {key: x[whole] for key, x in one.channels.items()}, name="a")
-    channel = deflection_channel(robot, [cut], [other])
+    channel = build_deflection_channel(robot, [cut], [other])
     assert channel.parameters.names == ("shoulder.zero_1", "elbow.zero_1", "shoulder.zero_2", "elbow.zero_2")
     assert [run.name for run in channel.runs] == ["a", "a", "b"]
     for run, own, rest in zip(channel.runs, (0, 0, 2), (2, 2, 0), strict=True):
@@ -172,8 +172,8 @@ def test_quick_scan_explains_what_the_exact_columns_do(rng) -> None:
     t, q, tau = motion(rng)
     load = q.copy()
     load[:, 1] -= 2e-5 * np.sin(2 * np.pi * q[:, 1] / 0.04)
-    channel = deflection_channel(robot, [recorded(t, q, tau, load, rng)])
-    ground = NullModel.of(channel, (0,), noise_models(channel, (0,)))
+    channel = build_deflection_channel(robot, [recorded(t, q, tau, load, rng)])
+    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
     make = EFFECTS["transmission_error"]
     effects = [make(["elbow"], ["N m"], **s) for s in make.grid(channel.scene, ("elbow",))]
     quick = channel.scan(
@@ -202,6 +202,6 @@ def test_what_is_missing_is_said(rng) -> None:
 
 def test_q_link_is_a_signal_of_its_joint() -> None:
     """`q_link_elbow` is the load side of `elbow`, not the position of `link_elbow`; a column map may define it."""
-    assert signal_and_joint("q_link_elbow") == ("q_link", "elbow")
-    assert signal_and_joint("q_linkage") == ("q", "linkage")
+    assert split_column_name("q_link_elbow") == ("q_link", "elbow")
+    assert split_column_name("q_linkage") == ("q", "linkage")
     assert "q_link_elbow" in ColumnMap.from_dict({"q_link_elbow": "se_1"}).sources

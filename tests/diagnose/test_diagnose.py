@@ -11,18 +11,18 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import named_motion
+from tau_dyn.simulate import build_named_motion
 
 RATE_HZ = 250.0
 NOISE_N, ENCODER_M = 2.0, 2e-6
 FRICTION = {"coulomb_pos": 20.0, "coulomb_neg": 21.0, "viscous_pos": 200.0, "viscous_neg": 190.0}
 
 axis = load_robot("linear_axis")
-truth = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
+truth = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
     {f"axis.{name}": x for name, x in FRICTION.items()}
 )
 
@@ -38,7 +38,7 @@ def logged(t, q, v, a, hidden=0.0, seed=0, late=0.0, name="made.csv", **channels
 
 def recorded(hidden=lambda q, v, t: 0.0, *, duration=40.0, seed=0, **more) -> Log:
     """Return a log of constant-speed strokes."""
-    path = named_motion("strokes", truth, duration, seed).every(round(1000 / RATE_HZ))
+    path = build_named_motion("strokes", truth, duration, seed).every(round(1000 / RATE_HZ))
     t, q, v, a = path.t, path.q[:, 0], path.v[:, 0], path.a[:, 0]
     return logged(t, q, v, a, hidden(q, v, t), seed, **more)
 

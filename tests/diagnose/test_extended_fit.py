@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.diagnose.data_split import TEST, TRAIN
-from tau_dyn.diagnose.extended_fit import compute_errors, compute_gain, extended_regression, fit_extended_model
+from tau_dyn.diagnose.extended_fit import build_extended_regression, compute_errors, compute_gain, fit_extended_model
 from tau_dyn.effects import ViscousAsymmetry
 
 EFFECT = ViscousAsymmetry(("x",), ("N",))
@@ -69,7 +69,7 @@ def test_an_interval_covers_the_gain_of_other_data(channel, make):
 
 def test_the_columns_of_effects_stand_after_the_baselines(channel):
     """Parameters and columns keep one order, so values find their columns."""
-    regression = extended_regression(channel, (EFFECT,))
+    regression = build_extended_regression(channel, (EFFECT,))
     assert regression.parameters.names == (*channel.parameters.names, "x.viscous_asymmetry")
     assert_allclose(regression.runs[0].W[:, 0, -1], np.abs(channel.motions[0].v[:, 0]))
     assert_allclose(regression.runs[0].W[:, :, :-1], channel.runs[0].W)

@@ -16,16 +16,16 @@ from tau_dyn.diagnose import diagnose
 from tau_dyn.diagnose.channel_pipeline import MIN_AMPLITUDE_Z
 from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
 from tau_dyn.diagnose.filters import decimate_log
-from tau_dyn.diagnose.group_tests import Candidate, GroupTest
+from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest
 from tau_dyn.diagnose.noise_only_bootstrap import estimate_noncentrality, simulate_noise_only_logs
 from tau_dyn.diagnose.plausibility import is_distinct_from_zero
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.effects.cyclic_ripple import CyclicRipple
 from tau_dyn.log import Log, lowpass
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Sensors, named_motion, simulate
+from tau_dyn.simulate import Sensors, build_named_motion, simulate
 
 RATE_HZ = 500.0
 JOINTS = ("one", "two")
@@ -78,7 +78,7 @@ def test_motion_that_fills_the_band_leaves_its_upper_part():
 def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
     """Taps fitted to the made log are those of the loop, sign and all."""
     axis = load_robot("linear_axis")
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units))
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units))
     rng = np.random.default_rng(3)
     t = np.arange(15_000) / RATE_HZ
     w = 2 * np.pi * 0.7
@@ -97,7 +97,7 @@ def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
 def test_made_logs_round_as_the_measured_one_did():
     """Steps of 16 um behind noise of 1.7 um: moving, made positions err by 5 um, not 7; at rest by as much, over many draws."""
     axis, step, sd = load_robot("linear_axis"), 16.3e-6, 1.67e-6
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units))
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units))
     rng, t = np.random.default_rng(5), np.arange(8000) / RATE_HZ
     w = 2 * np.pi * 0.25
     q = (0.03 * np.sin(w * np.minimum(t, 4.0 * t[-1] / 8)))[:, None]
@@ -117,7 +117,7 @@ def test_made_logs_round_as_the_measured_one_did():
 def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
     """A 2 kHz drive answers by two samples; in made logs at 250 Hz gain and phase at 5 and 20 Hz are its own: 10 %, 0.1 rad."""
     axis = load_robot("linear_axis")
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units))
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units))
     rng, rate, gains = np.random.default_rng(4), 2000.0, (2e4, 400.0)
     t = np.arange(200_000) / rate
     noise = 5e-6 * rng.standard_normal((len(t), 1))
@@ -140,11 +140,11 @@ def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
 def test_no_cause_is_found_in_a_loop_closed_through_the_encoder():
     """A cascade answers the encoder's noise, with a phase; without its answer counted, it passes for a spring."""
     axis = load_robot("linear_axis")
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
         {"axis.coulomb_pos": 20.0, "axis.coulomb_neg": 21.0, "axis.viscous_pos": 200.0, "axis.viscous_neg": 190.0}
     )
     sensors = Sensors(encoder_noise=1e-5, force_noise=1.0, log_rate_hz=RATE_HZ)
-    log = simulate(model, named_motion("fourier", model, 60.0, 1), sensors=sensors, seed=1)
+    log = simulate(model, build_named_motion("fourier", model, 60.0, 1), sensors=sensors, seed=1)
     found = diagnose(axis, [log])
     assert [f.cause for f in found.findings if f.status == "confirmed"] == []
 
@@ -152,24 +152,24 @@ def test_no_cause_is_found_in_a_loop_closed_through_the_encoder():
 def test_rests_at_reversals_are_no_cause():
     """Friction of 60 N holds an axis at rest for moments that coarse encoders do not show; they pass for no hysteresis."""
     axis = load_robot("linear_axis")
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units)).with_values(
         {"axis.coulomb_pos": 60.0, "axis.coulomb_neg": 65.0, "axis.viscous_pos": 200.0, "axis.viscous_neg": 190.0}
     )
     sensors = Sensors(encoder_noise=2e-5, force_noise=1.0, log_rate_hz=RATE_HZ)
-    log = simulate(model, named_motion("prbs", model, 60.0, 1), sensors=sensors, seed=1, feedback="ideal")
+    log = simulate(model, build_named_motion("prbs", model, 60.0, 1), sensors=sensors, seed=1, feedback="ideal")
     assert [f.cause for f in diagnose(axis, [log]).findings if f.status == "confirmed"] == []
 
 
 def test_noise_too_small_to_bound_the_motion_ends_no_diagnosis():
     """Encoders of 0.1 um show motion up to half the rate; 8 N of ripple are still named beside a whole motion."""
     axis = load_robot("linear_axis")
-    effects = [*friction_model("asymmetric", axis.actuated, axis.force_units)]
+    effects = [*build_friction_model("asymmetric", axis.actuated, axis.force_units)]
     effects += [CyclicRipple(axis.actuated, axis.force_units, period=0.02)]
     model = Model.of(axis, effects).with_values(
         {"axis.coulomb_pos": 60.0, "axis.coulomb_neg": 65.0, "axis.ripple_sin": 8.0}
     )
     sensors = Sensors(encoder_noise=1e-7, force_noise=1.0, log_rate_hz=250.0)
-    log = simulate(model, named_motion("fourier", model, 30.0, 2), sensors=sensors, seed=2)
+    log = simulate(model, build_named_motion("fourier", model, 30.0, 2), sensors=sensors, seed=2)
     assert "cyclic_ripple" in [f.cause for f in diagnose(axis, [log]).findings if f.status == "confirmed"]
 
 
@@ -249,6 +249,6 @@ def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch)
 
     a, b, ground = fit("a", 22.0), fit("b", 60.0), cast(Any, SimpleNamespace(noise=()))
     noise = noise_only_bootstrap.NoiseOnlyBootstrap(lambda: [None])
-    left = noise.reject_artefacts(ground, Candidate("spring", (b, a), 0.0, (a, b)), [], 20)
+    left = noise.reject_artefacts(ground, CandidateCause("spring", (b, a), 0.0, (a, b)), [], 20)
     assert left is not None and left.fits == (b,)
-    assert noise.reject_artefacts(ground, Candidate("spring", (a,), 0.0, (a,)), [], 20) is None
+    assert noise.reject_artefacts(ground, CandidateCause("spring", (a,), 0.0, (a,)), [], 20) is None

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.nominal import parameter_findings
+from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def l1() -> Model:
 @pytest.fixture
 def one(write) -> Model:
     """Return a block, whose single mass hides a gain."""
-    return Model.of(robot_from_urdf(write.block(), "block"))
+    return Model.of(load_robot_from_urdf(write.block(), "block"))
 
 
 def judged(model, factor, stderr=0.005, only=()):
@@ -28,7 +28,7 @@ def judged(model, factor, stderr=0.005, only=()):
     for p in masses:
         k = factor.get(p.name, 1.0) if isinstance(factor, dict) else factor
         rows.append(Parameter(p.name, k * p.value, "kg", 0.0, stderr=stderr * p.value))
-    return parameter_findings(model, model.parameters, Parameters(rows))
+    return find_parameter_changes(model, model.parameters, Parameters(rows))
 
 
 def test_masses_within_two_per_cent_are_as_the_file_says(l1, one):
@@ -95,15 +95,15 @@ def test_what_the_fit_does_not_know_is_not_compared(l1):
     for change in ({"stderr": None}, {"free": False}):
         p = l1.parameters["cart1_link.mass"]
         row = Parameter(p.name, 1.5 * p.value, "kg", **{"stderr": 0.01, **change})
-        assert parameter_findings(l1, l1.parameters, Parameters([row])) == []
+        assert find_parameter_changes(l1, l1.parameters, Parameters([row])) == []
 
 
 def test_a_robot_file_that_trusts_its_mass_less_is_believed(one):
     """20 % off is nothing where the file says 15 %."""
     vague = one.parameters.update({"block_link.mass": {"prior_stderr": 0.15 * 5}})
     row = Parameters([Parameter("block_link.mass", 6.0, "kg", stderr=0.01)])
-    assert parameter_findings(one, vague, row) == []
-    assert len(parameter_findings(one, one.parameters, row)) == 1
+    assert find_parameter_changes(one, vague, row) == []
+    assert len(find_parameter_changes(one, one.parameters, row)) == 1
 
 
 def test_a_number_that_no_machine_has_is_suspected():
@@ -114,5 +114,5 @@ def test_a_number_that_no_machine_has_is_suspected():
     mass = nominal["carriage_link.mass"].value
     for factor, status in ((2.0, "parameter"), (100.0, "suspected")):
         changes = {"carriage_link.mass": {"value": factor * mass, "stderr": 0.001 * factor * mass}}
-        (finding,) = parameter_findings(model, nominal, nominal.update(changes))
+        (finding,) = find_parameter_changes(model, nominal, nominal.update(changes))
         assert finding.status == status and ("plausible" in finding.why_not_confirmed) == (status == "suspected")

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy import linalg, stats
 from scipy.optimize import nnls
 
-from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics, orthonormal
+from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics, orthonormalise
 from tau_dyn.effects import QuadraticDrag, Stribeck, ViscousAsymmetry
 
 
@@ -167,7 +167,7 @@ def test_the_noncentrality_of_the_true_column_is_lambda(make, rng):
 def test_an_orthonormal_basis_leaves_dependent_columns_out(rng):
     """Of a, b, a + b and zero two directions are left, whatever their units."""
     a, b = rng.normal(size=(2, 50))
-    Q = orthonormal(np.column_stack([1e6 * a, 1e-6 * b, a + b, np.zeros(50)]))
+    Q = orthonormalise(np.column_stack([1e6 * a, 1e-6 * b, a + b, np.zeros(50)]))
     assert Q.shape == (50, 2)
     assert_allclose(Q.T @ Q, np.eye(2), atol=1e-12)
     assert_allclose(Q @ (Q.T @ (a - 3 * b)), a - 3 * b, atol=1e-9)

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.nominal import parameter_findings
+from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.result import Finding
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log
@@ -94,7 +94,7 @@ def judged(robot) -> Callable[..., list[Finding]]:
 
     def judge(log: Log, baseline: Identification | None = None) -> list[Finding]:
         fit = identify(robot, [log], model="asymmetric" if baseline is None else baseline.model)
-        return parameter_findings(fit.model, fit.nominal, fit.parameters, fit.estimate)
+        return find_parameter_changes(fit.model, fit.nominal, fit.parameters, fit.estimate)
 
     return judge
 

@@ -5,7 +5,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from tau_dyn.diagnose.periodogram import carried_back, explained_by_periods, of_displacement, of_force
+from tau_dyn.diagnose.periodogram import (
+    build_displacement_terms,
+    build_force_terms,
+    compute_period_statistics,
+    project_to_samples,
+)
 from tau_dyn.effects import CyclicRipple
 
 CUTOFF_HZ = 10.0
@@ -57,7 +62,7 @@ def scanned(q, v, force, periods, rng, cutoff_hz=OPEN_HZ, terms=None, draws=24):
     """Return T (g,) of a white residual that holds a force, and T (g, d) of noise alone."""
     e = force + rng.standard_normal(len(q))
     u = np.column_stack([e, rng.standard_normal((len(q), draws))])
-    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, cutoff_hz, terms or of_force(q))
+    T = compute_period_statistics(q, v, u, np.ones(len(q), bool), periods, cutoff_hz, terms or build_force_terms(q))
     return e, T[:, 0], T[:, 1:]
 
 
@@ -88,7 +93,7 @@ def test_a_filtered_ripple_is_weighed_by_what_its_speed_leaves_of_it(rng, weight
     weights = np.array([weight(abs(s), periods) for s in v])
     mine = weight(0.1, np.array([period]))[0]
     size = np.array([weight(abs(s), np.array([period]))[0] for s in v]) / mine
-    terms = of_force(q) if weight is passed else of_displacement(v, 0 * v)
+    terms = build_force_terms(q) if weight is passed else build_displacement_terms(v, 0 * v)
     e, T, noise = scanned(q, v, 0.4 * size * np.sin(2 * np.pi * q / period), periods, rng, CUTOFF_HZ, terms)
     truth = exact(q, weights / mine, periods, e)
     best = int(np.argmax(T))
@@ -105,9 +110,9 @@ def test_a_long_wave_is_seen_by_its_slope_times_the_acceleration(rng):
     periods = lines_of(q, fewest=2.0, most=12.0)
     w = 2 * np.pi / periods[9]
     force = np.real((1j * w * a - w**2 * v**2) * np.exp(1j * (w * q + 0.7)))
-    e, T, _ = scanned(q, v, 0.3 / np.std(force) * force, periods, rng, terms=of_displacement(v, a))
+    e, T, _ = scanned(q, v, 0.3 / np.std(force) * force, periods, rng, terms=build_displacement_terms(v, a))
     assert abs(int(np.argmax(T)) - 9) <= 1 and T[9] > 300
-    without = scanned(q, v, 0.3 / np.std(force) * force, periods, rng, terms=of_displacement(v, 0 * a))[1]
+    without = scanned(q, v, 0.3 / np.std(force) * force, periods, rng, terms=build_displacement_terms(v, 0 * a))[1]
     assert T[9] > 2 * without[9]
 
 
@@ -129,10 +134,12 @@ def test_the_scan_sees_through_whitening_gaps_and_a_refitted_baseline(make, rng)
     ground = make.ground(channel)
     grid = [{"period": x} for x in lines_of(channel.motions[0].q, most=40.0)]
     both = np.column_stack([ground.e, ground.draw_null_residuals(24, rng)])
-    (u,) = carried_back(ground.whiten.rows, both)
+    (u,) = project_to_samples(ground.whiten.rows, both)
     motion, mask = channel.motions[0], channel.masks(0)[0][:, 0]
     periods = np.array([s["period"] for s in grid])
-    T = explained_by_periods(motion.q[:, 0], motion.v[:, 0], u, mask, periods, OPEN_HZ, of_force(motion.q))[:, 0]
+    T = compute_period_statistics(
+        motion.q[:, 0], motion.v[:, 0], u, mask, periods, OPEN_HZ, build_force_terms(motion.q)
+    )[:, 0]
     best = int(np.argmax(T))
     C = ground.whiten_columns(channel.columns(CyclicRipple(("x",), ("N",), **grid[best])))
     s = C.T @ ground.e
@@ -145,6 +152,9 @@ def test_samples_that_do_not_count_do_not_count(rng):
     q, v = strokes(3000, [0.1])
     periods = lines_of(q)
     u, mask = rng.standard_normal((3000, 25)), rng.uniform(size=3000) < 0.7
-    T = explained_by_periods(q, v, u, mask, periods, OPEN_HZ, of_force(q))
-    assert_allclose(explained_by_periods(q, v, np.where(mask[:, None], u, 1e9), mask, periods, OPEN_HZ, of_force(q)), T)
-    assert not explained_by_periods(q, v, u, np.zeros(3000, bool), periods, OPEN_HZ, of_force(q)).any()
+    T = compute_period_statistics(q, v, u, mask, periods, OPEN_HZ, build_force_terms(q))
+    assert_allclose(
+        compute_period_statistics(q, v, np.where(mask[:, None], u, 1e9), mask, periods, OPEN_HZ, build_force_terms(q)),
+        T,
+    )
+    assert not compute_period_statistics(q, v, u, np.zeros(3000, bool), periods, OPEN_HZ, build_force_terms(q)).any()

@@ -3,14 +3,14 @@
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from tau_dyn.diagnose.pieces import directions, without_ends
-from tau_dyn.log import edge_samples, lowpass
+from tau_dyn.diagnose.pieces import find_directions, mask_filter_edges
+from tau_dyn.log import compute_edge_samples, lowpass
 
 
 def test_a_joint_stays_on_the_side_from_which_it_came():
     """Too slow to tell, it keeps the last sure direction; before the first, that of the first, which is known to be a guess."""
     v = np.array([0.1, -2.0, 0.1, 0.3, 2.0, -0.1])[:, None]
-    sign, known = directions(v, np.array([1.0]))
+    sign, known = find_directions(v, np.array([1.0]))
     assert_array_equal(sign[:, 0], [-1, -1, -1, -1, 1, 1])
     assert_array_equal(known[:, 0], [False, True, True, True, True, True])
 
@@ -18,7 +18,7 @@ def test_a_joint_stays_on_the_side_from_which_it_came():
 def test_a_joint_that_never_surely_moves_has_no_direction():
     """Beside one that moves."""
     v = np.array([[0.1, 3.0], [-0.2, -3.0]])
-    sign, known = directions(v, np.array([1.0, 1.0]))
+    sign, known = find_directions(v, np.array([1.0, 1.0]))
     assert_array_equal(sign, [[0, 1], [0, -1]])
     assert_array_equal(known, [[False, True], [False, True]])
 
@@ -29,7 +29,7 @@ def test_samples_that_count_do_not_feel_how_a_filter_starts():
     knock = np.zeros(n)
     knock[0] = knock[-1] = 1.0
     felt = np.abs(lowpass(np.pad(knock, n), cutoff, rate)[n : 2 * n])[::factor]
-    counts = without_ends(np.ones((n, 2), bool), cutoff, rate, factor)
+    counts = mask_filter_edges(np.ones((n, 2), bool), cutoff, rate, factor)
     assert counts.shape == (len(felt), 2)
     assert felt[counts[:, 0]].max() < 0.01 * felt.max()
-    assert (~counts[:, 1]).sum() <= 2 * (edge_samples(cutoff, rate) / factor + 1)
+    assert (~counts[:, 1]).sum() <= 2 * (compute_edge_samples(cutoff, rate) / factor + 1)

@@ -11,7 +11,7 @@ import pytest
 
 from tau_dyn.diagnose import Diagnosis, diagnose
 from tau_dyn.diagnose.position_periodicity import detect_position_periodicity
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
@@ -24,7 +24,7 @@ PERIOD, SIZE, STEP = 0.033, 8e-6, 16e-6
 def shown(n_waves: float, kind: str) -> Log:
     """Return a log of the linear axis; `kind` is `encoder` (it errs), `motion` (it truly moves so) or `none`."""
     axis = load_robot("linear_axis")
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units))
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units))
     rng, t = np.random.default_rng(4), np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
     q, v, a = np.zeros((3, len(t), 1))
     for f, size in ((0.31, 0.12), (0.53, 0.1), (0.83, 0.06)):

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.diagnose.candidates import candidate_pieces
-from tau_dyn.diagnose.design import Setting, flattened, force, gram, planned, refitted, seen
+from tau_dyn.diagnose.candidates import build_candidate_pieces
+from tau_dyn.diagnose.design import (
+    Setting,
+    build_effect_columns,
+    build_planned_motion,
+    build_refitted_columns,
+    compute_effect_force,
+    compute_gram_matrix,
+    flatten_noise_spectrum,
+)
 from tau_dyn.diagnose.diagnose import diagnose
-from tau_dyn.diagnose.plan import pair_plan, scene_of
+from tau_dyn.diagnose.plan import build_design_scene, build_discrimination_plan
 from tau_dyn.diagnose.propose import optimise_by_exchange, propose_motion
 from tau_dyn.diagnose.question import CauseHypothesis, DesignGoal, find_design_goal
 from tau_dyn.diagnose.result import Diagnosis, Finding
@@ -22,7 +30,7 @@ from tau_dyn.identify import build_model
 from tau_dyn.log import Log, lowpass
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Trajectory, broken_limit, slow_motion
+from tau_dyn.simulate import Trajectory, build_slow_motion, describe_exceeded_limit
 
 robot = load_robot("linear_axis")
 model = build_model(robot, "asymmetric")
@@ -58,7 +66,7 @@ def told(motion: Trajectory, x: np.ndarray, rival: np.ndarray) -> float:
 @pytest.fixture(scope="module")
 def dull() -> Trajectory:
     """A slow circle of at most 0.06 m/s."""
-    return slow_motion(model, 40.0, 0, speed=0.06)
+    return build_slow_motion(model, 40.0, 0, speed=0.06)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +115,7 @@ def test_notes_say_how_sure_the_answer_will_be(motion):
 
 def test_the_motion_can_be_driven(motion, confused, tmp_path):
     """It has the length asked for, starts and ends at rest at home, keeps within the robot's limits, and survives its file."""
-    assert broken_limit(confused.extended_model, motion) is None
+    assert describe_exceeded_limit(confused.extended_model, motion) is None
     assert motion.duration == pytest.approx(40, rel=0.02) and np.allclose(motion.v[[0, -1]], 0, atol=1e-5)
     assert_allclose(motion.q[[0, -1]], np.tile(robot.home, (2, 1)), atol=1e-9)
     motion.to_csv(tmp_path / "m.csv")
@@ -128,15 +136,17 @@ def test_lambda_is_what_least_squares_leaves(confused):
     setting = replace(setting, noise=(Autoregression(np.zeros(0), setting.noise[0].variance),))
     drag = QuadraticDrag((JOINT,), (UNIT,))
     suspect = CauseHypothesis("quadratic_drag", (drag,), Parameters([replace(p, value=200.0) for p in drag.parameters]))
-    motion, counts = planned(setting, slow_motion(model, 20.0, 1, speed=0.1))
-    plan = pair_plan(setting, DesignGoal(((suspect, "stribeck"),)), scene_of(setting, [motion], frozenset()))
-    (found,) = plan.strengths(gram(setting, motion, counts, plan.things))
+    motion, counts = build_planned_motion(setting, build_slow_motion(model, 20.0, 1, speed=0.1))
+    plan = build_discrimination_plan(
+        setting, DesignGoal(((suspect, "stribeck"),)), build_design_scene(setting, [motion], frozenset())
+    )
+    (found,) = plan.strengths(compute_gram_matrix(setting, motion, counts, plan.things))
     used, sigma = counts[:, 0], np.sqrt(setting.noise[0].variance)
-    B = refitted(model, ())(motion)[used, 0] / sigma
-    x = force(setting, (drag,), suspect.values)(motion)[used, 0, 0] / sigma
+    B = build_refitted_columns(model, ())(motion)[used, 0] / sigma
+    x = compute_effect_force(setting, (drag,), suspect.values)(motion)[used, 0, 0] / sigma
     left = []
     for effect in plan.lines[0].instead.groups[0]:
-        A = np.column_stack([B, seen(setting, effect)(motion)[used, 0] / sigma])
+        A = np.column_stack([B, build_effect_columns(setting, effect)(motion)[used, 0] / sigma])
         A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         amplitude = np.linalg.lstsq(A, x, rcond=1e-10)[0]
         if amplitude[-1] > 0:
@@ -155,10 +165,12 @@ def test_the_exchange_finds_the_best_combination(confused):
         (CauseHypothesis("stribeck", (peak,), values[0]), "quadratic_drag"),
         (CauseHypothesis("quadratic_drag", (drag,), values[1]), "stribeck"),
     )
-    pieces = candidate_pieces(model, 10.0, 8, np.random.default_rng(2))
-    motions = [planned(setting, piece) for piece in pieces]
-    plan = pair_plan(setting, DesignGoal(pairs), scene_of(setting, [m for m, _ in motions], frozenset()))
-    grams = np.array([gram(setting, m, counts, plan.things) for m, counts in motions])
+    pieces = build_candidate_pieces(model, 10.0, 8, np.random.default_rng(2))
+    motions = [build_planned_motion(setting, piece) for piece in pieces]
+    plan = build_discrimination_plan(
+        setting, DesignGoal(pairs), build_design_scene(setting, [m for m, _ in motions], frozenset())
+    )
+    grams = np.array([compute_gram_matrix(setting, m, counts, plan.things) for m, counts in motions])
     most = plan.most(grams)
     every = [plan.merit(grams[i] + grams[j], most) for i in range(8) for j in range(i, 8)]
     first, second = optimise_by_exchange(plan, grams, 2)
@@ -169,7 +181,7 @@ def test_the_noise_goes_on_above_the_low_pass(rng):
     """White noise that a low-pass took the upper end of counts as white again, of the density it has below."""
     x = rng.standard_normal(200_000)
     cut = fit_autoregression([lowpass(x, 40.0, 100.0)], 8)
-    whole = flattened(cut)
+    whole = flatten_noise_spectrum(cut)
     response = np.abs(1 - np.exp(-2j * np.pi * np.outer([0.02, 0.1, 0.3, 0.48], np.arange(1, 9))) @ whole.phi) ** -2.0
     shape = response / response[0]
     assert_allclose(shape, 1, atol=0.4)

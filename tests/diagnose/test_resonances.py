@@ -16,8 +16,8 @@ import structural_resonances as study
 from tau_dyn.diagnose import Diagnosis, diagnose
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.force_diagnosis import fit_baseline
-from tau_dyn.diagnose.noise import noise_models
-from tau_dyn.diagnose.resonances import proposed, with_band, with_resonances
+from tau_dyn.diagnose.noise import fit_noise_models
+from tau_dyn.diagnose.resonances import add_band_note, add_resonances, propose_resonances
 from tau_dyn.effects import Motion, Scene, StructuralCompliance
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.identify import build_model
@@ -72,18 +72,18 @@ def test_the_extended_model_predicts_what_swings(found) -> None:
 
 def test_proposals_are_near_the_truth_and_absent_from_a_rigid_axis() -> None:
     """The black-box fit alone: both modes within 1 % and 20 % of damping; without pendulums nothing is proposed."""
-    got = sorted(proposed(channel_of(1)))
+    got = sorted(propose_resonances(channel_of(1)))
     assert len(got) == 2
     for (f, z), (true, damping, _) in zip(got, TRUTH, strict=True):
         assert f == pytest.approx(true, rel=0.01) and z == pytest.approx(damping, rel=0.2)
-    assert proposed(channel_of(2, ())) == ()
+    assert propose_resonances(channel_of(2, ())) == ()
 
 
 def test_a_proposed_resonance_does_not_count_as_noise() -> None:
     """The noise model of a ringing axis is that of the rigid one within a few percent once the modes are proposed."""
     channel = channel_of(1)
-    ringing, known = (noise_models(c, (0,))[0] for c in (channel, with_resonances(channel)))
-    rigid = noise_models(channel_of(1, ()), (0,))[0]
+    ringing, known = (fit_noise_models(c, (0,))[0] for c in (channel, add_resonances(channel)))
+    rigid = fit_noise_models(channel_of(1, ()), (0,))[0]
     assert known.variance == pytest.approx(rigid.variance, rel=0.2)
     assert ringing.variance > 1.5 * known.variance
 
@@ -91,17 +91,17 @@ def test_a_proposed_resonance_does_not_count_as_noise() -> None:
 def test_what_lies_above_the_encoders_band_says_which_data_would_tell(found) -> None:
     """Above the band in which encoders show the motion a sentence and an experiment are added; below, nothing."""
     first = found.findings[0]
-    assert with_band(first, 15.0) is first
-    said = with_band(first, 9.0)
+    assert add_band_note(first, 15.0) is first
+    said = add_band_note(first, 9.0)
     assert "above the 9 Hz" in said.sentence and "accelerometer at the tool" in said.experiment
     values = {p.name.removeprefix("axis."): p for p in said.parameters}
     for end in ("", "_2"):
         guessed = values[f"frequency{end}"].value > 9.0
         assert all((values[key + end].stderr is None) == guessed for key in ("frequency", "damping"))
     assert {values["frequency"].value > 9.0, values["frequency_2"].value > 9.0} == {True, False}
-    assert with_band(replace(first, cause="delay"), 9.0).cause == "delay"
+    assert add_band_note(replace(first, cause="delay"), 9.0).cause == "delay"
     vague = replace(first, parameters=(Parameter("axis.frequency", 20.0, "Hz", stderr=10.0),))
-    assert with_band(vague, 9.0) is vague
+    assert add_band_note(vague, 9.0) is vague
 
 
 def motion(n: int = 400) -> Motion:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tau_dyn.diagnose.result import Diagnosis, OutputErrors
-from tau_dyn.diagnose.simulated import with_simulation
-from tau_dyn.effects import TorqueOffset, friction_model
+from tau_dyn.diagnose.simulated import add_simulation
+from tau_dyn.effects import TorqueOffset, build_friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, fourier_motion, simulate
+from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, build_fourier_motion, simulate
 
 LAW = CascadeLaw.of(20.0, 240.0, na=1, limit=500.0)
 OFFSET = 30.0  # [N]
@@ -31,7 +31,7 @@ def _answer(model: Model, extended: Model) -> Diagnosis:
 def models() -> tuple[Model, Model]:
     """A linear axis with friction, and the same with a constant push on it."""
     robot = load_robot("linear_axis")
-    plain = friction_model("asymmetric", robot.actuated, robot.force_units)
+    plain = build_friction_model("asymmetric", robot.actuated, robot.force_units)
     values = {"axis.coulomb_pos": 8.0, "axis.coulomb_neg": 8.0, "axis.viscous_pos": 30.0, "axis.viscous_neg": 30.0}
     model = Model.of(robot, plain).with_values(values)
     pushed = Model.of(robot, (*plain, TorqueOffset(robot.actuated, robot.force_units)))
@@ -41,13 +41,13 @@ def models() -> tuple[Model, Model]:
 @pytest.fixture(scope="module")
 def log(models):
     """Four seconds of the pushed axis under its cascade."""
-    motion = fourier_motion(models[0], 4.0, 1)
+    motion = build_fourier_motion(models[0], 4.0, 1)
     return simulate(models[1], motion, CascadeController(LAW), Sensors(), name="recorded")
 
 
 def test_the_extended_model_repeats_what_the_baseline_does_not(models, log):
     """A push that the baseline lacks bends its simulated path; with it the recording is repeated."""
-    found = with_simulation(_answer(*models), [log], LAW)
+    found = add_simulation(_answer(*models), [log], LAW)
     assert found.simulation is not None and found.simulation["log"] == "recorded"
     before, after = (
         found.simulation[when]["errors"]["following"]["axis"]["relative_error_percent"] for when in ("before", "after")
@@ -58,7 +58,7 @@ def test_the_extended_model_repeats_what_the_baseline_does_not(models, log):
 def test_a_model_that_was_not_extended_is_simulated_once(models, log):
     """Without a cause there is nothing to compare: both are the same."""
     said = []
-    found = with_simulation(_answer(models[0], models[0]), [log], LAW, said.append)
+    found = add_simulation(_answer(models[0], models[0]), [log], LAW, said.append)
     assert found.simulation is not None and found.simulation["before"] == found.simulation["after"]
     assert said.count("simulating 0 %") == 1
 
@@ -66,6 +66,6 @@ def test_a_model_that_was_not_extended_is_simulated_once(models, log):
 def test_a_log_without_references_is_refused(models, log):
     """A closed loop needs what its controller was asked for."""
     bare = type(log)(log.t, {k: x for k, x in log.channels.items() if not k.startswith("q_ref")}, "bare")
-    assert with_simulation(_answer(models[0], models[0]), [bare, log], LAW).simulation is not None
+    assert add_simulation(_answer(models[0], models[0]), [bare, log], LAW).simulation is not None
     with pytest.raises(InputError, match="bare has q_ref columns"):
-        with_simulation(_answer(*models), [bare], LAW)
+        add_simulation(_answer(*models), [bare], LAW)

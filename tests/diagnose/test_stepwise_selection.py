@@ -10,7 +10,7 @@ import pytest
 
 from tau_dyn.diagnose.group_tests import GroupTest
 from tau_dyn.diagnose.plausibility import SEARCH_MARGIN
-from tau_dyn.diagnose.scenes import scene_along
+from tau_dyn.diagnose.scenes import build_scene
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import (
     CyclicRipple,
@@ -180,7 +180,7 @@ def test_friction_along_the_way_ends_where_the_training_ends(make):
     """Places that a joint saw in one sample of a hundred, or in held-out data alone, are not part of the polynomials' range."""
     m = make.moving(np.random.default_rng(1), ("x",), 5000)
     trained = np.abs(m.q[:, 0]) < 0.1
-    scene = scene_along(
+    scene = build_scene(
         [m],
         ("x",),
         ("N",),

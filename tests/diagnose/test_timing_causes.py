@@ -14,7 +14,7 @@ from tau_dyn.diagnose.force_timing import find_timing
 from tau_dyn.diagnose.null_model import compute_score_test
 from tau_dyn.diagnose.settings_refinement import estimate_amplitudes, refine_settings
 from tau_dyn.effects import Delay, DriveLag, Motion, QuadraticDrag, Stribeck, ViscousCurvature
-from tau_dyn.estimate import Run
+from tau_dyn.estimate import RegressionRun
 
 RATE_HZ = 50.0
 
@@ -121,7 +121,7 @@ def test_a_large_delay_is_taken_out_of_the_baseline(make, rng) -> None:
     """60 ms late, a fit takes less viscous friction; the values with the delay taken out are the true ones."""
     channel = make.bench(rng, late_by(0.06), motions=(pushed(make.moving(rng, ("x",), 6000, size=2.0)),), noise=0.1)
     (run,) = channel.runs
-    run = Run(run.name, run.t, run.W, run.y, run.usable, run.W, run.y)
+    run = RegressionRun(run.name, run.t, run.W, run.y, run.usable, run.W, run.y)
     W, y = run.W[run.usable], run.y[run.usable]
     wrong = np.linalg.lstsq(W, y, rcond=None)[0]
     timing = find_timing([run], wrong, np.ones(4, bool))

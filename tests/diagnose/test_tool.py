@@ -7,13 +7,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.diagnose import diagnose
-from tau_dyn.diagnose.aliases import alias_periods
-from tau_dyn.diagnose.filters import diagnosis_preparation
-from tau_dyn.diagnose.noise import noise_models
+from tau_dyn.diagnose.aliases import compute_alias_periods
+from tau_dyn.diagnose.filters import choose_diagnosis_preparation
+from tau_dyn.diagnose.noise import fit_noise_models
 from tau_dyn.diagnose.null_model import NullModel
-from tau_dyn.diagnose.tool import tool_channel
+from tau_dyn.diagnose.tool import build_tool_channel
 from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
-from tau_dyn.diagnose.tool_pieces import piece_of
+from tau_dyn.diagnose.tool_pieces import build_tool_segment
 from tau_dyn.dynamics import GantryTauMechanism
 from tau_dyn.effects import EFFECTS
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -158,9 +158,9 @@ def test_a_cyclic_error_at_places_too_far_apart_has_no_known_period(rng) -> None
     assert found.findings[0].cause == "transmission_error" and found.findings[0].status == "suspected"
     assert "steps of" in found.experiment and "uneven" in found.experiment and "50 mm" in found.sentence
     assert not found.extended_model.effects
-    channel = tool_channel(model, [log])
-    ground = NullModel.of(channel, (0,), noise_models(channel, (0,)))
-    periods = np.array(alias_periods(channel, ground, found.findings[0].effects[0]))
+    channel = build_tool_channel(model, [log])
+    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
+    periods = np.array(compute_alias_periods(channel, ground, found.findings[0].effects[0]))
     assert len(periods) > 10
     assert np.abs(periods / PERIOD - 1).min() < 0.01  # the truth is among them
     folded = np.mod(1 / periods * 0.05 + 0.5, 1) - 0.5  # periods a step, without whole ones
@@ -181,13 +181,13 @@ def test_only_what_can_be_told_apart_is_refitted(rng) -> None:
     """On parallel guideways three equal zeros are a shift of the frame; on one line its turn about the line is unknown."""
     t, q = poses(rng)
     frame = ("frame.x", "frame.y", "frame.z", "frame.rx", "frame.ry", "frame.rz")
-    assert tool_channel(model, [recorded(t, q, tool_at(q), rng)]).parameters.names == (
+    assert build_tool_channel(model, [recorded(t, q, tool_at(q), rng)]).parameters.names == (
         *frame,
         "cart1.zero",
         "cart2.zero",
     )
     q = line(np.linspace(-0.5, 0.5, 20))
-    channel = tool_channel(model, [recorded(np.arange(400.0), q, tool_at(q), rng)])
+    channel = build_tool_channel(model, [recorded(np.arange(400.0), q, tool_at(q), rng)])
     assert "frame.rx" not in channel.parameters.names
 
 
@@ -195,7 +195,7 @@ def test_poses_remember_the_side_they_were_approached_from(rng) -> None:
     """A joint that stands keeps its side and its way; one that turns back starts its way anew; the first pose is unknown."""
     q = np.repeat(robot.home[None], 150, axis=0) + 0.001 * rng.uniform(-1, 1, (150, 3))
     q[:6, 0] = robot.home[0] + np.array([0.0, 0.1, 0.15, 0.15, 0.05, 0.02])
-    (piece,) = tool_channel(model, [recorded(np.arange(150.0), q, tool_at(q), rng)]).pieces
+    (piece,) = build_tool_channel(model, [recorded(np.arange(150.0), q, tool_at(q), rng)]).pieces
     assert_allclose(piece.motion.sign[:6, 0], [0, 1, 1, 1, -1, -1])
     assert_allclose(piece.motion.signals["reversal"][:6, 0], [0, 0.1, 0.15, 0.15, 0.1, 0.13], atol=1e-12)
     assert not piece.usable[0] and piece.usable[1:].all()
@@ -206,8 +206,8 @@ def test_quick_columns_are_the_exact_ones_through_the_filter(rng) -> None:
     t, q = moving(rng)
     load = q.copy()
     load[:, 2] -= cyclic(q[:, 2])
-    channel = tool_channel(model, [recorded(t, q, tool_at(load), rng)])
-    ground = NullModel.of(channel, (0,), noise_models(channel, (0,)))
+    channel = build_tool_channel(model, [recorded(t, q, tool_at(load), rng)])
+    ground = NullModel.of(channel, (0,), fit_noise_models(channel, (0,)))
     effect = EFFECTS["transmission_error"](["cart3"], ["N"], period=PERIOD)
     quick = channel.scan([effect], ground, ground.e[:, None])
     C = ground.whiten_columns(channel.columns(effect))
@@ -221,17 +221,19 @@ def test_what_is_missing_is_said(rng) -> None:
     t, q = poses(rng, 30)
     log = recorded(t, q, tool_at(q), rng)
     with pytest.raises(InputError, match="no column x_tool"):
-        tool_channel(model, [Log(t, {k: x for k, x in log.channels.items() if "tool" not in k})])
+        build_tool_channel(model, [Log(t, {k: x for k, x in log.channels.items() if "tool" not in k})])
     with pytest.raises(CannotAnswer, match="too few tool positions"):
-        tool_channel(model, [log])
+        build_tool_channel(model, [log])
     t, q = moving(rng, 10.0)
     log = recorded(t, q, tool_at(q), rng)
     with pytest.raises(InputError, match="missing in 3 samples"):
-        tool_channel(model, [log.with_channels(y_tool=np.where(np.arange(len(t)) < 3, np.nan, log.channels["y_tool"]))])
+        build_tool_channel(
+            model, [log.with_channels(y_tool=np.where(np.arange(len(t)) < 3, np.nan, log.channels["y_tool"]))]
+        )
     t, q = poses(rng)
     log = recorded(t, q, tool_at(q), rng)
     lost = log.with_channels(z_tool=np.where(np.arange(len(t)) % 50 == 7, np.nan, log.channels["z_tool"]))
-    assert len(tool_channel(model, [lost]).pieces[0].tool) == len(t) - 6
+    assert len(build_tool_channel(model, [lost]).pieces[0].tool) == len(t) - 6
 
 
 def test_logs_in_different_frames_are_refused(rng) -> None:
@@ -239,7 +241,7 @@ def test_logs_in_different_frames_are_refused(rng) -> None:
     t, q = poses(rng, 100)
     one, other = recorded(t, q, tool_at(q), rng), recorded(t, q, tool_at(q)[:, [1, 2, 0]], rng)
     with pytest.raises(InputError, match="measured in one frame"):
-        tool_channel(model, [one, other])
+        build_tool_channel(model, [one, other])
 
 
 def test_forces_that_are_not_there_are_missed(rng):
@@ -257,7 +259,7 @@ def test_a_cart_that_stands_exactly_still_spoils_no_sample(rng):
     t, q = moving(rng, 8.0)
     q[:, 2] = robot.home[2]
     log = recorded(t, q, tool_at(q), rng)
-    piece = piece_of(model, log, diagnosis_preparation(robot, [log], ()))
+    piece = build_tool_segment(model, log, choose_diagnosis_preparation(robot, [log], ()))
     assert piece.usable.mean() > 0.5
 
 

@@ -11,11 +11,11 @@ import pytest
 from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
-from tau_dyn.diagnose.dependence import Dependence, dependences
+from tau_dyn.diagnose.dependence import Dependence, list_dependences
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.noise import WHOLE_TIME
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
-from tau_dyn.diagnose.unexplained import discriminate_structures, unexplained_of
+from tau_dyn.diagnose.unexplained import build_unexplained, discriminate_structures
 from tau_dyn.diagnose.unknown_structure import find_structure
 from tau_dyn.effects import Motion
 
@@ -39,7 +39,7 @@ def told(make, rng, motion, hidden):
     found = find_structure(channel, ground, ground.draw_null_residuals(N_NULL_DRAWS, rng), 0.05)
     hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
     said = discriminate_structures(channel, hunt, found)
-    return found, said, unexplained_of(channel, hunt, said)[0]
+    return found, said, build_unexplained(channel, hunt, said)[0]
 
 
 def by_third(m):
@@ -89,7 +89,7 @@ def drifting(make, rng, motions, drift, parts):
     assert found is not None and found.variables == ("t",)
     hunt = StepwiseSelection((), (make.noise,) * 3, ground, (), ColumnCache(channel), 1)
     said = discriminate_structures(channel, hunt, found)
-    return said.test.is_confirmed, unexplained_of(channel, hunt, said)[0].status
+    return said.test.is_confirmed, build_unexplained(channel, hunt, said)[0].status
 
 
 @pytest.mark.parametrize(("elsewhere", "status"), [(1.0, "confirmed"), (-1.0, "suspected")])
@@ -124,7 +124,7 @@ def test_another_log_drifts_its_own_way_in_all_its_parts(make, last, status):
 def test_as_many_sets_as_are_tried_count_in_the_chance(make, monkeypatch):
     """Confirming the best of k sets of variables is k times as likely by chance as confirming one."""
     module = importlib.import_module("tau_dyn.diagnose.unexplained")
-    monkeypatch.setattr(module, "structure_confirmation", lambda *parts: Confirmation(1.0, 0.3, 1e-3))
+    monkeypatch.setattr(module, "confirm_structure", lambda *parts: Confirmation(1.0, 0.3, 1e-3))
     rng = np.random.default_rng(7)
     found, said, _ = told(make, rng, together(make, rng, (VALIDATION,)), by_third)
     assert found.alike and said.test.p_value == pytest.approx(1e-3 * (1 + len(found.alike)))
@@ -146,7 +146,7 @@ def test_a_direction_of_motion_is_a_speed_that_it_depends_on():
     assert Dependence("x", ("q_y",), "x").variables == ("q_y", "v_x")
     assert Dependence("x", ("v_x",), "x").variables == ("v_x",)
     moved = {key: np.linspace(-1, 1, 9) for key in ("q_x", "v_x", "q_y", "v_y", "t")}
-    tried = dependences([moved | {WHOLE_TIME: np.linspace(0, 1, 9)}], "x")
+    tried = list_dependences([moved | {WHOLE_TIME: np.linspace(0, 1, 9)}], "x")
     assert {d.turns for d in tried if d.names == ("q_y",)} == {"", "x", "y"}
     assert {d.turns for d in tried if len(d.names) == 2} == {"", "x"}
     assert not any(WHOLE_TIME in d.names for d in tried) and not any("t" in d.names for d in tried if len(d.names) == 2)

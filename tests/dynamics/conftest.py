@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 
 def _example(name: str) -> Path:
@@ -29,9 +29,9 @@ def robots(write, measured) -> Callable[[str], Robot]:
 
     def make(kind: str) -> Robot:
         if kind in ("two_link", "four_bar", "block", "pendulum"):
-            return robot_from_urdf(getattr(write, kind)(), kind)
+            return load_robot_from_urdf(getattr(write, kind)(), kind)
         if kind == "turning":
-            return robot_from_urdf(write.two_link().replace("revolute", "continuous"), kind)
+            return load_robot_from_urdf(write.two_link().replace("revolute", "continuous"), kind)
         if kind == "tx40":
             return load_robot(measured("tx40/tx40.urdf"))
         if kind in ("ur5", "panda"):

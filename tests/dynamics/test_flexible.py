@@ -11,7 +11,7 @@ import pytest
 
 from tau_dyn.dynamics import L1_DRIVES, FlexibleModel, Linearised, PositionDrives, TreeMechanism
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 MASS, STIFF, DAMP = 2.0, 5000.0, 3.0
 FRAMES = {"none": "tool", "serial2": "gauge_block_link"}
@@ -32,7 +32,7 @@ def chain(write: SimpleNamespace, *more: str, axis: str = "1 0 0", damping: floa
         write.drive("cart"),
         spring("one", damping=damping) + spring("two", damping=damping),
     ]
-    return FlexibleModel(robot_from_urdf(write.text("chain", *parts, *more), "chain"))
+    return FlexibleModel(load_robot_from_urdf(write.text("chain", *parts, *more), "chain"))
 
 
 @lru_cache(maxsize=8)
@@ -65,7 +65,9 @@ def test_a_pendulum_on_a_spring_is_stiffened_by_its_weight(write: SimpleNamespac
         write.joint("pivot", "revolute", "cart_link", "rod_link", "0 1 0"),
         write.drive("cart"),
     )
-    near = FlexibleModel(robot_from_urdf(write.text("p", *parts, spring("pivot", k)), "p")).at([0.0], tool="rod_link")
+    near = FlexibleModel(load_robot_from_urdf(write.text("p", *parts, spring("pivot", k)), "p")).at(
+        [0.0], tool="rod_link"
+    )
     expected = np.sqrt((k + m * 9.81 * length) / (m * length**2)) / (2 * np.pi)
     assert near.natural_frequencies() == pytest.approx(expected, rel=1e-7)
 
@@ -183,7 +185,7 @@ def test_slow_motion_carries_the_tool_as_if_rigid() -> None:
 def test_springs_that_mean_nothing_are_refused(write: SimpleNamespace) -> None:
     """No springs, no mass behind a spring, weight that tips over, other masses than the file's, a strange pose or frame."""
     with pytest.raises(InputError, match="no <tau_dyn:spring>"):
-        FlexibleModel(robot_from_urdf(write.block(), "block"))
+        FlexibleModel(load_robot_from_urdf(write.block(), "block"))
     empty = write.link("end_link") + write.joint("end", "prismatic", "two_link", "end_link", "1 0 0")
     with pytest.raises(InputError, match="'end' moves no mass"):
         chain(write, empty, spring("end")).at([0.0])
@@ -194,7 +196,7 @@ def test_springs_that_mean_nothing_are_refused(write: SimpleNamespace) -> None:
         write.joint("pivot", "revolute", "cart_link", "rod_link", "0 1 0"),
         write.drive("cart"),
     )
-    soft = FlexibleModel(robot_from_urdf(write.text("p", *parts, spring("pivot", 3.0)), "p"))
+    soft = FlexibleModel(load_robot_from_urdf(write.text("p", *parts, spring("pivot", 3.0)), "p"))
     with pytest.raises(InputError, match="too soft"):
         soft.at([0.0], tool="rod_link")
     good = chain(write)

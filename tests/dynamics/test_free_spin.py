@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.dynamics import TreeMechanism
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 CRANK, ROD, AT = 0.3, 0.9, 0.4  # [m], [m], crank's angle at zero [rad]
 
@@ -38,7 +38,7 @@ def slider_crank(
     parts.append(write.link("block_link", 3.0, "0 0 0", "0.01 0.01 0.01"))
     parts.append(write.joint("block", "prismatic", "base_link", "block_link", "1 0 0", f"{reach} 0 {height}"))
     parts += [write.ball("rod_link", f"{ROD} 0 0", "block_link", "0 0 0"), write.drive("crank")]
-    return robot_from_urdf(write.text("slider_crank", *parts), "slider_crank")
+    return load_robot_from_urdf(write.text("slider_crank", *parts), "slider_crank")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.dynamics import TreeMechanism
 from tau_dyn.dynamics.samplewise import SamplewiseTree
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 EXTRA = {"simplified": 22.38, "complete": 15.0}
 N = 20
@@ -17,7 +17,7 @@ N = 20
 def hanging(write, kilograms: float):
     """Return two rods of 0.4 and 0.3 m whose second link weighs so much more at its joint, to gravity alone."""
     note = f'<tau_dyn:gravity_mass link="lower_link" value="{kilograms}"/></robot>'
-    return robot_from_urdf(write.two_link().replace("</robot>", note), "arm")
+    return load_robot_from_urdf(write.two_link().replace("</robot>", note), "arm")
 
 
 @pytest.mark.parametrize("n", [3, N])

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.dynamics import TreeMechanism
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 STEP = 1e-5
 
@@ -21,7 +21,7 @@ def shifted(robot: Robot, joint: str, by: np.ndarray) -> TreeMechanism:
     assert place is not None and "</joint>" not in place[0]
     there = " ".join(f"{x:.15g}" for x in np.array(place[2].split(), float) + by)
     return TreeMechanism(
-        robot_from_urdf(re.sub(pattern, rf"\g<1>{there}\g<3>", robot.urdf, count=1, flags=re.DOTALL), "shifted")
+        load_robot_from_urdf(re.sub(pattern, rf"\g<1>{there}\g<3>", robot.urdf, count=1, flags=re.DOTALL), "shifted")
     )
 
 
@@ -41,7 +41,7 @@ def test_the_tool_follows_a_cart_off_its_line_as_the_file_says(robots, motion, k
 def test_an_arm_carries_its_tool_along(two_link, write) -> None:
     """Without loops the tool moves as the shifted link does, whichever it is: by one for one."""
     tool = '<link name="tool"/><joint name="t" type="fixed"><parent link="lower_link"/><child link="tool"/></joint>'
-    robot = robot_from_urdf(write.two_link().replace("</robot>", tool + "</robot>"), "arm")
+    robot = load_robot_from_urdf(write.two_link().replace("</robot>", tool + "</robot>"), "arm")
     found = TreeMechanism(robot).cart_sensitivity(np.array([[0.3, -0.4]]))
     assert_allclose(found[0].transpose(1, 0, 2), [np.eye(3)] * 2)
 

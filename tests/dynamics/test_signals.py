@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from tau_dyn.dynamics import GantryTauMechanism, TreeMechanism, build_mechanism
 from tau_dyn.dynamics.samplewise import SamplewiseTree
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 
 @pytest.mark.parametrize("kind", ["l1 simplified uniform", "d1 simplified uniform", "l2 simplified point"])
@@ -60,7 +60,7 @@ def test_a_loop_may_name_its_bodies_the_other_way(robots, motion) -> None:
     robot = robots("l1 simplified uniform")
     other = {"body_A": "body_B", "body_B": "body_A", "p_AP": "p_BQ", "p_BQ": "p_AP"}
     text = re.sub(r"(?<=ball_constraint_)(body_A|body_B|p_AP|p_BQ)", lambda m: other[m[0]], robot.urdf)
-    turned = robot_from_urdf(text, "turned", actuated=robot.actuated)
+    turned = load_robot_from_urdf(text, "turned", actuated=robot.actuated)
     ends = [
         [r.model.frames[f].parentJoint for loop in r.loops for f in (loop.frame_a, loop.frame_b)]
         for r in (turned, robot)
@@ -80,7 +80,7 @@ def slide_text(write) -> str:
 
 def test_load_of_a_pendulum_on_a_slide_is_newtons(write, rng) -> None:
     """A bar on a slide pulls across it with `m (g + z'')`; the hinge's load is the size of its torque."""
-    robot = robot_from_urdf(slide_text(write), "slide")
+    robot = load_robot_from_urdf(slide_text(write), "slide")
     mechanism = build_mechanism(robot)
     q, v, a = rng.standard_normal((3, 6, 2))
     turn, speed, change = q[:, 1], v[:, 1], a[:, 1]
@@ -105,7 +105,9 @@ def test_serial_arms_have_no_passive_bearings(two_link, rng) -> None:
 def test_a_drives_own_inertia_does_not_load_its_reducer(write, rng) -> None:
     """A rotor of 3 kg m^2 at the joint changes the motor's torque, not the load."""
     rotor = '<drake:rotor_inertia value="3"/><drake:gear_ratio value="1"/>'
-    plain, heavy = (robot_from_urdf(write.pendulum(2.0, 0.5, write.drive("pivot", r)), "pendulum") for r in ("", rotor))
+    plain, heavy = (
+        load_robot_from_urdf(write.pendulum(2.0, 0.5, write.drive("pivot", r)), "pendulum") for r in ("", rotor)
+    )
     q, v, a = rng.standard_normal((3, 5, 1))
     loads = [build_mechanism(r).guide_load(q, v, a) for r in (plain, heavy)]
     torques = [build_mechanism(r).inverse_dynamics(q, v, a) for r in (plain, heavy)]
@@ -154,7 +156,7 @@ def test_tool_jacobian_is_the_positions_derivative(robots, motion, write, kind: 
     end = '<parent link="bar_link"/><child link="tool"/><origin xyz="0.4 0 0"/>'
     tool = f'<link name="tool"/><joint name="end" type="fixed">{end}</joint></robot>'
     slide = slide_text(write).replace("</robot>", tool)
-    robot = robot_from_urdf(slide, kind) if kind == "slide" else robots(kind)
+    robot = load_robot_from_urdf(slide, kind) if kind == "slide" else robots(kind)
     mechanism = build_mechanism(robot)
     q, _, _ = motion(robot, 4, 0.15)
     J = mechanism.tool_jacobian(q)
@@ -193,7 +195,7 @@ def shifted(robot: Robot, k: int, step: float) -> Robot:
     place = [float(x) for x in str(origin.get("xyz")).split()]
     place[k] += step
     origin.set("xyz", " ".join(repr(x) for x in place))
-    return robot_from_urdf(tostring(root, encoding="unicode"), "shifted", actuated=robot.actuated)
+    return load_robot_from_urdf(tostring(root, encoding="unicode"), "shifted", actuated=robot.actuated)
 
 
 def test_a_tool_is_needed_to_say_how_it_moves(four_bar) -> None:

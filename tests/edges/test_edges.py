@@ -18,8 +18,8 @@ from tau_dyn.identify import Identification, build_model, identify
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
-from tau_dyn.simulate import Trajectory, named_motion
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
+from tau_dyn.simulate import Trajectory, build_named_motion
 
 FRICTION = {"coulomb_pos": 20.0, "coulomb_neg": 16.0, "viscous_pos": 120.0, "viscous_neg": 100.0}
 
@@ -65,7 +65,7 @@ def truth(axis) -> Model:
 
 @pytest.fixture(scope="module")
 def motion(truth) -> Trajectory:
-    return named_motion("fourier", truth, 15.0, 0)
+    return build_named_motion("fourier", truth, 15.0, 0)
 
 
 @pytest.fixture(scope="module")
@@ -94,14 +94,14 @@ def test_without_noise_the_truth_is_found(axis, truth, motion) -> None:
 @pytest.mark.parametrize("seconds", [5.0])
 def test_ten_kilohertz(axis, truth, seconds: float) -> None:
     """Differences of positions 0.1 ms apart are all noise; the filters see to that."""
-    found = identify(axis, recorded(truth, named_motion("fourier", truth, seconds, 1).resampled(10_000.0)))
+    found = identify(axis, recorded(truth, build_named_motion("fourier", truth, seconds, 1).resampled(10_000.0)))
     strict(found)
     assert np.abs(off(found, truth)).max() < 4
 
 
 def test_ten_hertz(axis, truth) -> None:
     """A logger of 10 Hz sees a slow motion, or says that it does not."""
-    path = named_motion("fourier", truth, 60.0, 0)
+    path = build_named_motion("fourier", truth, 60.0, 0)
     with pytest.raises(CannotAnswer, match="several speeds"):
         identify(axis, recorded(truth, path.every(100)))
     t = np.arange(0, 200, 0.1)
@@ -115,7 +115,7 @@ def test_ten_hertz(axis, truth) -> None:
 
 def test_a_hundred_samples(axis, truth) -> None:
     """Two seconds at 50 Hz: an answer whose errors hold the truth, or a refusal that names what is missing."""
-    path = named_motion("fourier", truth, 6.0, 2)
+    path = build_named_motion("fourier", truth, 6.0, 2)
     few = recorded(truth, path, force=1.0).window(1000, 3000)
     t, channels = few.t[::20], {k: x[::20] for k, x in few.channels.items()}
     assert len(t) == 100
@@ -140,7 +140,7 @@ def still(path: Trajectory, *joints: int) -> Trajectory:
 def test_one_joint_stands_still(two_link, silent: bool) -> None:
     """What the others show is found; the friction of the one that rests is not, and keeps its nominal value."""
     truth = truth_of(two_link, 0.02)
-    path = still(named_motion("fourier", truth, 12.0, 1), 1)
+    path = still(build_named_motion("fourier", truth, 12.0, 1), 1)
     log = recorded(truth, path.every(5), force=0.1)
     if silent:
         log = Log(
@@ -161,7 +161,7 @@ def test_one_joint_stands_still(two_link, silent: bool) -> None:
 def test_columns_that_hardly_differ(two_link) -> None:
     """Joints that move in step hide who does what: errors grow until they hold the truth, and the condition is said."""
     truth = truth_of(two_link, 0.02)
-    path = named_motion("fourier", truth, 12.0, 1)
+    path = build_named_motion("fourier", truth, 12.0, 1)
     step = replace(
         path, q=path.q[:, [0, 0]] * [1, -0.5], v=path.v[:, [0, 0]] * [1, -0.5], a=path.a[:, [0, 0]] * [1, -0.5]
     )
@@ -189,12 +189,12 @@ def test_masses_six_orders_apart() -> None:
         '<transmission name="a"><joint name="cart"/></transmission>'
         '<transmission name="b"><joint name="swing"/></transmission></robot>'
     )
-    robot = robot_from_urdf(text, "odd")
+    robot = load_robot_from_urdf(text, "odd")
     sizes = {"cart": 1.0, "swing": 1e-6}
     truth = build_model(robot, "asymmetric").with_values(
         {f"{j}.{k}": s * x for j, s in sizes.items() for k, x in FRICTION.items()}
     )
-    log = recorded(truth, named_motion("fourier", truth, 15.0, 1).every(5), force=(2.0, 2e-5), encoder=1e-6)
+    log = recorded(truth, build_named_motion("fourier", truth, 15.0, 1).every(5), force=(2.0, 2e-5), encoder=1e-6)
     found = identify(robot, log)
     strict(found)
     assert np.abs(off(found, truth)).max() < 4.5
@@ -207,9 +207,9 @@ def test_masses_six_orders_apart() -> None:
 def test_a_robot_file_of_placeholders(two_link, factor: float) -> None:
     """A file whose masses are off by orders of magnitude does not pull the answer; units are doubted."""
     truth = truth_of(two_link, 0.02)
-    log = recorded(truth, named_motion("fourier", truth, 12.0, 1).every(5), force=0.1)
+    log = recorded(truth, build_named_motion("fourier", truth, 12.0, 1).every(5), force=0.1)
     text = re.sub(r'(mass value|i[xyz]{2})="([^"]*)"', lambda m: f'{m[1]}="{factor * float(m[2])!r}"', two_link.urdf)
-    found = identify(robot_from_urdf(text, "placeholders"), log)
+    found = identify(load_robot_from_urdf(text, "placeholders"), log)
     strict(found)
     assert np.abs(off(found, truth)).max() < 4
     assert any("times those of the robot file" in sentence for sentence in found.warnings)
@@ -252,7 +252,7 @@ def test_milliseconds_by_mistake(axis, truth, log) -> None:
     """A clock in ms makes 200 Hz 0.2 Hz, which is refused; one of 10 kHz passes for 10 Hz, and its mass is doubted."""
     with pytest.raises(InputError, match=r"sampled at 0.2 Hz; t must be in s \(does it stand in ms"):
         identify(axis, changed(log, t=1e3 * log.t))
-    fast = recorded(truth, named_motion("fourier", truth, 4.0, 0).resampled(10_000.0), force=0.0, encoder=0.0)
+    fast = recorded(truth, build_named_motion("fourier", truth, 4.0, 0).resampled(10_000.0), force=0.0, encoder=0.0)
     found = identify(axis, changed(fast, t=1e3 * fast.t))
     assert any("about 1e+06 times those of the robot file" in s and "units of t" in s for s in found.warnings)
 
@@ -297,7 +297,7 @@ def test_into_a_singularity(gantry) -> None:
 
 def test_at_a_dead_centre(write) -> None:
     """A four-bar driven at its rocker cannot pass where crank and coupler are in line: near it a warning, beyond it a refusal."""
-    robot = robot_from_urdf(write.four_bar(driven="rocker"), "four_bar")
+    robot = load_robot_from_urdf(write.four_bar(driven="rocker"), "four_bar")
     model = build_model(robot, "rigid")
     inside, outside = 0.0, 2.5
     for _ in range(50):

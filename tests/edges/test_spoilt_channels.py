@@ -12,8 +12,8 @@ from tau_dyn.identify import build_model, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.report.identification_words import verdict
-from tau_dyn.robot import load_robot, robot_from_urdf
-from tau_dyn.simulate import named_motion
+from tau_dyn.robot import load_robot, load_robot_from_urdf
+from tau_dyn.simulate import build_named_motion
 
 SLIDES = """<robot name="slides"><link name="base_link"/>
 <link name="axis_link"><inertial><mass value="95"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -36,7 +36,7 @@ def truth() -> Model:
 @pytest.fixture(scope="module")
 def log(truth) -> Log:
     """Twelve seconds at 200 Hz, 5 um and 2 N of noise."""
-    path, rng = named_motion("fourier", truth, 12.0, 0).every(5), np.random.default_rng(3)
+    path, rng = build_named_motion("fourier", truth, 12.0, 0).every(5), np.random.default_rng(3)
     tau = truth.torque(path.q, path.v, path.a)[:, 0] + 2 * rng.standard_normal(len(path.t))
     return Log(path.t, {"q_axis": path.q[:, 0] + 5e-6 * rng.standard_normal(len(path.t)), "tau_axis": tau}, "lies.csv")
 
@@ -88,7 +88,7 @@ def test_a_force_cut_off_below_the_drives_limit_is_told(log, truth) -> None:
 def test_a_joint_without_usable_samples_is_not_called_perfect(log, truth) -> None:
     """A joint that rests in all that is held out leaves nothing to judge it by: that is said instead of an error of zero."""
     rng = np.random.default_rng(1)
-    robot = robot_from_urdf(SLIDES, "slides")
+    robot = load_robot_from_urdf(SLIDES, "slides")
     slow = {
         "q_slow": 0.3 * np.sin(0.4 * log.t) + 5e-6 * rng.standard_normal(log.n_samples),
         "tau_slow": log.channels["tau_axis"],
@@ -105,7 +105,7 @@ def test_a_joint_without_usable_samples_is_not_called_perfect(log, truth) -> Non
 def test_a_joint_that_is_missed_is_not_hidden_behind_a_heavy_one(log, truth) -> None:
     """All joints together are told to 2 %, one of them to 90 %: nobody is told that force is predicted well."""
     rng = np.random.default_rng(2)
-    robot = robot_from_urdf(SLIDES, "slides")
+    robot = load_robot_from_urdf(SLIDES, "slides")
     noise = {"q_slow": 0.1 * np.sin(3 * log.t) + 5e-6 * rng.standard_normal(log.n_samples),
              "tau_slow": 3 * rng.standard_normal(log.n_samples)}  # fmt: skip
     found = identify(robot, log.with_channels(**noise), model="asymmetric")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.dynamics import GantryTauMechanism
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 
 @pytest.fixture
@@ -19,7 +19,9 @@ def make(write) -> SimpleNamespace:
     def pair() -> Robot:
         lower = write.link("lower_link", 5) + write.joint("lower", "prismatic", "base_link", "lower_link", "1 0 0")
         upper = write.link("upper_link", 3) + write.joint("upper", "prismatic", "lower_link", "upper_link", "0 1 0")
-        return robot_from_urdf(write.text("pair", lower, upper, write.drive("lower"), write.drive("upper")), "pair")
+        return load_robot_from_urdf(
+            write.text("pair", lower, upper, write.drive("lower"), write.drive("upper")), "pair"
+        )
 
     return SimpleNamespace(pair=pair)
 

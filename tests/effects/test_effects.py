@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import EFFECTS, Motion, friction_model
+from tau_dyn.effects import EFFECTS, Motion, build_friction_model
 from tau_dyn.exceptions import InputError, UnknownName
 
 JOINTS, UNITS = ("j1", "j2", "j3"), ("N", "N m", "N m")
@@ -140,9 +140,9 @@ def test_units_follow_the_joint() -> None:
 def test_what_cannot_be_is_refused(motion) -> None:
     """Unknown models, joints that do not move here, a reducer with three joints: each is named."""
     with pytest.raises(UnknownName, match="no friction model named 'stiction'; there are rigid, symmetric, asymmetric"):
-        friction_model("stiction", JOINTS, UNITS)
+        build_friction_model("stiction", JOINTS, UNITS)
     with pytest.raises(InputError, match="acts on joint 'j9'; there are j1, j2, j3"):
         EFFECTS["torque_offset"](["j9"], ["N"]).columns(motion)
     with pytest.raises(InputError, match="joins two joints, not 3"):
         effect("reducer_coupling")
-    assert friction_model("rigid", JOINTS, UNITS) == ()
+    assert build_friction_model("rigid", JOINTS, UNITS) == ()

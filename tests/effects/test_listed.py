@@ -7,7 +7,7 @@ import pytest
 from tau_dyn.effects import EFFECTS
 from tau_dyn.effects.read import read_effects
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def robot(write) -> Robot:
     """A slide that carries a hinge."""
     slide = write.link("slide_link", 5) + write.joint("slide", "prismatic", "base_link", "slide_link", "1 0 0")
     bar = write.rod("bar_link", 2, 0.4) + write.joint("bar", "revolute", "slide_link", "bar_link", "0 1 0")
-    return robot_from_urdf(write.text("slide", slide, bar, write.drive("slide"), write.drive("bar")), "slide")
+    return load_robot_from_urdf(write.text("slide", slide, bar, write.drive("slide"), write.drive("bar")), "slide")
 
 
 def test_what_is_left_out_is_every_joint_and_the_effects_own_settings(robot) -> None:

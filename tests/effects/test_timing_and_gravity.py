@@ -14,9 +14,9 @@ from tau_dyn.dynamics import GantryTauMechanism, TreeMechanism, build_mechanism
 from tau_dyn.dynamics.mechanism import axes_across
 from tau_dyn.effects import EFFECTS, Delay, DriveLag, Effect, GuidewayNonparallel, Motion, Scene
 from tau_dyn.effects.cart_shift import SENSITIVITY
-from tau_dyn.effects.drive_lag import lowpass_first_order
+from tau_dyn.effects.drive_lag import apply_first_order_lowpass
 from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 
 def line(v: Any = 0.0, a: Any = 0.0, t: np.ndarray | None = None, **signals: Any) -> Motion:
@@ -37,7 +37,7 @@ def test_a_low_pass_turns_and_shrinks_a_sine_as_its_transfer_function_says() -> 
     w, T = 2 * np.pi * 5, 0.02
     response = 1 / (1 + 1j * w * T)
     assert abs(response) == pytest.approx(0.8467, abs=1e-4)
-    late = lowpass_first_order(np.sin(w * t), t, T)
+    late = apply_first_order_lowpass(np.sin(w * t), t, T)
     assert_allclose(late[300:], np.imag(response * np.exp(1j * w * t))[300:], atol=2e-4)
 
 
@@ -45,9 +45,9 @@ def test_a_step_behind_a_low_pass_rises_by_its_time_constant() -> None:
     """63.2 % after one time constant; of a constant force nothing changes."""
     t = np.arange(0, 0.2, 1e-4)
     step = (t >= 0.05).astype(float)
-    late = lowpass_first_order(step, t, 0.01)
+    late = apply_first_order_lowpass(step, t, 0.01)
     assert np.interp(0.06, t, late) == pytest.approx(1 - np.exp(-1), abs=0.01)
-    assert_allclose(lowpass_first_order(np.full(5, 7.0), t[:5], 0.01), 7.0)
+    assert_allclose(apply_first_order_lowpass(np.full(5, 7.0), t[:5], 0.01), 7.0)
 
 
 def test_a_lag_of_its_own_setting_is_the_low_passed_force_exactly() -> None:
@@ -56,7 +56,7 @@ def test_a_lag_of_its_own_setting_is_the_low_passed_force_exactly() -> None:
     F = 100 * np.sin(2 * np.pi * 3 * t) + 20 * np.sign(np.sin(2 * np.pi * t))
     effect = cause("drive_lag", about=0.03)
     logged = F + effect.force(line(1.0 + 0 * t, t=t, force=F), effect.parameters.with_values(np.array([0.03])))[:, 0]
-    assert_allclose(logged, lowpass_first_order(F, t, 0.03), atol=1e-9)
+    assert_allclose(logged, apply_first_order_lowpass(F, t, 0.03), atol=1e-9)
 
 
 @pytest.mark.parametrize("late", [0.06, -0.04])
@@ -142,7 +142,7 @@ def arm(write) -> Robot:
     )
     upper = write.link("upper_link", 3, "0.2 0.03 0.01", "0.01 0.05 0.05")
     hinge = write.joint("lift", "revolute", "column_link", "upper_link", "0 1 0", "0.1 0 0.2")
-    return robot_from_urdf(write.text("arm", base, upper, hinge, write.drive("turn"), write.drive("lift")), "arm")
+    return load_robot_from_urdf(write.text("arm", base, upper, hinge, write.drive("turn"), write.drive("lift")), "arm")
 
 
 def test_a_turn_of_gravity_is_pinocchios_with_gravity_turned(arm, rng) -> None:

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.estimate import find_base
 from tau_dyn.estimate.base_parameters import BaseParameters, read_expression
-from tau_dyn.identify.structural_identifiability import structural_base
+from tau_dyn.identify.structural_identifiability import find_structural_base
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 
@@ -56,7 +56,7 @@ def test_rank_takes_a_nearly_dependent_column_for_dependent_below_the_closures_a
 def test_a_four_bar_has_as_many_base_parameters_as_its_columns_have_rank(four_bar):
     """Of three links' thirty numbers the crank sees few: mass and inertia out of the plane never show."""
     model = Model.of(four_bar)
-    base = structural_base(model)
+    base = find_structural_base(model)
     rng = np.random.default_rng(1)
     q, v, a = four_bar.home + rng.uniform(-0.4, 0.4, (80, 1)), *rng.normal(size=(2, 80, 1))
     W = model.regressor(q, v, a)[:, 0, model.parameters.free]
@@ -71,7 +71,7 @@ def test_a_four_bar_has_as_many_base_parameters_as_its_columns_have_rank(four_ba
 
 def test_rods_that_move_alike_show_only_their_sum():
     """The two rods of L1's complete arm 2 stay parallel: their masses enter every force as one sum."""
-    base = structural_base(Model.of(load_robot("gantry_tau", prototype="l1", arms="complete")))
+    base = find_structural_base(Model.of(load_robot("gantry_tau", prototype="l1", arms="complete")))
     text = [base.expression(k) for k in range(base.rank)]
     assert "rod2a_link.mass + rod2b_link.mass" in text
     assert "rod3a_link.mass + rod3b_link.mass + rod3c_link.mass" in text

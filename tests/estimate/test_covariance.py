@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy import linalg
 from scipy.signal import lfilter
 
-from tau_dyn.estimate import Autoregression, Regression, Run, fit_autoregression, solve_least_squares
+from tau_dyn.estimate import Autoregression, Regression, RegressionRun, fit_autoregression, solve_least_squares
 from tau_dyn.parameters import Parameter, Parameters
 
 RATE_HZ = 20.0
@@ -20,7 +20,7 @@ def coloured(rng: np.random.Generator, n: int, phi: tuple[float, ...], m: int = 
 def problem(rng: np.random.Generator, noise: np.ndarray, usable: np.ndarray, columns: np.ndarray) -> Regression:
     """Return a regression with true parameters 1, -2 and this noise (n, m)."""
     y = columns @ [1.0, -2.0] + noise
-    run = Run("made", np.arange(len(y)) / RATE_HZ, columns, y, usable, columns, y)
+    run = RegressionRun("made", np.arange(len(y)) / RATE_HZ, columns, y, usable, columns, y)
     outputs = tuple(f"j{k}" for k in range(y.shape[1]))
     return Regression(
         Parameters([Parameter("a", 0.0, "1"), Parameter("b", 0.0, "1")]), outputs, ("N",) * len(outputs), (run,)

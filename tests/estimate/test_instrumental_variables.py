@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.estimate import Regression, Run, solve_least_squares
-from tau_dyn.estimate.instrumental_variables import WhiteRows, covariance, estimate_of, solve_instrumental_variables
+from tau_dyn.estimate import Regression, RegressionRun, solve_least_squares
+from tau_dyn.estimate.instrumental_variables import (
+    WhiteRows,
+    estimate_instrumental_covariance,
+    estimate_of,
+    solve_instrumental_variables,
+)
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -23,7 +28,9 @@ def problem(rng: np.random.Generator, error: float = 0.0, **known: float):
     y = Z @ TRUTH + rng.normal(size=(N, 2))
     t, all_of = np.arange(N) / 100, np.ones((N, 2), bool)
     parameters = Parameters([Parameter("a", 2.01, "1", **known), Parameter("b", 0.0, "1")])
-    first = solve_least_squares(Regression(parameters, ("j0", "j1"), ("N", "N"), (Run("made", t, W, y, all_of, W, y),)))
+    first = solve_least_squares(
+        Regression(parameters, ("j0", "j1"), ("N", "N"), (RegressionRun("made", t, W, y, all_of, W, y),))
+    )
     shares = np.stack([y * unit for unit in np.eye(2)])
     parts = (slice(0, 1100), slice(1100, N))
     rows = [WhiteRows(t[p], Z[p], W[p], y[p], shares[:, p], all_of[p]) for p in parts]
@@ -55,7 +62,7 @@ def test_what_is_known_beforehand_enters_as_one_more_equation(rng):
     solution, row = solve_instrumental_variables(first, rows), np.array([1 / 0.005, 0.0])
     J = Z.T @ W + np.outer(row, row)
     assert_allclose(solution.beta, np.linalg.solve(J, Z.T @ y + row * 2.01 / 0.005), rtol=1e-10)
-    coloured, _ = covariance(first, rows, solution, {})
+    coloured, _ = estimate_instrumental_covariance(first, rows, solution, {})
     # white rows of unit noise: `J^-1 (Z' Z s^2 + K' K) J^-1`, with `s^2` each output's own power
     expected = np.linalg.inv(J) @ (Z.T @ Z + np.outer(row, row)) @ np.linalg.inv(J).T
     assert_allclose(coloured, expected, rtol=0.06, atol=1e-6)
@@ -65,14 +72,14 @@ def test_an_uncertain_motor_constant_adds_what_a_shift_of_it_does(rng):
     """Scale one output's force by 1 %: the answer moves by the error that 1 % of uncertainty adds."""
     first, rows, (Z, W, y) = problem(rng)
     solution = solve_instrumental_variables(first, rows)
-    plain, _ = covariance(first, rows, solution, {})
-    carried, scattered = covariance(first, rows, solution, {"j1": 0.01})
+    plain, _ = estimate_instrumental_covariance(first, rows, solution, {})
+    carried, scattered = estimate_instrumental_covariance(first, rows, solution, {"j1": 0.01})
     scaled = (y.reshape(-1, 2) * [1.0, 1.01]).ravel()
     shift = np.linalg.solve(Z.T @ W, Z.T @ scaled) - solution.beta
     assert_allclose(carried - plain, np.outer(shift, shift), rtol=1e-8, atol=1e-14)
-    _, without = covariance(first, rows, solution, {})
+    _, without = estimate_instrumental_covariance(first, rows, solution, {})
     assert_allclose(scattered - without, np.outer(shift, shift), rtol=1e-8, atol=1e-14)
-    louder, _ = covariance(first, rows, solution, {}, factor=2.0)
+    louder, _ = estimate_instrumental_covariance(first, rows, solution, {}, factor=2.0)
     assert_allclose(louder, 4 * plain, rtol=1e-10)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.estimate import Regression, Run, solve_least_squares
+from tau_dyn.estimate import Regression, RegressionRun, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -18,7 +18,7 @@ def make(rng: np.random.Generator, n: int = 3000, noise: np.ndarray = NOISE) -> 
     """Return two outputs of three parameters, the second twenty times as noisy."""
     W = rng.normal(size=(n, 2, 3))
     y = W @ TRUTH + noise * rng.normal(size=(n, 2))
-    run = Run("made", np.arange(n) / 50, W, y, np.ones((n, 2), bool), W, y)
+    run = RegressionRun("made", np.arange(n) / 50, W, y, np.ones((n, 2), bool), W, y)
     return Regression(Parameters(Parameter(x, 1.0, "1") for x in "abc"), ("j0", "j1"), ("N", "N"), (run,))
 
 
@@ -50,7 +50,7 @@ def test_the_condition_number_is_that_of_unit_columns(rng):
     a, b = np.linalg.qr(rng.normal(size=(400, 2)))[0].T
     W = np.stack([a, 1e3 * (0.8 * a + 0.6 * b)], axis=1)[:, None]
     y = W @ [1.0, 1e-3] + 1e-3 * rng.normal(size=(400, 1))
-    run = Run("made", np.arange(400) / 50, W, y, np.ones((400, 1), bool), W, y)
+    run = RegressionRun("made", np.arange(400) / 50, W, y, np.ones((400, 1), bool), W, y)
     e = solve_least_squares(Regression(Parameters(Parameter(x, 1.0, "1") for x in "ab"), ("j0",), ("N",), (run,)))
     assert_allclose(e.cond, 3.0, rtol=1e-9)
     assert_allclose(e.residuals()[0][:, 0], y[:, 0] - W[:, 0] @ e.theta, rtol=1e-9)

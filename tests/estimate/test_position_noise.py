@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tau_dyn.estimate.position_noise import PositionNoise, accelerations
+from tau_dyn.estimate.position_noise import PositionNoise, compute_accelerations
 
 N, M, DT = 30, 3, 0.01
 
@@ -54,6 +54,6 @@ def test_accelerations_are_of_fourth_order():
     errors = []
     for dt in (0.02, 0.01):
         t = np.arange(0, 1, dt)
-        errors.append(np.max(np.abs((accelerations(np.sin(7 * t), dt) + 49 * np.sin(7 * t))[2:-2])))
+        errors.append(np.max(np.abs((compute_accelerations(np.sin(7 * t), dt) + 49 * np.sin(7 * t))[2:-2])))
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)
-    assert np.allclose(accelerations(t**3, 0.01)[2:-2], 6 * t[2:-2], atol=1e-9)
+    assert np.allclose(compute_accelerations(t**3, 0.01)[2:-2], 6 * t[2:-2], atol=1e-9)

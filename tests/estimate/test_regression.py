@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.estimate import Regression, Run
-from tau_dyn.estimate.sufficient_statistics import SufficientStatistics, triangle
+from tau_dyn.estimate import Regression, RegressionRun
+from tau_dyn.estimate.sufficient_statistics import SufficientStatistics, compute_triangular_factor
 from tau_dyn.parameters import Parameter, Parameters
 
 THETA = np.array([2.0, -1.0, 0.5])
 
 
-def run_of(rng: np.random.Generator, n: int, name: str) -> Run:
+def run_of(rng: np.random.Generator, n: int, name: str) -> RegressionRun:
     """Return two outputs of three columns; what the fit looks at is another signal than the whole, and half as much."""
     W, W_all = rng.normal(size=(2, n, 2, 3))
     y, y_all, force = rng.normal(size=(3, n, 2))
-    return Run(name, np.arange(n) / 50, W, y, rng.random((n, 2)) > 0.5, W_all, y_all, {"force": force})
+    return RegressionRun(name, np.arange(n) / 50, W, y, rng.random((n, 2)) > 0.5, W_all, y_all, {"force": force})
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def test_a_stretch_of_a_run_has_all_its_signals(regression) -> None:
 def test_a_factor_of_many_rows_is_that_of_all_of_them(rng) -> None:
     """Rows are factored some thousands at a time; 10 000 of them, a column of zeros among theirs, leave `R' R = [W y]' [W y]`."""
     W, y = rng.normal(size=(10_000, 4)) * [1, 0, 1e3, 1e-3], rng.normal(size=10_000)
-    R, whole = triangle(W, y), np.column_stack([W, y])
+    R, whole = compute_triangular_factor(W, y), np.column_stack([W, y])
     size = np.linalg.norm(whole, axis=0)
     assert_allclose(R.T @ R, whole.T @ whole, atol=1e-11 * np.outer(size, size).max())
     assert_allclose(R / np.where(size > 0, size, 1), np.triu(R) / np.where(size > 0, size, 1), atol=1e-12)

@@ -3,13 +3,13 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.estimate import solve_scaled, unit_columns
+from tau_dyn.estimate import scale_columns, solve_scaled
 
 
 def test_columns_of_any_unit_get_unit_norm_and_a_column_of_zeros_stays(rng):
     """Columns of 1e-9 and of 1e9 come out with norm 1 and give their norms back; zeros are not divided by zero."""
     W = rng.normal(size=(20, 3)) * [1e-9, 0.0, 1e9]
-    unit, norm = unit_columns(W)
+    unit, norm = scale_columns(W)
     assert_allclose(np.linalg.norm(unit, axis=0), [1, 0, 1], rtol=1e-12)
     assert_allclose(unit * norm, W, rtol=1e-12)
     assert norm[1] == 1.0

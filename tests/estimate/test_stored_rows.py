@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.testing import assert_array_equal
 
-from tau_dyn.estimate import Rows
+from tau_dyn.estimate import RegressionRows
 from tau_dyn.estimate.stored_rows import StoredRows
 
 
@@ -16,7 +16,7 @@ def test_what_was_written_comes_back(rng) -> None:
         given.append([])
         for n in lengths:
             W = rng.normal(size=(n, 2, 4)) * [[1, 0, 1, 1], [0, 0, 0, 0]]
-            given[-1].append(Rows(rng.random(n), W, rng.normal(size=(n, 2)), rng.random((n, 2)) > 0.5))
+            given[-1].append(RegressionRows(rng.random(n), W, rng.normal(size=(n, 2)), rng.random((n, 2)) > 0.5))
             stored.add(given[-1][-1])
             assert_array_equal(stored.runs[0][0].W, given[0][0].W)
     for _ in range(2):

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.estimate import Regression, Rows, Run, StreamedData, SufficientStatistics, solve_least_squares
+from tau_dyn.estimate import (
+    Regression,
+    RegressionRows,
+    RegressionRun,
+    StreamedData,
+    SufficientStatistics,
+    solve_least_squares,
+)
 from tau_dyn.parameters import Parameter, Parameters
 
 N, M, P = 50, 2, 3
@@ -62,7 +69,9 @@ def test_a_regression_of_more_than_memory_holds_counts_all_of_it(rows, rng):
     W, y, usable = rows
     parameters = Parameters(Parameter(x, 0.0, "1") for x in "abc")
     t = np.arange(N) / 10.0
-    pieces = [[Rows(t[:20], W[:20], y[:20], usable[:20]), Rows(t[20:], W[20:], y[20:], usable[20:])]]
+    pieces = [
+        [RegressionRows(t[:20], W[:20], y[:20], usable[:20]), RegressionRows(t[20:], W[20:], y[20:], usable[20:])]
+    ]
     all_ = StreamedData(SufficientStatistics.of(W, y, usable), SufficientStatistics.of(W, y), pieces)
     large = Regression(parameters, ("j0", "j1"), ("N", "N"), (), everything=all_)
     assert large.n_samples == usable.sum() and large.used_share == pytest.approx(usable.mean())
@@ -82,8 +91,8 @@ def test_errors_do_not_depend_on_how_a_recording_is_cut(rng):
     W, t = np.cumsum(rng.normal(size=(n, 1, 2)), axis=0), np.arange(n) / 10.0
     y, usable = W @ [1.0, -2.0] + noise[:, None], (np.arange(n) % 50 > 6)[:, None]
     parameters = Parameters(Parameter(x, 0.0, "1") for x in "ab")
-    whole = Regression(parameters, ("j0",), ("N",), (Run("made", t, W, y, usable, W, y),))
-    pieces = [Rows(*(x[k : k + 37] for x in (t, W, y, usable))) for k in range(0, n, 37)]
+    whole = Regression(parameters, ("j0",), ("N",), (RegressionRun("made", t, W, y, usable, W, y),))
+    pieces = [RegressionRows(*(x[k : k + 37] for x in (t, W, y, usable))) for k in range(0, n, 37)]
     all_ = StreamedData(SufficientStatistics.of(W, y, usable), SufficientStatistics.of(W, y), [pieces])
     one, other = (solve_least_squares(r) for r in (whole, Regression(parameters, ("j0",), ("N",), (), everything=all_)))
     assert_allclose(other.beta, one.beta, rtol=1e-9)

@@ -6,16 +6,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg
 from scipy.signal import lfilter
 
-from tau_dyn.estimate import Autoregression, Run, Whitener
+from tau_dyn.estimate import Autoregression, RegressionRun, Whitener
 
 PHI = np.array([1.2, -0.6])
 RATE_HZ = 20.0
 
 
-def run_of(n: int, m: int = 1, name: str = "made") -> Run:
+def run_of(n: int, m: int = 1, name: str = "made") -> RegressionRun:
     """Return a run that has a clock and nothing to fit."""
     none, y, all_of = np.zeros((n, m, 0)), np.zeros((n, m)), np.ones((n, m), bool)
-    return Run(name, np.arange(n) / RATE_HZ, none, y, all_of, none, y)
+    return RegressionRun(name, np.arange(n) / RATE_HZ, none, y, all_of, none, y)
 
 
 def process(rng: np.random.Generator, n: int, phi: np.ndarray = PHI, sigma: float = 1.0) -> np.ndarray:

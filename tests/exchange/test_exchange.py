@@ -8,16 +8,16 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.dynamics import TreeMechanism
 from tau_dyn.effects import AsymmetricFriction, Stribeck, SymmetricFriction
-from tau_dyn.exchange import mjcf_of, urdf_of
+from tau_dyn.exchange import build_mjcf, build_urdf
 from tau_dyn.model import Model
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 ROBOTS = {
     "simplified": lambda write: load_robot("gantry_tau", gravity_mass=22.38),
     "complete": lambda write: load_robot("gantry_tau", arms="complete", prototype="d1"),
     "axis": lambda write: load_robot("linear_axis"),
-    "four_bar": lambda write: robot_from_urdf(write.four_bar(), "four_bar"),
-    "turning": lambda write: robot_from_urdf(write.two_link().replace("revolute", "continuous"), "turning"),
+    "four_bar": lambda write: load_robot_from_urdf(write.four_bar(), "four_bar"),
+    "turning": lambda write: load_robot_from_urdf(write.two_link().replace("revolute", "continuous"), "turning"),
 }
 
 
@@ -47,7 +47,7 @@ def motion(robot, rng, n=5):
 
 def test_a_urdf_reads_back_with_the_same_forces(model, rng):
     """Written and loaded again the robot needs the same forces, to 1e-9 of the largest."""
-    again = robot_from_urdf(urdf_of(model).text, "again")
+    again = load_robot_from_urdf(build_urdf(model).text, "again")
     assert again.actuated == model.robot.actuated
     q, v, a = motion(model.robot, rng)
     want = model.mechanism.inverse_dynamics(q, v, a)
@@ -55,16 +55,16 @@ def test_a_urdf_reads_back_with_the_same_forces(model, rng):
 
 
 @pytest.mark.parametrize("source", ["a---b", "a--->b", "a-->b", "-", "a\x01\x1bb"])
-@pytest.mark.parametrize("write_file", [urdf_of, mjcf_of])
+@pytest.mark.parametrize("write_file", [build_urdf, build_mjcf])
 def test_no_file_name_ends_the_comment_at_the_top(source, write_file):
     """An XML comment holds no two hyphens in a row and nothing that is no character; what a file is called may."""
-    robot = robot_from_urdf(load_robot("linear_axis").urdf, source)
+    robot = load_robot_from_urdf(load_robot("linear_axis").urdf, source)
     assert fromstring(write_file(Model.of(robot)).text).tag in ("robot", "mujoco")
 
 
 def test_a_urdf_carries_friction_as_pinocchio_reads_it(model):
     """`<dynamics>` holds the viscous and Coulomb coefficients of each drive."""
-    again = robot_from_urdf(urdf_of(model).text, "again")
+    again = load_robot_from_urdf(build_urdf(model).text, "again")
     for joint, index in zip(again.actuated, again.active_v, strict=True):
         assert_allclose(again.model.damping[index], model.parameters[f"{joint}.viscous"].value, rtol=1e-12)
         assert_allclose(again.model.friction[index], model.parameters[f"{joint}.coulomb"].value, rtol=1e-12)
@@ -73,7 +73,7 @@ def test_a_urdf_carries_friction_as_pinocchio_reads_it(model):
 def test_mujoco_gives_the_same_forces(model, rng):
     """`mj_inverse` of the MJCF's tree, projected through our loops, is the model's force; friction and light links aside."""
     mujoco = pytest.importorskip("mujoco")
-    theirs = mujoco.MjModel.from_xml_string(mjcf_of(model).text)
+    theirs = mujoco.MjModel.from_xml_string(build_mjcf(model).text)
     theirs.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     theirs.dof_damping[:] = 0
     light = theirs.body_mass < 1e-6
@@ -96,7 +96,7 @@ def test_mujoco_gives_the_same_forces(model, rng):
 def test_mujocos_loops_are_closed_at_home(model):
     """At the keyframe `home` the ends of every `<connect>` meet, and stepping the simulation keeps them together."""
     mujoco = pytest.importorskip("mujoco")
-    theirs = mujoco.MjModel.from_xml_string(mjcf_of(model).text)
+    theirs = mujoco.MjModel.from_xml_string(build_mjcf(model).text)
     data = mujoco.MjData(theirs)
     mujoco.mj_resetDataKeyframe(theirs, data, 0)
     mujoco.mj_forward(theirs, data)
@@ -111,7 +111,7 @@ def test_what_a_format_cannot_carry_is_said():
     robot = load_robot("linear_axis")
     effects = [AsymmetricFriction(("axis",), ("N",)), Stribeck(("axis",), ("N",))]
     model = Model.of(robot, effects).with_values({"axis.coulomb_pos": 20.0, "axis.coulomb_neg": 24.0})
-    made = urdf_of(model)
+    made = build_urdf(model)
     assert any("stribeck" in s for s in made.left_out) and any("20 and 24" in s for s in made.left_out)
     dynamics = fromstring(made.text).find("joint[@name='axis']/dynamics")
     assert dynamics is not None and float(dynamics.get("friction", "")) == 22.0
@@ -128,6 +128,6 @@ def test_a_stock_arm_whose_meshes_are_elsewhere_becomes_mjcf():
         '<limit lower="-2" upper="2" velocity="2" effort="50"/></joint></robot>'
     )
     mujoco = pytest.importorskip("mujoco")
-    made = mjcf_of(Model.of(robot_from_urdf(urdf, "arm", actuated=["turn"])))
+    made = build_mjcf(Model.of(load_robot_from_urdf(urdf, "arm", actuated=["turn"])))
     assert "mesh" not in made.text and any("2 visual shapes" in sentence for sentence in made.left_out)
     assert mujoco.MjModel.from_xml_string(made.text).nbody == 2

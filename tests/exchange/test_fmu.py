@@ -16,14 +16,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.cli import main
-from tau_dyn.effects import EFFECTS, SymmetricFriction, friction_model
+from tau_dyn.effects import EFFECTS, SymmetricFriction, build_friction_model
 from tau_dyn.exceptions import InputError
-from tau_dyn.exchange import fmu_of
-from tau_dyn.exchange.fmu_description import base_units
-from tau_dyn.exchange.fmu_equations import equations_of
-from tau_dyn.exchange.fmu_source import source_of
+from tau_dyn.exchange import build_fmu
+from tau_dyn.exchange.fmu_description import build_base_units
+from tau_dyn.exchange.fmu_equations import build_equations
+from tau_dyn.exchange.fmu_source import format_source
 from tau_dyn.model import Model
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 from tau_dyn.simulate.plant import Plant
 
 fmpy = pytest.importorskip("fmpy")
@@ -34,7 +34,7 @@ DT = 1e-3
 def made(robot, *causes: str, size: float = 1.0) -> Model:
     """Return a model with asymmetric friction and causes, of amplitudes about one size."""
     effects = [EFFECTS[cause](robot.actuated, robot.force_units) for cause in causes]
-    model = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), *effects])
+    model = Model.of(robot, [*build_friction_model("asymmetric", robot.actuated, robot.force_units), *effects])
     return model.with_values({n: size * (1 + 0.1 * k) for k, n in enumerate(model.effect_parameters.names)})
 
 
@@ -43,8 +43,8 @@ MODELS = {
     "gantry": lambda write: made(
         load_robot("gantry_tau"), "stribeck", "load_friction", "passive_joint_friction", "drive_gain", size=0.1
     ),
-    "arm": lambda write: made(robot_from_urdf(write.two_link(), "two_link"), "load_friction", size=0.05),
-    "four_bar": lambda write: made(robot_from_urdf(write.four_bar(), "four_bar"), size=0.3),
+    "arm": lambda write: made(load_robot_from_urdf(write.two_link(), "two_link"), "load_friction", size=0.05),
+    "four_bar": lambda write: made(load_robot_from_urdf(write.four_bar(), "four_bar"), size=0.3),
 }
 
 
@@ -67,7 +67,7 @@ def axis(folder) -> tuple[Model, Path]:
 
 def written(model: Model, path: Path) -> tuple[Model, Path]:
     """Write a model's FMU."""
-    path.write_bytes(fmu_of(model).content)
+    path.write_bytes(build_fmu(model).content)
     return model, path
 
 
@@ -122,7 +122,7 @@ def test_it_is_valid_and_moves_as_the_simulator_does_to_rounding(exported):
 @needs_compiler
 def test_energy_is_kept_without_friction(write, folder):
     """Two rods that swing freely for 2 s keep kinetic and potential energy to 1e-4 of what they exchange."""
-    model, path = written(Model.of(robot_from_urdf(write.two_link(), "two_link")), folder / "swing.fmu")
+    model, path = written(Model.of(load_robot_from_urdf(write.two_link(), "two_link")), folder / "swing.fmu")
     found = simulated(model, path, np.zeros((2001, 2)), q0_shoulder=0.4, q0_elbow=-0.3)
     carried = model.robot.model_with(model.robot.parameters)
     data = carried.createData()
@@ -232,7 +232,7 @@ def test_what_a_state_does_not_determine_is_left_out_and_said(monkeypatch):
     """Friction that follows a temperature needs a history, a late recording is no force; with no compiler the source is left."""
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
-    found = fmu_of(made(load_robot("linear_axis"), "thermal_drift", "delay"))
+    found = build_fmu(made(load_robot("linear_axis"), "thermal_drift", "delay"))
     said = " ".join(found.left_out)
     assert "thermal_drift is left out: it feels temperature" in said
     assert "delay is left out: it distorts what is recorded" in said
@@ -242,20 +242,25 @@ def test_what_a_state_does_not_determine_is_left_out_and_said(monkeypatch):
 def test_what_cannot_be_traced_is_refused_in_a_sentence(write):
     """Friction that grows with a guide's load is not known on loops solved numerically."""
     with pytest.raises(InputError, match="cannot be written as an FMU: it uses what its guides carry"):
-        equations_of(made(robot_from_urdf(write.four_bar(), "four_bar"), "load_friction"))
+        build_equations(made(load_robot_from_urdf(write.four_bar(), "four_bar"), "load_friction"))
 
 
 def test_numbers_are_written_to_the_last_digit():
     """A parameter's value reads back from the source as the very same number."""
     model = Model.of(load_robot("linear_axis")).with_values({"carriage_link.mass": 0.1 + 0.2})
-    assert repr(0.1 + 0.2) in source_of(equations_of(model), "{}")
+    assert repr(0.1 + 0.2) in format_source(build_equations(model), "{}")
 
 
 def test_units_are_made_of_base_units():
     """`N s/m` is kg/s; a unit that is not known here keeps its name alone."""
-    assert {k: x for k, x in (base_units("N s/m") or {}).items() if x} == {"kg": 1, "s": -1}
-    assert {k: x for k, x in (base_units("N m s/rad") or {}).items() if x} == {"kg": 1, "m": 2, "s": -1, "rad": -1}
-    assert base_units("pieces") is None
+    assert {k: x for k, x in (build_base_units("N s/m") or {}).items() if x} == {"kg": 1, "s": -1}
+    assert {k: x for k, x in (build_base_units("N m s/rad") or {}).items() if x} == {
+        "kg": 1,
+        "m": 2,
+        "s": -1,
+        "rad": -1,
+    }
+    assert build_base_units("pieces") is None
 
 
 @pytest.mark.parametrize(
@@ -271,19 +276,19 @@ def test_units_are_made_of_base_units():
 )
 def test_a_quotient_in_brackets_is_divided_by_as_a_whole(unit, powers):
     """A force per speed is a damping, kg/s: what stands below the bar within a bracket comes up again."""
-    assert {k: x for k, x in (base_units(unit) or {}).items() if x} == powers
+    assert {k: x for k, x in (build_base_units(unit) or {}).items() if x} == powers
 
 
 @pytest.mark.parametrize("unit", ["N/(m/s", "N)/m", "(((", "N//m^x", "^2"])
 def test_a_unit_that_is_none_has_no_base_units(unit):
     """Brackets that do not close and powers that are no numbers give no answer instead of a wrong one."""
-    assert base_units(unit) is None
+    assert build_base_units(unit) is None
 
 
 def test_a_joint_cannot_end_the_comment_of_an_fmu():
     """The source is compiled where the FMU is written: a joint's name stays within the comment that lists it."""
-    robot = robot_from_urdf(load_robot("linear_axis").urdf.replace('"axis"', '"x*/int evil;/*"'), "named")
-    source = source_of(equations_of(Model.of(robot)), "{}")
+    robot = load_robot_from_urdf(load_robot("linear_axis").urdf.replace('"axis"', '"x*/int evil;/*"'), "named")
+    source = format_source(build_equations(Model.of(robot)), "{}")
     line = next(x for x in source.splitlines() if "Parameters:" in x)
     assert line.count("*/") == 1 and line.endswith("*/") and line.count("/*") == 1
 

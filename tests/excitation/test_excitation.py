@@ -12,16 +12,16 @@ from numpy.testing import assert_allclose
 from tau_dyn.cli import main
 from tau_dyn.estimate import solve_least_squares
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.excitation import CRITERIA, Design, Noise, design_motion, noise_of_log, predict
+from tau_dyn.excitation import CRITERIA, ExcitationDesign, Noise, design_motion, estimate_log_noise, predict
 from tau_dyn.excitation.bounds import Bounds
 from tau_dyn.excitation.design import _generic, _information
-from tau_dyn.excitation.search import Search
+from tau_dyn.excitation.search import MotionSearch
 from tau_dyn.excitation.series import Series
 from tau_dyn.identify import build_model, build_regression
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Sensors, broken_limit, fourier_motion, simulate
-from tau_dyn.simulate.fourier import reach, top_speed
+from tau_dyn.simulate import Sensors, build_fourier_motion, describe_exceeded_limit, simulate
+from tau_dyn.simulate.fourier import compute_reach, compute_top_speed
 
 SIZES = {"coulomb_pos": 90.0, "coulomb_neg": 70.0, "viscous_pos": 130.0, "viscous_neg": 110.0}
 
@@ -45,20 +45,20 @@ def noise(axis) -> Noise:
 
 
 @pytest.fixture(scope="module")
-def design(axis, noise) -> Design:
+def design(axis, noise) -> ExcitationDesign:
     """A motion for it."""
     return design_motion(axis, 16.0, 0, noise=noise, trials=5, seconds=30)
 
 
-def search_of(model: Model, criterion: str, box: np.ndarray | None = None) -> Search:
+def search_of(model: Model, criterion: str, box: np.ndarray | None = None) -> MotionSearch:
     """Return a small search whose bounds are all near."""
-    series = Series(model.robot.home, reach(model), 6.0, 4, 2)
-    bounds = Bounds.of(model, reach(model), 0.4 * top_speed(model), 0.8 * top_speed(model), box)
+    series = Series(model.robot.home, compute_reach(model), 6.0, 4, 2)
+    bounds = Bounds.of(model, compute_reach(model), 0.4 * compute_top_speed(model), 0.8 * compute_top_speed(model), box)
     waves = series.waves(series.period * np.arange(48) / 48)
     path = _generic(model, series, waves, np.random.default_rng(3))
     information = _information(model, Noise.given(model.robot, [5.0], [5e-6]), 1.0, path)
     prior = information.prior
-    return Search(series, information, bounds, CRITERIA[criterion], prior, 1000.0, 48, time.monotonic() + 60)
+    return MotionSearch(series, information, bounds, CRITERIA[criterion], prior, 1000.0, 48, time.monotonic() + 60)
 
 
 def test_a_series_starts_and_ends_every_period_at_rest_at_home(rng) -> None:
@@ -105,12 +105,14 @@ def test_the_search_follows_the_exact_gradient(criterion: str, rng) -> None:
 def test_a_design_keeps_its_limits_and_beats_random_motions(axis, noise, design) -> None:
     """Same limits, same time: the largest error falls; it starts and ends at rest at home."""
     motion = design.motion
-    assert broken_limit(axis, motion, margin=0.04) is None and motion.duration == pytest.approx(16.0, abs=0.01)
-    assert np.abs(motion.a).max() <= 6 * top_speed(axis)[0] * 1.01
+    assert describe_exceeded_limit(axis, motion, margin=0.04) is None and motion.duration == pytest.approx(
+        16.0, abs=0.01
+    )
+    assert np.abs(motion.a).max() <= 6 * compute_top_speed(axis)[0] * 1.01
     for k in (0, -1):
         assert_allclose(motion.q[k], axis.robot.home, atol=1e-9)
         assert_allclose(motion.v[k], 0, atol=1e-9)
-    random = min(predict(axis, fourier_motion(axis, 16.0, s), noise).worst[1] for s in range(10))
+    random = min(predict(axis, build_fourier_motion(axis, 16.0, s), noise).worst[1] for s in range(10))
     assert design.prediction.worst[1] < 0.8 * random and design.values[1] < design.values[0]
 
 
@@ -124,7 +126,7 @@ def test_predicted_errors_are_those_of_the_experiment(axis, noise, design) -> No
     assert np.all((ratio > 0.7) & (ratio < 1.4))
     z = (estimate.beta_plain - design.prediction.values) / design.prediction.stderr
     assert np.abs(z).max() < 4
-    found = noise_of_log(axis, log, 1000.0)
+    found = estimate_log_noise(axis, log, 1000.0)
     assert_allclose(found.force, 5.0, rtol=0.15)
     assert_allclose(found.encoder, 5e-6, rtol=0.2)
 
@@ -159,7 +161,7 @@ def test_a_stopped_search_hands_back_its_best(how: str, axis, noise) -> None:
 
     found = design_motion(axis, 8.0, 0, noise=noise, trials=2, seconds=1e-3 if how == "time" else 30, progress=progress)
     assert not found.finished and "stopped before" in found.motion.notes[-1]
-    assert broken_limit(axis, found.motion, margin=0.04) is None
+    assert describe_exceeded_limit(axis, found.motion, margin=0.04) is None
 
 
 @pytest.mark.parametrize(

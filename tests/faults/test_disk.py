@@ -14,7 +14,7 @@ import pytest
 
 from tau_dyn.cli import build_parser, main
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import write_whole, writing_whole
+from tau_dyn.files import write_atomically, write_whole
 from tau_dyn.log import Log, copies, log_opening, open_log
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full and fork")
@@ -114,7 +114,7 @@ def test_every_fault_of_a_disk_leaves_the_old_file(tmp_path, monkeypatch, number
 
     if where != "write":
         monkeypatch.setattr(f"os.{'fsync' if where == 'settle' else 'replace'}", fail)
-    with pytest.raises(InputError, match=words), writing_whole(path) as temporary:
+    with pytest.raises(InputError, match=words), write_atomically(path) as temporary:
         temporary.write_text("new")
         if where == "write":
             fail()

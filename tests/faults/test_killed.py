@@ -16,7 +16,7 @@ from tau_dyn import files
 from tau_dyn.cli.common import Outcome
 from tau_dyn.cli.execute import execute
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import writing_whole
+from tau_dyn.files import write_atomically
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 
@@ -101,7 +101,7 @@ def test_stopped_within_a_write(model, new, tmp_path, child, check_whole, deadly
 def test_only_the_dead_are_tidied_up(tmp_path) -> None:
     """The temporary file of a living process, of another machine or of another output stays."""
     dead = 2**22 + 1  # above Linux' largest process number
-    machine = files.owner().rpartition("-")[0]
+    machine = files.get_owner_name().rpartition("-")[0]
     gone = tmp_path / f".a.json.{machine}-{dead}.3.part"
     kept = [
         tmp_path / f".a.json.{machine}-{os.getppid()}.3.part",
@@ -111,7 +111,7 @@ def test_only_the_dead_are_tidied_up(tmp_path) -> None:
     ]
     for path in (gone, *kept):
         path.write_text("half")
-    with writing_whole(tmp_path / "a.json") as temporary:
+    with write_atomically(tmp_path / "a.json") as temporary:
         temporary.write_text("whole")
     assert not gone.exists() and all(path.exists() for path in kept)
 

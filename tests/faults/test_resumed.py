@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tau_dyn.calibrate.poses.progress_file import new_progress, run_campaign
+from tau_dyn.calibrate.poses.progress_file import build_new_progress, run_campaign
 from tau_dyn.exceptions import InputError
 from tau_dyn.scale import run_journaled
 
@@ -92,7 +92,7 @@ def test_a_journal_of_something_else_is_refused(tmp_path, monkeypatch) -> None:
     list(run_journaled(float, [1], path, about={"seed": 1}))
     with pytest.raises(InputError, match=r"holds results of \{'seed': 1\}, not of \{'seed': 2\}"):
         list(run_journaled(float, [1], path, about={"seed": 2}))
-    monkeypatch.setattr("tau_dyn.scale.journal.code_hash", lambda: "other")
+    monkeypatch.setattr("tau_dyn.scale.journal.compute_code_hash", lambda: "other")
     with pytest.raises(InputError, match="begun by other code"):
         list(run_journaled(float, [1], path, about={"seed": 1}))
     monkeypatch.undo()
@@ -120,7 +120,7 @@ def test_a_campaign_survives_sigkill(tmp_path, child) -> None:
     """Killed while it drives to each place in turn, the campaign measures every pose once and ends with the same set."""
     rng = np.random.default_rng(4)
     pose = np.array([0, 1, -1, 2, 3])
-    plan = new_progress(("a", "b"), rng.normal(size=(5, 2)), pose)
+    plan = build_new_progress(("a", "b"), rng.normal(size=(5, 2)), pose)
     seen = tmp_path / "measured.txt"
 
     def measure(die: bool, number: int, q: np.ndarray):

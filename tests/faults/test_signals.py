@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tau_dyn.cli.ending import ASKED, Ended, Interrupted, machine_fault, unwinding
+from tau_dyn.cli.ending import ASKED, Ended, Interrupted, machine_fault, unwind_on_signal
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
@@ -48,7 +48,7 @@ def test_what_others_do_with_signals_stays_theirs() -> None:
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, *ASKED)}
     try:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
-        with unwinding():
+        with unwind_on_signal():
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
             assert signal.getsignal(signal.SIGTERM) is not before[signal.SIGTERM]
         assert signal.getsignal(signal.SIGTERM) is before[signal.SIGTERM]
@@ -77,7 +77,7 @@ def test_a_request_waits_for_an_import(tmp_path: Path, monkeypatch: pytest.Monke
     """An import that would wrap the request in another error, or swallow it, ends first; then the request is heard."""
     (tmp_path / "spoils_requests.py").write_text(SPOILS)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(Ended) as told, unwinding():
+    with pytest.raises(Ended) as told, unwind_on_signal():
         import spoils_requests  # pyright: ignore[reportMissingImports]
 
         assert spoils_requests.WHOLE
@@ -96,7 +96,7 @@ def test_a_request_comes_again_where_a_destructor_swallowed_it(monkeypatch: pyte
     before, gone = signal.getsignal(signal.SIGINT), Swallows()
     heeded()
     try:
-        with pytest.raises(Interrupted), unwinding():
+        with pytest.raises(Interrupted), unwind_on_signal():
             del gone
             time.sleep(10)
     finally:
@@ -108,7 +108,7 @@ def test_an_interruption_in_executed_text_leaves_with_its_status(tmp_path: Path)
     """Ctrl-C within an `exec` of text (a dataclass being made): `python -m` still leaves with the status, not by the signal."""
     (tmp_path / "executes.py").write_text(
         "import sys\n"
-        "from tau_dyn.cli.ending import unwinding\n"
+        "from tau_dyn.cli.ending import unwind_on_signal\n"
         "try:\n"
         "    with unwinding():\n"
         "        exec('import os; os.kill(os.getpid(), 2); import time; time.sleep(10)')\n"

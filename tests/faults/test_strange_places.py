@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tau_dyn.cli import main
-from tau_dyn.files import destination
+from tau_dyn.files import resolve_destination
 
 FK = ["fk", "linear_axis", "--q", "0.1", "--quiet"]
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/dev, links, closed descriptors")
@@ -129,6 +129,6 @@ def test_where_an_output_lies(tmp_path: Path) -> None:
     (tmp_path / "real").write_text("")
     (tmp_path / "link").symlink_to("real")
     (tmp_path / "ahead").symlink_to("new")
-    assert destination(tmp_path / "link") == (tmp_path / "real").resolve()
-    assert destination(tmp_path / "ahead") == (tmp_path / "new").resolve()
-    assert destination("/dev/null") == Path("/dev/null")
+    assert resolve_destination(tmp_path / "link") == (tmp_path / "real").resolve()
+    assert resolve_destination(tmp_path / "ahead") == (tmp_path / "new").resolve()
+    assert resolve_destination("/dev/null") == Path("/dev/null")

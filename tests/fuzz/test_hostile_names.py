@@ -19,7 +19,7 @@ from pages import taken_apart
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError, one_line
 from tau_dyn.report import html_page
-from tau_dyn.vision.pose_table import plain_cell
+from tau_dyn.vision.pose_table import escape_formula
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror=alert(1)>\" onload=\"x' onclick='y{{7*7}}"
 """A name of a joint, a link, a robot, a column."""
@@ -152,9 +152,9 @@ def test_a_policy_on_every_page_forbids_what_would_still_get_through(folder: Pat
 def test_formulas_in_tables_are_text() -> None:
     """A spreadsheet evaluates a cell that begins with = + - @; names from outside get an apostrophe before it."""
     for name in ("=1+1.png", "+x.png", "-x.png", "@SUM(1).png", "\tx.png", "\rx.png"):
-        assert plain_cell(name) == f"'{name}"
+        assert escape_formula(name) == f"'{name}"
     for name in ("img_001.png", "a=b.png", "left/-x.png"):
-        assert plain_cell(name) == name
+        assert escape_formula(name) == name
 
 
 def test_headers_we_write_begin_with_a_signal(folder: Path, monkeypatch, capsys) -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tau_dyn.cli.demo import true_model
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate import PlantRun, Sensors, Trajectory, drive, named_motion
+from tau_dyn.simulate import PlantRun, Sensors, Trajectory, build_named_motion, drive
 
 
 def recorded(
@@ -60,13 +60,13 @@ def truth(l1) -> Model:
 @pytest.fixture(scope="session")
 def monday(truth) -> Log:
     """Half a minute of L1 at 250 Hz."""
-    return recorded(truth, named_motion("fourier", truth, 30.0, 1), name="monday.csv")
+    return recorded(truth, build_named_motion("fourier", truth, 30.0, 1), name="monday.csv")
 
 
 @pytest.fixture(scope="session")
 def tuesday(truth) -> Log:
     """Ten seconds of another motion."""
-    return recorded(truth, named_motion("prbs", truth, 10.0, 2), seed=1, name="tuesday.csv")
+    return recorded(truth, build_named_motion("prbs", truth, 10.0, 2), seed=1, name="tuesday.csv")
 
 
 @pytest.fixture(scope="session")
@@ -86,7 +86,7 @@ def axis() -> Robot:
 @pytest.fixture(scope="session")
 def true_axis(axis) -> Model:
     """A drive of 93 kg with the friction of EMPS."""
-    model = Model.of(axis, friction_model("asymmetric", axis.actuated, axis.force_units))
+    model = Model.of(axis, build_friction_model("asymmetric", axis.actuated, axis.force_units))
     friction = {"coulomb_pos": 20.1, "coulomb_neg": 20.6, "viscous_pos": 167.0, "viscous_neg": 240.0}
     return model.with_values({f"axis.{k}": x for k, x in friction.items()} | {"carriage_link.mass": 93.0})
 
@@ -94,13 +94,13 @@ def true_axis(axis) -> Model:
 @pytest.fixture(scope="session")
 def axis_log(true_axis) -> Log:
     """Twenty seconds of the drive."""
-    return recorded(true_axis, named_motion("fourier", true_axis, 20.0, 0), force_noise=2.0, name="axis.csv")
+    return recorded(true_axis, build_named_motion("fourier", true_axis, 20.0, 0), force_noise=2.0, name="axis.csv")
 
 
 @pytest.fixture(scope="session")
 def driven(truth) -> tuple[PlantRun, PlantRun]:
     """What happened in 40 s and in 10 s of simulated L1, to be measured with many seeds of noise."""
     rng = np.random.default_rng(0)
-    paths = (named_motion("fourier", truth, 40.0, 4), named_motion("prbs", truth, 10.0, 5))
+    paths = (build_named_motion("fourier", truth, 40.0, 4), build_named_motion("prbs", truth, 10.0, 5))
     fit, held = (drive(truth, path, None, Sensors(), rng, feedback="ideal") for path in paths)
     return fit, held

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tau_dyn.effects import EFFECTS
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import Preparation, blocks, build_model
-from tau_dyn.identify.blocks import Block, Work, channels, overlap, refuse_memory, split_blocks
+from tau_dyn.identify.blocks import Block, BlockWork, compute_overlap, list_channels, refuse_memory, split_blocks
 from tau_dyn.identify.regression import prepare_segment
-from tau_dyn.log import Log, edge_samples
+from tau_dyn.log import Log, compute_edge_samples
 from tau_dyn.log.even_segments import InMemorySegment
 from tau_dyn.model import Model
 
@@ -52,13 +52,13 @@ def test_a_block_has_rows_enough_however_many_columns_there_are(monkeypatch) -> 
 
 def test_what_is_read_around_a_block_is_what_filters_and_gate_remember() -> None:
     """Eight memories of both filters, the gate and its filter's periods, in whole decimated samples."""
-    filters = edge_samples(40.0, RATE) + edge_samples(100.0, RATE)
+    filters = compute_edge_samples(40.0, RATE) + compute_edge_samples(100.0, RATE)
     least = 8 * filters + (0.02 + 2 / 100.0) * RATE + 16
-    assert overlap(FILTERS, RATE) % 10 == 0 and least <= overlap(FILTERS, RATE) < least + 10
+    assert compute_overlap(FILTERS, RATE) % 10 == 0 and least <= compute_overlap(FILTERS, RATE) < least + 10
 
 
 @pytest.fixture(scope="module")
-def work(axis) -> Work:
+def work(axis) -> BlockWork:
     """A drive in two stretches of memory."""
     rng = np.random.default_rng(4)
     t = np.arange(12_000) / RATE
@@ -66,7 +66,7 @@ def work(axis) -> Work:
     log = Log(t, {"q_axis": q + 1e-6 * rng.normal(size=t.size), "tau_axis": 50 * np.cos(2 * t)}, "made.csv")
     model = build_model(axis, "asymmetric")
     pieces = (InMemorySegment(log.window(0, 4000)), InMemorySegment(log.window(4000, 12_000)))
-    return Work(model, model, pieces, (0, 0), FILTERS, np.array([1.1]))
+    return BlockWork(model, model, pieces, (0, 0), FILTERS, np.array([1.1]))
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 90), (90, 300), (337, 519), (700, 800)])
@@ -84,16 +84,16 @@ def test_a_blocks_rows_are_those_of_the_whole_stretch(work, start: int, stop: in
     assert_allclose(found.used.power(), np.sum(np.where(whole.usable, 1.1 * whole.y, 0)[part] ** 2, axis=0), rtol=1e-9)
     assert_allclose(found.whole.power(), np.sum((1.1 * whole.y_all[part]) ** 2, axis=0), rtol=1e-9)
     assert found.run is None
-    shown = Work(work.model, work.at, work.stretches, work.numbers, FILTERS, work.scale, frozenset({block})).compute(
-        block
-    )
+    shown = BlockWork(
+        work.model, work.at, work.stretches, work.numbers, FILTERS, work.scale, frozenset({block})
+    ).compute(block)
     assert shown.run is not None
     assert_array_equal(shown.run.y, found.rows.y)
 
 
 def test_the_channels_read_are_those_a_fit_may_want(two_link) -> None:
     """Positions, forces and temperatures of each joint, the room's, and the flags."""
-    assert channels(Model.of(two_link), ("flag", "bad")) == (
+    assert list_channels(Model.of(two_link), ("flag", "bad")) == (
         "q_shoulder", "q_elbow", "tau_shoulder", "tau_elbow", "temp_shoulder", "temp_elbow", "temp_room", "flag", "bad",
     )  # fmt: skip
 

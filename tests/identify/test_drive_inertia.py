@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.identify import Choices, build_model
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 DRIVES = """<transmission name="t{k}"><type>x</type><joint name="j{k}"/><actuator name="m{k}">{more}</actuator></transmission>"""
 LINK = """<link name="{name}"><inertial><origin xyz="0.2 0.01 0"/><mass value="{mass}"/>
@@ -20,7 +20,7 @@ def two_links(*more: str):
         k=2, parent="a_link", child="b_link", x=0.4
     )
     drives = "".join(DRIVES.format(k=k + 1, more=text) for k, text in enumerate(more))
-    return robot_from_urdf(f'<robot name="two"><link name="base_link"/>{links}{joints}{drives}</robot>', "two")
+    return load_robot_from_urdf(f'<robot name="two"><link name="base_link"/>{links}{joints}{drives}</robot>', "two")
 
 
 def armature(model, joint: str):

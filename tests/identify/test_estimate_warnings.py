@@ -13,13 +13,17 @@ from tau_dyn.estimate import (
     InertialBody,
     PhysicalConstraints,
     Regression,
-    Run,
+    RegressionRun,
     find_base,
     solve_least_squares,
 )
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import identify
-from tau_dyn.identify.estimate_warnings import equivalences, list_estimate_warnings, list_inertia_scale_warnings
+from tau_dyn.identify.estimate_warnings import (
+    list_equivalent_models,
+    list_estimate_warnings,
+    list_inertia_scale_warnings,
+)
 from tau_dyn.parameters import Parameter, Parameters
 
 N = 2000
@@ -30,7 +34,7 @@ def fitted(W: np.ndarray, theta: list[float], names: str, noise: float = 1.0, un
     rng = np.random.default_rng(11)
     y = W @ np.array(theta) + noise * rng.normal(size=len(W))
     W, y = W[:, None, :], y[:, None]
-    run = Run("made", np.arange(len(y)) / 50, W, y, np.ones(y.shape, bool), W, y)
+    run = RegressionRun("made", np.arange(len(y)) / 50, W, y, np.ones(y.shape, bool), W, y)
     parameters = Parameters(Parameter(name, 1.0, unit, more.pop("lower", -np.inf)) for name in names.split())
     return solve_least_squares(Regression(parameters, ("axis",), ("N",), (run,)), **more)
 
@@ -120,15 +124,20 @@ def test_inertia_of_another_order_is_a_wrong_unit(columns) -> None:
 def test_friction_descriptions_that_fit_alike_are_given(columns) -> None:
     """18 forwards and 22 backwards are 20 with an offset of -2; viscous friction that differs is not one coefficient."""
     names = "axis.coulomb_pos axis.coulomb_neg axis.viscous_pos axis.viscous_neg"
-    (said,) = equivalences(fitted(columns, [18, 22, 100, 100], names, noise=1e-6, unit="N"), ("axis", "other"))
+    (said,) = list_equivalent_models(
+        fitted(columns, [18, 22, 100, 100], names, noise=1e-6, unit="N"), ("axis", "other")
+    )
     assert said.startswith(
         "axis: Coulomb friction 18 / 22 N is the same as 20 N in both directions with a constant offset of -2 N"
     )
-    (said,) = equivalences(fitted(columns, [18, 22, 100, 110], names), ("axis",))
+    (said,) = list_equivalent_models(fitted(columns, [18, 22, 100, 110], names), ("axis",))
     assert "one viscous coefficient" not in said
-    (said,) = equivalences(fitted(columns, [18, 22, 100, 100.01], names), ("axis",))
+    (said,) = list_equivalent_models(fitted(columns, [18, 22, 100, 100.01], names), ("axis",))
     assert said.endswith("; one viscous coefficient would do")
-    assert equivalences(fitted(columns, [18, 22, 100, 110], names.replace("coulomb_neg", "other")), ("axis",)) == ()
+    assert (
+        list_equivalent_models(fitted(columns, [18, 22, 100, 110], names.replace("coulomb_neg", "other")), ("axis",))
+        == ()
+    )
 
 
 def test_a_turned_sign_is_suspected(axis, axis_log, l1, monday) -> None:

@@ -7,13 +7,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tau_dyn.effects import EFFECTS, friction_model
+from tau_dyn.effects import EFFECTS, build_friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify import build_regression, identify
-from tau_dyn.identify.signals import travel
+from tau_dyn.identify.signals import compute_travel
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.simulate import named_motion
+from tau_dyn.simulate import build_named_motion
 
 ROBOTS = ("l1", "axis")
 AMPLITUDES = {
@@ -37,16 +37,16 @@ def extended(robot, cause: str, size: float, **settings: float) -> Model:
     """Return a robot with friction and one cause on its first joint, or on as many as it takes."""
     count = {"reducer_coupling": 2, "passive_joint_friction": robot.na}.get(cause, 1)
     effect = EFFECTS[cause](robot.actuated[:count], robot.force_units[:count], **cast("Any", settings))
-    model = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), effect])
+    model = Model.of(robot, [*build_friction_model("asymmetric", robot.actuated, robot.force_units), effect])
     values = dict.fromkeys(model.effects[0].parameters.names, 40.0)
     return model.with_values(values | dict.fromkeys(effect.parameters.names, size))
 
 
 def made(model: Model, seed: int, seconds: float = 20.0, campaign: float = 0.0, name: str = "made.csv") -> Log:
     """Return the log of a robot that follows a motion, at 250 Hz, with 1 N of noise and a room that warms up."""
-    path = named_motion("fourier", model.steady(), seconds, seed).every(4)
+    path = build_named_motion("fourier", model.steady(), seconds, seed).every(4)
     room = 20 + 15 * (1 - np.exp(-path.t / 8))
-    travelled = np.column_stack([travel(q, v, 0.0) for q, v in zip(path.q.T, path.v.T, strict=True)])
+    travelled = np.column_stack([compute_travel(q, v, 0.0) for q, v in zip(path.q.T, path.v.T, strict=True)])
     signals = {
         "temperature": np.repeat(room[:, None], model.robot.na, axis=1),
         "reversal": travelled,

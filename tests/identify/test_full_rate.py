@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.estimate.position_noise import REACH, accelerations
+from tau_dyn.estimate.position_noise import REACH, compute_accelerations
 from tau_dyn.identify import build_model, choose_preparation
 from tau_dyn.identify.full_rate import INERTIA_EVERY, SIGN_THRESHOLD_RATIO, build_full_rate_equations
 from tau_dyn.identify.full_rate import _inertia as inertia_of
 from tau_dyn.identify.full_rate import _sure as sure_of
-from tau_dyn.log import Log, edge_samples
+from tau_dyn.log import Log, compute_edge_samples
 from tau_dyn.model import Model
 
 RATE, N = 500.0, 3000
@@ -41,7 +41,7 @@ def test_columns_hold_the_accelerations_of_raw_positions(arm) -> None:
     raw = log.joint("q", model.robot.actuated)
     assert_array_equal(found.position, raw)
     assert_array_equal(found.force, log.joint("tau", model.robot.actuated))
-    expected = model.columns(model.motion(q, v, accelerations(raw, log.dt), np.sign(v), t=log.t))
+    expected = model.columns(model.motion(q, v, compute_accelerations(raw, log.dt), np.sign(v), t=log.t))
     assert_allclose(found.W, expected, rtol=1e-12)
     other = np.cos(raw)
     assert_allclose(
@@ -57,7 +57,7 @@ def test_equations_count_where_signs_are_sure_and_nothing_is_flagged(arm) -> Non
     model, log = arm
     chosen = choose_preparation(model.robot, [log], ("flag",))
     found = build_full_rate_equations(model, log, chosen)
-    edge = edge_samples(chosen.position_cutoff_hz, RATE)
+    edge = compute_edge_samples(chosen.position_cutoff_hz, RATE)
     assert not found.keep[:edge].any() and not found.keep[N - edge :].any()
     assert found.keep[edge : edge + 20].any() and found.keep[N - edge - 20 : N - edge].any()
     assert not found.keep[1500 - REACH : 1510 + REACH].any()

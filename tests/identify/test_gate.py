@@ -11,7 +11,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Preparation, choose_preparation
 from tau_dyn.identify.gate import compute_gate, find_excluded_samples
 from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES
-from tau_dyn.log import Log, encoder_noise, motion_band, noise_gain
+from tau_dyn.log import Log, compute_noise_gain, estimate_encoder_noise, find_motion_band
 from tau_dyn.model import Model
 
 RATE, N = 1000.0, 1000
@@ -111,21 +111,21 @@ def axis_log(seed: int = 0, noise: float = 1e-6, rate_hz: float = RATE, q: np.nd
 def test_filters_follow_from_motion_and_noise_by_rule(axis) -> None:
     """`f_w = min(5 f_b, f_noise, 0.16 f_s)`, `f_q = min(8 f_w, 0.4 f_s)`, 2.5 f_w, ten times a speed's noise, two periods."""
     log = axis_log()
-    band = motion_band(log.joint("q", ["axis"]), RATE)
+    band = find_motion_band(log.joint("q", ["axis"]), RATE)
     chosen = choose_preparation(axis, [log], ("flag",))
     assert band.edge_hz[0] == pytest.approx(2.5, abs=0.3)
     assert chosen.force_cutoff_hz == pytest.approx(min(5 * band.edge_hz[0], band.noise_edge_hz[0], 160))
     assert chosen.position_cutoff_hz == pytest.approx(min(8 * chosen.force_cutoff_hz, 400))
     assert chosen.rate_hz == pytest.approx(2.5 * chosen.force_cutoff_hz)
     assert chosen.window_s == pytest.approx(2 / chosen.position_cutoff_hz) and chosen.exclude == ("flag",)
-    speed_noise = encoder_noise(log.joint("q", ["axis"])) * noise_gain(RATE, chosen.position_cutoff_hz)
+    speed_noise = estimate_encoder_noise(log.joint("q", ["axis"])) * compute_noise_gain(RATE, chosen.position_cutoff_hz)
     assert_allclose(chosen.speed_threshold, 10 * speed_noise)
 
 
 def test_of_several_logs_the_widest_motion_the_noisier_encoder_and_the_slowest_clock_count(axis) -> None:
     """Fitted together, filtered alike."""
     slow, fast, noisy = axis_log(), axis_log(1, q=0.1 * np.sin(2 * np.pi * 6.0 * T)), axis_log(2, noise=1e-4)
-    bands = [motion_band(log.joint("q", ["axis"]), RATE) for log in (slow, fast)]
+    bands = [find_motion_band(log.joint("q", ["axis"]), RATE) for log in (slow, fast)]
     expected = min(5 * max(b.edge_hz[0] for b in bands), min(b.noise_edge_hz[0] for b in bands), 160.0)
     assert bands[1].edge_hz[0] > 2 * bands[0].edge_hz[0]
     assert choose_preparation(axis, [slow, fast]).force_cutoff_hz == pytest.approx(expected)
@@ -136,7 +136,7 @@ def test_of_several_logs_the_widest_motion_the_noisier_encoder_and_the_slowest_c
     coarse = axis_log(3, rate_hz=20.0, q=0.2 * np.sin(2 * np.pi * np.arange(20_000) / 20.0))
     assert choose_preparation(axis, [coarse]).force_cutoff_hz <= 0.16 * 20.0 + 1e-9
     assert choose_preparation(axis, [coarse, slow]).force_cutoff_hz == pytest.approx(
-        max(0.16 * 20.0, motion_band(slow.joint("q", ["axis"]), RATE).edge_hz[0]), rel=1e-6
+        max(0.16 * 20.0, find_motion_band(slow.joint("q", ["axis"]), RATE).edge_hz[0]), rel=1e-6
     )
 
 

@@ -12,7 +12,7 @@ from tau_dyn.identify import Choices, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Trajectory, named_motion
+from tau_dyn.simulate import Trajectory, build_named_motion
 
 PARAMETER_KEYS = {
     "name", "value", "unit", "stderr", "ci95", "identifiable", "determined", "nominal", "nominal_stderr", "at_bound",
@@ -141,7 +141,7 @@ def test_friction_descriptions_that_fit_alike_are_said(found, l1, axis, axis_log
 def test_equivalent_descriptions_predict_the_same(axis, true_axis, make):
     """With one viscous coefficient, both descriptions leave the same residual to the last digits, at offset (Fc+ - Fc-) / 2."""
     one = true_axis.with_values({"axis.viscous_pos": 200.0, "axis.viscous_neg": 200.0, "axis.coulomb_pos": 26.0})
-    log = make.recorded(one, named_motion("fourier", one, 20.0, 0), force_noise=0.0, encoder_noise=0.0)
+    log = make.recorded(one, build_named_motion("fourier", one, 20.0, 0), force_noise=0.0, encoder_noise=0.0)
     a, s = identify(axis, log), identify(axis, log, model="symmetric")
     assert "one viscous coefficient would do" in a.equivalent[0]
     p, q = a.parameters, s.parameters
@@ -155,7 +155,7 @@ def test_complete_arms_show_their_rods_sum(make):
     from tau_dyn.cli.demo import true_model
 
     truth = true_model(robot, 2)
-    found = identify(robot, make.recorded(truth, named_motion("fourier", truth, 12.0, 1)))
+    found = identify(robot, make.recorded(truth, build_named_motion("fourier", truth, 12.0, 1)))
     rows = {row["name"]: row for row in found.rows()}
     for name, other in (("rod2a_link.mass", "rod2b_link.mass"), ("rod2b_link.mass", "rod2a_link.mass")):
         row = rows[name]
@@ -172,7 +172,7 @@ def test_complete_arms_show_their_rods_sum(make):
 
 def test_a_still_robot_cannot_answer(l1, truth, monday, make):
     """A log in which nothing moves leaves with status 3 and says what to move."""
-    quiet = make.recorded(truth, still(named_motion("fourier", truth, 20.0, 1)))
+    quiet = make.recorded(truth, still(build_named_motion("fourier", truth, 20.0, 1)))
     with pytest.raises(CannotAnswer, match="moves above its encoder's noise") as fault:
         identify(l1, quiet)
     assert fault.value.exit_status == 3
@@ -189,7 +189,7 @@ def test_force_noise_alone_cannot_answer(axis, axis_log, make):
 
 def test_one_joint_alone_leaves_the_others_named(l1, truth, make):
     """Where only cart1 moves its friction is found, and a warning names what to move for the rest."""
-    motion = still(named_motion("fourier", truth, 30.0, 1), "cart1")
+    motion = still(build_named_motion("fourier", truth, 30.0, 1), "cart1")
     found = identify(l1, make.recorded(truth, motion))
     for quantity in ("coulomb_pos", "viscous_neg"):
         p = found.parameters[f"cart1.{quantity}"]
@@ -205,7 +205,7 @@ def test_one_joint_alone_leaves_the_others_named(l1, truth, make):
 
 def test_an_undetermined_parameter_is_said(axis, true_axis, make):
     """At constant slow speeds the mass hardly shows: its error is above 30 %, and a warning gives value and error."""
-    fast, slower = named_motion("fourier", true_axis, 20.0, 0), 25.0
+    fast, slower = build_named_motion("fourier", true_axis, 20.0, 0), 25.0
     path = Trajectory(fast.joints, slower * fast.t, fast.q, fast.v / slower, fast.a / slower**2)  # now at 40 Hz
     found = identify(axis, make.recorded(true_axis, path, force_noise=100.0, rate_hz=1000.0))
     assert any(
@@ -247,7 +247,7 @@ def test_flagged_samples_are_left_out_of_held_out_logs_too(l1, monday, tuesday, 
 
 def test_two_logs_are_not_joined(l1, truth, monday, make):
     """Two logs from different places are two runs; joined, the jump between them would be an acceleration of 1000 m/s^2."""
-    other = make.recorded(truth, named_motion("fourier", truth, 15.0, 9), seed=4, name="wednesday.csv")
+    other = make.recorded(truth, build_named_motion("fourier", truth, 15.0, 9), seed=4, name="wednesday.csv")
     both = identify(l1, [monday, other])
     assert [run.name for run in both.estimate.regression.runs] == ["monday.csv", "wednesday.csv"]
     for run, log in zip(both.estimate.regression.runs, (monday, other), strict=True):
@@ -271,7 +271,7 @@ def test_a_gap_cuts_the_log_and_is_said(l1, truth, monday):
 def test_uneven_sampling_is_put_right_and_said(l1, truth, monday):
     """Steps that vary by 10 % are interpolated onto an even clock, with a warning, and the answer is still right."""
     rng = np.random.default_rng(8)
-    fine = named_motion("fourier", truth, 30.0, 1)
+    fine = build_named_motion("fourier", truth, 30.0, 1)
     t = monday.t + 4e-4 * rng.uniform(-0.5, 0.5, monday.n_samples)
     t[0], t[-1] = monday.t[0], monday.t[-1]
     shift = t - monday.t
@@ -351,7 +351,9 @@ def test_columns_and_forces_pass_the_same_filter(l1, truth, monday):
 
 def test_what_the_low_pass_spreads_of_a_reversal_is_kept_out(axis, true_axis, make):
     """Around reversals nothing is used, so a friction step of 40 N leaves less than 1 % of itself in a clean residual."""
-    log = make.recorded(true_axis, named_motion("fourier", true_axis, 20.0, 0), force_noise=0.0, encoder_noise=0.0)
+    log = make.recorded(
+        true_axis, build_named_motion("fourier", true_axis, 20.0, 0), force_noise=0.0, encoder_noise=0.0
+    )
     regression = build_regression(Model.of(true_axis.robot, true_axis.effects), [log])
     run = regression.runs[0]
     e = regression.residuals(true_axis.parameters.values)[0]
@@ -367,7 +369,7 @@ def test_encoder_noise_does_not_fold_through_the_gate(axis, true_axis, make):
     """
     squares = []
     for seed in range(3):
-        log = make.recorded(true_axis, named_motion("fourier", true_axis, 20.0, 0), force_noise=0.0, seed=seed)
+        log = make.recorded(true_axis, build_named_motion("fourier", true_axis, 20.0, 0), force_noise=0.0, seed=seed)
         regression = build_regression(Model.of(true_axis.robot, true_axis.effects), [log])
         (residual,), (run,) = regression.residuals(true_axis.parameters.values), regression.runs
         squares.append(np.mean(residual[run.usable] ** 2))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.coded_warning import get_code
-from tau_dyn.identify import check_integrity, identify, spoils_diagnosis
+from tau_dyn.identify import check_integrity, identify, is_diagnosis_invalid
 from tau_dyn.log import Log, read_log
 from tau_dyn.robot import load_robot
 
@@ -60,7 +60,7 @@ def test_each_wrong_wiring_is_named_with_its_mend(l1, monday, spoil, code: str, 
     """One column turned, exchanged or scaled contradicts the other joints; the sentence writes the line that mends it."""
     warnings = check_integrity(l1, [spoil(monday)])
     assert code in {get_code(w) for w in warnings} and mend in " ".join(warnings)
-    assert spoils_diagnosis(warnings)
+    assert is_diagnosis_invalid(warnings)
 
 
 def test_a_lone_axis_that_turns_round_is_the_same_axis(axis, axis_log) -> None:
@@ -83,7 +83,7 @@ def test_a_late_force_is_named_with_its_delay(l1, monday, delay_s: float) -> Non
     assert get_code(warning) == "force_late" and ("early" in warning) is (delay_s < 0)
     stated = float(warning.split(" by ")[1].split(" ms")[0])
     assert stated == pytest.approx(1e3 * abs(delay_s), abs=1.5)
-    assert not spoils_diagnosis([warning])
+    assert not is_diagnosis_invalid([warning])
 
 
 def test_a_strong_lag_of_the_drive_is_told_from_a_delay(l1, monday) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.identify import build_regression, identify
-from tau_dyn.simulate import Sensors, measure, named_motion, simulate
+from tau_dyn.simulate import Sensors, build_named_motion, measure, simulate
 
 SEEDS = 10
 NOISE = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=500.0)
@@ -87,7 +87,7 @@ def test_reversals_leave_no_bias(l1, driven, truth):
 
 def test_encoders_in_the_feedback_do_not_bias(l1, truth):
     """Where noise also drives the robot, as in a real controller, all parameters are within 4.5 standard errors."""
-    log = simulate(truth, named_motion("fourier", truth, 20.0, 6), sensors=NOISE, seed=7)
+    log = simulate(truth, build_named_motion("fourier", truth, 20.0, 6), sensors=NOISE, seed=7)
     assert np.max(np.abs(z_of(identify(l1, log), truth))) < 4.5
 
 
@@ -96,7 +96,7 @@ def test_a_clean_log_gives_the_truth(l1, truth, make):
 
     What is left is what the position filter leaves of each reversal (0.3 %); central differences pass 1.2 Hz to 1e-6.
     """
-    log = make.recorded(truth, named_motion("fourier", truth, 30.0, 1), force_noise=0.0, encoder_noise=0.0)
+    log = make.recorded(truth, build_named_motion("fourier", truth, 30.0, 1), force_noise=0.0, encoder_noise=0.0)
     for p in identify(l1, log).parameters:
         if p.free:
             tolerance = 2e-3 if p.name.endswith("mass") else 1e-3

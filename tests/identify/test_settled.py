@@ -44,7 +44,7 @@ def test_more_rounds_of_weights_change_the_answer_by_nothing_that_counts(model, 
     log, first = spoilt
     found = estimate_full_rate(model, [log], first, "robust").estimate
     monkeypatch.setattr(full_rate_estimators, "MAX_ITERATIONS", 12)
-    monkeypatch.setattr(full_rate_estimators, "SETTLED", -1.0)
+    monkeypatch.setattr(full_rate_estimators, "MAX_CHANGE_STDERRS", -1.0)
     settled = estimate_full_rate(model, [log], first, "robust").estimate
     assert np.max(np.abs(found.beta_plain - settled.beta_plain) / settled.stderr) < 2 * 0.02
     monkeypatch.setattr(full_rate_estimators, "MAX_ITERATIONS", 1)

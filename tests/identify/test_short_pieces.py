@@ -10,10 +10,10 @@ import pytest
 from tau_dyn.coded_warning import get_code
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import identify
-from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, keep_long, min_samples
+from tau_dyn.identify.short_pieces import EXPERIMENT, compute_min_samples, count_information, keep_long
 from tau_dyn.log import Log
-from tau_dyn.log.filtering import edge_samples
-from tau_dyn.log.resample import short_segments
+from tau_dyn.log.filtering import compute_edge_samples
+from tau_dyn.log.resample import count_short_segments
 from tau_dyn.robot import load_robot
 
 RATE_HZ = 200.0
@@ -83,7 +83,7 @@ def test_nothing_but_short_pieces_cannot_answer_and_says_which_length_it_takes(a
 def test_crumbs_alone_cannot_answer(axis) -> None:
     """Where every piece has fewer than 10 samples, no stretch is left at all."""
     log = cut(made(3.0), [0.04] * 13)
-    assert short_segments(log)[0] == 13
+    assert count_short_segments(log)[0] == 13
     with pytest.raises(CannotAnswer, match="no piece of made0.csv without a gap is long enough"):
         identify(axis, cut(made(3.0), [0.04] * 13))
 
@@ -114,8 +114,8 @@ def test_information_grows_with_time_not_with_the_sampling_rate(axis) -> None:
 
 def test_a_piece_counts_from_where_it_gives_a_row() -> None:
     """Both ends that the filter disturbs, and one decimated sample between them."""
-    n = min_samples(10.0, 200.0, 4)
-    assert n > 2 * edge_samples(10.0, 200.0)
+    n = compute_min_samples(10.0, 200.0, 4)
+    assert n > 2 * compute_edge_samples(10.0, 200.0)
     t = np.arange(n) / 200.0
     pieces = [Log(t, {}, "a"), Log(t[:-1], {}, "a")]
     kept = keep_long(pieces, 10.0, lambda rate: 4)

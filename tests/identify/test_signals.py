@@ -7,7 +7,7 @@ import pytest
 
 from tau_dyn.effects import Motion, ReducerCoupling
 from tau_dyn.identify import Preparation, build_regression
-from tau_dyn.identify.signals import travel
+from tau_dyn.identify.signals import compute_travel
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 
@@ -19,7 +19,7 @@ def test_travel_counts_from_the_last_turning_point_at_any_rate(rate_hz: int, dri
     t = np.arange(2 * rate_hz) / rate_hz
     w = 2 * np.pi * 3
     q, v = 0.1 * np.cos(w * t) + drift * t, -0.1 * w * np.sin(w * t) + drift
-    found = travel(q, v, 0.4)
+    found = compute_travel(q, v, 0.4)
     moving = np.abs(v) > 0.4
     turns = np.flatnonzero(np.diff(np.sign(v)) != 0) + 1
     for start, stop in zip(turns[:-1], turns[1:], strict=True):
@@ -36,7 +36,7 @@ def test_the_first_stretch_goes_where_the_joint_goes(heading: int) -> None:
     q = heading * np.maximum(0, t - 0.2) ** 2
     v = heading * 2 * np.maximum(0, t - 0.2)
     v[0] = -1e-6 * heading
-    np.testing.assert_allclose(travel(q, v, 1e-4)[300:], np.abs(q)[300:])
+    np.testing.assert_allclose(compute_travel(q, v, 1e-4)[300:], np.abs(q)[300:])
 
 
 class _Seal(ReducerCoupling):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.identify import build_model
-from tau_dyn.identify.structural_identifiability import random_positions, structural_base
+from tau_dyn.identify.structural_identifiability import draw_random_positions, find_structural_base
 from tau_dyn.robot import load_robot
 
 
@@ -15,7 +15,7 @@ def test_two_links_in_a_vertical_plane_have_six_base_parameters(two_link) -> Non
 
     The second joint's rotor is the seventh; the first's is in its link's inertia.
     """
-    base = structural_base(build_model(two_link, "rigid"))
+    base = find_structural_base(build_model(two_link, "rigid"))
     said = {base.expression(k) for k in range(base.rank)}
     assert base.rank == 7
     assert {n for n, alone in zip(base.names, base.alone, strict=True) if alone} == {
@@ -32,17 +32,17 @@ def test_what_is_known_beforehand_is_one_more_that_is_seen(two_link) -> None:
     """A second link that was weighed: its mass stands for itself, and the sums that hold it lose it."""
     model = build_model(two_link, "rigid")
     known = model.with_parameters(model.parameters.update({"lower_link.mass": {"prior_stderr": 0.01}}))
-    base = structural_base(known)
+    base = find_structural_base(known)
     assert base.rank == 8
     fixed = model.with_parameters(model.parameters.update({"lower_link.mass": {"free": False, "prior_stderr": 0.01}}))
-    assert structural_base(fixed).rank == 7 and "lower_link.mass" not in structural_base(fixed).names
+    assert find_structural_base(fixed).rank == 7 and "lower_link.mass" not in find_structural_base(fixed).names
 
 
 @pytest.mark.parametrize("name", ["gantry_tau", "linear_axis", "delta"])
 def test_random_poses_lie_within_limits_and_close_the_loops(name: str, rng) -> None:
     """Four fifths of the way to the limits at most, and spread over half of it."""
     robot = load_robot(name)
-    q = random_positions(build_model(robot, "rigid"), 60, rng)
+    q = draw_random_positions(build_model(robot, "rigid"), 60, rng)
     share = (q - robot.home) / np.where(q > robot.home, robot.upper - robot.home, robot.home - robot.lower)
     limited = np.isfinite(share)
     assert q.shape == (60, robot.na) and np.all(np.abs(share[limited]) <= 0.8 + 1e-12)

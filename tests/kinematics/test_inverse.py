@@ -23,7 +23,7 @@ from tau_dyn.kinematics import (
 )
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, chains_of
 from tau_dyn.kinematics.inverse import nearest_configuration
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 ROBOTS = [
     ("gantry_tau", {}, 0.4),
@@ -269,9 +269,9 @@ def test_what_forward_kinematics_reaches_is_never_given_up(name, arguments, rng)
 def test_a_planar_arm_closes_whatever_orientation_is_asked(write, rng):
     """Two hinges place the tool and cannot turn it as asked: the position is met to 1e-10 m all the same."""
     urdf = write.two_link()
-    last = robot_from_urdf(urdf, "arm").links[-1].link
+    last = load_robot_from_urdf(urdf, "arm").links[-1].link
     tool = f'<joint name="tool" type="fixed"><origin xyz="0.3 0 0"/><parent link="{last}"/><child link="tool_link"/></joint>'
-    arm = robot_from_urdf(urdf.replace("</robot>", f'<link name="tool_link"/>{tool}</robot>'), "arm")
+    arm = load_robot_from_urdf(urdf.replace("</robot>", f'<link name="tool_link"/>{tool}</robot>'), "arm")
     q = arm.home + rng.uniform(0.3, 1.0, (40, arm.na))
     there = forward_kinematics(arm, q).poses
     turned = Poses(there.position, Rotation.from_rotvec([0.4, 1.0, 2.0]).as_matrix() @ there.rotation)
@@ -306,7 +306,7 @@ def arm_of(*places: tuple[str, str]):
     ends = f'<parent link="l{len(places)}_link"/><child link="tool_link"/><origin xyz="0 0 0.12"/>'
     rows.append(f'<link name="tool_link"/><joint name="tool" type="fixed">{ends}</joint>')
     rows += [f'<tau_dyn:home joint="j{k}" value="{x}"/>' for k, x in enumerate(BENT, start=1)]
-    return robot_from_urdf("".join(rows) + "</robot>", "arm")
+    return load_robot_from_urdf("".join(rows) + "</robot>", "arm")
 
 
 def test_an_elbow_as_good_as_straight_is_solved_like_any_other(rng):

@@ -11,7 +11,7 @@ from tau_dyn.dynamics import SINGULAR, TreeMechanism, build_mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.kinematics.constraints import Constraints
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 KINDS = ["four_bar", "turning_four_bar", "simplified", "complete", "d1"]
 
@@ -22,7 +22,7 @@ def robots(write):
 
     def make(kind: str) -> Robot:
         if "four_bar" in kind:
-            return robot_from_urdf(write.four_bar(kind="continuous" if kind != "four_bar" else "revolute"), "bars")
+            return load_robot_from_urdf(write.four_bar(kind="continuous" if kind != "four_bar" else "revolute"), "bars")
         prototype = "d1" if kind == "d1" else "l1"
         return load_robot("gantry_tau", arms="complete" if kind == "d1" else kind, prototype=prototype)
 
@@ -81,8 +81,8 @@ def test_constraint_jacobian_and_acceleration_agree_with_pinocchios_frames(robot
 
 def test_four_bar_obeys_freudensteins_equation(write, rng) -> None:
     """Pencil and paper (Freudenstein 1955): d/a cos(phi) - d/c cos(theta) + (a2-b2+c2+d2)/2ac = cos(theta - phi), and rates."""
-    robot, s = robot_from_urdf(write.four_bar(kind="continuous"), "bars"), write.sizes
-    start, solver = robot_from_urdf(write.four_bar(), "bars").model, LoopSolver(robot)
+    robot, s = load_robot_from_urdf(write.four_bar(kind="continuous"), "bars"), write.sizes
+    start, solver = load_robot_from_urdf(write.four_bar(), "bars").model, LoopSolver(robot)
     yaw = {n: np.arctan2(*start.jointPlacements[start.getJointId(n)].rotation[[1, 0], 0]) for n in ("crank", "rocker")}
     rocker = robot.model.joints[robot.model.getJointId("rocker")]
     k1, k2 = s.base / s.crank, s.base / s.rocker
@@ -167,7 +167,7 @@ def test_a_fault_leaves_the_solver_as_it_was(rng) -> None:
 def test_conditioning_grows_towards_a_dead_point_and_the_place_is_named(write) -> None:
     """A rocker cannot push a crank that lies in line with the coupler: |end - origin| = crank + coupler."""
     s = write.sizes
-    robot = robot_from_urdf(write.four_bar(driven="rocker"), "bars")
+    robot = load_robot_from_urdf(write.four_bar(driven="rocker"), "bars")
     start = robot.model.jointPlacements[robot.model.getJointId("rocker")].rotation
     inside = ((s.crank + s.coupler) ** 2 - s.base**2 - s.rocker**2) / (2 * s.base * s.rocker)
     dead = np.arccos(inside) - np.arctan2(start[1, 0], start[0, 0])
@@ -218,7 +218,7 @@ def test_a_rods_free_spin_moves_nothing_we_report(write, rng) -> None:
     tilt += '<origin rpy="0.3 0.4 0"/></joint></robot>'  # so that what is zero on paper is only nearly zero in numbers
     texts = [x.replace('<parent link="base_link"/>', '<parent link="tilted_link"/>').replace("</robot>", tilt)
              for x in (write.four_bar(), urdf)]  # fmt: skip
-    plain, spun = (build_mechanism(robot_from_urdf(x, "bars")) for x in texts)
+    plain, spun = (build_mechanism(load_robot_from_urdf(x, "bars")) for x in texts)
     q, v, a = rng.uniform(-0.3, 0.3, (3, 10, 1))
     assert_allclose(spun.inverse_dynamics(q, v, a), plain.inverse_dynamics(q, v, a), rtol=1e-9)
     G = LoopSolver(spun.robot).state(q[0], v[0], a[0]).G

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.log import motion_band
+from tau_dyn.log import find_motion_band
 
 RATE = 500.0
 T = np.arange(0, 30, 1 / RATE)
@@ -13,7 +13,7 @@ T = np.arange(0, 30, 1 / RATE)
 def test_the_band_ends_at_the_highest_line_of_the_motion(rng):
     """Of lines at 0.3, 1.1 and 3 Hz with micrometre noise, the band reaches 3 Hz to the windows' resolution."""
     q = sum(a * np.sin(2 * np.pi * f * T) for a, f in ((0.1, 0.3), (0.03, 1.1), (0.005, 3.0)))
-    band = motion_band((q + rng.normal(0, 1e-6, len(T)))[:, None], RATE)
+    band = find_motion_band((q + rng.normal(0, 1e-6, len(T)))[:, None], RATE)
     assert 2.9 < band.edge_hz[0] < 4.0
 
 
@@ -21,19 +21,19 @@ def test_the_band_ends_at_the_highest_line_of_the_motion(rng):
 def test_the_encoder_noise_is_read_under_a_large_motion(rng, sigma):
     """Noise 10^4 times smaller than the motion is found to 10 %: the motion does not leak into the upper band."""
     q = 0.3 * np.sin(2 * np.pi * 0.5 * T) + rng.normal(0, sigma, len(T))
-    assert_allclose(motion_band(q[:, None], RATE).encoder_noise, sigma, rtol=0.1)
+    assert_allclose(find_motion_band(q[:, None], RATE).encoder_noise, sigma, rtol=0.1)
 
 
 def test_a_joint_at_rest_has_no_band(rng):
     """Noise alone is no motion."""
-    assert motion_band(rng.normal(0, 1e-6, (len(T), 1)), RATE).edge_hz[0] < 0.5
+    assert find_motion_band(rng.normal(0, 1e-6, (len(T), 1)), RATE).edge_hz[0] < 0.5
 
 
 def test_more_noise_narrows_what_a_regressor_may_keep(rng):
     """The noise edge falls as the encoder gets worse: noise in the columns would bias the fit."""
     q = 0.1 * np.sin(2 * np.pi * T)
     noise = rng.normal(0, 1e-6, len(T))
-    edges = [motion_band((q + k * noise)[:, None], RATE).noise_edge_hz[0] for k in (1, 20)]
+    edges = [find_motion_band((q + k * noise)[:, None], RATE).noise_edge_hz[0] for k in (1, 20)]
     assert edges[1] < 0.6 * edges[0]
 
 
@@ -45,21 +45,21 @@ def test_the_noise_edge_is_where_noise_has_a_ten_thousandth_of_the_accelerations
     density = (2 * np.sin(np.pi * f / RATE)) ** 4 * RATE**4 * 2 * sigma**2 / RATE
     power = np.cumsum(density) * f[1]
     edge = f[np.searchsorted(power, 1e-4 * size**2 * (4 * np.pi) ** 4 / 2)]
-    assert_allclose(motion_band(q[:, None], RATE).noise_edge_hz, edge, rtol=0.02)
+    assert_allclose(find_motion_band(q[:, None], RATE).noise_edge_hz, edge, rtol=0.02)
 
 
 def test_bands_do_not_depend_on_the_unit(rng):
     """Metres, millimetres or thousands of kilometres: the same frequencies, and noise in that unit; joint by joint."""
     q = np.column_stack([0.1 * np.sin(2 * np.pi * 1.3 * T), 0.01 * np.sin(2 * np.pi * 4 * T) + 0.05 * np.sin(3 * T)])
     q = q + [1e-6, 1e-5] * rng.normal(size=q.shape)
-    plain = motion_band(q, RATE)
+    plain = find_motion_band(q, RATE)
     for unit in (1e-6, 1e3, 1e6):
-        other = motion_band(unit * q, RATE)
+        other = find_motion_band(unit * q, RATE)
         for name in ("edge_hz", "noise_edge_hz", "signal_edge_hz", "clear_edge_hz"):
             assert_allclose(getattr(other, name), getattr(plain, name), err_msg=name)
         assert_allclose(other.encoder_noise, unit * plain.encoder_noise)
     for k in range(2):
-        assert_allclose(motion_band(q[:, [k]], RATE).noise_edge_hz, plain.noise_edge_hz[k])
+        assert_allclose(find_motion_band(q[:, [k]], RATE).noise_edge_hz, plain.noise_edge_hz[k])
 
 
 def test_a_coloured_motion_stands_out_as_far_as_it_exceeds_the_noise(rng):
@@ -69,7 +69,7 @@ def test_a_coloured_motion_stands_out_as_far_as_it_exceeds_the_noise(rng):
     shape = np.where(f > 0.3, 1 / np.maximum(f, 0.3) ** 2, 0)
     motion = np.fft.irfft(np.fft.rfft(rng.normal(size=n)) * shape)  # density 2 / rate / f^4
     sigma = 1e-3  # noise of density 2 sigma^2 / rate: as large as the motion at `sigma f^2 = 1`
-    band = motion_band((motion + sigma * rng.normal(size=n))[:, None], RATE)
+    band = find_motion_band((motion + sigma * rng.normal(size=n))[:, None], RATE)
     for found, least in ((band.signal_edge_hz[0], 10.0), (band.clear_edge_hz[0], 300.0)):
         crossing = sigma**-0.5 * (least - 1) ** -0.25  # motion and noise together stand so far above the noise
         assert_allclose(found, crossing, rtol=0.15)

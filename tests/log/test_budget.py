@@ -23,7 +23,7 @@ def states(k: int) -> dict:
 def test_a_message_costs_its_numbers_and_two_times(monkeypatch, message: Callable[[int], dict], numbers: int) -> None:
     """Ten messages fit into ten times that exactly; with one number less the tenth is refused, in one sentence."""
     for room, fits in ((10 * (numbers + 2), True), (10 * (numbers + 2) - 1, False)):
-        monkeypatch.setattr(topic_columns, "MOST_CELLS", room)
+        monkeypatch.setattr(topic_columns, "MAX_CELLS", room)
         budget = Budget("run.mcap")
         recorder = TopicRecorder("/topic", "kind", budget)
         for k in range(9):
@@ -40,7 +40,7 @@ def test_a_message_costs_its_numbers_and_two_times(monkeypatch, message: Callabl
 
 def test_topics_share_their_files_budget(monkeypatch) -> None:
     """Two topics of five numbers a message, one after the other, use up ten."""
-    monkeypatch.setattr(topic_columns, "MOST_CELLS", 14)
+    monkeypatch.setattr(topic_columns, "MAX_CELLS", 14)
     budget = Budget("run.mcap")
     TopicRecorder("/one", "kind", budget).add(0, plain(0))
     TopicRecorder("/two", "kind", budget).add(0, plain(0))

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.log import Log, check_log, differentiate, lowpass, unit_warnings
-from tau_dyn.log.check_motion import motion_cutoff
+from tau_dyn.log import Log, check_log, differentiate, list_unit_warnings, lowpass
+from tau_dyn.log.check_motion import compute_motion_cutoff
 
 
 def topics(check, severity: str | None = None) -> set[str]:
@@ -149,24 +149,24 @@ def test_a_robots_missing_columns_are_named(axis_log):
 def test_positions_in_the_wrong_unit_are_recognised(axis_log, factor, kind, limit, words):
     """Limits tell mm from m and degrees from rad; the scale to give stands in the sentence."""
     log = axis_log.with_channels(q_axis=factor * axis_log.channels["q_axis"])
-    (sentence,) = unit_warnings(log, robot(kind, -limit, limit))
+    (sentence,) = list_unit_warnings(log, robot(kind, -limit, limit))
     assert words in sentence and sentence.startswith("good.csv: q_axis runs from -")
     assert "units" in topics(check_log(log, robot(kind, -limit, limit)))
 
 
 def test_right_units_raise_no_doubt(axis_log):
     """Within the limits, a little beyond them, and without a robot."""
-    assert unit_warnings(axis_log, robot()) == ()
-    assert unit_warnings(axis_log, robot(lower=-0.35, upper=0.35)) == ()
-    assert unit_warnings(axis_log, robot("revolute", -np.inf, np.inf)) == ()
-    assert unit_warnings(axis_log) == ()
+    assert list_unit_warnings(axis_log, robot()) == ()
+    assert list_unit_warnings(axis_log, robot(lower=-0.35, upper=0.35)) == ()
+    assert list_unit_warnings(axis_log, robot("revolute", -np.inf, np.inf)) == ()
+    assert list_unit_warnings(axis_log) == ()
 
 
 def test_without_a_robot_only_the_impossible_is_doubted(axis_log):
     """400 mm reads like a wrong unit; 40 may be turns of a motor."""
     thousand = axis_log.with_channels(q_axis=1000 * axis_log.channels["q_axis"])
-    assert "reads like mm or degrees" in unit_warnings(thousand)[0]
-    assert unit_warnings(axis_log.with_channels(q_axis=100 * axis_log.channels["q_axis"])) == ()
+    assert "reads like mm or degrees" in list_unit_warnings(thousand)[0]
+    assert list_unit_warnings(axis_log.with_channels(q_axis=100 * axis_log.channels["q_axis"])) == ()
 
 
 def test_a_log_of_ten_samples_is_judged_without_a_crash(rng):
@@ -178,7 +178,7 @@ def test_a_log_of_ten_samples_is_judged_without_a_crash(rng):
 def test_the_noise_of_a_differentiated_encoder_is_what_is_left_of_it(axis_log, motion):
     """Twice filtered and differentiated, the encoder's 5 um of noise alone make what the check calls acceleration noise."""
     noise = axis_log.channels["q_axis"] - motion(axis_log.t)
-    left = lowpass(noise, motion_cutoff(axis_log), axis_log.rate_hz)
+    left = lowpass(noise, compute_motion_cutoff(axis_log), axis_log.rate_hz)
     for name in ("velocity_noise", "acceleration_noise"):
         left = differentiate(left, axis_log.dt)
         told = check_log(axis_log).numbers["joints"]["axis"][name]

@@ -19,7 +19,7 @@ from tau_dyn.log import (
     log_opening,
     open_log,
     read_log,
-    segments,
+    split_at_gaps,
     split_even_segments,
 )
 from tau_dyn.log.table import MAX_MAGNITUDE
@@ -102,7 +102,7 @@ def test_an_uneven_stretch_reaches_from_its_first_to_its_last_sample(tmp_path, l
     t = np.delete(t, 400 + np.arange(lost))
     path = stored(tmp_path / "log.parquet", t)
     (piece,) = split_even_segments(open_log(path))
-    (whole,) = [ensure_even(part) for part in segments(read_log(path))]
+    (whole,) = [ensure_even(part) for part in split_at_gaps(read_log(path))]
     assert (piece.clock, piece.n_samples, piece.n_recorded) == ("uneven", whole.n_samples, len(t))
     end = piece.window(piece.n_samples - 3, piece.n_samples, ("q_axis",))
     assert end.t[-1] == pytest.approx(t[-1], abs=1e-9) and piece.t0 == t[0]

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import attenuation, decimate, differentiate, edge_samples, find_reversals, lowpass
+from tau_dyn.log import compute_attenuation, compute_edge_samples, decimate, differentiate, find_reversals, lowpass
 
 RATE = 1000.0
 T = np.arange(4000) / RATE
@@ -30,7 +30,7 @@ def test_a_sine_comes_out_smaller_as_attenuation_says():
     for frequency in (30.0, 60.0, 90.0):
         x = np.sin(2 * np.pi * frequency * T)
         left = lowpass(x, 60, RATE)[INNER].std() / x[INNER].std()
-        assert_allclose(left, 1 / attenuation(np.array(frequency), 60.0), atol=0.02)
+        assert_allclose(left, 1 / compute_attenuation(np.array(frequency), 60.0), atol=0.02)
 
 
 def test_silence_does_not_fade_into_denormal_numbers():
@@ -53,7 +53,7 @@ def test_edge_samples_cover_the_transient():
         knock = np.zeros(4000)
         knock[2000] = 1.0
         answer = np.abs(lowpass(knock, cutoff, RATE))
-        edge = edge_samples(cutoff, RATE)
+        edge = compute_edge_samples(cutoff, RATE)
         assert answer[2000 + edge :].max() < 0.01 * answer.max()
         assert answer[2000 + edge // 2 :].max() > 0.01 * answer.max()
 
@@ -67,7 +67,7 @@ def test_a_cutoff_outside_the_band_is_refused(cutoff):
 
 def test_a_log_shorter_than_the_transient_is_refused():
     """The sentence says how many samples it takes."""
-    with pytest.raises(InputError, match=f"give more than {edge_samples(20, RATE)}"):
+    with pytest.raises(InputError, match=f"give more than {compute_edge_samples(20, RATE)}"):
         lowpass(T[:50], 20, RATE)
 
 

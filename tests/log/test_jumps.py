@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tau_dyn.log import Log, check_log
-from tau_dyn.log.jumps import find_jumps, jump_finding
+from tau_dyn.log.jumps import check_jumps, find_jumps
 
 
 def said(log: Log, **known) -> str:
-    found = jump_finding(log, "axis", **known)
+    found = check_jumps(log, "axis", **known)
     return "" if found is None else f"{found.sentence} {found.remedy}"
 
 

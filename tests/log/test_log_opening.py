@@ -16,7 +16,7 @@ from tau_dyn.log import (
     log_opening,
     open_log,
     read_log,
-    segments,
+    split_at_gaps,
     split_even_segments,
     text_chunks,
 )
@@ -59,7 +59,7 @@ def joined(recording: Recording) -> list[Log]:
 
 def agree(path, recording: Recording) -> None:
     """Compare with the whole log's even pieces."""
-    whole = [ensure_even(piece) for piece in segments(read_log(path))]
+    whole = [ensure_even(piece) for piece in split_at_gaps(read_log(path))]
     pieces = joined(recording)
     assert len(pieces) == len(whole)
     for one, other in zip(pieces, whole, strict=True):

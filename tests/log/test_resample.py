@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, ensure_even, even_segments, examine_clock, segments
+from tau_dyn.log import Log, ensure_even, even_segments, examine_clock, split_at_gaps
 
 RATE = 250.0
 
@@ -30,7 +30,7 @@ def lossy(even):
 def test_an_even_log_is_left_alone(even):
     """The very same log comes back, and is one segment."""
     assert ensure_even(even) is even
-    assert segments(even) == [even]
+    assert split_at_gaps(even) == [even]
     assert examine_clock(even).even
 
 
@@ -61,7 +61,7 @@ def test_a_gap_is_never_bridged(even, lossy):
     log = lossy(np.arange(700, 720))
     with pytest.raises(InputError, match=r"tuesday\.csv has 1 gap in time: 0.084 s after t = 2.796 s"):
         ensure_even(log)
-    parts = segments(log)
+    parts = split_at_gaps(log)
     assert [part.n_samples for part in parts] == [700, 1280]
     assert_array_equal(np.concatenate([part.t for part in parts]), log.t)
     assert all("cut there, not bridged" in part.warnings[0] for part in parts)
@@ -70,8 +70,8 @@ def test_a_gap_is_never_bridged(even, lossy):
 
 def test_two_lost_samples_are_no_gap_and_three_are_one(lossy):
     """The limit lies between them."""
-    assert len(segments(lossy([700, 701]))) == 1
-    assert len(segments(lossy([700, 701, 702]))) == 2
+    assert len(split_at_gaps(lossy([700, 701]))) == 1
+    assert len(split_at_gaps(lossy([700, 701, 702]))) == 2
 
 
 def test_a_part_whose_own_step_is_shorter_is_not_cut_again():
@@ -81,12 +81,12 @@ def test_a_part_whose_own_step_is_shorter_is_not_cut_again():
     parts = even_segments(Log(t, {"q_axis": np.sin(t)}, name="tuesday.csv"))
     assert len(parts) == 2 and examine_clock(parts[1]).even
     with pytest.raises(InputError, match="gap"):
-        ensure_even(segments(Log(t, {"q_axis": np.sin(t)}))[1])
+        ensure_even(split_at_gaps(Log(t, {"q_axis": np.sin(t)}))[1])
 
 
 def test_scraps_between_gaps_are_left_out(lossy):
     """Five samples between two gaps are no log."""
-    parts = segments(lossy([*range(700, 720), *range(725, 740)]))
+    parts = split_at_gaps(lossy([*range(700, 720), *range(725, 740)]))
     assert [part.n_samples for part in parts] == [700, 1260]
 
 

@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.delimited import MOST_COLUMNS
+from tau_dyn.log.delimited import MAX_COLUMNS
 from tau_dyn.log.table import MAX_MAGNITUDE, Table, read_table
 
 
@@ -98,17 +98,15 @@ def test_parquet_comes_with_rows_and_the_hash_of_its_bytes(tmp_path) -> None:
 def test_parquet_that_is_no_log_is_refused(tmp_path) -> None:
     """Names that stand twice, no rows, columns beyond all logs, dates that no clock shows."""
     twice = pa.Table.from_arrays([pa.array([1.0]), pa.array([2.0])], names=["t", "t"])
-    wide = pa.Table.from_arrays(
-        [pa.array([1.0])] * (MOST_COLUMNS + 1), names=[f"c{k}" for k in range(MOST_COLUMNS + 1)]
-    )
+    wide = pa.Table.from_arrays([pa.array([1.0])] * (MAX_COLUMNS + 1), names=[f"c{k}" for k in range(MAX_COLUMNS + 1)])
     for content, said in (
         (twice, "log.parquet names column t twice; every column needs a name of its own"),
         (pd.DataFrame({"t": np.zeros(0)}), "log.parquet has columns but no rows"),
-        (wide, f"log.parquet has {MOST_COLUMNS + 1} columns; a log has {MOST_COLUMNS} at most"),
+        (wide, f"log.parquet has {MAX_COLUMNS + 1} columns; a log has {MAX_COLUMNS} at most"),
     ):
         with pytest.raises(InputError, match=said):
             read_table(parquet(tmp_path, content))
-    assert read_table(parquet(tmp_path, wide.select(range(MOST_COLUMNS)))).n_rows == 1
+    assert read_table(parquet(tmp_path, wide.select(range(MAX_COLUMNS)))).n_rows == 1
 
 
 def test_parquet_that_claims_more_than_bytes_can_hold_is_refused(tmp_path) -> None:

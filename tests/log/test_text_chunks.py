@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import log_opening, open_log, read_log, text_chunks
-from tau_dyn.log.text_chunks import text_chunks as chunks
+from tau_dyn.log.text_chunks import iterate_text_chunks as chunks
 
 HEADER = "# from the cell next door\n\nt,q_axis\n"
 ROWS = [f"{k / 100},{k * k / 7}\n" for k in range(400)]

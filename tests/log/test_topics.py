@@ -252,7 +252,7 @@ def test_small_files_cannot_ask_for_all_memory(tmp_path, monkeypatch):
             read_log(tmp_path / "bomb.mcap")
     savemat(tmp_path / "s.mat", {"s": {"v": T}})
     data = (tmp_path / "s.mat").read_bytes()
-    monkeypatch.setattr("tau_dyn.log.matlab_file.LARGEST", 2**20)
+    monkeypatch.setattr("tau_dyn.log.matlab_file.MAX_INFLATED_BYTES", 2**20)
     inflating = zlib.compress(b"\0" * 2**24)
     (tmp_path / "zip.mat").write_bytes(data[:128] + struct.pack("<II", 15, len(inflating)) + inflating)
     with pytest.raises(InputError, match="holds more than 1 MB"):
@@ -261,7 +261,7 @@ def test_small_files_cannot_ask_for_all_memory(tmp_path, monkeypatch):
     (tmp_path / "many.mat").write_bytes(many)
     with pytest.raises(InputError, match="2147483647 are announced"):
         read_log(tmp_path / "many.mat")
-    monkeypatch.setattr(columns_module, "MOST_CELLS", 100)
+    monkeypatch.setattr(columns_module, "MAX_CELLS", 100)
     with pytest.raises(InputError, match="more than 100 numbers"):
         read_log(write_mcap(tmp_path / "run.mcap", {"/joint_states": states()}))
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.identify import Identification, build_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
-from tau_dyn.simulate import Trajectory, named_motion
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
+from tau_dyn.simulate import Trajectory, build_named_motion
 
 FRICTION = {"coulomb_pos": 1.0, "coulomb_neg": 0.8, "viscous_pos": 0.6, "viscous_neg": 0.5}
 MIRROR = np.diag([1.0, -1.0, 1.0])
@@ -84,7 +84,7 @@ def turned(robot: Robot, turn: Rotation) -> Robot:
     for arm in root.iter("{urn:tau_dyn}arm"):
         for key in ("origin", "direction"):
             arm.set(key, numbers(turn.apply(np.array(arm.get(key, "").split(), float))))
-    found = robot_from_urdf(ElementTree.tostring(root, encoding="unicode"), robot.name, actuated=robot.actuated)
+    found = load_robot_from_urdf(ElementTree.tostring(root, encoding="unicode"), robot.name, actuated=robot.actuated)
     found.model.gravity.linear = turn.apply(robot.model.gravity.linear)
     return found
 
@@ -159,7 +159,7 @@ def make() -> SimpleNamespace:
 @pytest.fixture(scope="session")
 def elbow() -> Robot:
     """The 3R arm."""
-    return robot_from_urdf(elbow_text(), "elbow")
+    return load_robot_from_urdf(elbow_text(), "elbow")
 
 
 @pytest.fixture(scope="session")
@@ -189,13 +189,13 @@ def gantry_truth(l1) -> Model:
 @pytest.fixture(scope="session")
 def arm_log(arm_truth) -> Log:
     """Twelve seconds of the arm."""
-    return recorded(arm_truth, named_motion("fourier", arm_truth, 12.0, 1), (0.2, 0.2, 0.1))
+    return recorded(arm_truth, build_named_motion("fourier", arm_truth, 12.0, 1), (0.2, 0.2, 0.1))
 
 
 @pytest.fixture(scope="session")
 def gantry_log(gantry_truth) -> Log:
     """Twelve seconds of L1."""
-    return recorded(gantry_truth, named_motion("fourier", gantry_truth, 12.0, 2), (5.0, 5.0, 5.0))
+    return recorded(gantry_truth, build_named_motion("fourier", gantry_truth, 12.0, 2), (5.0, 5.0, 5.0))
 
 
 CASES = ("arm", "gantry")

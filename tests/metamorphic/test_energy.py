@@ -17,7 +17,7 @@ from tau_dyn.identify import build_model
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.simulate import named_motion
+from tau_dyn.simulate import build_named_motion
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.plant import PlantRun, free_motion, run_plant
 
@@ -107,7 +107,7 @@ def test_drives_pay_for_energy_and_friction(robot, make) -> None:
     """
     sizes = (4.0, 3.0, 1.0) if robot.name == "elbow" else (150.0, 150.0, 150.0)
     model = make.friction(robot, sizes)
-    path = named_motion("fourier", model, 8.0, 1)
+    path = build_named_motion("fourier", model, 8.0, 1)
     few = slice(1200, 1700)
     path = type(path)(path.joints, path.t[few] - path.t[few][0], path.q[few], path.v[few], path.a[few])
     run = run_plant(model, path, CascadeController(CascadeLaw.for_model(model)))

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from tau_dyn.identify import identify
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.log import Log
-from tau_dyn.robot import load_robot, robot_from_urdf
-from tau_dyn.simulate import named_motion
+from tau_dyn.robot import load_robot, load_robot_from_urdf
+from tau_dyn.simulate import build_named_motion
 
 
 def values(found) -> np.ndarray:
@@ -22,7 +22,7 @@ def values(found) -> np.ndarray:
 @pytest.fixture(scope="module")
 def long_log(gantry_truth, make) -> Log:
     """Forty seconds of L1."""
-    return make.recorded(gantry_truth, named_motion("fourier", gantry_truth, 40.0, 4), (5.0, 5.0, 5.0), seed=3)
+    return make.recorded(gantry_truth, build_named_motion("fourier", gantry_truth, 40.0, 4), (5.0, 5.0, 5.0), seed=3)
 
 
 @pytest.mark.parametrize(("estimator", "rtol"), [("ml", 0.02), ("wls", 0.2)])
@@ -49,7 +49,7 @@ def test_the_same_file_twice_is_one_file(case, make) -> None:
 
 def test_new_noise_on_twice_the_data(l1, gantry_truth, long_log, make) -> None:
     """Two recordings of one motion with noise of their own: errors shrink by root 2, but for the blocks' scatter, 5 %."""
-    motion = named_motion("fourier", gantry_truth, 40.0, 4)
+    motion = build_named_motion("fourier", gantry_truth, 40.0, 4)
     other = make.recorded(gantry_truth, motion, (5.0, 5.0, 5.0), seed=9, name="other")
     sigma, sigma2 = (values(identify(l1, x, estimator="ml"))[1] for x in ([long_log], [long_log, other]))
     assert_allclose(np.median(sigma / sigma2), np.sqrt(2), rtol=0.05)
@@ -63,7 +63,7 @@ def test_all_forces_scaled(case, make, factor: float) -> None:
     solver, whose own tolerance is not relative.
     """
     limits = re.sub(r'effort="([^"]*)"', lambda m: f'effort="{factor * float(m[1])!r}"', case.robot.urdf)
-    strong = robot_from_urdf(limits, case.robot.name, actuated=case.robot.actuated)
+    strong = load_robot_from_urdf(limits, case.robot.name, actuated=case.robot.actuated)
     forces = {f"tau_{j}": factor * case.log.channels[f"tau_{j}"] for j in case.robot.actuated}
     again = identify(strong, make.remade(case.log, **forces))
     make.same(case.found, again, 5e-3, factor=lambda name: factor)
@@ -82,7 +82,7 @@ def axis_truth(axis, make):
 
 @pytest.fixture(scope="module")
 def axis_log(axis_truth, make) -> Log:
-    return make.recorded(axis_truth, named_motion("fourier", axis_truth, 15.0, 0), (2.0,))
+    return make.recorded(axis_truth, build_named_motion("fourier", axis_truth, 15.0, 0), (2.0,))
 
 
 def test_a_film_at_half_speed(axis, axis_log, make) -> None:
@@ -124,7 +124,7 @@ def test_the_other_direction(axis, axis_log, make) -> None:
 def test_heavier_by_what_was_added(l1, gantry_truth, make) -> None:
     """5 kg on the plate are 5 kg more plate, and nothing else, within four standard errors of the difference."""
     heavy = gantry_truth.with_values({"plate_link.mass": gantry_truth.parameters["plate_link.mass"].value + 5.0})
-    motion = named_motion("fourier", gantry_truth, 15.0, 3)
+    motion = build_named_motion("fourier", gantry_truth, 15.0, 3)
     logs = [make.recorded(m, motion, (2.0, 2.0, 2.0), seed) for seed, m in enumerate((gantry_truth, heavy))]
     before, after = ({row["name"]: row for row in identify(l1, log).base_rows()} for log in logs)
     for name, row in before.items():

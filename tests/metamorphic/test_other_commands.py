@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.calibrate.tree_geometry import tree_geometry
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.diagnose import Diagnosis, diagnose
 from tau_dyn.log import Log
 from tau_dyn.modes import find_modes
-from tau_dyn.robot import load_robot, robot_from_urdf
-from tau_dyn.simulate import named_motion
+from tau_dyn.robot import load_robot, load_robot_from_urdf
+from tau_dyn.simulate import build_named_motion
 
 TOOTH = 0.0209
 """Distance after which the hidden force repeats [m]."""
@@ -34,7 +34,7 @@ def axis():
 def rippled(axis, make) -> Log:
     """A drive that is pushed by 6 N once a tooth."""
     truth = make.friction(axis, (20.0,))
-    log = make.recorded(truth, named_motion("fourier", truth, 24.0, 0), (2.0,), name="day.csv")
+    log = make.recorded(truth, build_named_motion("fourier", truth, 24.0, 0), (2.0,), name="day.csv")
     ripple = 6 * np.sin(2 * np.pi * log.channels["q_axis"] / TOOTH)
     return make.remade(log, tau_axis=log.channels["tau_axis"] + ripple)
 
@@ -71,7 +71,7 @@ def test_a_diagnosis_does_not_change_with_the_unit_of_force(axis, rippled, diagn
     larger = re.sub(
         r'(effort|mass value|i[xyz]{2})="([^"]*)"', lambda m: f'{m[1]}="{factor * float(m[2])!r}"', axis.urdf
     )
-    strong = robot_from_urdf(larger, axis.name)
+    strong = load_robot_from_urdf(larger, axis.name)
     assert strong.parameters["carriage_link.mass"].value == pytest.approx(
         factor * axis.parameters["carriage_link.mass"].value
     )
@@ -150,7 +150,7 @@ def test_modes_do_not_change_with_the_order_of_channels(bench, modes) -> None:
 @pytest.fixture(scope="module")
 def poses(elbow):
     """The 3R arm's geometry, 40 poses of an arm that is off by millimetres and milliradians, and what is found."""
-    geometry = tree_geometry(elbow)
+    geometry = build_tree_geometry(elbow)
     rng = np.random.default_rng(11)
     theta = geometry.parameters.values + 1e-3 * rng.standard_normal(len(geometry.parameters))
     measured = simulate_poses(geometry, theta, rng.uniform(-1.2, 1.2, (40, 3)), rng, noise=(2e-5, 1e-4))

@@ -14,7 +14,7 @@ from tau_dyn.dynamics import build_mechanism
 from tau_dyn.identify import identify
 from tau_dyn.log import Log, read_log
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 ROUNDING = 1e-6
 
@@ -29,7 +29,7 @@ def test_columns_in_another_order_and_unknown_ones(case, make) -> None:
 
 def test_joints_in_another_order(case, make) -> None:
     """The laws of motion do not number the joints."""
-    other = robot_from_urdf(case.robot.urdf, case.robot.name, actuated=case.robot.actuated[::-1])
+    other = load_robot_from_urdf(case.robot.urdf, case.robot.name, actuated=case.robot.actuated[::-1])
     again = identify(other, case.log)
     make.same(case.found, again, ROUNDING)
 
@@ -82,14 +82,14 @@ def test_renamed_joints_and_links(case, make) -> None:
     names = [link.link for link in case.robot.links] + list(case.robot.actuated)
     for part in names:
         text = text.replace(f'"{part}"', f'"{called(part + ".x")[:-2]}"')
-    robot = robot_from_urdf(text, "renamed", actuated=[f"z{j}" for j in case.robot.actuated])
+    robot = load_robot_from_urdf(text, "renamed", actuated=[f"z{j}" for j in case.robot.actuated])
     renamed = {f"{k.partition('_')[0]}_z{k.partition('_')[2]}": x for k, x in case.log.channels.items()}
     make.same(case.found, identify(robot, Log(case.log.t, renamed, "log")), ROUNDING, called=called)
 
 
 def test_a_mirrored_robot(case, make) -> None:
     """Mechanics knows no left and right: in a mirror the same motion takes the same forces, and numbers odd in y change sign."""
-    robot = robot_from_urdf(make.mirrored(case.robot.urdf), "mirrored", actuated=case.robot.actuated)
+    robot = load_robot_from_urdf(make.mirrored(case.robot.urdf), "mirrored", actuated=case.robot.actuated)
     again = identify(robot, case.log)
     odd = {name: -1.0 if name.rpartition(".")[2] in ("my", "ixy", "iyz") else 1.0 for name in robot.parameters.names}
     signs = {sign for name, sign in odd.items() if name in {row["name"] for row in again.base_rows()}}
@@ -107,7 +107,7 @@ def agree(robot: Robot, other: Robot, signs: np.ndarray, rng: np.random.Generato
 
 def test_a_mirrored_machine_with_six_rods(complete, make, rng) -> None:
     """The complete L1, its plate free to turn: all columns, masses, centres and inertias."""
-    other = robot_from_urdf(make.mirrored(complete.urdf), "mirrored", actuated=complete.actuated)
+    other = load_robot_from_urdf(make.mirrored(complete.urdf), "mirrored", actuated=complete.actuated)
     signs = [-1.0 if name.rpartition(".")[2] in ("my", "ixy", "iyz") else 1.0 for name in complete.parameters.names]
     agree(complete, other, np.array(signs), rng)
 

@@ -9,17 +9,17 @@ import pytest
 import yaml
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import EFFECTS, Motion, friction_model
+from tau_dyn.effects import EFFECTS, Motion, build_friction_model
 from tau_dyn.exceptions import InputError, TauDynError, UnknownName
-from tau_dyn.files import write_whole, writing_whole
+from tau_dyn.files import write_atomically, write_whole
 from tau_dyn.model import Model
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 
 @pytest.fixture
 def model(two_link, rng) -> Model:
     """Two links with untouched rigid values, symmetric friction, an offset, and a shared reducer."""
-    effects = [*friction_model("symmetric", two_link.actuated, two_link.force_units)]
+    effects = [*build_friction_model("symmetric", two_link.actuated, two_link.force_units)]
     effects.append(EFFECTS["reducer_coupling"](two_link.actuated, two_link.force_units))
     model = Model.of(two_link, effects, {"logs": ["monday.csv"], "seed": 1})
     return model.with_values({n: float(rng.uniform(0.1, 3)) for n in model.effect_parameters.names})
@@ -46,7 +46,7 @@ def test_a_gain_feels_the_force_of_what_yields(two_link) -> None:
     on, units, t = two_link.actuated, two_link.force_units, 1e-3 * np.arange(400)
     q, v, a = (x[:, None] * [1.0, 0.5] for x in (np.sin(9 * t), 9 * np.cos(9 * t), -81 * np.sin(9 * t)))
     yielding = EFFECTS["transmission_error"](on, units, period=0.7)
-    friction = friction_model("symmetric", on, units)
+    friction = build_friction_model("symmetric", on, units)
     plain = Model.of(two_link, [*friction, yielding])
     plain = plain.with_values({name: 0.01 * (1 + k) for k, name in enumerate(plain.effect_parameters.names)})
     scaled = Model.of(two_link, [*friction, yielding, EFFECTS["drive_gain"](on, units)])
@@ -79,7 +79,7 @@ def test_a_model_survives_its_file(model, saved, rng) -> None:
 def test_untied_parameters_and_a_looped_robot_survive_too(rng, tmp_path) -> None:
     """The file carries its own robot: arguments, actuated joints, which inertias were untied, gravity mass."""
     robot = load_robot("gantry_tau", prototype="l2", gravity_mass=20).untied(["plate_link.mx", "rod1_link.izz"])
-    model = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    model = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
     model = model.with_values({"plate_link.mx": 0.3, "cart1.coulomb_pos": 55.0, "rod1_link.izz": 1.7})
     model.save(tmp_path / "m.yaml")
     back = Model.load(tmp_path / "m.yaml")
@@ -92,7 +92,7 @@ def test_untied_parameters_and_a_looped_robot_survive_too(rng, tmp_path) -> None
 
 def test_overridden_actuated_joints_survive(write, tmp_path) -> None:
     """A robot driven elsewhere than its file says stays so."""
-    robot = robot_from_urdf(write.four_bar(), "bars", actuated=["rocker"])
+    robot = load_robot_from_urdf(write.four_bar(), "bars", actuated=["rocker"])
     Model.of(robot).save(tmp_path / "m.yaml")
     assert Model.load(tmp_path / "m.yaml").robot.actuated == ("rocker",)
 
@@ -177,7 +177,7 @@ def test_files_appear_whole_or_not_at_all(tmp_path) -> None:
     """A write that fails halfway leaves the old file and no litter; a missing folder is a sentence."""
     path = tmp_path / "m.yaml"
     write_whole(path, "old")
-    with pytest.raises(RuntimeError), writing_whole(path) as part:
+    with pytest.raises(RuntimeError), write_atomically(path) as part:
         part.write_text("half")
         raise RuntimeError
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
@@ -195,7 +195,7 @@ def extended(name: str, *causes: tuple[str, dict[str, float], str], size: float 
     """Return a robot with causes on its first joint."""
     robot = load_robot(name)
     effects = [EFFECTS[c](robot.actuated[:1], robot.force_units[:1], label=label, **s) for c, s, label in causes]
-    model = Model.of(robot, [*friction_model("asymmetric", robot.actuated, robot.force_units), *effects])
+    model = Model.of(robot, [*build_friction_model("asymmetric", robot.actuated, robot.force_units), *effects])
     return model.with_values({n: size * (k + 1) for k, n in enumerate(model.effect_parameters.names)})
 
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import EFFECTS, friction_model
+from tau_dyn.effects import EFFECTS, build_friction_model
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 
 def with_effects(robot: Robot, *names: str, **values: float) -> Model:
     """Return a model of these effects on all joints, with symmetric friction; values by quantity."""
-    effects = [*friction_model("symmetric", robot.actuated, robot.force_units)]
+    effects = [*build_friction_model("symmetric", robot.actuated, robot.force_units)]
     effects += [EFFECTS[name](robot.actuated, robot.force_units) for name in names]
     model = Model.of(robot, effects)
     return model.with_values({n: values.get(n.rsplit(".", 1)[-1], 0.0) for n in model.effect_parameters.names})
@@ -61,10 +61,10 @@ def test_a_motions_options_are_told_by_name(two_link, rng) -> None:
 
 def test_values_go_over_to_another_robots_geometry(write, rng) -> None:
     """The same masses and friction on longer links, untied as they were: forces are those of the longer robot."""
-    short = robot_from_urdf(write.block(), "short").untied(["block_link.mx"])
+    short = load_robot_from_urdf(write.block(), "short").untied(["block_link.mx"])
     urdf = write.block().replace('<origin xyz="0 0 0" rpy', '<origin xyz="0 0 1" rpy')
     model = with_effects(short, viscous=3.0).with_values({"block_link.mass": 8.0, "block_link.mx": 0.7})
-    moved = model.on(robot_from_urdf(urdf, "long"))
+    moved = model.on(load_robot_from_urdf(urdf, "long"))
     assert moved.robot.source == "long" and moved.parameters.names == model.parameters.names
     assert_allclose(moved.parameters.values, model.parameters.values)
     q, v, a = rng.standard_normal((3, 4, 1))

@@ -12,7 +12,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import DAMPING, HZ, in_loop, log_of, pulses, recorded, structure
 
-from tau_dyn.cli.common import to_json
+from tau_dyn.cli.common import format_json
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes import find_modes
 from tau_dyn.modes.result import Modes
@@ -51,7 +51,7 @@ def test_mass_damping_and_stiffness_follow(found):
 
 def test_the_result_is_that_of_the_contract(found):
     """The JSON result holds what is promised, as strict JSON."""
-    result = json.loads(to_json(found.to_dict()))
+    result = json.loads(format_json(found.to_dict()))
     assert {"order", "delay_samples", "modes", "fit_percent", "residual_tests", "mdk"} <= set(result)
     assert set(result["modes"][0]) >= {"frequency_hz", "damping_ratio", "frequency_stderr", "damping_stderr"}
     assert result["fit_percent"]["holdout"] == pytest.approx(found.holdout.mean)

@@ -17,12 +17,12 @@ from tau_dyn.diagnose.result import (
     Unexplained,
     Untestable,
 )
-from tau_dyn.effects import Stribeck, friction_model
+from tau_dyn.effects import Stribeck, build_friction_model
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 HOSTILE = "<script>alert('log')</script>\x1b[31m.csv"
 TRUTH = {
@@ -70,7 +70,9 @@ def robot() -> Robot:
     joints = _joint("slide", "base_link", "one_link", "1 0 0") + _joint("lift", "one_link", "two_link", "0 1 0")
     ties = '<t:link name="one_link" parameters="mass"/><t:link name="two_link" parameters="mass"/>'
     name = "&lt;img src=x onerror=alert(1)&gt;"
-    return robot_from_urdf(f'<robot name="{name}" xmlns:t="urn:tau_dyn">{links}{joints}{ties}</robot>', "slide.urdf")
+    return load_robot_from_urdf(
+        f'<robot name="{name}" xmlns:t="urn:tau_dyn">{links}{joints}{ties}</robot>', "slide.urdf"
+    )
 
 
 def _log(model: Model, amplitude: tuple[float, float], name: str, rng: np.random.Generator) -> Log:
@@ -89,7 +91,7 @@ def _log(model: Model, amplitude: tuple[float, float], name: str, rng: np.random
 
 @pytest.fixture(scope="session")
 def plant(robot) -> Model:
-    return Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units)).with_values(TRUTH)
+    return Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units)).with_values(TRUTH)
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ from tau_dyn.report.identification_words import headline, mass_group, verdict
 from tau_dyn.report.parameter_rows import ParameterRow, group_rows
 from tau_dyn.report.robot_picture import robot_picture
 from tau_dyn.report.svg import Chart, label, power_of
-from tau_dyn.robot import robot_from_urdf
+from tau_dyn.robot import load_robot_from_urdf
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_an_arm_stands_on_its_foot_whatever_its_other_joints_are(write):
     two = write.two_link().replace(' name="elbow" type="revolute"', ' name="elbow" type="prismatic"')
     beside = write.joint("turn", "revolute", "base_link", "beside_link", "0 1 0", "0 1 0") + write.drive("turn")
     text = two.replace("</robot>", f"{write.rod('beside_link', 1, 0.3)}{beside}</robot>")
-    robot = robot_from_urdf(text, "two arms")
+    robot = load_robot_from_urdf(text, "two arms")
     assert robot.actuated == ("shoulder", "elbow", "turn")
     assert robot_picture(robot).count('class="rod"') == 2
 

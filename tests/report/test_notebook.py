@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tau_dyn.compare import Side, compare
-from tau_dyn.compare.read import Quantity
+from tau_dyn.compare import ComparedSide, compare
+from tau_dyn.compare.read import MeasuredQuantity
 from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.kinematics.accuracy.result import Measured
 from tau_dyn.kinematics.pose_table import forward_table
@@ -54,7 +54,9 @@ def calibrated():
 def compared(hostile):
     """Return two results that differ in a mass."""
     sides = [
-        Side(Path(f"{hostile}{k}"), str(k), "identify", {"<i>mass": Quantity(x, 0.1, "kg")}, {}, {}, frozenset())
+        ComparedSide(
+            Path(f"{hostile}{k}"), str(k), "identify", {"<i>mass": MeasuredQuantity(x, 0.1, "kg")}, {}, {}, frozenset()
+        )
         for k, x in enumerate((9.1, 9.9))
     ]
     return compare(*sides)

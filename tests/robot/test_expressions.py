@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.expressions import LONGEST, check_expression
+from tau_dyn.robot.expressions import MAX_CHARACTERS, check_expression
 
 
 @pytest.mark.parametrize(
     "text",
     ["2 * pi / 3", "length**2 - 0.5", "2**100", "2**-3", "10**(-100)", "limits['upper'] if wide else 0", "d.keys()",
-     "text.split('_')", "[k for k in range(3)]", "_", "a_b.c_d", " mass ", "2 *", "x" * LONGEST],
+     "text.split('_')", "[k for k in range(3)]", "_", "a_b.c_d", " mass ", "2 *", "x" * MAX_CHARACTERS],
 )  # fmt: skip
 def test_lengths_and_conditions_pass(text: str) -> None:
     """Bad syntax too: xacro says it better."""

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 
 def test_short_name_and_path_mean_the_same_robot() -> None:
@@ -42,16 +42,16 @@ def test_simplified_gantry_tau_has_seven_masses_and_three_drive_inertias() -> No
 def test_without_loops_and_transmissions_all_joints_are_actuated_and_it_says_so(write) -> None:
     """A plain URDF from elsewhere works at once, with a warning that names the joints."""
     urdf = write.two_link().replace(write.drive("shoulder"), "").replace(write.drive("elbow"), "")
-    robot = robot_from_urdf(urdf, "plain.urdf")
+    robot = load_robot_from_urdf(urdf, "plain.urdf")
     assert robot.actuated == ("shoulder", "elbow")
     assert len(robot.warnings) == 1 and "shoulder, elbow" in robot.warnings[0] and "transmission" in robot.warnings[0]
 
 
 def test_actuated_overrides_transmissions_and_keeps_the_trees_order(write) -> None:
     """`--actuated` names the joints; vectors follow the tree, not the order of asking."""
-    both = robot_from_urdf(write.two_link(), "arm", actuated=["elbow", "shoulder"])
+    both = load_robot_from_urdf(write.two_link(), "arm", actuated=["elbow", "shoulder"])
     assert both.actuated == ("shoulder", "elbow")
-    rocker = robot_from_urdf(write.four_bar(driven="crank"), "bars", actuated=["rocker"])
+    rocker = load_robot_from_urdf(write.four_bar(driven="crank"), "bars", actuated=["rocker"])
     assert rocker.actuated == ("rocker",) and not rocker.warnings
 
 
@@ -59,12 +59,12 @@ def test_home_is_what_the_file_says_else_the_middle_of_the_range(write) -> None:
     """Home starts the search for an assembly mode."""
     urdf = write.two_link().replace("</robot>", '<tau_dyn:home joint="elbow" value="0.7"/></robot>')
     urdf = urdf.replace('lower="-3" upper="3"', 'lower="-1" upper="2"')
-    assert_allclose(robot_from_urdf(urdf, "arm").home, [0.5, 0.7])
+    assert_allclose(load_robot_from_urdf(urdf, "arm").home, [0.5, 0.7])
 
 
 def test_a_continuous_joint_has_no_range_and_home_at_zero(write) -> None:
     """Pinocchio stores it as a cosine and a sine; a user sees one angle without limits."""
-    robot = robot_from_urdf(write.four_bar(kind="continuous"), "bars")
+    robot = load_robot_from_urdf(write.four_bar(kind="continuous"), "bars")
     assert robot.model.nq == robot.model.nv + 1
     assert robot.home == [0.0] and robot.lower == [-np.inf] and robot.upper == [np.inf]
     assert robot.joint_kinds == ("revolute",)
@@ -73,14 +73,14 @@ def test_a_continuous_joint_has_no_range_and_home_at_zero(write) -> None:
 def test_limits_come_from_the_file_and_zero_means_none(block, write) -> None:
     """Speed and force limits in SI units; a file that writes 0 gives none."""
     assert_allclose([block.lower, block.upper, block.velocity_limit, block.effort_limit], [[-3], [3], [10], [100]])
-    free = robot_from_urdf(write.block().replace('velocity="10" effort="100"', 'velocity="0" effort="0"'), "block")
+    free = load_robot_from_urdf(write.block().replace('velocity="10" effort="100"', 'velocity="0" effort="0"'), "block")
     assert free.velocity_limit == [np.inf] and free.effort_limit == [np.inf]
 
 
 def test_drive_inertia_is_the_rotors_times_the_gear_ratio_squared(write) -> None:
     """Seen from the joint a rotor turns faster by the gear ratio, so its energy grows with the square."""
     gear = '<drake:rotor_inertia value="1e-4"/><drake:gear_ratio value="50"/>'
-    robot = robot_from_urdf(write.pendulum(2.0, 0.5, write.drive("pivot", gear)), "geared")
+    robot = load_robot_from_urdf(write.pendulum(2.0, 0.5, write.drive("pivot", gear)), "geared")
     armature = robot.parameters["pivot.armature"]
     assert armature.value == pytest.approx(0.25) and armature.unit == "kg m^2" and not armature.free
 
@@ -95,7 +95,7 @@ def test_a_point_mass_hangs_where_the_file_puts_it(pendulum) -> None:
 def test_parameters_tied_to_the_mass_scale_the_whole_link(write) -> None:
     """With parameters="mass", twice the mass is twice every one of the ten numbers."""
     note = '<tau_dyn:link name="upper_link" parameters="mass"/></robot>'
-    robot = robot_from_urdf(write.two_link().replace("</robot>", note), "arm")
+    robot = load_robot_from_urdf(write.two_link().replace("</robot>", note), "arm")
     assert [n for n in robot.parameters.names if n.startswith("upper_link")] == ["upper_link.mass"]
     model = robot.model_with(robot.parameters.with_values({"upper_link.mass": 6.0}))
     assert_allclose(model.inertias[1].toDynamicParameters(), 2 * robot.model.inertias[1].toDynamicParameters())
@@ -119,7 +119,7 @@ def test_a_file_without_any_mass_starts_from_zero_and_says_so(write) -> None:
     urdf = write.text(
         "bare", write.link("a_link"), write.joint("a", "revolute", "base_link", "a_link"), write.drive("a")
     )
-    robot = robot_from_urdf(urdf, "bare")
+    robot = load_robot_from_urdf(urdf, "bare")
     assert robot.parameters.names[:2] == ("a_link.mass", "a_link.mx") and not robot.parameters.values.any()
     assert any("no mass" in w for w in robot.warnings)
 
@@ -148,7 +148,7 @@ def test_reading_a_robot_leaves_standard_error_where_it_was(write) -> None:
     opened = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
     for urdf in (write.pendulum(), "<robot/>"):
         try:
-            robot_from_urdf(urdf, "some")
+            load_robot_from_urdf(urdf, "some")
         except InputError:
             continue
     after = os.fstat(2)
@@ -162,10 +162,10 @@ def test_a_link_with_its_mass_alone_is_a_line_of_ten_numbers(write) -> None:
         "rod", write.rod("rod_link", 3.0, 0.4), write.joint("j", "revolute", "base_link", "rod_link"), write.drive("j"),
         '<tau_dyn:link name="rod_link" parameters="mass"/>',
     )  # fmt: skip
-    (link,) = robot_from_urdf(text, "rod").links
+    (link,) = load_robot_from_urdf(text, "rod").links
     across = 0.4**2 / 3
     assert_allclose(link.map, np.array([[1, 0.2, 0, 0, 1e-4 / 3, 0, across, 0, 0, across]]).T, rtol=1e-12)
-    (untied,) = robot_from_urdf(text, "rod").untied(["rod_link.mx"]).links
+    (untied,) = load_robot_from_urdf(text, "rod").untied(["rod_link.mx"]).links
     assert_allclose(untied.map[:, 0], [1, 0, 0, 0, 1e-4 / 3, 0, across, 0, 0, across], rtol=1e-12)
     assert_allclose(untied.map[:, 1], np.eye(10)[1])
 
@@ -191,18 +191,18 @@ def test_the_arguments_of_a_file_are_kept(pendulum) -> None:
 def test_the_tool_frame_is_named_or_evident(write) -> None:
     """A lone leaf is the tool; of two leaves the usual name counts; two strange ones leave it open; a name decides."""
     chain = (write.rod("rod_link", 3.0, 0.4), write.joint("j", "revolute", "base_link", "rod_link"), write.drive("j"))
-    lone = robot_from_urdf(write.text("rod", *chain), "rod")
+    lone = load_robot_from_urdf(write.text("rod", *chain), "rod")
     assert lone.tool == "rod_link" and lone.model.frames[lone.tool_frame].name == "rod_link"
     ends = [
         f'<link name="{n}"/>{write.joint(f"to_{n}", "fixed", "rod_link", n)}'
         for n in ("camera_link", "tool0", "x_link")
     ]
-    assert robot_from_urdf(write.text("rod", *chain, *ends), "rod").tool == "tool0"
+    assert load_robot_from_urdf(write.text("rod", *chain, *ends), "rod").tool == "tool0"
     open_ended = write.text("rod", *chain, ends[0], ends[2])
-    assert robot_from_urdf(open_ended, "rod").tool_frame is None
-    assert robot_from_urdf(open_ended, "rod", tool="camera_link").tool == "camera_link"
+    assert load_robot_from_urdf(open_ended, "rod").tool_frame is None
+    assert load_robot_from_urdf(open_ended, "rod", tool="camera_link").tool == "camera_link"
     with pytest.raises(UnknownName, match="no frame named 'camra_link'"):
-        robot_from_urdf(open_ended, "rod", tool="camra_link")
+        load_robot_from_urdf(open_ended, "rod", tool="camra_link")
 
 
 def test_a_model_file_keeps_the_tool_frame(write, tmp_path) -> None:
@@ -212,7 +212,7 @@ def test_a_model_file_keeps_the_tool_frame(write, tmp_path) -> None:
     ends = [f'<link name="{n}"/>{write.joint(f"to_{n}", "fixed", "rod_link", n)}' for n in ("camera_link", "x_link")]
     text = write.text("rod", write.rod("rod_link", 3.0, 0.4), write.joint("j", "revolute", "base_link", "rod_link"),
                       write.drive("j"), *ends)  # fmt: skip
-    Model.of(robot_from_urdf(text, "rod", tool="camera_link"), []).save(tmp_path / "model.yaml")
+    Model.of(load_robot_from_urdf(text, "rod", tool="camera_link"), []).save(tmp_path / "model.yaml")
     assert Model.load(tmp_path / "model.yaml").robot.tool == "camera_link"
 
 

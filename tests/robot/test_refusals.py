@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tau_dyn.exceptions import InputError, TauDynError, UnknownName
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}<link name="base_link"/></robot>'
 BOMB = '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]><robot name="r"><link name="&b;"/></robot>'
@@ -66,7 +66,7 @@ def test_entities_are_refused(refused) -> None:
 
 def test_a_robot_takes_no_parameters_of_another(write) -> None:
     """Values are put in by name; another robot's are refused, its own go in."""
-    one, other = robot_from_urdf(write.pendulum(), "one"), robot_from_urdf(write.two_link(), "other")
+    one, other = load_robot_from_urdf(write.pendulum(), "one"), load_robot_from_urdf(write.two_link(), "other")
     assert one.with_parameters(one.parameters).parameters.names == one.parameters.names
     with pytest.raises(UnknownName, match="parameter"):
         one.with_parameters(other.parameters)
@@ -112,19 +112,19 @@ def test_a_name_for_both_a_link_and_a_joint_is_refused(write) -> None:
     """Parameters are named after links and joints; Drake and MuJoCo also mix them up."""
     urdf = write.pendulum().replace("rod_link", "pivot")
     with pytest.raises(InputError, match="'pivot' names both a link and a joint; end link names in _link"):
-        robot_from_urdf(urdf, "twins")
+        load_robot_from_urdf(urdf, "twins")
 
 
 def test_loops_without_transmissions_ask_for_actuated_joints(write) -> None:
     """Which joints of a loop are driven cannot be guessed."""
     with pytest.raises(InputError, match="kinematic loops but no <transmission>.*--actuated"):
-        robot_from_urdf(write.four_bar(driven=""), "bars")
+        load_robot_from_urdf(write.four_bar(driven=""), "bars")
 
 
 def test_unknown_actuated_joints_are_named(write) -> None:
     """So are fixed joints, which do not move."""
     with pytest.raises(UnknownName, match="no movable joint named 'crnk'.*crank.*; there are crank, coupler, rocker"):
-        robot_from_urdf(write.four_bar(), "bars", actuated=["crnk"])
+        load_robot_from_urdf(write.four_bar(), "bars", actuated=["crnk"])
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_faulty_annotations_name_the_element(write, old: str, new: str, sentence
     urdf = write.four_bar()
     assert old in urdf
     with pytest.raises(InputError, match=sentence):
-        robot_from_urdf(urdf.replace(old, new), "bars")
+        load_robot_from_urdf(urdf.replace(old, new), "bars")
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_numbers_of_the_tree_must_be_finite(write, attribute: str, place: str, v
     urdf, n = re.subn(f'<{attribute}="[^"]*"', f'<{attribute}="{value}"', write.pendulum(), count=1)
     assert n == 1
     with pytest.raises(InputError, match=f"{place}: <{attribute}='{value}'> must hold . finite number"):
-        robot_from_urdf(urdf, "pendulum")
+        load_robot_from_urdf(urdf, "pendulum")
 
 
 @pytest.mark.parametrize(
@@ -171,14 +171,14 @@ def test_an_incomplete_inertia_is_refused_not_dropped(write, element: str, sente
     urdf, n = re.subn(element, "", write.pendulum(), count=1)
     assert n == 1
     with pytest.raises(InputError, match=f"link 'rod_link': .*{sentence}"):
-        robot_from_urdf(urdf, "pendulum")
+        load_robot_from_urdf(urdf, "pendulum")
 
 
 @pytest.mark.parametrize("mass", [-2.0, -0.01])
 def test_a_negative_mass_is_refused(write, mass: float) -> None:
     """A mass is not negative, not even by grams."""
     with pytest.raises(InputError, match=f"link 'rod_link': its mass is {mass} kg"):
-        robot_from_urdf(write.pendulum(mass), "pendulum")
+        load_robot_from_urdf(write.pendulum(mass), "pendulum")
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_a_negative_mass_is_refused(write, mass: float) -> None:
 def test_texts_that_are_no_robot_are_refused(urdf: str) -> None:
     """Whatever comes, the fault is ours to name, never a traceback of a parser."""
     with pytest.raises(TauDynError):
-        robot_from_urdf(urdf, "text")
+        load_robot_from_urdf(urdf, "text")
 
 
 def test_floating_and_planar_joints_cannot_be_actuated(write) -> None:
@@ -198,4 +198,4 @@ def test_floating_and_planar_joints_cannot_be_actuated(write) -> None:
         "f", write.link("a_link", 1), write.joint("a", "floating", "base_link", "a_link"), write.drive("a")
     )
     with pytest.raises(InputError, match="'a' must have one degree of freedom"):
-        robot_from_urdf(urdf, "floating")
+        load_robot_from_urdf(urdf, "floating")

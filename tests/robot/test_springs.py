@@ -9,7 +9,7 @@ import pytest
 
 from tau_dyn.dynamics import TreeMechanism
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot import Spring, load_robot, robot_from_urdf
+from tau_dyn.robot import Spring, load_robot, load_robot_from_urdf
 
 
 def on_the_elbow(write: SimpleNamespace, note: str) -> str:
@@ -20,7 +20,9 @@ def on_the_elbow(write: SimpleNamespace, note: str) -> str:
 
 def test_a_spring_is_read_and_locked(write: SimpleNamespace) -> None:
     """The arm with a spring at its elbow is the rigid arm with a stiff elbow."""
-    robot = robot_from_urdf(on_the_elbow(write, '<tau_dyn:spring joint="elbow" stiffness="50" damping="0.5"/>'), "arm")
+    robot = load_robot_from_urdf(
+        on_the_elbow(write, '<tau_dyn:spring joint="elbow" stiffness="50" damping="0.5"/>'), "arm"
+    )
     assert robot.springs == (Spring("elbow", 50.0, 0.5),)
     assert robot.actuated == ("shoulder",) and robot.model.nv == 1 and robot.warnings == ()
     straight = 3 * 0.4**2 / 3 + 2 * (0.3**2 / 12 + 0.55**2)  # both rods about the shoulder
@@ -30,10 +32,10 @@ def test_a_spring_is_read_and_locked(write: SimpleNamespace) -> None:
 def test_a_spring_can_be_left_free(write: SimpleNamespace) -> None:
     """Asked for as it is, the arm with a spring keeps both joints; one without springs has nothing to lock."""
     sprung = on_the_elbow(write, '<tau_dyn:spring joint="elbow" stiffness="50"/>')
-    free = robot_from_urdf(sprung, "arm", actuated=["shoulder", "elbow"], lock_springs=False)
+    free = load_robot_from_urdf(sprung, "arm", actuated=["shoulder", "elbow"], lock_springs=False)
     assert free.actuated == ("shoulder", "elbow") and free.model.nv == 2
     assert free.springs == (Spring("elbow", 50.0, 0.0),)  # without a word on damping there is none
-    assert robot_from_urdf(write.two_link(), "arm").model.nv == 2
+    assert load_robot_from_urdf(write.two_link(), "arm").model.nv == 2
 
 
 @pytest.mark.parametrize(
@@ -49,7 +51,7 @@ def test_a_spring_can_be_left_free(write: SimpleNamespace) -> None:
 )
 def test_springs_that_make_no_sense_are_refused(write: SimpleNamespace, note: str, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        robot_from_urdf(on_the_elbow(write, note), "arm")
+        load_robot_from_urdf(on_the_elbow(write, note), "arm")
 
 
 def test_the_default_robot_has_neither_springs_nor_wrist() -> None:

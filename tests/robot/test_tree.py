@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 from tau_dyn.robot.robot import INERTIAL, LinkInertia
 
 
@@ -32,7 +32,7 @@ def test_a_bad_number_is_found_behind_absent_and_good_ones(write, tag: str, good
     """What may be left out is no reason to look no further."""
     urdf = with_attributes(write.pendulum(), tag, f'{good} {bad}="nan"')
     with pytest.raises(InputError, match=f"<{tag} {bad}='nan'> must hold . finite number"):
-        robot_from_urdf(urdf, "pendulum")
+        load_robot_from_urdf(urdf, "pendulum")
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_a_bad_number_is_found_behind_absent_and_good_ones(write, tag: str, good
 def test_a_range_without_an_end_has_no_middle(write, limits: str, home: float) -> None:
     """Beyond 1e10 a limit says that there is none: the home is zero then, and not half of a number that means nothing."""
     urdf = with_attributes(write.block(), "limit", f'{limits} velocity="1" effort="1"')
-    robot = robot_from_urdf(urdf, "block")
+    robot = load_robot_from_urdf(urdf, "block")
     assert_allclose(robot.home, [home])
     lower, upper = (float(x) for x in re.findall(r'"([^"]*)"', limits))
     assert robot.lower == [lower if abs(lower) < 1e10 else -np.inf]
@@ -66,7 +66,7 @@ def test_a_tree_that_cannot_be_built_is_said_in_the_parsers_words(write, changes
         assert old in urdf
         urdf = urdf.replace(old, new)
     with pytest.raises(InputError, match=f"^pendulum.urdf: Pinocchio cannot build the tree: .*{words}") as fault:
-        robot_from_urdf(urdf, "pendulum.urdf")
+        load_robot_from_urdf(urdf, "pendulum.urdf")
     assert "Error" not in str(fault.value) and " at line " not in str(fault.value)
 
 
@@ -76,7 +76,7 @@ def test_a_link_of_two_joints_is_refused(write) -> None:
     with pytest.raises(
         InputError, match="link 'rod_link' is the child of joints 'pivot' and 'second'; .*ball_constraint"
     ):
-        robot_from_urdf(write.pendulum().replace("</robot>", second + "</robot>"), "twice")
+        load_robot_from_urdf(write.pendulum().replace("</robot>", second + "</robot>"), "twice")
 
 
 @pytest.mark.parametrize("ring", [("a_link",), ("a_link", "b_link"), ("a_link", "b_link", "c_link")])
@@ -88,10 +88,12 @@ def test_links_that_hang_on_themselves_are_refused(write, ring: tuple[str, ...])
         for parent, child in zip(ring, (*ring[1:], ring[0]), strict=True)
     ]
     with pytest.raises(InputError, match="link '._link' hangs on itself, by " + ", ".join(["to_._link"] * len(ring))):
-        robot_from_urdf(write.pendulum().replace("</robot>", "".join(links + joints) + "</robot>"), "ring")
+        load_robot_from_urdf(write.pendulum().replace("</robot>", "".join(links + joints) + "</robot>"), "ring")
     tail = write.link("tail_link", 1, "0 0 0", "1 1 1") + write.joint("tail", "fixed", ring[0], "tail_link")
     with pytest.raises(InputError, match="hangs on itself"):
-        robot_from_urdf(write.pendulum().replace("</robot>", "".join([tail, *joints, *links]) + "</robot>"), "ring")
+        load_robot_from_urdf(
+            write.pendulum().replace("</robot>", "".join([tail, *joints, *links]) + "</robot>"), "ring"
+        )
 
 
 def inertial(robot: Robot, index: int, **values: float) -> np.ndarray:

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.model import Model
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 _HEAD = '<robot name="{name}" xmlns:drake="http://drake.mit.edu" xmlns:tau_dyn="urn:tau_dyn"><link name="base_link"/>'
 
@@ -44,7 +44,7 @@ def pendulum_robot(mass: float = 2.0, length: float = 0.5, limited: bool = True)
     urdf = _HEAD.format(name="pendulum") + _link("rod_link", mass, f"0 0 {-length}")
     kind, limit = ("revolute", _limit(-3, 3, 20, 200)) if limited else ("continuous", "")
     urdf += _joint("pivot", kind, "base_link", "rod_link", "0 1 0", limit=limit)
-    return robot_from_urdf(urdf + _drive("pivot") + "</robot>", "pendulum")
+    return load_robot_from_urdf(urdf + _drive("pivot") + "</robot>", "pendulum")
 
 
 def block_robot(mass: float = 95.0, effort: float = 400.0) -> Robot:
@@ -52,7 +52,7 @@ def block_robot(mass: float = 95.0, effort: float = 400.0) -> Robot:
     urdf = _HEAD.format(name="block") + _link("carriage_link", mass)
     urdf += _joint("axis", "prismatic", "base_link", "carriage_link", "1 0 0", limit=_limit(-0.5, 0.5, 1.2, effort))
     urdf += '<tau_dyn:link name="carriage_link" parameters="mass"/>'
-    return robot_from_urdf(urdf + _drive("axis") + "</robot>", "block")
+    return load_robot_from_urdf(urdf + _drive("axis") + "</robot>", "block")
 
 
 def gantry_robot(closed_form: bool = True, travel: float = 0.9) -> Robot:
@@ -77,7 +77,7 @@ def gantry_robot(closed_form: bool = True, travel: float = 0.9) -> Robot:
     if closed_form:
         urdf += f'<tau_dyn:mechanism plate="plate_link">{arms}</tau_dyn:mechanism>'
     urdf += '<tau_dyn:link name="plate_link" parameters="mass"/>'
-    return robot_from_urdf(urdf + "</robot>", "gantry")
+    return load_robot_from_urdf(urdf + "</robot>", "gantry")
 
 
 def _arm(i: int, origin: np.ndarray, length: float, rod: float, cart: float, reach: np.ndarray, travel: float) -> str:
@@ -104,7 +104,7 @@ def _arm(i: int, origin: np.ndarray, length: float, rod: float, cart: float, rea
 
 def with_friction(robot: Robot, coulomb: float, viscous: float, asymmetry: float = 0.0) -> Model:
     """Return a model with asymmetric friction on all joints; forward coefficients are larger by twice `asymmetry`."""
-    model = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    model = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
     values = {"coulomb_pos": coulomb * (1 + asymmetry), "coulomb_neg": coulomb * (1 - asymmetry)}
     values |= {"viscous_pos": viscous * (1 + asymmetry), "viscous_neg": viscous * (1 - asymmetry)}
     return model.with_values({f"{joint}.{name}": value for joint in robot.actuated for name, value in values.items()})
@@ -126,7 +126,7 @@ def arm_model(name: str) -> Model:
     if not found:
         pytest.skip("example-robot-data is not installed")
     robot = load_robot(Path(str(found[0].locate())), actuated=joints)
-    model = Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    model = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
     shares = {"coulomb_pos": 0.05, "coulomb_neg": 0.04, "viscous_pos": 0.03, "viscous_neg": 0.02}
     drives = zip(robot.actuated, robot.effort_limit, strict=True)
     return model.with_values({f"{joint}.{k}": x * limit for joint, limit in drives for k, x in shares.items()})

@@ -17,11 +17,11 @@ from tau_dyn.simulate import (
     CascadeLaw,
     Sensors,
     Trajectory,
+    build_named_motion,
+    build_stroke_motion,
     move,
-    named_motion,
     run_plant,
     simulate,
-    stroke_motion,
 )
 
 DATA = Path(os.environ.get("TAU_DYN_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -31,7 +31,7 @@ EMPS = {"carriage_link.mass": 95.154, "axis.coulomb_pos": 20.144, "axis.coulomb_
 
 def test_emps_lag_at_constant_speed_is_what_its_law_says(block):
     """Without an integral, `kp kv gtau e = kv gtau v + Fc + Fv v`: the reference leads by 3.4 mm at 0.2 m/s and so on."""
-    reference = stroke_motion(block, 12.0, speeds=(0.2,))
+    reference = build_stroke_motion(block, 12.0, speeds=(0.2,))
     run = run_plant(block, reference, CascadeController(CascadeLaw.emps()))
     kp, stiffness = 160.18, 243.45 * 35.150652
     for sign in (1.0, -1.0):
@@ -77,7 +77,7 @@ def test_emps_drive_follows_its_recording(block):
 @pytest.mark.parametrize("name", ["fourier", "multisine", "prbs", "slow", "strokes"])
 def test_default_cascade_follows_every_motion(gantry, name):
     """The default gains keep the gantry's carts within 1 mm of each motion, with friction and without feedforward."""
-    reference = named_motion(name, gantry, 8.0, seed=3)
+    reference = build_named_motion(name, gantry, 8.0, seed=3)
     run = run_plant(gantry, reference, CascadeController(CascadeLaw.for_model(gantry), start=gantry))
     assert np.max(np.abs(run.q - reference.q)) < 1e-3
     assert np.all(np.abs(run.tau) <= gantry.robot.effort_limit)
@@ -85,7 +85,7 @@ def test_default_cascade_follows_every_motion(gantry, name):
 
 def test_feedforward_of_the_true_model_shrinks_the_error(gantry):
     """With the plant's own forces in advance, the tracking error is several times smaller."""
-    reference = named_motion("fourier", gantry, 6.0)
+    reference = build_named_motion("fourier", gantry, 6.0)
     law = CascadeLaw.for_model(gantry)
     plain = run_plant(gantry, reference, CascadeController(law, start=gantry))
     helped = run_plant(gantry, reference, CascadeController(law, feedforward=Feedforward(gantry)))
@@ -96,7 +96,7 @@ def test_feedforward_of_the_true_model_shrinks_the_error(gantry):
 @pytest.mark.parametrize("name", ["fourier", "prbs"])
 def test_default_cascade_follows_on_serial_arms(arm, name):
     """Stretched arms, whose mass matrix is far from diagonal: within 0.015 rad of 2 rad, no force limit reached."""
-    reference = named_motion(name, arm, 5.0, seed=2)
+    reference = build_named_motion(name, arm, 5.0, seed=2)
     run = run_plant(arm, reference, CascadeController(CascadeLaw.for_model(arm), start=arm))
     assert np.max(np.abs(reference.q - reference.q[0])) > 0.7
     assert np.max(np.abs(run.q - reference.q)) < 0.015
@@ -109,7 +109,7 @@ def test_feedback_of_the_diagonal_alone_swings_between_the_limits_and_says_so(ma
     M, _ = panda.mechanism.mass_and_bias(panda.robot.home, np.zeros(7))
     whole = CascadeLaw.for_model(panda)
     law = replace(whole, velocity_gain=whole.velocity_gain * np.diag(M), inertia=None)
-    log = simulate(panda, named_motion("fourier", panda, 4.0), CascadeController(law, start=panda))
+    log = simulate(panda, build_named_motion("fourier", panda, 4.0), CascadeController(law, start=panda))
     said = [w for w in log.warnings if "force limit" in w]
     share = np.mean(np.abs(log.channels["tau_panda_joint1"]) >= 87.0 * (1 - 1e-9))
     assert share > 0.5
@@ -122,7 +122,7 @@ def test_feedback_of_the_diagonal_alone_swings_between_the_limits_and_says_so(ma
 def test_friction_of_a_serial_arm_is_identified_from_its_log(make):
     """UR5, six joints, typical sensors: all 24 friction numbers within 4 sigma, the middle one within 4 %."""
     ur5 = make.arm("ur5")
-    log = simulate(ur5, named_motion("fourier", ur5, 20.0), sensors=Sensors.typical(ur5.robot, log_rate_hz=250))
+    log = simulate(ur5, build_named_motion("fourier", ur5, 20.0), sensors=Sensors.typical(ur5.robot, log_rate_hz=250))
     assert log.warnings == ()
     found = identify(ur5.robot, log).estimate.parameters.select(ur5.effect_parameters.names)
     truth = ur5.effect_parameters.values
@@ -153,4 +153,4 @@ def test_gantry_does_not_sag_when_released(gantry):
 def test_law_for_another_robot_is_refused(gantry):
     """A one-joint law cannot drive three carts, and the message says so."""
     with pytest.raises(InputError, match=r"for 1 joint\(s\), fourier moves 3"):
-        run_plant(gantry, named_motion("fourier", gantry, 5.0), CascadeController(CascadeLaw.emps()))
+        run_plant(gantry, build_named_motion("fourier", gantry, 5.0), CascadeController(CascadeLaw.emps()))

@@ -10,7 +10,7 @@ import pytest
 from tau_dyn.dynamics import L1_DRIVES, FlexibleModel, Linearised, PositionDrives
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import VibrationSensors, binary_log, push_log, vibration_log
+from tau_dyn.simulate import VibrationSensors, push_log, simulate_binary_log, simulate_vibration_log
 
 
 @lru_cache(maxsize=2)
@@ -30,7 +30,7 @@ def strongest(y: np.ndarray, dt: float, low: float, high: float) -> float:
 def test_a_binary_log_has_the_contracts_columns() -> None:
     """References jump between two levels around the pose, drives lag, the tool is where it rests, on average."""
     near = l1()
-    log = binary_log(near, duration=20, drives=L1_DRIVES, sensors=VibrationSensors.length_gauges(), seed=3)
+    log = simulate_binary_log(near, duration=20, drives=L1_DRIVES, sensors=VibrationSensors.length_gauges(), seed=3)
     carts = ("cart1", "cart2", "cart3")
     assert log.rate_hz == pytest.approx(250) and log.n_samples == 5000
     assert set(log.channels) == {f"{s}_{j}" for s in ("q_ref", "q") for j in carts} | {
@@ -60,15 +60,15 @@ def test_a_push_carries_its_impulse() -> None:
 
 
 def test_one_moving_joint_leaves_the_others_still() -> None:
-    log = binary_log(l1("none"), duration=4, joints=["cart3"])
+    log = simulate_binary_log(l1("none"), duration=4, joints=["cart3"])
     assert np.ptp(log.channels["q_cart1"]) == 0 and np.ptp(log.channels["q_cart3"]) > 1e-3
 
 
 def test_a_seed_fixes_the_log_and_noise_has_its_size() -> None:
     """The same seed gives the same numbers; against a perfect log the noise has the standard deviation asked for."""
     sensors = VibrationSensors(1e-6, 2e-6, 0.05)
-    noisy, again, other = (binary_log(l1(), duration=20, sensors=sensors, seed=s) for s in (1, 1, 2))
-    clean = binary_log(l1(), duration=20, seed=1)
+    noisy, again, other = (simulate_binary_log(l1(), duration=20, sensors=sensors, seed=s) for s in (1, 1, 2))
+    clean = simulate_binary_log(l1(), duration=20, seed=1)
     assert np.array_equal(noisy.channels["x_tool"], again.channels["x_tool"])
     assert not np.array_equal(noisy.channels["q_ref_cart1"], other.channels["q_ref_cart1"])
     for column, size in (("q_cart2", 1e-6), ("y_tool", 2e-6), ("az_tool", 0.05)):
@@ -78,17 +78,20 @@ def test_a_seed_fixes_the_log_and_noise_has_its_size() -> None:
 def test_what_makes_no_log_is_refused() -> None:
     near, none = l1(), np.zeros((10, 3))
     for call, complaint in (
-        (lambda: vibration_log(near, np.zeros((10, 2)), none, 0.004), "expected references"),
-        (lambda: vibration_log(near, none, none, 0.004, drives=PositionDrives((0.1,) * 3, 0.003)), "whole number"),
-        (lambda: binary_log(near, duration=0.001), "no log"),
-        (lambda: binary_log(near, amplitude=0.0), "positive amplitude"),
-        (lambda: binary_log(near, joints=[]), "at least one joint"),
+        (lambda: simulate_vibration_log(near, np.zeros((10, 2)), none, 0.004), "expected references"),
+        (
+            lambda: simulate_vibration_log(near, none, none, 0.004, drives=PositionDrives((0.1,) * 3, 0.003)),
+            "whole number",
+        ),
+        (lambda: simulate_binary_log(near, duration=0.001), "no log"),
+        (lambda: simulate_binary_log(near, amplitude=0.0), "positive amplitude"),
+        (lambda: simulate_binary_log(near, joints=[]), "at least one joint"),
         (lambda: push_log(near, "x", width=9.0), "do not fit"),
         (lambda: VibrationSensors(tool_noise=-1.0), "below zero"),
     ):
         with pytest.raises(InputError, match=complaint):
             call()
     with pytest.raises(UnknownName, match="cart9"):
-        binary_log(near, joints=["cart9"])
+        simulate_binary_log(near, joints=["cart9"])
     with pytest.raises(UnknownName, match="direction"):
         push_log(near, "xw")

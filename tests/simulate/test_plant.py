@@ -12,7 +12,7 @@ from tau_dyn.effects import Effect, Motion, ReducerCoupling
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.simulate import CascadeController, CascadeLaw, free_motion, named_motion, run_plant
+from tau_dyn.simulate import CascadeController, CascadeLaw, build_named_motion, free_motion, run_plant
 from tau_dyn.simulate.forces import SampledForces
 from tau_dyn.simulate.slip import solve_slip
 
@@ -31,7 +31,7 @@ def misfit(run):
 
 def follow(model, name, duration=8.0, seed=1):
     """Run a named motion under the default controller with ideal feedback."""
-    reference = named_motion(name, model, duration, seed).resampled(1000)
+    reference = build_named_motion(name, model, duration, seed).resampled(1000)
     return run_plant(model, reference, CascadeController(CascadeLaw.for_model(model), start=model))
 
 
@@ -194,7 +194,7 @@ def test_inertia_that_vanishes_at_zero_is_still_found(make):
 def test_gains_that_are_too_high_are_said(make, block):
     """A velocity loop far above the control rate runs away, and the message says why instead of printing NaN."""
     law = CascadeLaw.of(50.0, 95.0 * 2 * np.pi * 2000, na=1)
-    reference = named_motion("fourier", block, 5.0)
+    reference = build_named_motion("fourier", block, 5.0)
     with pytest.raises(InputError, match="gains are too high"):
         run_plant(Model.of(make.block()), reference, CascadeController(law))
 

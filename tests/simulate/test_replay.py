@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from tau_dyn.effects import Delay, friction_model
+from tau_dyn.effects import Delay, build_friction_model
 from tau_dyn.effects.thermal_drift import ThermalDrift
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
@@ -71,7 +71,7 @@ def test_substeps_of_the_plant_change_nothing_that_matters(viscous):
 
 def test_a_wound_up_integral_is_resumed(viscous):
     """Against a steady push of 80 N the first force is the measured one, which the integral had learnt before the log began."""
-    model = Model.of(viscous.robot, friction_model("symmetric", ("axis",), ("N",)))
+    model = Model.of(viscous.robot, build_friction_model("symmetric", ("axis",), ("N",)))
     model = model.with_values({"axis.viscous": VISCOUS, "axis.coulomb": 0.0, "axis.offset": -80.0})
     log = record_exactly(push=80.0).window(1130, 2500)
     found = replay(model, log, LAW)

@@ -11,19 +11,19 @@ from tau_dyn.robot import load_robot
 from tau_dyn.simulate import (
     Sensors,
     Trajectory,
+    build_fourier_motion,
+    build_named_motion,
+    build_stroke_motion,
     drive,
-    fourier_motion,
     measure,
     move,
-    named_motion,
     simulate,
-    stroke_motion,
 )
 
 
 def test_the_same_seed_gives_the_same_log(block):
     """Noise and feedback repeat bit by bit; another seed changes both the readings and the motion they feed back to."""
-    motion, sensors = fourier_motion(block, 4.0), Sensors.typical(block.robot, log_rate_hz=500)
+    motion, sensors = build_fourier_motion(block, 4.0), Sensors.typical(block.robot, log_rate_hz=500)
     one, same, other = (simulate(block, motion, sensors=sensors, seed=seed) for seed in (7, 7, 8))
     assert one.channels.keys() == same.channels.keys()
     assert all(np.array_equal(one.channels[k], same.channels[k]) for k in one.channels)
@@ -32,7 +32,7 @@ def test_the_same_seed_gives_the_same_log(block):
 
 def test_encoder_noise_enters_the_feedback_unless_it_is_ideal(block, rng):
     """The drive answers to what its encoder reads; with ideal feedback the forces are the same for every seed."""
-    motion, sensors = fourier_motion(block, 4.0), Sensors(encoder_noise=2e-6)
+    motion, sensors = build_fourier_motion(block, 4.0), Sensors(encoder_noise=2e-6)
     noisy, ideal = (simulate(block, motion, sensors=sensors, feedback=f) for f in ("encoder", "ideal"))
     again = simulate(block, motion, sensors=sensors, feedback="ideal", seed=9)
     rough, smooth = (np.std(np.diff(log.channels["tau_axis"])) for log in (noisy, ideal))
@@ -43,7 +43,7 @@ def test_encoder_noise_enters_the_feedback_unless_it_is_ideal(block, rng):
 
 def test_log_holds_what_the_controller_read(block, rng):
     """With noisy feedback the logged positions are the controller's readings, not a second draw."""
-    run = drive(block, fourier_motion(block, 4.0), None, Sensors(encoder_noise=1e-5), rng)
+    run = drive(block, build_fourier_motion(block, 4.0), None, Sensors(encoder_noise=1e-5), rng)
     log = measure(run, Sensors(encoder_noise=1e-5), rng)
     assert np.array_equal(log.channels["q_axis"], run.q_read[:, 0])
     assert_allclose(np.std(run.q_read - run.q), 1e-5, rtol=0.05)
@@ -52,7 +52,7 @@ def test_log_holds_what_the_controller_read(block, rng):
 def test_asymmetric_friction_shows_in_constant_strokes(make):
     """Mean force at constant speed is `Fc_pos + Fv_pos v` one way and `-Fc_neg + Fv_neg v` the other, within 0.05 N."""
     model = make.friction(make.block(95.0), 20.0, 200.0, 0.3)
-    log = simulate(model, stroke_motion(model, 12.0, speeds=(0.1, 0.3)))
+    log = simulate(model, build_stroke_motion(model, 12.0, speeds=(0.1, 0.3)))
     v_ref = np.gradient(log.channels["q_ref_axis"], log.dt)
     for v in (0.1, 0.3, -0.1, -0.3):
         steady = np.abs(v_ref - v) < 1e-6
@@ -63,7 +63,7 @@ def test_asymmetric_friction_shows_in_constant_strokes(make):
 
 def test_log_passes_through_a_file_and_is_fit_for_use(gantry, tmp_path):
     """A simulated log is a log: written, read back, and judged fit by the same check as recordings."""
-    log = simulate(gantry, fourier_motion(gantry, 12.0), sensors=Sensors.typical(gantry.robot, log_rate_hz=250))
+    log = simulate(gantry, build_fourier_motion(gantry, 12.0), sensors=Sensors.typical(gantry.robot, log_rate_hz=250))
     assert {"q_cart1", "tau_cart3", "q_ref_cart2", "x_tool"} <= set(log.channels)
     log.to_csv(tmp_path / "log.csv")
     back = read_log(tmp_path / "log.csv")
@@ -85,9 +85,9 @@ def test_a_motion_outside_the_limits_is_refused_by_name(gantry):
 def test_wrong_joints_and_feedback_are_refused(block, gantry):
     """A motion of other joints names both lists."""
     with pytest.raises(InputError, match="moves joints axis; gantry has cart1, cart2, cart3"):
-        simulate(gantry, fourier_motion(block, 4.0))
+        simulate(gantry, build_fourier_motion(block, 4.0))
     with pytest.raises(InputError, match="'encoder' or 'ideal', not 'none'"):
-        simulate(block, fourier_motion(block, 4.0), feedback="none")
+        simulate(block, build_fourier_motion(block, 4.0), feedback="none")
 
 
 def test_progress_is_told(block):
@@ -103,4 +103,4 @@ def test_a_body_that_cannot_exist_is_not_simulated():
     robot = load_robot("gantry_tau").untied(["plate_link.mx"])
     model = Model.of(robot).with_values({"plate_link.mx": 50.0})
     with pytest.raises(InputError, match="plate_link"):
-        simulate(model, named_motion("slow", Model.of(robot), 5.0))
+        simulate(model, build_named_motion("slow", Model.of(robot), 5.0))

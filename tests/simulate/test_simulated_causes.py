@@ -13,7 +13,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, concatenate, drive, measure, move, read_effects_file, simulate
 from tau_dyn.simulate.forces import SampledForces
-from tau_dyn.simulate.memory import Surroundings, warming_up
+from tau_dyn.simulate.memory import EffectSurroundings, warming_up
 
 IN_THE_ROBOT = {
     "coulomb_asymmetry": {"coulomb_asymmetry": 5},
@@ -109,7 +109,7 @@ def test_a_change_between_campaigns_needs_a_campaign(make, tmp_path) -> None:
         simulate(model, there_and_back(model))
     assert "\n" not in str(fault.value)
     state = np.zeros(1), np.array([0.5])
-    other, changed = (SampledForces(model, Surroundings(campaign=k)).bounds(*state)[1] for k in (0.0, 1.0))
+    other, changed = (SampledForces(model, EffectSurroundings(campaign=k)).bounds(*state)[1] for k in (0.0, 1.0))
     assert_allclose(changed - other, 7)
 
 

@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
-from tau_dyn.simulate import Trajectory, concatenate, fourier_motion, move
+from tau_dyn.simulate import Trajectory, build_fourier_motion, concatenate, move
 
 
 def test_motion_survives_its_file(gantry, tmp_path):
     """Written and read, positions, speeds and accelerations agree to 12 digits."""
-    motion = fourier_motion(gantry, 4.0)
+    motion = build_fourier_motion(gantry, 4.0)
     motion.to_csv(tmp_path / "m.csv")
     back = Trajectory.from_csv(tmp_path / "m.csv", motion.joints)
     for key in ("t", "q", "v", "a"):
@@ -46,7 +46,7 @@ def test_measured_positions_are_smoothed_before_they_are_a_reference(rng):
 def test_pieces_join_without_a_jump(gantry):
     """Between pieces a minimum-jerk move: continuous position, speed and acceleration, at most the speed asked for."""
     joints = gantry.robot.actuated
-    pieces = [fourier_motion(gantry, 4.0), move(joints, np.full(3, 0.3), np.full(3, 0.1), 1.0)]
+    pieces = [build_fourier_motion(gantry, 4.0), move(joints, np.full(3, 0.3), np.full(3, 0.1), 1.0)]
     whole = concatenate(pieces, rest=0.3, speed=0.2)
     assert_allclose(np.diff(whole.t), 1e-3, rtol=1e-6)
     assert_allclose(np.diff(whole.q, axis=0) * 1000, (whole.v[1:] + whole.v[:-1]) / 2, atol=1e-5)
@@ -58,12 +58,12 @@ def test_pieces_join_without_a_jump(gantry):
 
 def test_moving_pieces_and_other_joints_are_refused(gantry, block):
     """Only motions of the same joints that start and end at rest can be joined."""
-    whole = fourier_motion(gantry, 4.0)
+    whole = build_fourier_motion(gantry, 4.0)
     cut = Trajectory(whole.joints, whole.t[:1500], whole.q[:1500], whole.v[:1500], whole.a[:1500], "cut")
     with pytest.raises(InputError, match="'cut' must start and end at rest"):
         concatenate([cut, whole])
     with pytest.raises(InputError, match="same joints"):
-        concatenate([whole, fourier_motion(block, 4.0)])
+        concatenate([whole, build_fourier_motion(block, 4.0)])
 
 
 def test_faulty_motions_say_what_is_wrong(tmp_path):

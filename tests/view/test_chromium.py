@@ -16,7 +16,7 @@ from chromium import Page, find_chromium
 
 from tau_dyn.robot import load_robot
 from tau_dyn.view import Viewer
-from tau_dyn.view.contents import Cloud, Finding, Findings
+from tau_dyn.view.contents import Cloud, Findings, ViewedFinding
 
 pytestmark = pytest.mark.skipif(find_chromium() is None, reason="no chromium on the path")
 BAD = "<img src=x onerror='window.ran=1'><script>window.ran=1</script>{window.ran=1}"
@@ -27,7 +27,7 @@ RIGHT = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
 def viewer():
     """A window with a finding and a cloud whose names are hostile."""
     made = Viewer(load_robot("gantry_tau"), port=18500, shadows=False)
-    made.add([Findings(BAD, (Finding(BAD, BAD, ("cart2", BAD)),))])
+    made.add([Findings(BAD, (ViewedFinding(BAD, BAD, ("cart2", BAD)),))])
     points = np.random.default_rng(0).uniform(0, 1, (20, 3))
     made.add([Cloud(BAD, points, {BAD: points[:, 0]}, BAD)])
     yield made

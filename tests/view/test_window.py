@@ -10,9 +10,9 @@ pytest.importorskip("viser")
 
 from tau_dyn.log import Log
 from tau_dyn.robot import load_robot
-from tau_dyn.view import Viewer, playback_of
-from tau_dyn.view.contents import Cloud, ErrorVectors, Finding, Findings, Uncertainty
-from tau_dyn.view.palette import NAMED, keys, legend, plain
+from tau_dyn.view import Viewer, build_playback
+from tau_dyn.view.contents import Cloud, ErrorVectors, Findings, Uncertainty, ViewedFinding
+from tau_dyn.view.palette import NAMED, escape_html, format_keys, format_legend
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_a_log_plays_at_the_rate_of_the_eye():
     """500 Hz become about 30 pictures a second, with the references as ghost where the log has them."""
     robot, t = load_robot("linear_axis"), np.arange(1000) / 500
     log = Log(t, {"q_axis": np.sin(t), "q_ref_axis": np.cos(t)})
-    made = playback_of(log, robot)
+    made = build_playback(log, robot)
     assert 25 < len(made.t) / made.t[-1] < 35
     assert made.ghost is not None and made.ghost.shape == made.q.shape == (len(made.t), 1)
     assert made.ghost_is == "commanded"
@@ -87,7 +87,7 @@ def test_the_simulated_motion_is_the_ghost_at_the_same_times():
     """A simulated log at another rate is read at the measured one's times; after its end there is nothing."""
     robot, t = load_robot("linear_axis"), np.arange(1000) / 500
     measured, s = Log(t + 7.0, {"q_axis": 0.1 * np.sin(t)}), np.arange(1500) / 1000
-    made = playback_of(measured, robot, Log(s, {"q_axis": 0.1 * np.sin(s) + 0.01}))
+    made = build_playback(measured, robot, Log(s, {"q_axis": 0.1 * np.sin(s) + 0.01}))
     shared = made.t < 1.49
     assert made.ghost_is == "simulated" and made.ghost is not None
     assert_allclose(made.ghost[shared] - made.q[shared], 0.01, atol=1e-6)
@@ -104,7 +104,7 @@ def test_playing_goes_forward_and_pausing_stops(viewer):
         t,
         {f"q_{j}": q[:, k] for k, j in enumerate(names)} | {f"q_ref_{j}": q[:, k] + 1e-4 for k, j in enumerate(names)},
     )
-    viewer.play(playback_of(log, viewer.robot))
+    viewer.play(build_playback(log, viewer.robot))
     viewer.player.seek(1.0)
     assert_allclose(viewer.q, viewer.robot.home + 0.05 * np.sin(1.0), atol=2e-3)
     viewer.player._toggle(None)
@@ -130,8 +130,8 @@ def test_a_finding_lights_what_its_joint_carries(viewer):
 
     own = [tuple(h.color) for h in viewer.figure.handles]
     rows = (
-        Finding("stribeck (confirmed)", "Cart 2 sticks.", ("cart2",)),
-        Finding("rod_length (suspected)", "", ("rod1",)),
+        ViewedFinding("stribeck (confirmed)", "Cart 2 sticks.", ("cart2",)),
+        ViewedFinding("rod_length (suspected)", "", ("rod1",)),
     )
     panel = FindingsPanel(viewer, Findings("Two causes.", rows))
     assert _lit(viewer) == {"cart2", "rod2a_pitch", "rod2b_pitch"}
@@ -147,10 +147,10 @@ def test_text_from_files_is_text(viewer):
     from tau_dyn.view.panels import FindingsPanel
 
     bad = "<img src=x onerror=alert(1)>"
-    panel = FindingsPanel(viewer, Findings(bad, (Finding(bad, bad, (bad,)),)))
+    panel = FindingsPanel(viewer, Findings(bad, (ViewedFinding(bad, bad, (bad,)),)))
     assert "<img" not in panel._said.content and "&lt;img" in panel._said.content
     value = np.array([0.0, 1.0])
-    for page in (plain(bad), legend(bad, value), keys({bad: NAMED})):
+    for page in (escape_html(bad), format_legend(bad, value), format_keys({bad: NAMED})):
         assert "<img" not in page and "&lt;img" in page
     points = np.array([[0.0, 0, 0], [0.1, 0.1, 0.1]])
     viewer.add([Cloud(bad, points, {bad: value}, bad), Uncertainty({bad: 0.1, "plate_link": float("nan")})])

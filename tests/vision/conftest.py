@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.vision import Cameras, Pattern
 from tau_dyn.vision.bundle import Plates, Views
 from tau_dyn.vision.camera import project
-from tau_dyn.vision.render import clutter, facing, render
+from tau_dyn.vision.render import draw_facing_rotation, render, render_clutter
 
 PATTERN = Pattern(9, 6, 0.03)
 SIZE = (640, 480)
@@ -33,7 +33,7 @@ def plates(rng, n, n_cameras, tilt=(0.1, 0.6), roll=0.3):
     """Return plates that all cameras see whole, rim included."""
     out = []
     while len(out) < n:
-        rotation = facing(rng.uniform(*tilt), rng.uniform(0, 2 * np.pi), rng.uniform(-roll, roll))
+        rotation = draw_facing_rotation(rng.uniform(*tilt), rng.uniform(0, 2 * np.pi), rng.uniform(-roll, roll))
         plate = rotation, rng.uniform([-0.2, -0.15, 0.7], [0.2, 0.15, 1.1])
         pixels = np.array([seen(plate, c) for c in range(n_cameras)])
         if np.all((pixels > 25) & (pixels < np.array(SIZE) - 26)):
@@ -94,7 +94,7 @@ def album(tmp_path_factory):
     truth = plates(rng, 6, 2)
     for c, name in enumerate(("left", "right")):
         (folder / name).mkdir()
-        room = clutter(SIZE, rng)
+        room = render_clutter(SIZE, rng)
         for k, plate in enumerate(zip(*truth, strict=True)):
             cv2.imwrite(str(folder / name / f"{name}_{k + 1}.png"), photograph(plate, c, rng, room))
     return SimpleNamespace(folder=folder, left=folder / "left", right=folder / "right", truth=truth, n=6)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tau_dyn.vision.camera import project, project_with_jacobians, rays
+from tau_dyn.vision.camera import compute_rays, project, project_with_jacobians
 
 NUMBERS = np.array([800, 810, 320, 240, -0.25, 0.12, 1e-3, -5e-4, 0.02])
 POINTS = np.random.default_rng(0).uniform([-0.3, -0.2, 0.8], [0.3, 0.2, 1.3], (20, 3))
@@ -28,7 +28,7 @@ def test_derivatives_are_those_of_the_projection():
 
 def test_rays_lead_back_to_the_point():
     """Undistortion is the inverse of distortion."""
-    assert np.allclose(rays(project(POINTS, NUMBERS), NUMBERS), POINTS[:, :2] / POINTS[:, 2:], atol=1e-7)
+    assert np.allclose(compute_rays(project(POINTS, NUMBERS), NUMBERS), POINTS[:, :2] / POINTS[:, 2:], atol=1e-7)
 
 
 def test_the_lens_is_the_one_of_opencv():

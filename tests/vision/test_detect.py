@@ -5,12 +5,12 @@ import pytest
 
 from tau_dyn.vision.detect import find_corners
 from tau_dyn.vision.pattern import Pattern
-from tau_dyn.vision.render import Photography, clutter, facing
+from tau_dyn.vision.render import Photography, draw_facing_rotation, render_clutter
 
 pytest.importorskip("cv2")
 RNG = np.random.default_rng(11)
-ROOM = clutter((640, 480), RNG)
-PLATE = facing(0.4, 1.0, 0.2), np.array([0.03, -0.02, 0.85])
+ROOM = render_clutter((640, 480), RNG)
+PLATE = draw_facing_rotation(0.4, 1.0, 0.2), np.array([0.03, -0.02, 0.85])
 
 
 def off(image, rig, plate):
@@ -40,7 +40,7 @@ def test_corners_are_found_to_a_twentieth_of_a_pixel(rig, photography):
 @pytest.mark.parametrize("roll", [0.0, 1.5, np.pi, -1.6])
 def test_a_turned_plate_keeps_its_corners_names(rig, roll):
     """The colours tell which corner is the first, so no pose flips by half a turn."""
-    plate = facing(0.3, 2.0, roll), np.array([0.0, 0.0, 0.95])
+    plate = draw_facing_rotation(0.3, 2.0, roll), np.array([0.0, 0.0, 0.95])
     assert np.abs(off(rig.photograph(plate, 0, np.random.default_rng(2), ROOM), rig, plate)).max() < 0.2
 
 

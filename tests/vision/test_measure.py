@@ -8,9 +8,9 @@ import pytest
 
 from tau_dyn.calibrate import read_poses
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.vision import Pattern, poses_from_images, read_cameras, read_positions, write_cameras
+from tau_dyn.vision import Pattern, measure_poses_from_images, read_cameras, read_positions, write_cameras
 from tau_dyn.vision.bundle import Plates
-from tau_dyn.vision.images import find_images, matched
+from tau_dyn.vision.images import find_images, match_images
 
 cv2 = pytest.importorskip("cv2")
 JOINTS = ("cart1", "cart2", "cart3")
@@ -18,7 +18,7 @@ JOINTS = ("cart1", "cart2", "cart3")
 
 @pytest.fixture(scope="module")
 def table(album, rig):
-    return poses_from_images(album.left, rig.pattern, second=album.right)
+    return measure_poses_from_images(album.left, rig.pattern, second=album.right)
 
 
 def test_poses_from_photographs_are_right_within_their_covariance(table, album, rig):
@@ -38,7 +38,7 @@ def test_rows_are_read_by_calibrate(table, tmp_path, album, rig):
     (tmp_path / "q.csv").write_text(text)
     known = table.cameras
     write_cameras(tmp_path / "cameras.yaml", known)
-    again = poses_from_images(
+    again = measure_poses_from_images(
         album.left,
         rig.pattern,
         second=album.right,
@@ -64,9 +64,9 @@ def test_cameras_are_kept_whole(table, tmp_path):
 def test_images_of_two_cameras_meet_by_their_numbers(tmp_path):
     """A missing image of one camera moves no other."""
     left = [tmp_path / f"left_{k}.png" for k in (1, 2, 3)]
-    assert matched([left, [tmp_path / "right_2.png", tmp_path / "right_3.png"]]) == [[0, 1, 2], [1, 2]]
+    assert match_images([left, [tmp_path / "right_2.png", tmp_path / "right_3.png"]]) == [[0, 1, 2], [1, 2]]
     with pytest.raises(InputError, match="number them alike"):
-        matched([left, [tmp_path / "a.png"]])
+        match_images([left, [tmp_path / "a.png"]])
 
 
 def test_names_are_in_natural_order(tmp_path):
@@ -84,28 +84,28 @@ def test_bad_input_is_one_sentence(tmp_path, album, rig):
     """Empty folders, files that are no images, mixed sizes, the wrong pattern, no pattern: each named."""
     grey = np.tile(np.linspace(60, 200, 64).astype(np.uint8), (48, 1))
     with pytest.raises(InputError, match="no images"):
-        poses_from_images(tmp_path, rig.pattern)
+        measure_poses_from_images(tmp_path, rig.pattern)
     with pytest.raises(InputError, match="no such image"):
-        poses_from_images(tmp_path / "nowhere", rig.pattern)
+        measure_poses_from_images(tmp_path / "nowhere", rig.pattern)
     (tmp_path / "a.png").write_text("not an image")
     with pytest.raises(InputError, match="not an image"):
-        poses_from_images(tmp_path, rig.pattern)
+        measure_poses_from_images(tmp_path, rig.pattern)
     (tmp_path / "a.png").write_bytes(b"")
     with pytest.raises(InputError, match="not an image"):
-        poses_from_images(tmp_path, rig.pattern)
+        measure_poses_from_images(tmp_path, rig.pattern)
     one(tmp_path, "a.png", grey)
     with pytest.raises(InputError, match="none of the 1 images shows"):
-        poses_from_images(tmp_path, rig.pattern)
+        measure_poses_from_images(tmp_path, rig.pattern)
     one(tmp_path, "b.png", grey[:40])
     with pytest.raises(InputError, match="images of one size"):
-        poses_from_images(tmp_path, rig.pattern)
+        measure_poses_from_images(tmp_path, rig.pattern)
     with pytest.raises(InputError, match="twice"):
-        poses_from_images([tmp_path / "a.png", tmp_path / "a.png"], rig.pattern)
+        measure_poses_from_images([tmp_path / "a.png", tmp_path / "a.png"], rig.pattern)
     pair = [album.left / "left_1.png", album.left / "left_2.png"]
     with pytest.raises(InputError, match="2 of 2 show one of 9x6"):
-        poses_from_images(pair, Pattern(8, 5, 0.03))
+        measure_poses_from_images(pair, Pattern(8, 5, 0.03))
     with pytest.raises(CannotAnswer, match="2 images of camera 1"):
-        poses_from_images(pair, rig.pattern)
+        measure_poses_from_images(pair, rig.pattern)
 
 
 def test_an_image_that_does_not_show_the_plate_is_told(tmp_path, album, rig, table):
@@ -119,7 +119,7 @@ def test_an_image_that_does_not_show_the_plate_is_told(tmp_path, album, rig, tab
     known = type(known)(
         known.intrinsics, known.rotation, known.position, known.size, "brown", table.cameras.covariance[:9, :9]
     )
-    found = poses_from_images(tmp_path, rig.pattern, cameras=known)
+    found = measure_poses_from_images(tmp_path, rig.pattern, cameras=known)
     assert found.n == 2
     assert "too dark" in found.refused["left_3.png"]
     assert "left_3.png" in found.warnings[0]
@@ -167,13 +167,13 @@ def test_cameras_of_another_size_are_refused(album, rig, table):
     )
     pair = {"images": [album.left / "left_1.png"], "second": [album.right / "right_1.png"]}
     with pytest.raises(InputError, match="calibrate it anew"):
-        poses_from_images(pattern=rig.pattern, cameras=other, **pair)
+        measure_poses_from_images(pattern=rig.pattern, cameras=other, **pair)
     with pytest.raises(InputError, match="2 cameras, the images are of 1"):
-        poses_from_images(pair["images"], rig.pattern, cameras=cameras)
+        measure_poses_from_images(pair["images"], rig.pattern, cameras=cameras)
 
 
 def test_without_opencv_the_way_to_it_is_told(monkeypatch, album, rig):
     """Only reading images needs OpenCV; its absence is a sentence."""
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(InputError, match=r"tau_dyn\[vision\]"):
-        poses_from_images(album.left, rig.pattern)
+        measure_poses_from_images(album.left, rig.pattern)

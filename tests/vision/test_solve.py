@@ -5,7 +5,7 @@ import pytest
 
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.vision.bundle import Plates, Views
-from tau_dyn.vision.render import facing
+from tau_dyn.vision.render import draw_facing_rotation
 from tau_dyn.vision.solve import solve
 
 
@@ -101,7 +101,7 @@ def test_a_far_plate_has_two_tilts(rig):
     rng = np.random.default_rng(7)
     known = rig.cameras(1)
     known = type(known)(known.intrinsics, known.rotation, known.position, known.size, "brown", np.zeros((9, 9)))
-    far = Plates(np.array([facing(0.25, 1.0, 0.1)] * 6), np.tile([0.0, 0.0, 8.0], (6, 1)))
+    far = Plates(np.array([draw_facing_rotation(0.25, 1.0, 0.1)] * 6), np.tile([0.0, 0.0, 8.0], (6, 1)))
     near = Plates(far.rotation, np.tile([0.0, 0.0, 0.8], (6, 1)))
     assert solve(rig.views(rng, far, 1, noise=0.3), rig.pattern, rig.size[:1], known=known).unsure.all()
     assert not solve(rig.views(rng, near, 1, noise=0.02), rig.pattern, rig.size[:1], known=known).unsure.any()

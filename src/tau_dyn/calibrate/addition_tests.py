@@ -2,7 +2,7 @@ r"""Which additions to a model the residuals ask for, before any is fitted: an F
 
 Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of
 their columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one
-and a half ranges down to `_SHORTEST`, which costs significance by their number. Reference: Draper & Smith 1998, 6;
+and a half ranges down to `_MIN_PERIOD_M`, which costs significance by their number. Reference: Draper & Smith 1998, 6;
 Scargle 1982.
 """
 
@@ -15,10 +15,10 @@ from scipy import stats
 
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.models import RodFamily, Spec
-from tau_dyn.calibrate.residuals import positions
+from tau_dyn.calibrate.residuals import compute_actuated_positions
 
-_SHORTEST = 0.004  # [m]: finer than any rack's teeth
-_LONGEST = 1.5  # of the range travelled
+_MIN_PERIOD_M = 0.004  # [m]: finer than any rack's teeth
+_MAX_RELATIVE_PERIOD = 1.5  # of the range travelled
 _OVERSAMPLED = 4
 SIGNIFICANCE_LEVEL = 1e-3
 
@@ -92,7 +92,7 @@ class _ProjectedResidual:
 
 def _plain(rest: _ProjectedResidual, family: RodFamily, spec: Spec, addition: str, joint: str) -> AdditionTest | None:
     fitted = rest.fitted
-    q = positions(fitted.poses, fitted.state.slack)
+    q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     if addition == "backlash":
         a = family.joints.index(joint)
         slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
@@ -123,9 +123,9 @@ def _periodic(
     span = float(np.ptp(x))
     if span <= 0 or rest.left <= 4:
         return None
-    q = positions(fitted.poses, fitted.state.slack)
+    q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     slope = fitted.geometry.tool_by_joint(fitted.theta, q, fitted.state.base)[:, :, a : a + 1]
-    frequencies = np.arange(1 / (_LONGEST * span), 1 / _SHORTEST, 1 / (_OVERSAMPLED * span))
+    frequencies = np.arange(1 / (_MAX_RELATIVE_PERIOD * span), 1 / _MIN_PERIOD_M, 1 / (_OVERSAMPLED * span))
     gains = np.concatenate(
         [_reductions(rest, slope, x, part) for part in np.array_split(frequencies, len(frequencies) // 300 + 1)]
     )
@@ -145,7 +145,7 @@ def _reductions(rest: _ProjectedResidual, slope: np.ndarray, x: np.ndarray, freq
     return np.where(good, (cc * rs**2 - 2 * sc * rs * rc + ss * rc**2) / np.where(good, det, 1.0), 0.0)
 
 
-def strongest_periods(fitted: GeometryFit, family: RodFamily, joints: tuple[str, ...]) -> dict[str, float]:
+def find_strongest_periods(fitted: GeometryFit, family: RodFamily, joints: tuple[str, ...]) -> dict[str, float]:
     """Return the period [m] at each joint that takes most away from what a fit leaves."""
     rest = _ProjectedResidual(fitted)
     found = {joint: _periodic(rest, family, joint) for joint in joints}

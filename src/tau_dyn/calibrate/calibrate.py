@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.addition_tests import strongest_periods
+from tau_dyn.calibrate.addition_tests import find_strongest_periods
 from tau_dyn.calibrate.candidates import (
     CandidateModel,
     Options,
@@ -18,20 +18,20 @@ from tau_dyn.calibrate.candidates import (
 )
 from tau_dyn.calibrate.causes import find_causes
 from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M, compare_paired
-from tau_dyn.calibrate.families import Family, family_of
+from tau_dyn.calibrate.families import Family, get_family
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
-from tau_dyn.calibrate.outliers import find_outliers, outlier_sentence
+from tau_dyn.calibrate.outliers import describe_outliers, find_outliers
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
-from tau_dyn.calibrate.start import check_spread, without_duplicates
+from tau_dyn.calibrate.start import check_spread, drop_duplicate_poses
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.robot import Robot
 
 _ENOUGH_TO_SPLIT = 40
 _HELD_OUT = 0.25
-_STRANGE = 0.05
+_MAX_RELATIVE_MISFIT = 0.05
 """What a fit misses, over how far the poses spread, above which the two do not belong together."""
 _LOOKS_FOR_OUTLIERS = 3
 
@@ -72,10 +72,10 @@ def calibrate(
         CannotAnswer: Poses in one plane, or a robot that cannot reach them.
     """
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed)
-    poses, warnings = without_duplicates(poses)
+    poses, warnings = drop_duplicate_poses(poses)
     if holdout is not None:
         holdout = _same_campaigns(poses, holdout)
-    family = family_of(robot, poses)
+    family = get_family(robot, poses)
     if model != "auto":
         family.spec(model)  # a name that does not exist is told before anything long starts
     check_patterns(family, (*fix, *free), model)
@@ -83,7 +83,7 @@ def calibrate(
     progress("looking for outliers")
     poses, holdout, named = _without_outliers(family, poses, holdout, options, None if model == "auto" else model)
     poses, holdout, split = _split(poses, holdout, seed)
-    family = family_of(robot, poses)
+    family = get_family(robot, poses)
     taken, steps, more = _models(family, poses, model, options, progress)
     progress("looking for causes")
     findings = find_causes(family, taken[-1], holdout, options, ORIENTATION_LEVER_M)
@@ -116,7 +116,7 @@ def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Optio
         return {}
     assert isinstance(family, RodFamily)
     plain = Spec(spec.structure, {a: j for a, j in spec.additions.items() if a != "periodic"})
-    return strongest_periods(fit_spec(family, plain, poses, options), family, joints)
+    return find_strongest_periods(fit_spec(family, plain, poses, options), family, joints)
 
 
 def _spread(family: Family, poses: PoseSet) -> None:
@@ -144,7 +144,7 @@ def _without_outliers(
                 "for so many are no outliers: were frames moved in between, or is the robot another one?"
             )
             break
-        said.append(outlier_sentence(poses, fitted, bad))
+        said.append(describe_outliers(poses, fitted, bad))
         poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
     if holdout is not None and fitted is not None:
         bad = _held_outliers(fitted, holdout)
@@ -215,7 +215,7 @@ def _doubts(fitted: GeometryFit) -> tuple[str, ...]:
         said.append(f"{missed} poses are out of the fitted model's reach and were not used")
     place = fitted.poses.position
     off, wide = fitted.noise[0], float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
-    if fitted.kind == "forward" and off > _STRANGE * wide:
+    if fitted.kind == "forward" and off > _MAX_RELATIVE_MISFIT * wide:
         said.append(
             f"the robot misses its own poses by {off:.2g} m, while they spread over {wide:.2g} m; were two joints' or two axes' "
             "columns exchanged, or is this another robot's file?"

@@ -8,14 +8,14 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from tau_dyn.calibrate.crossvalidation import Gain, HeldOutErrors, cross_validate
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, cross_validate
 from tau_dyn.calibrate.families import Family
 from tau_dyn.calibrate.frames import AXES
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.residuals import State
+from tau_dyn.calibrate.residuals import FitState
 from tau_dyn.exceptions import UnknownName
 
 
@@ -49,7 +49,7 @@ class SelectionStep:
 
     name: str
     over: str
-    gain: Gain
+    gain: CrossValidationGain
     taken: bool
 
 
@@ -93,7 +93,7 @@ def fit_spec(
 
 
 def fit_geometry(
-    geometry: Geometry, spec: Spec, poses: PoseSet, options: Options, start: State | None, what: str
+    geometry: Geometry, spec: Spec, poses: PoseSet, options: Options, start: FitState | None, what: str
 ) -> GeometryFit:
     """Fit a geometry that was built for a model; patterns of `options` that mean nothing in it are passed over."""
     play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
@@ -128,14 +128,14 @@ def fit_and_cross_validate(
     return CandidateModel(spec.name_for(family.joints), spec, fitted, cross_validate(fitted, options.seed))
 
 
-def transfer_state(start: GeometryFit, names: Sequence[str], nominal: np.ndarray, poses: PoseSet) -> State | None:
+def transfer_state(start: GeometryFit, names: Sequence[str], nominal: np.ndarray, poses: PoseSet) -> FitState | None:
     """Return a state for another model's parameters: shared names keep their values, the others start at nominal ones."""
     if start.poses.n != poses.n:
         return None
     old = dict(zip(start.geometry.parameters.names, start.theta.tolist(), strict=True))
     theta = np.array([old.get(name, value) for name, value in zip(names, nominal.tolist(), strict=True)])
     s = start.state
-    return State(theta, s.frames, s.base, s.ok, s.slack)
+    return FitState(theta, s.frames, s.base, s.ok, s.slack)
 
 
 def _means(pattern: str, known: Sequence[str]) -> bool:

@@ -13,7 +13,13 @@ import numpy as np
 
 from tau_dyn.calibrate import restrict
 from tau_dyn.calibrate.candidates import CandidateModel, Options, fit_geometry, transfer_state
-from tau_dyn.calibrate.crossvalidation import Gain, HeldOutErrors, compare_paired, cross_validate, of_errors
+from tau_dyn.calibrate.crossvalidation import (
+    CrossValidationGain,
+    HeldOutErrors,
+    compare_paired,
+    cross_validate,
+    summarise_held_out_errors,
+)
 from tau_dyn.calibrate.families import Family
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
@@ -46,11 +52,11 @@ _OF_ADDITION = {
     "base_frame": "base_frame",
 }
 _OF_STRUCTURE: dict[str, Callable[[Geometry], Geometry | None]] = {
-    "rod_length": restrict.without_lengths,
-    "joint_placement": restrict.without_placements,
-    "guideway_nonparallel": restrict.with_parallel_guideways,
-    "pinion_scale": restrict.with_nominal_scales,
-    "cart_tilt": restrict.without_tilts,
+    "rod_length": restrict.fix_lengths,
+    "joint_placement": restrict.fix_placements,
+    "guideway_nonparallel": restrict.tie_guideway_directions,
+    "pinion_scale": restrict.fix_drive_scales,
+    "cart_tilt": restrict.fix_tilts,
 }
 _PATTERNS = {
     "rod_length": ("length",),
@@ -81,7 +87,7 @@ class CalibrationFinding:
     cause: str
     joints: tuple[str, ...]
     status: str
-    gain: Gain
+    gain: CrossValidationGain
     parameters: tuple[str, ...]
     equation: str
 
@@ -172,7 +178,7 @@ def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Opt
 
 
 def _held(fitted: GeometryFit, holdout: PoseSet) -> HeldOutErrors:
-    return of_errors(fitted.errors(holdout), oriented=fitted.geometry.orients)
+    return summarise_held_out_errors(fitted.errors(holdout), oriented=fitted.geometry.orients)
 
 
 def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tuple[str, ...]:

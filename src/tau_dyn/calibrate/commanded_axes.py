@@ -15,7 +15,7 @@ _LENGTH = 0.5  # [m] at which a turn counts as much as a shift
 _INDEPENDENT = 1e-3  # part of a row that the ones before must leave unexplained
 
 
-def checked_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
+def require_valid_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
     """Return axes that a user names.
 
     Raises:
@@ -32,7 +32,7 @@ def checked_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
     return tuple(axes)
 
 
-def independent_axes(robot: Robot, geometry: Geometry, nominal: np.ndarray) -> tuple[str, ...]:
+def find_independent_axes(robot: Robot, geometry: Geometry, nominal: np.ndarray) -> tuple[str, ...]:
     """Return the first axes that the joints move independently at home, as many as there are joints.
 
     Raises:

@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.commanded_axes import checked_axes, independent_axes
-from tau_dyn.calibrate.frames import AXES, rotation_between
+from tau_dyn.calibrate.commanded_axes import find_independent_axes, require_valid_axes
+from tau_dyn.calibrate.frames import AXES, compute_rotation_between
 from tau_dyn.calibrate.geometry import Geometry, expand_constraints
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
@@ -33,7 +33,7 @@ from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.robot import Robot
 
 METHODS = ("exact", "linear")
-_ROUNDS = 30
+_MAX_ITERATIONS = 30
 _DONE = 1e-11  # [m or rad] Newton's last step
 _STEP = 0.3  # [m or rad] longest step at once
 _TURN = 2 * np.pi
@@ -143,7 +143,7 @@ class Compensation:
         q, steps = start.copy(), 0
         left = np.flatnonzero((reason == "") & np.isfinite(q).all(axis=1))
         reason[left] = "not converged"
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             if not left.size:
                 break
             steps += 1
@@ -206,7 +206,7 @@ def build_compensation(
     p = len(geometry.parameters)
     if theta.shape != (p,) or nominal.shape != (p,):
         raise InputError(f"{robot.source}: the geometry has {p} parameters, not {theta.shape} and {nominal.shape}")
-    chosen = independent_axes(robot, geometry, nominal) if axes is None else checked_axes(robot, axes)
+    chosen = find_independent_axes(robot, geometry, nominal) if axes is None else require_valid_axes(robot, axes)
     return Compensation(robot, geometry, theta, nominal, chosen, _known(method), limits)
 
 
@@ -221,7 +221,7 @@ def _missed(target: Poses, at: Poses) -> np.ndarray:
     out = np.full((len(at.position), 6), np.nan)
     out[:, :3] = target.position - at.position
     ok = np.isfinite(at.rotation).all(axis=(1, 2)) & np.isfinite(target.rotation).all(axis=(1, 2))
-    out[ok, 3:] = rotation_between(target.rotation[ok], at.rotation[ok])
+    out[ok, 3:] = compute_rotation_between(target.rotation[ok], at.rotation[ok])
     return out
 
 

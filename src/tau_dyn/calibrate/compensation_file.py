@@ -20,11 +20,11 @@ import yaml
 from tau_dyn.calibrate.compensation import Compensation, build_compensation
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.rod_geometry import RodGeometry
-from tau_dyn.calibrate.tree_geometry import TreeGeometry, tree_geometry
+from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.kinematics.rods import build_rods
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 _FORMAT = 1
 
@@ -33,7 +33,7 @@ def _tree(robot: Robot, options: Mapping[str, Any]) -> Geometry:
     tool = options.get("tool")
     if tool is not None and not isinstance(tool, str):
         raise InputError(f"{robot.source}: geometry.tool must be a frame's name, not {tool!r}")
-    return tree_geometry(robot, tool=tool)
+    return build_tree_geometry(robot, tool=tool)
 
 
 def _rods(robot: Robot, options: Mapping[str, Any]) -> Geometry:
@@ -123,7 +123,7 @@ def _robot(content: Mapping[str, Any], path: str | Path) -> Robot:
     if not isinstance(arguments, dict):
         raise InputError(f"{path}: robot.arguments must be names and values")
     source = str(about.get("source", path))
-    return robot_from_urdf(
+    return load_robot_from_urdf(
         content["urdf"], source, actuated=actuated, arguments=arguments, sha256=str(about.get("sha256", ""))
     )
 

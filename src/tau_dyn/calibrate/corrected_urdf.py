@@ -14,14 +14,14 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
-from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape, numbers_at
+from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape, compute_dimensions_at
 from tau_dyn.exceptions import InputError
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"
 
 
-def corrected_urdf(geometry: TreeGeometry, theta: np.ndarray) -> str:
+def format_corrected_urdf(geometry: TreeGeometry, theta: np.ndarray) -> str:
     """Return the robot file's text with calibrated joint placements, offsets, rod lengths and loop points.
 
     Args:
@@ -32,7 +32,7 @@ def corrected_urdf(geometry: TreeGeometry, theta: np.ndarray) -> str:
         InputError: A gear ratio other than one, which a robot file cannot say.
     """
     shape = geometry.shape
-    numbers = numbers_at(shape, geometry.knobs, np.asarray(theta, float), geometry.parameters.values)
+    numbers = compute_dimensions_at(shape, geometry.knobs, np.asarray(theta, float), geometry.parameters.values)
     odd = np.flatnonzero(numbers.gain != 1.0)
     if len(odd):
         raise InputError(

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import IDENTITY, Frames
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.residuals import Problem
-from tau_dyn.calibrate.start import poses_needed
+from tau_dyn.calibrate.start import count_required_poses
 from tau_dyn.calibrate.unknowns import Unknowns
 from tau_dyn.exceptions import InputError
 
@@ -24,10 +24,10 @@ def check_count(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem:
     """
     m = sum(problem.blocks)
     free = int(unknowns.free.sum())
-    if poses.n >= poses_needed(free, m):
+    if poses.n >= count_required_poses(free, m):
         return
-    rank = structural_rank(poses, geometry, unknowns, problem)
-    needed = poses_needed(rank, m)
+    rank = compute_structural_rank(poses, geometry, unknowns, problem)
+    needed = count_required_poses(rank, m)
     if poses.n >= needed:
         return
     have = "1 pose is" if poses.n == 1 else f"{poses.n} poses are"
@@ -37,7 +37,7 @@ def check_count(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem:
     )
 
 
-def structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem: Problem) -> int:
+def compute_structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem: Problem) -> int:
     """Return the rank that random poses within the range of these (widened where they do not move) would give."""
     rng = np.random.default_rng(0)
     low, high = poses.q.min(axis=0), poses.q.max(axis=0)
@@ -60,5 +60,5 @@ def structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, prob
     return find_identifiable(flat, names, unknowns.scales[unknowns.free], unknowns.priority[unknowns.free]).rank
 
 
-def _one_of_each(unknowns: Unknowns) -> Frames:
-    return Frames((IDENTITY,) * (unknowns.n_device // 6), (IDENTITY,) * (unknowns.n_tool // 6))
+def _one_of_each(unknowns: Unknowns) -> DeviceFrames:
+    return DeviceFrames((IDENTITY,) * (unknowns.n_device // 6), (IDENTITY,) * (unknowns.n_tool // 6))

@@ -11,7 +11,7 @@ from scipy import stats
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
 from tau_dyn.calibrate.pose_errors import PoseErrors
-from tau_dyn.calibrate.residuals import Problem, State
+from tau_dyn.calibrate.residuals import FitState, Problem
 
 FOLDS = 5
 ORIENTATION_LEVER_M = 0.3
@@ -21,7 +21,7 @@ _SIGNIFICANCE_LEVEL = 0.01
 _MIN_RELATIVE_GAIN = 0.02  # share of the rms error that a larger model must take away
 
 
-class Gain(NamedTuple):
+class CrossValidationGain(NamedTuple):
     """What one model gains over another on poses that neither has seen.
 
     Attributes:
@@ -80,7 +80,7 @@ class HeldOutErrors:
         return float(np.sqrt(np.nanmean(np.sum(self.position**2, axis=1))))
 
 
-def folds(n: int, seed: int, many: int = FOLDS) -> list[np.ndarray]:
+def split_folds(n: int, seed: int, many: int = FOLDS) -> list[np.ndarray]:
     """Return the indices of each fold, at random."""
     return [np.sort(part) for part in np.array_split(np.random.default_rng(seed).permutation(n), min(many, n))]
 
@@ -91,7 +91,7 @@ def cross_validate(fitted: GeometryFit, seed: int = 0) -> HeldOutErrors:
     position = np.full((poses.n, 3), np.nan)
     turned = poses.rotation is not None and fitted.geometry.orients
     rotation = np.full((poses.n, 3), np.nan) if turned else None
-    for part in folds(poses.n, seed):
+    for part in split_folds(poses.n, seed):
         rest = np.setdiff1d(np.arange(poses.n), part)
         errors = _without(fitted, rest).errors(poses.take(part))
         position[part] = errors.position
@@ -107,18 +107,18 @@ def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
         fitted.geometry, poses, fitted.unknowns, fitted.kind, poses.rotation is not None and fitted.geometry.orients
     )
     s = fitted.state
-    state = State(s.theta, s.frames, s.base.take(rest), s.ok[rest], s.slack)
+    state = FitState(s.theta, s.frames, s.base.take(rest), s.ok[rest], s.slack)
     run = LevenbergMarquardt(problem, "none", fitted.noise)
     state, _ = run.descend(state, fitted.noise, np.arange(len(run.free)), 6)
     return replace(fitted, poses=poses, state=state)
 
 
-def of_errors(errors: PoseErrors, *, oriented: bool) -> HeldOutErrors:
+def summarise_held_out_errors(errors: PoseErrors, *, oriented: bool) -> HeldOutErrors:
     """Return the errors at held-out poses as `HeldOutErrors`."""
     return HeldOutErrors(errors.position, errors.rotation if oriented else None)
 
 
-def compare_paired(small: HeldOutErrors, large: HeldOutErrors, lever: float, seed: int = 0) -> Gain:
+def compare_paired(small: HeldOutErrors, large: HeldOutErrors, lever: float, seed: int = 0) -> CrossValidationGain:
     """Return what a larger model gains over a smaller one on the same poses."""
     a, b = small.score(lever), large.score(lever)
     difference = a - b
@@ -131,10 +131,10 @@ def compare_paired(small: HeldOutErrors, large: HeldOutErrors, lever: float, see
     ratio = 100 * (1 - np.sqrt(pb[draws].sum(axis=1) / np.maximum(pa[draws].sum(axis=1), 1e-300)))
     low, high = np.percentile(ratio, [2.5, 97.5])
     before, after = float(np.sqrt(pa.mean())), float(np.sqrt(pb.mean()))
-    return Gain(before, after, 100 * (1 - after / max(before, 1e-300)), (float(low), float(high)), p)
+    return CrossValidationGain(before, after, 100 * (1 - after / max(before, 1e-300)), (float(low), float(high)), p)
 
 
-def rms_interval(unseen: HeldOutErrors, seed: int = 0) -> tuple[float, float]:
+def compute_rms_interval(unseen: HeldOutErrors, seed: int = 0) -> tuple[float, float]:
     """Return the 95 % interval of the rms position error [m], by bootstrap over poses."""
     squares = unseen.score(0.0)
     draws = np.random.default_rng(seed).integers(0, len(squares), (_DRAWS, len(squares)))

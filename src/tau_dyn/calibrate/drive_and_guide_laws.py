@@ -248,13 +248,13 @@ class DriveComplianceLaw:
         return DriveShift(values[0] * along, np.zeros(len(q)), along[:, None])
 
 
-def carried_by(rods: Rods, actuator: int) -> tuple[int, ...]:
+def find_carried_rods(rods: Rods, actuator: int) -> tuple[int, ...]:
     """Return the rods that hang on a joint, directly or through others."""
     joints, carrier = rods.numbers.joints, rods.numbers.carried.carrier
     return tuple(k for k, c in enumerate(carrier) if any(joints[j].actuator == actuator for j in path(joints, c)))
 
 
-def guideways(rods: Rods) -> tuple[int, ...]:
+def find_guideways(rods: Rods) -> tuple[int, ...]:
     """Return the indices in `q` of slides that stand on the base and carry rods."""
     return tuple(j.actuator for j in rods.numbers.joints if j.slides and j.parent < 0)
 

@@ -7,7 +7,7 @@ from typing import Protocol
 from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.tree_geometry import tree_geometry
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.rods import NotRods, build_rods
 from tau_dyn.robot import Robot
@@ -48,7 +48,7 @@ class TreeFamily:
         """Look at the mechanism."""
         self.robot, self.poses = robot, poses
         self.joints = robot.actuated
-        self.geometry: Geometry = tree_geometry(robot)
+        self.geometry: Geometry = build_tree_geometry(robot)
 
     def spec(self, name: str) -> Spec:
         """Read a model's name: `frames` or `complete`, perhaps with `+backlash`."""
@@ -79,7 +79,7 @@ class TreeFamily:
         return self.geometry
 
 
-def family_of(robot: Robot, poses: PoseSet) -> Family:
+def get_family(robot: Robot, poses: PoseSet) -> Family:
     """Return the models that a robot's mechanism offers."""
     try:
         return RodFamily(build_rods(robot), poses)

@@ -37,7 +37,7 @@ IDENTITY = Frame(np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class DeviceFrames:
     """Device and target, one of each or one for every campaign.
 
     Attributes:
@@ -91,7 +91,7 @@ class Frames:
         two[:, 3:, 3:] = measured.rotation
         return _spread(one, campaign, len(self.device)), _spread(two, campaign, len(self.tool))
 
-    def moved(self, device: np.ndarray, tool: np.ndarray) -> Frames:
+    def moved(self, device: np.ndarray, tool: np.ndarray) -> DeviceFrames:
         """Return the frames after steps (6 nd,) and (6 nt,): translations, then rotation vectors."""
         d = tuple(
             Frame(_exp(step[3:]) @ f.rotation, f.translation + step[:3])
@@ -101,9 +101,9 @@ class Frames:
             Frame(f.rotation @ _exp(step[3:]), f.translation + step[:3])
             for f, step in zip(self.tool, tool.reshape(-1, 6), strict=True)
         )
-        return Frames(d, t)
+        return DeviceFrames(d, t)
 
-    def apart(self, campaigns: int, *, device: bool, tool: bool) -> Frames:
+    def apart(self, campaigns: int, *, device: bool, tool: bool) -> DeviceFrames:
         """Return frames of their own for every campaign."""
         return replace(
             self,
@@ -146,7 +146,7 @@ def mean_rotation(rotations: np.ndarray) -> np.ndarray:
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
 
 
-def rotation_between(to: np.ndarray, start: np.ndarray) -> np.ndarray:
+def compute_rotation_between(to: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Return rotation vectors (N, 3) [rad] in world axes that turn `start` into `to`, both (N, 3, 3)."""
     return Rotation.from_matrix(to @ np.swapaxes(start, 1, 2)).as_rotvec()
 

@@ -9,14 +9,14 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.calibrate.count import check_count
-from tau_dyn.calibrate.frames import Frames, mean_rotation
+from tau_dyn.calibrate.frames import DeviceFrames, mean_rotation
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.identifiability import Identifiability
 from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
-from tau_dyn.calibrate.pose_errors import PoseErrors, errors_of
+from tau_dyn.calibrate.pose_errors import PoseErrors, compute_pose_errors
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.residuals import Problem, State, positions
-from tau_dyn.calibrate.start import starting_frames
+from tau_dyn.calibrate.residuals import FitState, Problem, compute_actuated_positions
+from tau_dyn.calibrate.start import estimate_initial_frames
 from tau_dyn.calibrate.unknowns import Unknowns, collect
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics.poses import Poses
@@ -47,7 +47,7 @@ class GeometryFit:
     geometry: Geometry
     poses: PoseSet
     unknowns: Unknowns
-    state: State
+    state: FitState
     cov: np.ndarray
     residuals: np.ndarray
     kind: str
@@ -64,7 +64,7 @@ class GeometryFit:
         return self.state.theta
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> DeviceFrames:
         """Device and target."""
         return self.state.frames
 
@@ -108,12 +108,12 @@ class GeometryFit:
         safe = np.where(error > 0, error, 1.0)
         return self.cov / np.outer(safe, safe)
 
-    def predict(self, poses: PoseSet) -> State:
+    def predict(self, poses: PoseSet) -> FitState:
         """Return where this fit expects the tool at other poses' joints, in the robot's base frame."""
-        found = self.geometry.forward(self.theta, positions(poses, self.state.slack))
-        return State(self.theta, self.frames, found.poses, found.ok, self.state.slack)
+        found = self.geometry.forward(self.theta, compute_actuated_positions(poses, self.state.slack))
+        return FitState(self.theta, self.frames, found.poses, found.ok, self.state.slack)
 
-    def seen(self, poses: PoseSet, state: State | None = None) -> Poses:
+    def seen(self, poses: PoseSet, state: FitState | None = None) -> Poses:
         """Return what the device should see of other poses."""
         state = self.predict(poses) if state is None else state
         campaign = np.minimum(poses.campaign, max(len(self.frames.device), len(self.frames.tool)) - 1)
@@ -121,7 +121,7 @@ class GeometryFit:
 
     def errors(self, poses: PoseSet) -> PoseErrors:
         """Return measured minus predicted at other poses."""
-        return errors_of(poses, self.seen(poses), self._target(), own=self.geometry.orients)
+        return compute_pose_errors(poses, self.seen(poses), self._target(), own=self.geometry.orients)
 
     def _target(self) -> np.ndarray | None:
         """Return the target's orientation (3, 3) behind a plate that keeps its own: the mean that was measured."""
@@ -156,8 +156,8 @@ def fit_geometry_to_poses(
     tool: bool = True,
     backlash: bool = False,
     noise: tuple[float, ...] | None = None,
-    start: GeometryFit | State | None = None,
-    frames: Frames | None = None,
+    start: GeometryFit | FitState | None = None,
+    frames: DeviceFrames | None = None,
     apart: tuple[bool, bool] = (False, False),
     what: str = "this model",
 ) -> GeometryFit:
@@ -207,7 +207,7 @@ def fit_geometry_to_poses(
     )
 
 
-def _own_frames(state: State, campaigns: int, apart: tuple[bool, bool]) -> State:
+def _own_frames(state: FitState, campaigns: int, apart: tuple[bool, bool]) -> FitState:
     """Return a state in which every campaign has frames of its own where asked for."""
     device = apart[0] and len(state.frames.device) == 1
     tool = apart[1] and len(state.frames.tool) == 1
@@ -215,16 +215,16 @@ def _own_frames(state: State, campaigns: int, apart: tuple[bool, bool]) -> State
 
 
 def _starting_state(
-    geometry: Geometry, poses: PoseSet, start: GeometryFit | State | None, frames: Frames | None, device: bool
-) -> State:
+    geometry: Geometry, poses: PoseSet, start: GeometryFit | FitState | None, frames: DeviceFrames | None, device: bool
+) -> FitState:
     if isinstance(start, GeometryFit):
         start = start.state
     if start is not None:
         base = start.base if len(start.base.position) == poses.n else None
-        found = geometry.forward(start.theta, positions(poses, start.slack), base)
-        return State(start.theta, start.frames, found.poses, found.ok, start.slack)
+        found = geometry.forward(start.theta, compute_actuated_positions(poses, start.slack), base)
+        return FitState(start.theta, start.frames, found.poses, found.ok, start.slack)
     theta = geometry.parameters.values
     found = geometry.forward(theta, poses.q)
     if frames is None:
-        frames = starting_frames(poses, found) if device else Frames()
-    return State(theta, frames, found.poses, found.ok, np.zeros(poses.na))
+        frames = estimate_initial_frames(poses, found) if device else DeviceFrames()
+    return FitState(theta, frames, found.poses, found.ok, np.zeros(poses.na))

@@ -15,12 +15,12 @@ import numpy as np
 from scipy import linalg
 
 from tau_dyn.calibrate.identifiability import Identifiability, find_identifiable
-from tau_dyn.calibrate.residuals import Problem, State
-from tau_dyn.calibrate.weights import robust_scale, weights
+from tau_dyn.calibrate.residuals import FitState, Problem
+from tau_dyn.calibrate.weights import compute_robust_weights, estimate_robust_scale
 
-_ROUNDS = 15
+_MAX_ITERATIONS = 15
 _STEPS = 15  # of Gauss-Newton in one round
-_SETTLED = 1e-2  # of the noise: what a round may still change
+_RELATIVE_CHANGE_TOL = 1e-2  # of the noise: what a round may still change
 _SMALL = 1e-3  # a step whose predictions move by less than this share of the noise (rms) is the last,
 _GAIN = 0.02  # and so is one that lowers the sum by less: a seventh of a standard error at most
 _FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
@@ -56,20 +56,20 @@ class LevenbergMarquardt:
         self.nominal[n : tool + self.unknowns.n_tool] = 0.0
         self.steps = 0
 
-    def minimise(self, state: State) -> tuple[State, tuple[float, ...], bool]:
+    def minimise(self, state: FitState) -> tuple[FitState, tuple[float, ...], bool]:
         """Return the state at the minimum, the noise, and whether both came to rest."""
         noise = self._first_noise(state)
         everything, near = np.arange(len(self.free)), False
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             state, rested = self.descend(state, noise, everything, _STEPS if near else 3)
             new = self._noise(state, noise)
             change = max(abs(a / b - 1) for a, b in zip(new, noise, strict=True))
             noise, near = new, change < 0.2
-            if rested and change < _SETTLED:
+            if rested and change < _RELATIVE_CHANGE_TOL:
                 return state, noise, True
         return state, noise, False
 
-    def identifiable(self, state: State, noise: tuple[float, ...]) -> Identifiability:
+    def identifiable(self, state: FitState, noise: tuple[float, ...]) -> Identifiability:
         """Return what the poses can tell at a state."""
         _, w = self._whitened(state, noise)
         columns = self._columns(state, noise, w)
@@ -77,7 +77,7 @@ class LevenbergMarquardt:
         flat = columns.reshape(-1, len(self.free))
         return find_identifiable(flat, names, self.scales, self.unknowns.priority[self.free])
 
-    def reset_unidentifiable(self, state: State, noise: tuple[float, ...], found: Identifiability) -> State:
+    def reset_unidentifiable(self, state: FitState, noise: tuple[float, ...], found: Identifiability) -> FitState:
         """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
 
         The target's place among them: left adrift along what nobody sees, it would take dimensions with it.
@@ -98,7 +98,7 @@ class LevenbergMarquardt:
         self.trust, self.homeless = trust, homeless
         return state
 
-    def _full_steps(self, state: State, noise: tuple[float, ...]) -> State:
+    def _full_steps(self, state: FitState, noise: tuple[float, ...]) -> FitState:
         """Return the state after whole Gauss-Newton steps, which get along a curved valley where a falling sum would not."""
         for _ in range(_FULL_STEPS):
             r, w = self._whitened(state, noise)
@@ -114,7 +114,7 @@ class LevenbergMarquardt:
         return state
 
     def uncertainty(
-        self, state: State, noise: tuple[float, ...], kept: np.ndarray
+        self, state: FitState, noise: tuple[float, ...], kept: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return weights (N,), whitened columns of the kept unknowns (N, m, r) and the covariance of the free ones (f, f)."""
         _, w = self._whitened(state, noise)
@@ -128,8 +128,8 @@ class LevenbergMarquardt:
         return w, columns, cov
 
     def descend(
-        self, state: State, noise: tuple[float, ...], kept: np.ndarray, most: int = _STEPS
-    ) -> tuple[State, bool]:
+        self, state: FitState, noise: tuple[float, ...], kept: np.ndarray, most: int = _STEPS
+    ) -> tuple[FitState, bool]:
         """Return the state where the sum is smallest, and whether the last step was small."""
         if not len(kept):
             return state, True
@@ -147,12 +147,12 @@ class LevenbergMarquardt:
 
     def _step(
         self,
-        state: State,
+        state: FitState,
         noise: tuple[float, ...],
         system: tuple[np.ndarray, np.ndarray, np.ndarray],
         kept: np.ndarray,
         damping: float,
-    ) -> tuple[State, np.ndarray, float, bool]:
+    ) -> tuple[FitState, np.ndarray, float, bool]:
         a, b, w = system
         q, triangle = np.linalg.qr(a)
         target, cost = q.T @ b, float(b @ b)
@@ -174,21 +174,21 @@ class LevenbergMarquardt:
             damping = max(5 * damping, 0.1)
         return state, self._whitened(state, noise)[0], damping, True
 
-    def _moved(self, state: State, step: np.ndarray) -> State:
+    def _moved(self, state: FitState, step: np.ndarray) -> FitState:
         whole = np.zeros(len(self.unknowns.rows))
         whole[self.free] = step
         return self.problem.moved(state, whole)
 
-    def _deviation(self, state: State) -> np.ndarray:
+    def _deviation(self, state: FitState) -> np.ndarray:
         """Return how far free unknowns are from nominal (f,); frames count as at home, wherever they are."""
         frames = [p.value for p in state.frames.parameters()]
         values = np.concatenate([state.theta, frames, state.slack])
         return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
 
-    def _prior(self, state: State) -> np.ndarray:
+    def _prior(self, state: FitState) -> np.ndarray:
         return self._deviation(state) / self.scales * self.trust
 
-    def _exactly_nominal(self, state: State, own: np.ndarray) -> State:
+    def _exactly_nominal(self, state: FitState, own: np.ndarray) -> FitState:
         """Return the state with these free unknowns at their nominal values, to the last bit or to rounding (the target)."""
         step = np.zeros(len(self.unknowns.rows))
         step[self.free[own]] = -self._deviation(state)[own]
@@ -200,13 +200,13 @@ class LevenbergMarquardt:
             theta, state.frames.moved(device, tool), state.slack, state.base if state.ok.all() else None
         )
 
-    def _first_noise(self, state: State) -> tuple[float, ...]:
+    def _first_noise(self, state: FitState) -> tuple[float, ...]:
         if self.given is not None:
             return self.given
         r = self.problem.residuals(state)[state.ok]
         return tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), 1e-9) for cut in self._cuts())
 
-    def _noise(self, state: State, noise: tuple[float, ...]) -> tuple[float, ...]:
+    def _noise(self, state: FitState, noise: tuple[float, ...]) -> tuple[float, ...]:
         if self.given is not None:
             return self.given
         r, w = self._whitened(state, noise)
@@ -219,7 +219,9 @@ class LevenbergMarquardt:
             if self.robust == "none":
                 ratio = np.sqrt(float(np.sum(r[used][:, cut] ** 2)) / left)
             else:
-                ratio = robust_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(used.sum() * size / left)
+                ratio = estimate_robust_scale(np.linalg.norm(r[used][:, cut], axis=1), size) * np.sqrt(
+                    used.sum() * size / left
+                )
             out.append(max(float(s * ratio), 1e-9))
         return tuple(out)
 
@@ -230,16 +232,16 @@ class LevenbergMarquardt:
     def _sigma(self, noise: tuple[float, ...]) -> np.ndarray:
         return np.concatenate([np.full(n, s) for n, s in zip(self.problem.blocks, noise, strict=True)])
 
-    def _whitened(self, state: State, noise: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def _whitened(self, state: FitState, noise: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
         r = self.problem.residuals(state) / self._sigma(noise)
         r = np.where(state.ok[:, None], r, 0.0)
         return r, self._weights(r, state.ok)
 
     def _weights(self, r: np.ndarray, ok: np.ndarray) -> np.ndarray:
-        return np.where(ok, weights(self.robust, np.linalg.norm(r, axis=1), self.m), 0.0)
+        return np.where(ok, compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), self.m), 0.0)
 
-    def _columns(self, state: State, noise: tuple[float, ...], w: np.ndarray) -> np.ndarray:
+    def _columns(self, state: FitState, noise: tuple[float, ...], w: np.ndarray) -> np.ndarray:
         columns = self.problem.columns(state)[:, :, self.free]
         columns = columns / self._sigma(noise)[None, :, None] * np.sqrt(w)[:, None, None]
         return np.where(state.ok[:, None, None], columns, 0.0)

@@ -39,13 +39,13 @@ class OpenRates(NamedTuple):
     position_by_parameter: np.ndarray
 
 
-def gaps(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> np.ndarray:
+def compute_loop_gaps(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> np.ndarray:
     """Return `p_A - p_B` of all loops (3 * loops, N) [m]."""
     places = _places(shape, numbers, at)
     return np.concatenate([places[k] - places[k + 1] for k in range(0, len(places), 2)])
 
 
-def gap_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> np.ndarray:
+def compute_gap_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> np.ndarray:
     """Return the gaps' derivative by all joints' positions (3 * loops, nv, N)."""
     n = at.rotation[0].shape[2]
     out = np.zeros((3 * shape.n_loops, shape.robot.model.nv, n))
@@ -57,7 +57,7 @@ def gap_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> np.nd
     return out
 
 
-def rates(
+def compute_open_rates(
     shape: TreeShape, numbers: TreeNumbers, knobs: Sequence[Knob], at: Frames, x: np.ndarray, q: np.ndarray
 ) -> OpenRates:
     """Return all derivatives at closed configurations.
@@ -95,11 +95,15 @@ def rates(
                 twist[:3, c] = _moved(linear, angular, tool - pivot)
                 twist[3:, c] = 0.0 if angular is None else angular
     return OpenRates(
-        by_parameter, gap_by_position(shape, numbers, at), twist, _tool_by_position(shape, numbers, at, tool), active
+        by_parameter,
+        compute_gap_by_position(shape, numbers, at),
+        twist,
+        _tool_by_position(shape, numbers, at, tool),
+        active,
     )
 
 
-def passed_on(
+def propagate_twists(
     shape: TreeShape, found: OpenRates, inverse: np.ndarray, gain: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the tool's twist per parameter (N, 6, p) and per encoder's position (N, 6, na), loops closed.

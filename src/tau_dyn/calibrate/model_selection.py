@@ -16,7 +16,7 @@ from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 
-_MOST_ADDITIONS = 12
+_MAX_ADDITIONS = 12
 _MAX_CONSECUTIVE_FAILURES = 3
 
 
@@ -78,7 +78,7 @@ def _additions(
 ) -> None:
     periods: dict[str, float] = {}
     refused: set[tuple[str, tuple[str, ...]]] = set()
-    for _ in range(_MOST_ADDITIONS):
+    for _ in range(_MAX_ADDITIONS):
         now = taken[-1]
         hints = [h for h in screen_additions(now.fit, family, now.spec) if (h.addition, h.joints) not in refused]
         failed = 0

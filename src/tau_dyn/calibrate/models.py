@@ -30,8 +30,8 @@ from tau_dyn.calibrate.drive_and_guide_laws import (
     GuideLaw,
     PeriodicDriveLaw,
     RodPathLaw,
-    carried_by,
-    guideways,
+    find_carried_rods,
+    find_guideways,
 )
 from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.loads import RodLoads
@@ -85,7 +85,7 @@ class RodFamily:
         """Look at the mechanism and at how far the poses travel."""
         self.rods, self.poses = rods, poses
         self.joints = rods.robot.actuated
-        self.slides = guideways(rods)
+        self.slides = find_guideways(rods)
         self.rails = tuple(self.joints[a] for a in self.slides)
         self.loads = RodLoads(rods)
         self.structures = self._structures()
@@ -175,12 +175,14 @@ class RodFamily:
         for joint in spec.additions.get("compliant", ()):
             a, direction = self._rail(joint)
             drives.append(DriveComplianceLaw(joint, a, direction, self.loads))
-            guides.append(CartComplianceLaw(joint, a, carried_by(self.rods, a), self.rods.n, direction, self.loads))
+            guides.append(
+                CartComplianceLaw(joint, a, find_carried_rods(self.rods, a), self.rods.n, direction, self.loads)
+            )
         for joint in spec.additions.get("piecewise", ()):
             a, _ = self._rail(joint)
             x = self.poses.q[:, a]
             knots = np.linspace(x.min() - 1e-6, x.max() + 1e-6, _KNOTS)
-            guides.append(GuideBendLaw(joint, a, carried_by(self.rods, a), self.rods.n, knots))
+            guides.append(GuideBendLaw(joint, a, find_carried_rods(self.rods, a), self.rods.n, knots))
         return drives, guides
 
     def _rail(self, joint: str) -> tuple[int, np.ndarray]:

@@ -27,7 +27,7 @@ def find_outliers(fitted: GeometryFit) -> np.ndarray:
     return np.flatnonzero(~(distance < max(_TIMES * good, 5 * crowd)))
 
 
-def outlier_sentence(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) -> str:
+def describe_outliers(poses: PoseSet, fitted: GeometryFit, index: np.ndarray) -> str:
     """Return the warning that names the poses left out."""
     size = np.linalg.norm(fitted.residuals[index][:, :3], axis=1)
     shown = [f"{poses.names[k]} (off by {1e3 * s:.3g} mm)" for k, s in zip(index[:5], size[:5], strict=True)]

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import rotation_between
+from tau_dyn.calibrate.frames import compute_rotation_between
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.kinematics.poses import Poses
 
 
-class Size(NamedTuple):
+class ErrorSize(NamedTuple):
     """Mean, root mean square and largest of the errors' norms [m or rad]."""
 
     mean: float
@@ -53,18 +53,18 @@ class PoseErrors(NamedTuple):
         }
 
     @property
-    def position_size(self) -> Size:
+    def position_size(self) -> ErrorSize:
         """Mean, rms and largest positioning error [m]."""
         return _size(self.distance)
 
     @property
-    def orientation_size(self) -> Size | None:
+    def orientation_size(self) -> ErrorSize | None:
         """Mean, rms and largest orientation error [rad]."""
         angle = self.angle
         return None if angle is None else _size(angle)
 
 
-def errors_of(poses: PoseSet, seen: Poses, target: np.ndarray | None, *, own: bool) -> PoseErrors:
+def compute_pose_errors(poses: PoseSet, seen: Poses, target: np.ndarray | None, *, own: bool) -> PoseErrors:
     """Return measured minus predicted poses.
 
     Args:
@@ -79,12 +79,12 @@ def errors_of(poses: PoseSet, seen: Poses, target: np.ndarray | None, *, own: bo
     predicted = seen.rotation if target is None else seen.rotation @ target
     rotation = np.full_like(position, np.nan)
     ok = np.isfinite(predicted).all(axis=(1, 2))
-    rotation[ok] = rotation_between(poses.rotation[ok], predicted[ok])
+    rotation[ok] = compute_rotation_between(poses.rotation[ok], predicted[ok])
     return PoseErrors(position, rotation)
 
 
-def _size(x: np.ndarray) -> Size:
+def _size(x: np.ndarray) -> ErrorSize:
     x = x[np.isfinite(x)]
     if not len(x):
-        return Size(float("nan"), float("nan"), float("nan"))
-    return Size(float(x.mean()), float(np.sqrt(np.mean(x**2))), float(x.max()))
+        return ErrorSize(float("nan"), float("nan"), float("nan"))
+    return ErrorSize(float(x.mean()), float(np.sqrt(np.mean(x**2))), float(x.max()))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import Frames, rotation_between
+from tau_dyn.calibrate.frames import DeviceFrames, compute_rotation_between
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.unknowns import Unknowns
@@ -29,7 +29,7 @@ from tau_dyn.kinematics.poses import Poses
 KINDS = ("forward", "closure", "inverse")
 
 
-class State(NamedTuple):
+class FitState(NamedTuple):
     """Where a fit stands.
 
     Attributes:
@@ -41,7 +41,7 @@ class State(NamedTuple):
     """
 
     theta: np.ndarray
-    frames: Frames
+    frames: DeviceFrames
     base: Poses
     ok: np.ndarray
     slack: np.ndarray
@@ -92,18 +92,18 @@ class Problem:
             raise InputError("this mechanism has no closure equations; use the forward residual")
         return found.shape[1]
 
-    def place(self, theta: np.ndarray, frames: Frames, slack: np.ndarray, start: Poses | None) -> State:
+    def place(self, theta: np.ndarray, frames: DeviceFrames, slack: np.ndarray, start: Poses | None) -> FitState:
         """Return the state at these values, tool poses searched from `start`."""
-        found = self.geometry.forward(theta, positions(self.poses, slack), start)
-        return State(theta, frames, found.poses, found.ok, slack)
+        found = self.geometry.forward(theta, compute_actuated_positions(self.poses, slack), start)
+        return FitState(theta, frames, found.poses, found.ok, slack)
 
-    def moved(self, state: State, step: np.ndarray) -> State:
+    def moved(self, state: FitState, step: np.ndarray) -> FitState:
         """Return the state after a step (P,) of all unknowns."""
         geometry, device, tool, slack = self.unknowns.split(step)
         start = state.base if state.ok.all() else None
         return self.place(state.theta + geometry, state.frames.moved(device, tool), state.slack + slack, start)
 
-    def residuals(self, state: State) -> np.ndarray:
+    def residuals(self, state: FitState) -> np.ndarray:
         """Return residuals (N, m), nan where a pose cannot be predicted."""
         if self.kind == "forward":
             seen = state.frames.measured(state.base, self.poses.campaign)
@@ -112,7 +112,7 @@ class Problem:
                 return position
             assert self.poses.rotation is not None
             rotation = np.full_like(position, np.nan)
-            rotation[state.ok] = rotation_between(self.poses.rotation[state.ok], seen.rotation[state.ok])
+            rotation[state.ok] = compute_rotation_between(self.poses.rotation[state.ok], seen.rotation[state.ok])
             return np.concatenate([position, rotation], axis=1)
         at = self._measured_in_base(state)
         gap = self._of(self.geometry.closure, state, at)
@@ -120,13 +120,13 @@ class Problem:
             return -gap
         return -np.linalg.solve(self._joint_slope(state, at), gap[:, :, None])[:, :, 0]
 
-    def columns(self, state: State) -> np.ndarray:
+    def columns(self, state: FitState) -> np.ndarray:
         """Return minus the residuals' derivative by all unknowns (N, m, P)."""
         at = state.base if self.kind == "forward" else self._measured_in_base(state)
         seen = state.frames.measured(at, self.poses.campaign)
         device, tool = state.frames.columns(at, seen, self.poses.campaign)
         if self.kind == "forward":
-            q = positions(self.poses, state.slack)
+            q = compute_actuated_positions(self.poses, state.slack)
             own = self.geometry.tool_by_parameter(state.theta, q, at)
             play = self._play(self.geometry.tool_by_joint, state, at)
             moved = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.campaign)
@@ -144,21 +144,21 @@ class Problem:
             return columns
         return np.linalg.solve(self._joint_slope(state, at), columns)
 
-    def _play(self, function: Callable[..., np.ndarray | None], state: State, at: Poses) -> np.ndarray:
+    def _play(self, function: Callable[..., np.ndarray | None], state: FitState, at: Poses) -> np.ndarray:
         """Return the derivative by backlash, half of it to each side."""
         if not self.unknowns.plays:
             rows = 6 if function == self.geometry.tool_by_joint else self._rows
             return np.zeros((self.poses.n, rows, self.poses.na))
         return self._of(function, state, at) * (-0.5 * self.poses.approach[:, None])
 
-    def _measured_in_base(self, state: State) -> Poses:
+    def _measured_in_base(self, state: FitState) -> Poses:
         if self.geometry.orients:
             return state.frames.in_base(self.poses.poses, self.poses.campaign)
         seen = state.frames.measured(state.base, self.poses.campaign)
         back = state.frames.in_base(Poses(self.poses.position, seen.rotation), self.poses.campaign)
         return Poses(back.position, state.base.rotation)
 
-    def _joint_slope(self, state: State, at: Poses) -> np.ndarray:
+    def _joint_slope(self, state: FitState, at: Poses) -> np.ndarray:
         slope = self._of(self.geometry.closure_by_joint, state, at)
         if slope.shape[1] != slope.shape[2]:
             raise InputError(
@@ -167,13 +167,13 @@ class Problem:
             )
         return slope
 
-    def _of(self, function: Callable[..., np.ndarray | None], state: State, at: Poses) -> np.ndarray:
-        found = function(state.theta, positions(self.poses, state.slack), at)
+    def _of(self, function: Callable[..., np.ndarray | None], state: FitState, at: Poses) -> np.ndarray:
+        found = function(state.theta, compute_actuated_positions(self.poses, state.slack), at)
         if found is None:
             raise InputError("this mechanism has no closure equations; use the forward residual")
         return found
 
 
-def positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
+def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
     """Return actuated positions (N, na) behind the backlash: a joint that came from below stands half of it too low."""
     return poses.q - 0.5 * slack * poses.approach if slack.any() else poses.q

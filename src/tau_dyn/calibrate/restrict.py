@@ -13,22 +13,22 @@ LENGTHS = (".length", ".rods_length")
 PLACES = (".origin_", ".base_", ".plate_", ".turn_")
 
 
-def without_lengths(geometry: Geometry) -> Geometry | None:
+def fix_lengths(geometry: Geometry) -> Geometry | None:
     """Return the geometry with nominal rod lengths."""
     return _left_out(geometry, [n for n in _free(geometry) if n.endswith(LENGTHS)])
 
 
-def without_placements(geometry: Geometry) -> Geometry | None:
+def fix_placements(geometry: Geometry) -> Geometry | None:
     """Return the geometry with all joints where the robot file has them."""
     return _left_out(geometry, [n for n in _free(geometry) if any(w in n for w in PLACES)])
 
 
-def without_tilts(geometry: Geometry) -> Geometry | None:
+def fix_tilts(geometry: Geometry) -> Geometry | None:
     """Return the geometry with rods' ends on their carts' lines."""
     return _left_out(geometry, [n for n in _free(geometry) if ".drift_" in n])
 
 
-def with_parallel_guideways(geometry: Geometry) -> Geometry | None:
+def tie_guideway_directions(geometry: Geometry) -> Geometry | None:
     """Return the geometry with guideways in one direction, each drive with its own scale."""
     owners = _rails(geometry)
     if len(owners) < 2:
@@ -43,7 +43,7 @@ def with_parallel_guideways(geometry: Geometry) -> Geometry | None:
     return _recombined(geometry, owners, rows, names)
 
 
-def with_nominal_scales(geometry: Geometry) -> Geometry | None:
+def fix_drive_scales(geometry: Geometry) -> Geometry | None:
     """Return the geometry with drives of nominal scale, each guideway with its own direction."""
     owners = _rails(geometry)
     if not owners:

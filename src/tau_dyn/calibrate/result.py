@@ -9,17 +9,17 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.candidates import CandidateModel, SelectionStep
 from tau_dyn.calibrate.causes import CalibrationFinding
-from tau_dyn.calibrate.crossvalidation import HeldOutErrors, of_errors, rms_interval
+from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compute_rms_interval, summarise_held_out_errors
 from tau_dyn.calibrate.geometry import expand_constraints
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
-from tau_dyn.calibrate.sensitivity import sensitivities
+from tau_dyn.calibrate.sensitivity import compute_sensitivities
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
-_TOGETHER = 0.9  # correlation from which two parameters are named as one
+_MIN_NAMED_CORRELATION = 0.9  # correlation from which two parameters are named as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Calibration(Shown):
         """Return the same for comparisons."""
         if self.holdout is None:
             return model.unseen
-        return of_errors(self.errors(model), oriented=model.fit.geometry.orients)
+        return summarise_held_out_errors(self.errors(model), oriented=model.fit.geometry.orients)
 
     def at(self) -> PoseSet:
         """Return the poses at which unseen errors stand."""
@@ -81,7 +81,7 @@ class Calibration(Shown):
 
     def parameter_rows(self) -> list[dict[str, object]]:
         """Return the chosen model's free unknowns with uncertainty, as the contract spells parameters."""
-        return parameter_rows(self.fit)
+        return build_parameter_rows(self.fit)
 
     def to_dict(self) -> dict[str, object]:
         """Return the contract's result."""
@@ -103,9 +103,9 @@ class Calibration(Shown):
             "condition_number": self.fit.identifiability.condition_number,
             "weak": list_weak_parameters(self.fit),
             "correlated": list_correlated_pairs(self.fit),
-            "frames": frame_rows(self.fit),
+            "frames": build_frame_rows(self.fit),
             "orientations": turn_rows(self.fit),
-            "sensitivity": [s._asdict() for s in sensitivities(self.fit)],
+            "sensitivity": [s._asdict() for s in compute_sensitivities(self.fit)],
             "errors_at_poses": self._errors_at_poses(),
         }
 
@@ -120,7 +120,7 @@ class Calibration(Shown):
     def _model(self, model: CandidateModel) -> dict[str, object]:
         return {
             "name": model.name,
-            "parameters": parameter_rows(model.fit),
+            "parameters": build_parameter_rows(model.fit),
             "n_estimated": model.fit.n_estimated,
             "train": model.fit.errors(self.poses).to_dict(),
             "holdout": self.errors(model).to_dict(),
@@ -136,11 +136,11 @@ class Calibration(Shown):
         rows = []
         for model in self.models:
             unseen = self.unseen(model)
-            rows.append({"step": model.name, "rms": unseen.rms, "ci95": list(rms_interval(unseen, self.seed))})
+            rows.append({"step": model.name, "rms": unseen.rms, "ci95": list(compute_rms_interval(unseen, self.seed))})
         return rows
 
 
-def parameter_rows(fitted: GeometryFit) -> list[dict[str, object]]:
+def build_parameter_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return free unknowns of a fit: value, unit, standard error, interval, nominal value."""
     nominal = {p.name: p.value for p in fitted.geometry.parameters}
     free = set(fitted.identifiability.names)
@@ -180,7 +180,7 @@ def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return pairs of parameters that the poses see almost only together, closest first."""
     c = np.triu(fitted.correlation, 1)
     names = fitted.identifiability.names
-    pairs = np.argwhere(np.abs(c) > _TOGETHER)
+    pairs = np.argwhere(np.abs(c) > _MIN_NAMED_CORRELATION)
     order = np.argsort(-np.abs(c[tuple(pairs.T)])) if len(pairs) else []
     return [
         {"parameters": [names[pairs[k][0]], names[pairs[k][1]]], "correlation": float(c[tuple(pairs[k])])}
@@ -188,7 +188,7 @@ def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
     ]
 
 
-def frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
+def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return device and target as translation [m] and unit quaternion `x y z w`."""
     rows = []
     for owner, frames in (("device", fitted.frames.device), ("tool", fitted.frames.tool)):

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.drive_and_guide_laws import DriveLaw, GuideLaw
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.placed_rods import PlacedRods
-from tau_dyn.calibrate.rod_numbers import TURN, numbers_at
+from tau_dyn.calibrate.rod_numbers import TURN, compute_dimensions_at
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rod_dimensions import RodDimensions
@@ -138,7 +138,7 @@ class RodGeometry:
     def numbers(self, theta: np.ndarray) -> RodDimensions:
         """Return the robot's dimensions at these parameters, without the laws."""
         values = dict(zip(self.parameters.names, np.asarray(theta, float).tolist(), strict=True))
-        return numbers_at(self.rods.numbers, values)
+        return compute_dimensions_at(self.rods.numbers, values)
 
     def rods_at(self, theta: np.ndarray) -> Rods:
         """Return the robot with these dimensions, without the laws."""

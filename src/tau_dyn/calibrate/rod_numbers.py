@@ -25,7 +25,7 @@ class TurnedNumbers(RodDimensions):
         return (self.turns or {}).get(joint, np.zeros(3))
 
 
-def numbers_at(nominal: RodDimensions, values: dict[str, float]) -> RodDimensions:
+def compute_dimensions_at(nominal: RodDimensions, values: dict[str, float]) -> RodDimensions:
     """Return a robot's dimensions at parameter values, those of `kinematics.geometry` with `turn` in place of an axis."""
 
     def vector(owner: str, what: str) -> np.ndarray:

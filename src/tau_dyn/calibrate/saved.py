@@ -17,8 +17,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.families import family_of
-from tau_dyn.calibrate.frames import Frame, Frames
+from tau_dyn.calibrate.families import get_family
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry, Predicted, expand_constraints
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -28,7 +28,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 FORMAT = 1
 
@@ -49,7 +49,7 @@ class CalibratedRobot:
     robot: Robot
     geometry: Geometry
     theta: np.ndarray
-    frames: Frames
+    frames: DeviceFrames
     slack: np.ndarray
     model: str
 
@@ -135,7 +135,7 @@ def load_calibration(path: str | Path) -> CalibratedRobot:
 
 def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     about = content["robot"]
-    robot = robot_from_urdf(
+    robot = load_robot_from_urdf(
         content["urdf"],
         str(about["source"]),
         actuated=[str(j) for j in about["actuated"]],
@@ -145,7 +145,7 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     travel = np.array(content["travel"], float).T
     additions = {str(k): tuple(str(j) for j in v) for k, v in content["model"]["additions"].items()}
     spec = Spec(str(content["model"]["structure"]), additions)
-    family = family_of(robot, PoseSet(travel, np.zeros((2, 3)), approach=np.ones(travel.shape)))
+    family = get_family(robot, PoseSet(travel, np.zeros((2, 3)), approach=np.ones(travel.shape)))
     geometry = family.build(spec)
     given = {row["name"]: float(row["value"]) for row in content["parameters"]}
     missing = [name for name in geometry.parameters.names if name not in given]
@@ -154,7 +154,7 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     theta = np.array([given[name] for name in geometry.parameters.names])
     if not np.isfinite(theta).all():
         raise InputError("a parameter is not a number")
-    frames = Frames(*(tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool")))
+    frames = DeviceFrames(*(tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool")))
     if not frames.device or not frames.tool:
         raise InputError("frames needs a device and a tool at least")
     slack = np.array(content["backlash"], float)

@@ -28,7 +28,7 @@ class Sensitivity(NamedTuple):
     closure: float
 
 
-def sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[Sensitivity, ...]:
+def compute_sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[Sensitivity, ...]:
     """Return every geometric parameter's sensitivity at the fitted poses, to first order.
 
     Args:

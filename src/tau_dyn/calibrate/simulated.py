@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import Frame, Frames
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.pose_set import POSITION, QUATERNION, PoseSet
 from tau_dyn.kinematics.poses import quaternions
 
-TRACKER = Frames(
+TRACKER = DeviceFrames(
     (Frame(Rotation.from_euler("zyx", [137.9, -0.5, 0.4], degrees=True).as_matrix(), np.array([1.8, -4.3, -0.1])),),
     (Frame(Rotation.from_euler("zyx", [30.0, 4.0, -7.0], degrees=True).as_matrix(), np.array([0.02, -0.01, 0.08])),),
 )
@@ -25,7 +25,7 @@ def simulate_poses(
     q: np.ndarray,
     rng: np.random.Generator,
     *,
-    frames: Frames = TRACKER,
+    frames: DeviceFrames = TRACKER,
     noise: tuple[float, float] = (10e-6, 20e-6),
     turned: bool = True,
     backlash: np.ndarray | None = None,
@@ -65,7 +65,7 @@ def simulate_poses(
     )
 
 
-def to_csv(poses: PoseSet, actuated: Sequence[str]) -> str:
+def format_csv(poses: PoseSet, actuated: Sequence[str]) -> str:
     """Return poses as a CSV file's text."""
     columns = [f"q_{joint}" for joint in actuated]
     columns += POSITION

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import IDENTITY, Frame, Frames, align, mean_rotation
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, Frame, align, mean_rotation
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -12,12 +12,12 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 _FLAT = 1e-3
 """Thickness of a cloud of positions, relative to its extent, below which it is a plane."""
 
-_SAME = 1e-9  # [m] or [rad]: positions of joints that are one pose
+_MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
 _MIRROR_GAIN = 5.0
 """By how much better a mirrored device frame must fit before it is called wrong-handed."""
 
 
-def starting_frames(poses: PoseSet, nominal: Predicted) -> Frames:
+def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     """Return the device's frame in which the nominal robot's tool comes nearest to the measured poses.
 
     Raises:
@@ -39,18 +39,18 @@ def starting_frames(poses: PoseSet, nominal: Predicted) -> Frames:
     if not flat:
         _check_hand(poses.source, seen, known, device)
     if poses.rotation is None:
-        return Frames((device,), (IDENTITY,))
+        return DeviceFrames((device,), (IDENTITY,))
     turn = device.rotation @ nominal.poses.rotation[ok]
-    return Frames((device,), (Frame(mean_rotation(np.swapaxes(turn, 1, 2) @ poses.rotation[ok]), np.zeros(3)),))
+    return DeviceFrames((device,), (Frame(mean_rotation(np.swapaxes(turn, 1, 2) @ poses.rotation[ok]), np.zeros(3)),))
 
 
-def _from_orientation(poses: PoseSet, nominal: Predicted) -> Frames:
+def _from_orientation(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     """Return frames from orientations where positions lie in a plane: the target taken as turned like the tool."""
     assert poses.rotation is not None
     ok = nominal.ok
     rotation = mean_rotation(poses.rotation[ok] @ np.swapaxes(nominal.poses.rotation[ok], 1, 2))
     shift = poses.position[ok].mean(axis=0) - rotation @ nominal.poses.position[ok].mean(axis=0)
-    return Frames((Frame(rotation, shift),), (IDENTITY,))
+    return DeviceFrames((Frame(rotation, shift),), (IDENTITY,))
 
 
 def _check_hand(source: str, seen: np.ndarray, known: np.ndarray, device: Frame) -> None:
@@ -89,13 +89,13 @@ def check_spread(poses: PoseSet, workspace: Predicted) -> None:
     )
 
 
-def without_duplicates(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
+def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
     """Return the poses without those that repeat another's joints and measurement, and a warning that names them.
 
     The same joints measured again with other noise are a repeated measurement and stay.
     """
     rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
-    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.campaign]) / _SAME)
+    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.campaign]) / _MAX_DUPLICATE_DISTANCE)
     _, first = np.unique(rows, axis=0, return_index=True)
     if len(first) == poses.n:
         return poses, ()
@@ -107,6 +107,6 @@ def without_duplicates(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
     )
 
 
-def poses_needed(rank: int, per_pose: int) -> int:
+def count_required_poses(rank: int, per_pose: int) -> int:
     """Return the fewest poses that leave at least one pose's numbers over for judging the noise."""
     return -(-rank // per_pose) + 1

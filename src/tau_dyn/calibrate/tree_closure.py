@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.loop_derivatives import gap_by_position, gaps
+from tau_dyn.calibrate.loop_derivatives import compute_gap_by_position, compute_loop_gaps
 from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.kinematics.loop_arrays import LoopArrays
@@ -24,16 +24,18 @@ from tau_dyn.kinematics.loops import LoopSolver
 from tau_dyn.kinematics.pseudo_inverse import lengths_of
 from tau_dyn.kinematics.tree_arrays import frames
 
-_ROUNDS = 40
+_MAX_ITERATIONS = 40
 _DONE = 1e-12  # [m or rad] Newton's last step
 _STEP = 0.3  # [m or rad] longest step at once
-_FAR = 0.8  # [m or rad] what passive joints may move away from the nominal closure; more is another assembly mode
+_MAX_PASSIVE_MOTION = (
+    0.8  # [m or rad] what passive joints may move away from the nominal closure; more is another assembly mode
+)
 _SINGULAR = 1e-7  # smallest kept singular value relative to the largest, columns scaled to unit length at home
 _OPEN = 1e-8  # [m] what a loop that can close may leave
 
 
 @dataclass(frozen=True, eq=False)
-class Closed:
+class ClosedConfigurations:
     """Closed configurations.
 
     Attributes:
@@ -68,7 +70,7 @@ class TreeClosure:
         self._solver = LoopSolver(shape.robot)
         self._arrays = LoopArrays(self._solver, list(shape.joints))
         self._nominal: dict[bytes, _Nominal] = {}
-        self._last: tuple[bytes, Closed] = (b"", Closed(*[np.zeros(0)] * 5))
+        self._last: tuple[bytes, ClosedConfigurations] = (b"", ClosedConfigurations(*[np.zeros(0)] * 5))
         self.rank, self.scale = 0, np.ones(len(shape.passive))
         if shape.n_loops:
             x = self._arrays.close(shape.robot.home[None]).x
@@ -82,13 +84,13 @@ class TreeClosure:
         """Number of conditions that no motion of the passive joints can meet: one a planar loop, across its plane."""
         return 3 * self.shape.n_loops - self.rank
 
-    def close(self, numbers: TreeNumbers, q: np.ndarray) -> Closed:
+    def close(self, numbers: TreeNumbers, q: np.ndarray) -> ClosedConfigurations:
         """Return closed configurations at actuated positions `q` (N, na)."""
         n, wanted = len(q), numbers.gain[:, None] * q.T + numbers.offset[:, None]
         if not self.shape.n_loops:
             x = np.zeros((self.shape.robot.model.nv, n))
             x[self.shape.active] = wanted
-            return Closed(x, np.zeros((n, 0, 0)), np.zeros(n), np.ones(n, bool), np.full(n, "", object))
+            return ClosedConfigurations(x, np.zeros((n, 0, 0)), np.zeros(n), np.ones(n, bool), np.full(n, "", object))
         key = q.tobytes() + numbers.key
         if key != self._last[0]:  # derivatives are asked for where the poses just were
             nominal = self._nominal_closure(q)
@@ -123,20 +125,20 @@ class TreeClosure:
                 reason[k] = "out of reach"
         return x, reason
 
-    def _newton(self, numbers: TreeNumbers, start: np.ndarray, nominal: _Nominal) -> Closed:
+    def _newton(self, numbers: TreeNumbers, start: np.ndarray, nominal: _Nominal) -> ClosedConfigurations:
         shape, n = self.shape, start.shape[1]
         x, reason = start.copy(), nominal.reason.copy()
         inverse = np.full((n, len(shape.passive), 3 * shape.n_loops), np.nan)
         small, opened, unclosed = np.full(n, np.inf), np.full(n, np.nan), np.full(n, np.nan)
         left = np.flatnonzero(reason == "")
         reason[left] = "not converged"
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             if not left.size:
                 break
             at = frames(numbers.joints, x[:, left])
-            gap = gaps(shape, numbers, at)
+            gap = compute_loop_gaps(shape, numbers, at)
             opened[left], closable = np.abs(gap).max(axis=0), gap
-            J = np.moveaxis(gap_by_position(shape, numbers, at)[:, shape.passive], 2, 0)
+            J = np.moveaxis(compute_gap_by_position(shape, numbers, at)[:, shape.passive], 2, 0)
             if nominal.basis is None:
                 inverse[left], small[left] = self._inverse(J)
             else:
@@ -152,13 +154,13 @@ class TreeClosure:
         reason[(reason == "") & (small < _SINGULAR)] = "singular"
         reason[(reason == "") & ~(unclosed < _OPEN)] = "out of reach"
         moved = np.abs(x - nominal.x)[shape.passive].max(axis=0)
-        reason[(reason == "") & ~(moved < _FAR)] = "branch change"
+        reason[(reason == "") & ~(moved < _MAX_PASSIVE_MOTION)] = "branch change"
         ok = reason == ""
         x[:, ~ok] = np.nan
-        return Closed(x, inverse, opened, ok, reason)
+        return ClosedConfigurations(x, inverse, opened, ok, reason)
 
     def _jacobian(self, numbers: TreeNumbers, x: np.ndarray) -> np.ndarray:
-        found = gap_by_position(self.shape, numbers, frames(numbers.joints, x))
+        found = compute_gap_by_position(self.shape, numbers, frames(numbers.joints, x))
         return np.moveaxis(found[:, self.shape.passive], 2, 0)
 
     def _inverse(self, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,10 +20,10 @@ from functools import cached_property
 import numpy as np
 
 from tau_dyn.calibrate.geometry import Predicted
-from tau_dyn.calibrate.loop_derivatives import passed_on, rates
-from tau_dyn.calibrate.tree_closure import Closed, TreeClosure
-from tau_dyn.calibrate.tree_parameters import PRIORITY, rows_of
-from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape, numbers_at, shape_of
+from tau_dyn.calibrate.loop_derivatives import compute_open_rates, propagate_twists
+from tau_dyn.calibrate.tree_closure import ClosedConfigurations, TreeClosure
+from tau_dyn.calibrate.tree_parameters import PRIORITY, build_rows
+from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape, compute_dimensions_at, get_shape
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.positions import checked_positions
@@ -39,7 +39,7 @@ _UNSEEN = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class TreeGeometry:
-    """A tree, with or without loops, whose placements are parameters; build it with `tree_geometry`.
+    """A tree, with or without loops, whose placements are parameters; build it with `build_tree_geometry`.
 
     Attributes:
         shape: The robot taken apart.
@@ -144,18 +144,18 @@ class TreeGeometry:
         theta = np.asarray(theta, float)
         if theta.shape != (len(self.knobs),):
             raise InputError(f"this geometry has {len(self.knobs)} parameters, not {theta.shape}")
-        return numbers_at(self.shape, self.knobs, theta, self.parameters.values)
+        return compute_dimensions_at(self.shape, self.knobs, theta, self.parameters.values)
 
     def _linearised(self, theta: np.ndarray, q: np.ndarray, knobs: Sequence[Knob]) -> tuple[np.ndarray, np.ndarray]:
         numbers, q = self._numbers(theta), checked_positions(self.shape.robot, q)
-        closed: Closed = self.loops.close(numbers, q)
-        found = rates(self.shape, numbers, knobs, frames(numbers.joints, closed.x), closed.x, q.T)
-        by_parameter, by_joint = passed_on(self.shape, found, closed.inverse, numbers.gain)
+        closed: ClosedConfigurations = self.loops.close(numbers, q)
+        found = compute_open_rates(self.shape, numbers, knobs, frames(numbers.joints, closed.x), closed.x, q.T)
+        by_parameter, by_joint = propagate_twists(self.shape, found, closed.inverse, numbers.gain)
         by_parameter[~closed.ok] = by_joint[~closed.ok] = np.nan
         return by_parameter, by_joint
 
 
-def tree_geometry(robot: Robot, *, tool: str | None = None) -> TreeGeometry:
+def build_tree_geometry(robot: Robot, *, tool: str | None = None) -> TreeGeometry:
     """Build the geometry of any robot file.
 
     Args:
@@ -166,8 +166,8 @@ def tree_geometry(robot: Robot, *, tool: str | None = None) -> TreeGeometry:
         InputError: A joint has several degrees of freedom, or it is not clear which frame is the tool.
         LoopClosureError: The loops cannot be closed at home.
     """
-    shape = shape_of(robot, tool)
-    rows = rows_of(shape)
+    shape = get_shape(robot, tool)
+    rows = build_rows(shape)
     parameters = Parameters([row.parameter for row in rows])
     full = TreeGeometry(shape, parameters, tuple(row.knob for row in rows))
     return replace(full, parameters=Parameters(_without_unseen(full)))

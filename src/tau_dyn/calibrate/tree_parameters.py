@@ -24,21 +24,21 @@ Placements are equals: an order among them would keep combinations that are told
 one machine are from parallel."""
 
 
-class Row(NamedTuple):
+class TreeParameter(NamedTuple):
     """A parameter and what it does."""
 
     parameter: Parameter
     knob: Knob
 
 
-def rows_of(shape: TreeShape) -> list[Row]:
+def build_rows(shape: TreeShape) -> list[TreeParameter]:
     """Return all geometric parameters of a tree at the robot file's values: joints, then the loops' points, then the tool."""
     rows = [row for k in range(len(shape.joints)) for row in _joint_rows(shape, k)]
     rows += [row for k in range(len(shape.ends)) for row in _end_rows(shape, k)]
     return rows + _tool_rows(shape)
 
 
-def _joint_rows(shape: TreeShape, k: int) -> list[Row]:
+def _joint_rows(shape: TreeShape, k: int) -> list[TreeParameter]:
     joint, name = shape.joints[k], shape.names[k]
     actuated = joint.v in shape.active
     compound = _in_universal(shape, joint)
@@ -47,32 +47,36 @@ def _joint_rows(shape: TreeShape, k: int) -> list[Row]:
     if actuated:
         a = int(np.flatnonzero(shape.active == joint.v)[0])
         unit = "m" if joint.slides else "rad"
-        rows.append(Row(Parameter(f"{name}.offset", 0.0, unit), Knob("offset", a, joint.axis)))
+        rows.append(TreeParameter(Parameter(f"{name}.offset", 0.0, unit), Knob("offset", a, joint.axis)))
     along = joint.rotation @ joint.axis
     for i, axis in enumerate(AXES):
         way = shape.within[k].rotation[:, i]
         free = not compound and not (joint.slides and abs(way @ along) > _ALIGNED)
-        rows.append(Row(Parameter(f"{name}.origin_{axis}", float(place[i]), "m", free=free), Knob("origin", k, way)))
+        rows.append(
+            TreeParameter(Parameter(f"{name}.origin_{axis}", float(place[i]), "m", free=free), Knob("origin", k, way))
+        )
     for i, axis in enumerate(AXES):
         own = not joint.slides and abs(joint.axis[i]) > _ALIGNED
         parameter = Parameter(f"{name}.r{axis}", 0.0, "rad", free=not compound and not own)
-        rows.append(Row(parameter, Knob("rotation", k, np.eye(3)[i])))
+        rows.append(TreeParameter(parameter, Knob("rotation", k, np.eye(3)[i])))
     if actuated:
         a = int(np.flatnonzero(shape.active == joint.v)[0])
-        rows.append(Row(Parameter(f"{name}.gain", 1.0, "1", free=False), Knob("gain", a, joint.axis)))
+        rows.append(TreeParameter(Parameter(f"{name}.gain", 1.0, "1", free=False), Knob("gain", a, joint.axis)))
     return rows
 
 
-def _end_rows(shape: TreeShape, k: int) -> list[Row]:
+def _end_rows(shape: TreeShape, k: int) -> list[TreeParameter]:
     end = shape.ends[k]
     if is_rod(shape, k):
         length = float(np.linalg.norm(end.local))
         owner = end.link.removesuffix("_link")
-        return [Row(Parameter(f"{owner}.length", length, "m", lower=0.0), Knob("length", k, end.local / length))]
+        return [
+            TreeParameter(Parameter(f"{owner}.length", length, "m", lower=0.0), Knob("length", k, end.local / length))
+        ]
     value, name = end.axes.T @ end.local, _anchor_name(shape, k)
     value = value - end.axes.T @ _link_origin(shape, end.link)
     return [
-        Row(Parameter(f"{end.link}.{name}_{axis}", float(value[i]), "m"), Knob("anchor", k, end.axes[:, i]))
+        TreeParameter(Parameter(f"{end.link}.{name}_{axis}", float(value[i]), "m"), Knob("anchor", k, end.axes[:, i]))
         for i, axis in enumerate(AXES)
     ]
 
@@ -82,10 +86,10 @@ def _link_origin(shape: TreeShape, link: str) -> np.ndarray:
     return model.frames[model.getFrameId(link)].placement.translation
 
 
-def _tool_rows(shape: TreeShape) -> list[Row]:
+def _tool_rows(shape: TreeShape) -> list[TreeParameter]:
     value = shape.tool.local
     return [
-        Row(Parameter(f"tool.origin_{axis}", float(value[i]), "m", free=False), Knob("tool", 0, np.eye(3)[i]))
+        TreeParameter(Parameter(f"tool.origin_{axis}", float(value[i]), "m", free=False), Knob("tool", 0, np.eye(3)[i]))
         for i, axis in enumerate(AXES)
     ]
 

@@ -115,7 +115,7 @@ class TreeNumbers:
     key: bytes = b"nominal"
 
 
-def shape_of(robot: Robot, tool: str | None = None) -> TreeShape:
+def get_shape(robot: Robot, tool: str | None = None) -> TreeShape:
     """Take a robot apart.
 
     Args:
@@ -135,7 +135,7 @@ def shape_of(robot: Robot, tool: str | None = None) -> TreeShape:
     pairs = [((b.link_a, b.point_a), (b.link_b, b.point_b)) for b in notes.loops]
     ends = tuple(_anchor(robot.model, link, np.array(point)) for pair in pairs for link, point in pair)
     passive = np.setdiff1d([j.v for j in joints], robot.active_v) if ends else np.zeros(0, int)
-    frame = robot.model.frames[tool_frame(robot, tool)]
+    frame = robot.model.frames[compute_tool_frame(robot, tool)]
     at = Anchor(
         frame.name, frame.parentJoint, frame.placement.translation.copy(), frame.placement.rotation.copy(),
         _carriers(robot.model, frame.parentJoint),
@@ -143,7 +143,7 @@ def shape_of(robot: Robot, tool: str | None = None) -> TreeShape:
     return TreeShape(robot, tuple(joints), _parent_links(robot, joints), ends, at, robot.active_v, passive.astype(int))
 
 
-def tool_frame(robot: Robot, tool: str | None = None) -> int:
+def compute_tool_frame(robot: Robot, tool: str | None = None) -> int:
     """Return the index of the frame that is measured.
 
     Raises:
@@ -167,7 +167,9 @@ def tool_frame(robot: Robot, tool: str | None = None) -> int:
     return on_tip[-1]
 
 
-def numbers_at(shape: TreeShape, knobs: Sequence[Knob], theta: np.ndarray, nominal: np.ndarray) -> TreeNumbers:
+def compute_dimensions_at(
+    shape: TreeShape, knobs: Sequence[Knob], theta: np.ndarray, nominal: np.ndarray
+) -> TreeNumbers:
     """Return the tree at parameter values `theta` (p,), one a knob; `nominal` (p,) are the robot file's."""
     joints = list(shape.joints)
     vectors = np.zeros((len(joints), 3))

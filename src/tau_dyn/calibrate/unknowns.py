@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.identifiability import SCALES
 from tau_dyn.exceptions import UnknownName
@@ -58,7 +58,7 @@ class Unknowns:
 
 def collect(
     geometry: Geometry,
-    frames: Frames,
+    frames: DeviceFrames,
     *,
     fix: Sequence[str] = (),
     free: Sequence[str] = (),

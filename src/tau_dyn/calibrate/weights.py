@@ -23,20 +23,20 @@ KINDS = ("none", "huber", "biweight")
 EFFICIENCY = 0.95
 
 
-def weights(kind: str, distance: np.ndarray, m: int) -> np.ndarray:
+def compute_robust_weights(kind: str, distance: np.ndarray, m: int) -> np.ndarray:
     """Return weights (N,) of poses at distances (N,) in units of the noise; `m` residuals a pose."""
     if kind == "none":
         return np.ones(len(distance))
-    return _weight(kind, distance, tuning(kind, m))
+    return _weight(kind, distance, compute_tuning_constant(kind, m))
 
 
-def robust_scale(distance: np.ndarray, m: int) -> float:
+def estimate_robust_scale(distance: np.ndarray, m: int) -> float:
     """Return by how much poses scatter more than the noise says, from the median; wild poses do not move it."""
     return float(np.median(distance) / np.sqrt(stats.chi2.ppf(0.5, m)))
 
 
 @lru_cache(maxsize=32)
-def tuning(kind: str, m: int, efficiency: float = EFFICIENCY) -> float:
+def compute_tuning_constant(kind: str, m: int, efficiency: float = EFFICIENCY) -> float:
     """Return the constant `c` of a kind of weights for `m` residuals a pose."""
     if kind not in KINDS[1:]:
         raise UnknownName("kind of robust weights", kind, KINDS)

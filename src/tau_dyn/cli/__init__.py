@@ -9,9 +9,9 @@ from tau_dyn.cli.ending import (  # first: from here on Ctrl-C is answered
     Ended,
     machine_fault,
     quiet_start,
+    replace_unencodable,
     say,
-    speakable,
-    unwinding,
+    unwind_on_signal,
 )
 
 # isort: split
@@ -71,9 +71,9 @@ COMMANDS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     warnings.simplefilter("ignore", RuntimeWarning)  # numbers out of range end in a sentence of ours
-    speakable()
+    replace_unencodable()
     try:
-        with unwinding():
+        with unwind_on_signal():
             args = build_parser().parse_args(argv)
             return execute(args.command, COMMANDS[args.command].run, args)
     except TauDynError as fault:

@@ -10,10 +10,10 @@ from tau_dyn.cli.common import (
     add_common,
     add_robot,
     command_line,
+    list_written_files,
     load_robot_from,
-    progress,
     robot_file,
-    written,
+    show_progress,
 )
 from tau_dyn.cli.kinds import whole_between
 from tau_dyn.exceptions import InputError
@@ -76,7 +76,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Bound the tool's error."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.kinematics.solvers import get_rods
 
@@ -234,7 +234,7 @@ def _doubts(found) -> list[str]:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report import print_accuracy
 
-    print_accuracy(console, found, written(args))
+    print_accuracy(console, found, list_written_files(args))
 
 
 def _page(found, files: list[tuple[str, str]]) -> str:

@@ -10,10 +10,10 @@ from tau_dyn.cli.common import (
     add_common,
     add_robot,
     command_line,
+    list_written_files,
     load_robot_from,
-    progress,
     robot_file,
-    written,
+    show_progress,
 )
 
 HELP = "geometry with uncertainty from measured poses"
@@ -74,7 +74,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Calibrate."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.calibrate import calibrate, read_poses
 
@@ -127,7 +127,7 @@ def _save(path: Path, found) -> None:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report.calibration_terminal import print_calibration
 
-    print_calibration(console, found, written(args, model=args.out))
+    print_calibration(console, found, list_written_files(args, model=args.out))
 
 
 def _page(found, read: list[tuple[str, str]]) -> str:

@@ -11,8 +11,8 @@ from tau_dyn.cli.common import (
     add_robot_options,
     command_line,
     load_robot_from,
-    progress,
     robot_file,
+    show_progress,
 )
 from tau_dyn.coded_warning import UNCODED, get_code
 
@@ -30,7 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Check a log."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("reading")
         from tau_dyn.log import check_log, read_log
         from tau_dyn.report import check_page, print_check

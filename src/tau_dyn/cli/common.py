@@ -121,7 +121,7 @@ def robot_file(args: argparse.Namespace) -> list[Path]:
     return [Path(args.robot) if is_model_file(args.robot) else find_robot(args.robot)]
 
 
-def written(args: argparse.Namespace, **own: Path | None) -> dict[str, str]:
+def list_written_files(args: argparse.Namespace, **own: Path | None) -> dict[str, str]:
     """Return what was written and where, for the last line on the screen: a command's own files, the page, the result."""
     files = {**own, "report": args.report, "result": args.json}
     return {name.replace("_", " "): str(path) for name, path in files.items() if path}
@@ -133,7 +133,7 @@ def command_line() -> str:
 
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+def show_progress(quiet: bool) -> Iterator[Callable[[str], None]]:
     """Show a spinner with the current step on stderr, if somebody watches."""
     console = Console(stderr=True)
     if quiet or not console.is_terminal:
@@ -143,7 +143,7 @@ def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
         yield lambda step: status.update(step)
 
 
-def to_json(value: Any) -> str:
+def format_json(value: Any) -> str:
     """Return strict JSON: arrays as lists, what is not finite as null."""
     return json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, command_line, progress
+from tau_dyn.cli.common import Outcome, add_common, command_line, show_progress
 
 HELP = "what changed between two runs, results or models, with intervals"
 
@@ -20,7 +20,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Compare two files."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("comparing")
         from tau_dyn.compare import compare, read_side
         from tau_dyn.report.comparison import comparison_page, print_comparison

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot_options, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import Outcome, add_common, add_robot_options, load_robot_from, robot_file, show_progress
 from tau_dyn.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -85,17 +85,17 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Run the demo."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.diagnose import diagnose
         from tau_dyn.identify import identify
         from tau_dyn.report import diagnosis_page, identification_page
-        from tau_dyn.simulate import Sensors, named_motion, simulate
+        from tau_dyn.simulate import Sensors, build_named_motion, simulate
 
         made = make_arm(load_robot_from(args), args.robot, args.seed) if args.robot else make_gantry(args.seed)
         sensors, logs = Sensors(**made.sensors, log_rate_hz=RATE_HZ), []
         for k, (name, duration) in enumerate(SECONDS.items()):
-            path = named_motion("fourier", made.truth, duration, args.seed + k)
+            path = build_named_motion("fourier", made.truth, duration, args.seed + k)
             logs.append(
                 simulate(
                     made.truth,
@@ -207,10 +207,10 @@ def _with_payload(robot: Robot, values: dict[str, float]) -> dict[str, float]:
 
 def _with_friction(robot: Robot) -> Model:
     """Return the robot with asymmetric friction at zero."""
-    from tau_dyn.effects import friction_model
+    from tau_dyn.effects import build_friction_model
     from tau_dyn.model import Model
 
-    return Model.of(robot, friction_model("asymmetric", robot.actuated, robot.force_units))
+    return Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
 
 
 def _extend(model: Model, effects: Sequence, values: dict[str, float]) -> Model:

@@ -10,7 +10,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, written
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot,
+    command_line,
+    list_written_files,
+    load_robot_from,
+    show_progress,
+)
 from tau_dyn.cli.fitting import add_fitting, fitting_inputs, fitting_options, read_fitting_logs
 from tau_dyn.cli.kinds import csv_file
 from tau_dyn.exceptions import CannotAnswer
@@ -47,7 +55,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Diagnose."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.diagnose import diagnose
 
@@ -56,9 +64,9 @@ def run(args: argparse.Namespace) -> Outcome:
         law = _law(args, robot, logs)
         found = diagnose(robot, logs, holdout=held, progress=step, **fitting_options(args))
         if law is not None:
-            from tau_dyn.diagnose.simulated import with_simulation
+            from tau_dyn.diagnose.simulated import add_simulation
 
-            found = with_simulation(found, logs, law, step)
+            found = add_simulation(found, logs, law, step)
         result, files, warnings, status = found.to_dict(), {}, list(found.warnings), found.exit_status
         if args.propose:
             motion, refusal, answer = _proposed(found, logs, args, step)
@@ -108,7 +116,7 @@ def _show(console, found, args: argparse.Namespace, result: dict) -> None:
     from tau_dyn.report import print_diagnosis
 
     proposed = result.get("proposal", {})
-    print_diagnosis(console, found, written(args, extended_model=args.out, motion=proposed.get("out")))
+    print_diagnosis(console, found, list_written_files(args, extended_model=args.out, motion=proposed.get("out")))
     for note in proposed.get("notes", ()):
         console.print(f"proposed: {note}", markup=False)
 

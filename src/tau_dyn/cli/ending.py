@@ -99,7 +99,7 @@ class _Listener:
 
 
 @contextmanager
-def unwinding() -> Iterator[None]:
+def unwind_on_signal() -> Iterator[None]:
     """Let Ctrl-C or a request to end unwind the block; what somebody else handles or ignores (nohup) stays theirs."""
     usual = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ASKED, signal.SIG_DFL)}
     mine = [number for number in usual if signal.getsignal(number) is usual[number]] if _in_main_thread() else []
@@ -134,7 +134,7 @@ def say(sentence: str) -> None:
         sys.stderr.flush()
 
 
-def speakable() -> None:
+def replace_unencodable() -> None:
     """Let a screen of another coding show `?` for what it cannot, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):

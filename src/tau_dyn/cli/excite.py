@@ -15,8 +15,8 @@ from tau_dyn.cli.common import (
     add_robot,
     command_line,
     load_robot_from,
-    progress,
     robot_file,
+    show_progress,
 )
 from tau_dyn.cli.kinds import csv_file, not_negative, positive, whole_number
 from tau_dyn.exceptions import InputError
@@ -117,11 +117,11 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def _random(args: argparse.Namespace, model, noise, step: Callable[[str], None]) -> Outcome:
     from tau_dyn.excitation import predict
-    from tau_dyn.simulate import base_condition, exciting_motion
+    from tau_dyn.simulate import build_exciting_motion, compute_base_condition
 
     step("searching")
-    motion = exciting_motion(model, args.duration, args.seed, trials=args.trials)
-    condition = base_condition(model, motion)
+    motion = build_exciting_motion(model, args.duration, args.seed, trials=args.trials)
+    condition = compute_base_condition(model, motion)
     prediction = None if noise is None else predict(model, motion, noise, args.seed)
     result = {"condition_number": condition, "duration_s": motion.duration, "out": str(args.out), "method": "random"}
     if noise is not None and prediction is not None:
@@ -131,7 +131,7 @@ def _random(args: argparse.Namespace, model, noise, step: Callable[[str], None])
 
 def _optimal(args: argparse.Namespace, model, noise, step: Callable[[str], None]) -> Outcome:
     from tau_dyn.excitation import design_motion
-    from tau_dyn.simulate import base_condition
+    from tau_dyn.simulate import compute_base_condition
 
     options = {
         "fast_hz": args.fastest, "strokes": args.strokes, "speed": args.speed, "acceleration": args.acceleration,
@@ -141,7 +141,7 @@ def _optimal(args: argparse.Namespace, model, noise, step: Callable[[str], None]
     design = design_motion(
         model, args.duration, args.seed, noise=noise, trials=args.trials, progress=step, rate_hz=args.rate, **chosen
     )
-    condition = base_condition(model, design.motion)
+    condition = compute_base_condition(model, design.motion)
     name, error = design.prediction.worst
     result = {
         "condition_number": condition,
@@ -180,11 +180,11 @@ def _outcome(args: argparse.Namespace, model, motion, condition: float, result, 
 
 def _noise(args: argparse.Namespace, model):
     """Return the noise that the arguments name, or None for that of good drives."""
-    from tau_dyn.excitation import Noise, noise_of_log
+    from tau_dyn.excitation import Noise, estimate_log_noise
     from tau_dyn.log import read_log
 
     if args.noise_from is not None:
-        return noise_of_log(model, read_log(args.noise_from), args.rate)
+        return estimate_log_noise(model, read_log(args.noise_from), args.rate)
     if args.force_noise is None:
         if args.encoder_noise is not None:
             raise InputError("--encoder-noise alone says nothing of the forces; give --force-noise as well")
@@ -199,7 +199,7 @@ def _noise_row(noise) -> dict[str, Any]:
 @contextmanager
 def _told(quiet: bool) -> Iterator[Callable[[str], None]]:
     """Show steps as all commands do; where nobody watches the terminal, the search's rounds as lines on stderr."""
-    with progress(quiet) as step:
+    with show_progress(quiet) as step:
         plain = not quiet and not sys.stderr.isatty()
 
         def told(text: str) -> None:

@@ -17,11 +17,11 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 
-from tau_dyn.cli.common import Outcome, command_line, robot_file, to_json
+from tau_dyn.cli.common import Outcome, command_line, format_json, robot_file
 from tau_dyn.cli.run_folder import RunFolder, configuration_of
 from tau_dyn.coded_warning import format_warnings
 from tau_dyn.exceptions import CannotAnswer, InputError, one_line
-from tau_dyn.files import destination, sha256_of, writing_whole
+from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
 from tau_dyn.version import __version__
 
 _TWICE = "two outputs are to be written to one file; give each its own"
@@ -102,15 +102,15 @@ def _checked(call: _Call) -> dict[Path, tuple[int, int]]:
     """Refuse outputs that cannot be written or would overwrite something; return how the inputs are now."""
     folder, destinations = call.folder, call.destinations()
     for path in destinations:
-        if not destination(path).parent.is_dir() and not (folder is not None and folder.holds(path)):
+        if not resolve_destination(path).parent.is_dir() and not (folder is not None and folder.holds(path)):
             raise InputError(f"{path}: the folder {path.parent} does not exist")
         if path.is_dir():
             raise InputError(f"{path} is a folder; name a file")
-    if len({destination(path) for path in destinations}) < len(destinations):
+    if len({resolve_destination(path) for path in destinations}) < len(destinations):
         raise InputError(_TWICE)
     given = {path.resolve() for path in _given(call.args)}
     for path in destinations:
-        if destination(path) in given:
+        if resolve_destination(path) in given:
             raise InputError(f"{path} is an input of this command and would be overwritten; name another file")
     if folder is not None:
         folder.check(call.command, call.configuration, given)
@@ -179,7 +179,7 @@ def _changed(inputs: Sequence[Path | tuple[str, str]], before: dict[Path, tuple[
 def _write(call: _Call, outcome: Outcome) -> None:
     """Write everything, the run folder last; all are complete before the first takes its place."""
     args, folder = call.args, call.folder
-    about = envelope(call.command, args, outcome.inputs, "ok", outcome.warnings)
+    about = build_result_envelope(call.command, args, outcome.inputs, "ok", outcome.warnings)
     files = dict(outcome.files)
     _refuse_overwritten(call, files)
     if args.report is not None and outcome.report is not None:
@@ -188,13 +188,13 @@ def _write(call: _Call, outcome: Outcome) -> None:
         args.report = None  # so that nothing says that it was written
     if args.json is not None:
         files |= dict.fromkeys(
-            _twice(args.json, folder, 1), to_json(about | outcome.result | format_warnings(outcome.warnings))
+            _twice(args.json, folder, 1), format_json(about | outcome.result | format_warnings(outcome.warnings))
         )
     with ExitStack() as staged:
         room = None if folder is None else staged.enter_context(folder.writing())
         for path, content in files.items():
             inside = room is not None and folder is not None and folder.holds(path)
-            temporary = room / path.name if inside and room else staged.enter_context(writing_whole(path))
+            temporary = room / path.name if inside and room else staged.enter_context(write_atomically(path))
             if isinstance(content, str):
                 temporary.write_text(content, encoding="utf-8", errors="replace")  # halves of characters, from JSON
             else:
@@ -205,7 +205,7 @@ def _write(call: _Call, outcome: Outcome) -> None:
                 room, call.command, command_line=command_line(), configuration=call.configuration, inputs=read,
                 seed=args.seed, exit_status=outcome.exit_status,
             )  # fmt: skip
-            (room / folder.files()[0].name).write_text(to_json(run), encoding="utf-8")
+            (room / folder.files()[0].name).write_text(format_json(run), encoding="utf-8")
 
 
 def _refuse_overwritten(call: _Call, files: Iterable[Path]) -> None:
@@ -213,11 +213,11 @@ def _refuse_overwritten(call: _Call, files: Iterable[Path]) -> None:
 
     Known only when all is done, so the work is lost; nothing else is.
     """
-    own = {destination(path) for path in files}
-    if own & {destination(path) for path in (call.args.json, call.args.report) if path is not None}:
+    own = {resolve_destination(path) for path in files}
+    if own & {resolve_destination(path) for path in (call.args.json, call.args.report) if path is not None}:
         raise InputError(_TWICE)
     given = {path.resolve() for path in _given(call.args)}
-    named = {destination(path) for path in call.destinations()}
+    named = {resolve_destination(path) for path in call.destinations()}
     if lost := sorted((own - named) & given):
         raise InputError(f"{lost[0]} is an input of this command and would be overwritten; name another output")
     if call.folder is not None:
@@ -248,7 +248,7 @@ class _Screen(Console):
         raise SystemExit(0)
 
 
-def envelope(
+def build_result_envelope(
     command: str,
     args: argparse.Namespace,
     inputs: Sequence[Path | tuple[str, str]],
@@ -269,4 +269,4 @@ def envelope(
 def _hashed(item: Path | tuple[str, str]) -> tuple[str, str]:
     if isinstance(item, tuple):
         return item
-    return str(item), sha256_of(item) if item.is_file() else ""
+    return str(item), compute_sha256(item) if item.is_file() else ""

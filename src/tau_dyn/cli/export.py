@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot_options, is_model_file, load_robot_from, progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot_options, is_model_file, load_robot_from, show_progress
 from tau_dyn.cli.kinds import positive
 from tau_dyn.exceptions import InputError
 
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError(f"{out}: what --to {args.to} writes ends in {chosen.ending}")
     if chosen.moves != (args.motion is not None):
         raise InputError(f"--to {args.to} {'needs --motion MOTION.csv' if chosen.moves else 'takes no --motion'}")
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("writing")
         made = chosen.make(args, out)
     given = [p for p in (args.model, args.motion, args.correction) if p is not None and p.is_file()]
@@ -128,7 +128,7 @@ def _model(args: argparse.Namespace):
 
 def _exchanged(args: argparse.Namespace, out: Path) -> Made:
     """Return URDF or MJCF."""
-    from tau_dyn.exchange import mjcf_of, urdf_of
+    from tau_dyn.exchange import build_mjcf, build_urdf
     from tau_dyn.model import Model
 
     if not is_model_file(args.model):
@@ -137,7 +137,7 @@ def _exchanged(args: argparse.Namespace, out: Path) -> Made:
             f"{args.model}: --to {args.to} takes a model file, as `{learned}` writes it; a robot's file is there already"
         )
     model = Model.load(args.model)
-    made = urdf_of(model) if args.to == "urdf" else mjcf_of(model)
+    made = build_urdf(model) if args.to == "urdf" else build_mjcf(model)
     links = len(model.robot.links)
     leaning = f"; nominal, since no data determined them: {', '.join(made.nominal)}" if made.nominal else ""
     said = f"{model.robot.name} with {links} {'link that carries' if links == 1 else 'links that carry'} mass -> {out}{leaning}"
@@ -148,10 +148,10 @@ def _exchanged(args: argparse.Namespace, out: Path) -> Made:
 
 def _fmu(args: argparse.Namespace, out: Path) -> Made:
     """Return an FMU for co-simulation."""
-    from tau_dyn.exchange import fmu_of
+    from tau_dyn.exchange import build_fmu
 
     model = _model(args)
-    made = fmu_of(model)
+    made = build_fmu(model)
 
     def write(path: Path) -> None:
         path.write_bytes(made.content)
@@ -185,14 +185,14 @@ def _kinematics(args: argparse.Namespace, out: Path) -> Made:
 
 def _motion(args: argparse.Namespace):
     """Return the model and the motion that a controller may be given."""
-    from tau_dyn.control import CommandLimits, apply_correction, read_correction, reference_of
+    from tau_dyn.control import CommandLimits, apply_correction, build_reference, read_correction
     from tau_dyn.simulate import Trajectory
 
     model = _model(args)
     given = {n: getattr(args, n) for n in ("speed", "acceleration", "force")} | {"correction": args.largest_correction}
     limits = CommandLimits.of(model.robot, **{k: x for k, x in given.items() if x is not None})
     motion = Trajectory.from_csv(args.motion, model.robot.actuated)
-    motion = reference_of(model, motion, period=args.period, resample=args.resample, limits=limits)
+    motion = build_reference(model, motion, period=args.period, resample=args.resample, limits=limits)
     if args.correction is not None:
         correction = read_correction(args.correction, model.robot.actuated, period=args.period)
         motion = apply_correction(model, motion, correction, limits)
@@ -209,10 +209,10 @@ def _reference(args: argparse.Namespace, out: Path) -> Made:
 
 def _rapid(args: argparse.Namespace, out: Path) -> Made:
     """Return a RAPID module."""
-    from tau_dyn.control import rapid_motion
+    from tau_dyn.control import format_rapid_motion
 
     model, motion = _motion(args)
-    text = rapid_motion(
+    text = format_rapid_motion(
         model.robot, motion, by=args.by, tolerance=args.tolerance, **({"name": args.name} if args.name else {})
     )
     said = f"{motion.duration:.4g} s by {'MoveAbsJ' if args.by == 'joints' else 'MoveL'} -> {out}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, progress
+from tau_dyn.cli.common import Outcome, add_common, show_progress
 from tau_dyn.cli.kinds import positive
 from tau_dyn.exceptions import InputError
 
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> Outcome:
     ending = _ENDINGS[args.to]
     if args.out.suffix != ending:
         raise InputError(f"{args.out}: what --to {args.to} writes ends in {ending}")
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("tracing")
         from tau_dyn.control import Feedforward, build_program, c_source, python_source
         from tau_dyn.control.export_c_text import header_beside, including

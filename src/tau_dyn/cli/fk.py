@@ -6,9 +6,9 @@ import argparse
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_robot, load_robot_from, progress
+from tau_dyn.cli.common import Outcome, add_robot, load_robot_from, show_progress
 from tau_dyn.cli.kinds import finite
-from tau_dyn.cli.pose_tables import add_table_options, outcome, read_columns
+from tau_dyn.cli.pose_tables import add_table_options, build_outcome, read_columns
 from tau_dyn.exceptions import InputError
 
 HELP = "forward kinematics: where actuated positions put the tool"
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> Outcome:
     """Compute poses."""
     if (args.q is None) == (args.poses is None):
         raise InputError("give --q VALUE ... or --poses POSES.csv")
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.kinematics.pose_table import forward_table, read_positions
 
@@ -41,4 +41,4 @@ def run(args: argparse.Namespace) -> Outcome:
             else read_positions(read_columns(args.poses), robot, str(args.poses))
         )
         step("closing the rods")
-        return outcome(forward_table(robot, q), args)
+        return build_outcome(forward_table(robot, q), args)

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import argparse
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, command_line, load_robot_from, progress, written
+from tau_dyn.cli.common import (
+    Outcome,
+    add_common,
+    add_robot,
+    command_line,
+    list_written_files,
+    load_robot_from,
+    show_progress,
+)
 from tau_dyn.cli.fitting import add_engine, add_fitting, fitting_inputs, fitting_options, open_fitting_logs
-from tau_dyn.scale.run_many import cores
+from tau_dyn.scale.run_many import count_cores
 
 HELP = "masses and friction from torque logs"
 
@@ -34,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Identify."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.identify import BlockExecutor, identify
 
@@ -46,7 +54,7 @@ def run(args: argparse.Namespace) -> Outcome:
             logs,
             holdout=held,
             progress=step,
-            engine=BlockExecutor(args.jobs or cores(), args.cluster),
+            engine=BlockExecutor(args.jobs or count_cores(), args.cluster),
             **options,
         )
     return Outcome(
@@ -62,7 +70,7 @@ def run(args: argparse.Namespace) -> Outcome:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report import print_identification
 
-    print_identification(console, found, written(args, model=args.out))
+    print_identification(console, found, list_written_files(args, model=args.out))
     console.print(f"estimator: {found.estimator}")
 
 

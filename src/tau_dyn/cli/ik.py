@@ -6,9 +6,9 @@ import argparse
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_robot, load_robot_from, progress
+from tau_dyn.cli.common import Outcome, add_robot, load_robot_from, show_progress
 from tau_dyn.cli.kinds import finite
-from tau_dyn.cli.pose_tables import add_table_options, outcome, read_columns
+from tau_dyn.cli.pose_tables import add_table_options, build_outcome, read_columns
 from tau_dyn.exceptions import InputError
 
 HELP = "inverse kinematics: which actuated positions put the tool at a pose"
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("give --position X Y Z or --poses POSES.csv")
     if args.quaternion is not None and args.position is None:
         raise InputError("--quaternion goes with --position; a table has its own columns qx_tool ..")
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.kinematics.pose_table import inverse_table, poses_at, read_poses
         from tau_dyn.kinematics.poses import from_quaternions
@@ -48,4 +48,4 @@ def run(args: argparse.Namespace) -> Outcome:
         else:
             poses = poses_at(robot, np.array([args.position]))
         step("solving")
-        return outcome(inverse_table(robot, poses, all_configurations=args.all), args)
+        return build_outcome(inverse_table(robot, poses, all_configurations=args.all), args)

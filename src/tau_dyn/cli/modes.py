@@ -10,10 +10,10 @@ from tau_dyn.cli.common import (
     add_common,
     add_robot_options,
     command_line,
+    list_written_files,
     load_robot_from,
-    progress,
     robot_file,
-    written,
+    show_progress,
 )
 from tau_dyn.exceptions import InputError
 
@@ -90,7 +90,7 @@ def _add_model(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Find modes."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.log import read_log
         from tau_dyn.modes import find_modes
@@ -157,7 +157,7 @@ def _save(path: Path, found, read: list[tuple[str, str]]) -> None:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report import print_modes
 
-    print_modes(console, found, written(args, model=args.out))
+    print_modes(console, found, list_written_files(args, model=args.out))
 
 
 def _page(found, on_robot, read: list[tuple[str, str]]) -> str:

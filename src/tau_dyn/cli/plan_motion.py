@@ -11,10 +11,10 @@ from tau_dyn.cli.common import (
     add_robot,
     command_line,
     is_model_file,
+    list_written_files,
     load_robot_from,
-    progress,
     robot_file,
-    written,
+    show_progress,
 )
 from tau_dyn.cli.kinds import csv_file, finite, not_negative, positive, whole_number
 from tau_dyn.cli.pose_tables import read_columns
@@ -75,7 +75,7 @@ def _add_limits(group: argparse._ArgumentGroup) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Plan."""
     start, end, joints = _ends(args)
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.control.motion import MotionLimits, plan_motion
 
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> Outcome:
     def show(console) -> None:
         from tau_dyn.report.motion_plan_terminal import print_motion_plan
 
-        print_motion_plan(console, plan, written(args, motion=args.out))
+        print_motion_plan(console, plan, list_written_files(args, motion=args.out))
 
     return Outcome(
         result=plan.to_dict() | {"out": str(args.out)},

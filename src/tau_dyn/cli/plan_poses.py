@@ -9,10 +9,10 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
+    list_written_files,
     load_robot_from,
-    progress,
     robot_file,
-    written,
+    show_progress,
 )
 from tau_dyn.cli.kinds import csv_file, not_negative, number_of_poses, positive, positive_whole
 
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> Outcome:
     """Plan, or go on with a plan."""
     if args.resume is not None and args.resume.exists():
         return _going_on(args)
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.calibrate.poses import plan_campaign
 
@@ -145,7 +145,7 @@ def _going_on(args: argparse.Namespace) -> Outcome:
     """Hand out what is left of a plan."""
     from tau_dyn.calibrate.poses.path_check import PathCheck
     from tau_dyn.calibrate.poses.progress_file import read_progress
-    from tau_dyn.calibrate.poses.rapid import rapid_module, tour_csv
+    from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
     from tau_dyn.kinematics.workspace.machines import machine_of
 
     robot = load_robot_from(args)
@@ -156,8 +156,8 @@ def _going_on(args: argparse.Namespace) -> Outcome:
     left = int((pose >= 0).sum())
     files = _files(
         args,
-        lambda: tour_csv(q, pose, robot.actuated),
-        lambda: rapid_module(q, pose, check.poses(q)[0], robot.joint_kinds, actuated=robot.actuated),
+        lambda: format_tour_csv(q, pose, robot.actuated),
+        lambda: format_rapid_module(q, pose, check.poses(q)[0], robot.joint_kinds, actuated=robot.actuated),
     )
     return Outcome(
         result={"resumed": True, **done, "left": left},
@@ -204,4 +204,4 @@ def _safety(args: argparse.Namespace):
 def _show(console, plan, args: argparse.Namespace) -> None:
     from tau_dyn.report.poses_terminal import print_pose_plan
 
-    print_pose_plan(console, plan, written(args, places=args.out, RAPID=args.rapid, progress=args.resume))
+    print_pose_plan(console, plan, list_written_files(args, places=args.out, RAPID=args.rapid, progress=args.resume))

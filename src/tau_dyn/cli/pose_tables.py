@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_common, command_line, robot_file, written
+from tau_dyn.cli.common import Outcome, add_common, command_line, list_written_files, robot_file
 from tau_dyn.cli.kinds import csv_file
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
@@ -33,7 +33,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     return parse_delimited(str(path), data)[0]
 
 
-def outcome(table, args: argparse.Namespace) -> Outcome:
+def build_outcome(table, args: argparse.Namespace) -> Outcome:
     """Return what to print and write."""
     from tau_dyn.report.kinematics_page import kinematics_page, print_poses
 
@@ -41,7 +41,7 @@ def outcome(table, args: argparse.Namespace) -> Outcome:
         result=table.to_dict(),
         warnings=[*table.robot.warnings, *table.warnings],
         inputs=[*robot_file(args), *([args.poses] if args.poses else [])],
-        show=lambda console: print_poses(console, table, written(args, table=args.out)),
+        show=lambda console: print_poses(console, table, list_written_files(args, table=args.out)),
         files={args.out: table.to_csv()} if args.out else {},
         report=lambda: kinematics_page(table, command_line=command_line()),
     )

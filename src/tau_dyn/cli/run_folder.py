@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import owner, refusal, sha256_of, sweep
+from tau_dyn.files import build_write_error, compute_sha256, get_owner_name, remove_stale_files
 from tau_dyn.version import __version__
 
 _LIBRARIES = ("pin", "numpy", "scipy", "cvxpy", "clarabel", "pandas", "pyarrow", "xacro")
@@ -113,10 +113,10 @@ class RunFolder:
         there = self.path.is_dir()
         home = self.path.resolve() if there else self.path.resolve().parent
         start = f".{self.path.resolve().name[:120]}."
-        staged = home / f"{start}{owner()}.run.part"
+        staged = home / f"{start}{get_owner_name()}.run.part"
         try:
             home.mkdir(parents=True, exist_ok=True)
-            sweep(home, start)
+            remove_stale_files(home, start)
             staged.mkdir()
             try:
                 yield staged
@@ -126,19 +126,19 @@ class RunFolder:
             finally:
                 shutil.rmtree(staged, ignore_errors=True)
         except OSError as fault:
-            raise refusal(self.path, fault) from fault
+            raise build_write_error(self.path, fault) from fault
 
     def record(self, staged: Path, command: str, *, command_line: str, configuration: dict[str, Any], inputs: dict[str, str],
                seed: int, exit_status: int) -> dict[str, Any]:  # fmt: skip
         """Return what run.json says of a run whose other files are staged."""
-        from tau_dyn.compare.run import Run
+        from tau_dyn.compare.run import RecordedRun
 
-        return Run(
+        return RecordedRun(
             command=command,
             command_line=command_line,
             configuration=configuration,
             inputs=inputs,
-            versions=versions(),
+            versions=list_versions(),
             seed=seed,
             started=datetime.fromtimestamp(self.started).astimezone().isoformat(timespec="seconds"),
             duration_s=round(time.time() - self.started, 3),
@@ -196,7 +196,7 @@ def configuration_of(args: Any) -> dict[str, Any]:
     return {name: _plain(value) for name, value in sorted(vars(args).items()) if name not in aside}
 
 
-def versions() -> dict[str, str]:
+def list_versions() -> dict[str, str]:
     """Return the versions of everything that computes, and the platform."""
     found = {"tau_dyn": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:
@@ -214,7 +214,7 @@ def _plain(value: Any) -> Any:
 
 
 def _sha256(path: Path) -> str:
-    return sha256_of(path) if path.is_file() else ""
+    return compute_sha256(path) if path.is_file() else ""
 
 
 def _few(names: set[str] | list[str]) -> str:

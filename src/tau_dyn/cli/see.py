@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, progress
+from tau_dyn.cli.common import Outcome, add_common, show_progress
 from tau_dyn.cli.kinds import csv_file, positive
 
 HELP = "measured poses from images of a pattern plate"
@@ -54,12 +54,12 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Measure poses."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.vision import parse_pattern, poses_from_images, read_cameras, read_positions
-        from tau_dyn.vision.cameras import cameras_text
+        from tau_dyn.vision import measure_poses_from_images, parse_pattern, read_cameras, read_positions
+        from tau_dyn.vision.cameras import format_cameras_text
 
-        table = poses_from_images(
+        table = measure_poses_from_images(
             args.images,
             parse_pattern(args.pattern, args.square),
             second=args.second,
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> Outcome:
             progress=step,
         )
     files: dict[Path, str | Callable[[Path], None]] = {args.out: table.to_csv()} if args.out else {}
-    files |= {args.save_cameras: cameras_text(table.cameras)} if args.save_cameras else {}
+    files |= {args.save_cameras: format_cameras_text(table.cameras)} if args.save_cameras else {}
     return Outcome(
         result=table.to_dict(),
         warnings=table.warnings,

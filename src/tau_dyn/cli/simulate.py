@@ -13,8 +13,8 @@ from tau_dyn.cli.common import (
     command_line,
     is_model_file,
     load_robot_from,
-    progress,
     robot_file,
+    show_progress,
 )
 from tau_dyn.cli.kinds import csv_file, finite, not_negative, positive
 from tau_dyn.exceptions import InputError
@@ -66,15 +66,15 @@ def run(args: argparse.Namespace) -> Outcome:
     """Simulate."""
     if args.vibration:
         return vibration.run(args)
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.simulate import Sensors, Trajectory, named_motion, simulate
+        from tau_dyn.simulate import Sensors, Trajectory, build_named_motion, simulate
 
         model = _model(args)
         if Path(args.motion).suffix:
             motion = Trajectory.from_csv(args.motion, model.robot.actuated)
         else:
-            motion = named_motion(args.motion, model, args.duration, args.seed)
+            motion = build_named_motion(args.motion, model, args.duration, args.seed)
         sensors = Sensors(
             encoder_noise=args.encoder_noise,
             encoder_resolution=args.encoder_resolution,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from tau_dyn.cli.common import Outcome, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import Outcome, load_robot_from, robot_file, show_progress
 from tau_dyn.cli.kinds import not_negative, positive
 from tau_dyn.exceptions import InputError
 
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> Outcome:
     for option, given in (("--effects", args.effects), ("--model", args.model), ("--log-rate", args.log_rate)):
         if given:
             raise InputError(f"{option} does not go with --vibration")
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.dynamics import FlexibleModel
 
@@ -78,13 +78,13 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _log(near, args: argparse.Namespace):
-    from tau_dyn.simulate import VibrationSensors, binary_log, push_log
+    from tau_dyn.simulate import VibrationSensors, push_log, simulate_binary_log
 
     sensors = VibrationSensors(args.encoder_noise, args.tool_noise, args.acceleration_noise)
     shared = {"duration": args.duration, "drives": _drives(near, args), "sensors": sensors, "seed": args.seed}
     if args.vibration == "prbs":
         rate = 250.0 if args.rate is None else args.rate
-        return binary_log(near, rate_hz=rate, amplitude=args.amplitude or 1e-3, name=args.out.name, **shared)
+        return simulate_binary_log(near, rate_hz=rate, amplitude=args.amplitude or 1e-3, name=args.out.name, **shared)
     rate = 1000.0 if args.rate is None else args.rate
     directions = args.vibration.removeprefix("push-")
     shared["repeat"] = max(len(directions), round(args.duration / 5))

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, progress, robot_file
+from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, robot_file, show_progress
 from tau_dyn.cli.kinds import port, positive
 from tau_dyn.exceptions import InputError
 
@@ -47,7 +47,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Show the robot until interrupted."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         viewer = open_window(args, step)
     if args.host not in _HERE:
         print(f"warning: everybody who reaches {args.host} can look and move the sliders", file=sys.stderr)
@@ -80,9 +80,9 @@ def open_window(args: argparse.Namespace, step: Callable[[str], None]):
 
 def _playback(args: argparse.Namespace, robot):
     from tau_dyn.log import read_log
-    from tau_dyn.view import playback_of
+    from tau_dyn.view import build_playback
 
     if args.log is None:
         return None
     simulated = None if args.simulated is None else read_log(args.simulated)
-    return playback_of(read_log(args.log, columns=args.columns), robot, simulated)
+    return build_playback(read_log(args.log, columns=args.columns), robot, simulated)

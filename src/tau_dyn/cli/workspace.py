@@ -10,10 +10,10 @@ from tau_dyn.cli.common import (
     add_common,
     add_robot,
     command_line,
+    list_written_files,
     load_robot_from,
-    progress,
     robot_file,
-    written,
+    show_progress,
 )
 from tau_dyn.cli.kinds import csv_file, not_negative, positive, positive_large
 from tau_dyn.exceptions import InputError
@@ -87,7 +87,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Find the workspace."""
-    with progress(args.quiet) as step:
+    with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.kinematics.workspace.study import study
 
@@ -152,7 +152,7 @@ def _save(path: Path, found) -> None:
 def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report.workspace_terminal import print_workspace
 
-    print_workspace(console, found, written(args, points=args.out))
+    print_workspace(console, found, list_written_files(args, points=args.out))
 
 
 def _page(found) -> str:

@@ -40,7 +40,7 @@ class InputChange:
 
 
 @dataclass(frozen=True)
-class Difference:
+class CircumstanceDifference:
     """An option, version or number that differs; None where one side lacks it."""
 
     name: str
@@ -52,13 +52,13 @@ class Difference:
         return {"name": self.name, "a": self.a, "b": self.b}
 
 
-def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Difference, ...]:
+def list_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[CircumstanceDifference, ...]:
     """Return what differs between two mappings, in the first's order."""
     names = dict.fromkeys([*a, *b])
-    return tuple(Difference(n, a.get(n), b.get(n)) for n in names if a.get(n) != b.get(n))
+    return tuple(CircumstanceDifference(n, a.get(n), b.get(n)) for n in names if a.get(n) != b.get(n))
 
 
-def input_changes(a: Mapping[str, str], b: Mapping[str, str]) -> tuple[InputChange, ...]:
+def list_input_changes(a: Mapping[str, str], b: Mapping[str, str]) -> tuple[InputChange, ...]:
     """Match the files of two runs: by path, else by content, else by name; what is left only one of them read.
 
     Args:

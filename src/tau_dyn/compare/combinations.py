@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.compare.quantity import Quantity, quantity
+from tau_dyn.compare.quantity import MeasuredQuantity, build_measured_quantity
 from tau_dyn.estimate.base_parameters import read_expression
 
 _TOLERANCE = 1e-5
@@ -22,7 +22,7 @@ _TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Combination:
+class BaseParameterCombination:
     """One base parameter.
 
     Attributes:
@@ -33,7 +33,7 @@ class Combination:
 
     expression: str
     weights: Mapping[str, float]
-    quantity: Quantity
+    quantity: MeasuredQuantity
 
     @property
     def alone(self) -> bool:
@@ -51,20 +51,20 @@ class Combinations:
         fixed: Values of the parameters that were given, by name.
     """
 
-    rows: Mapping[str, Combination] = field(default_factory=dict)
+    rows: Mapping[str, BaseParameterCombination] = field(default_factory=dict)
     correlation: np.ndarray | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def joint(self) -> tuple[Combination, ...]:
+    def joint(self) -> tuple[BaseParameterCombination, ...]:
         """Those of more than one parameter."""
         return tuple(row for row in self.rows.values() if not row.alone)
 
-    def parts(self, weights: Mapping[str, float]) -> list[Combination]:
+    def parts(self, weights: Mapping[str, float]) -> list[BaseParameterCombination]:
         """Return the base parameters that a combination would be made of."""
         return [self.rows[name] for name in weights if name in self.rows]
 
-    def quantity_of(self, wanted: Combination) -> Quantity | None:
+    def quantity_of(self, wanted: BaseParameterCombination) -> MeasuredQuantity | None:
         """Return another result's combination as these data determine it; None where they do not.
 
         The standard error of a sum of several base parameters follows from theirs and their correlation.
@@ -83,14 +83,14 @@ class Combinations:
                     return None
                 value += x * self.fixed[name]
         stderr = self._stderr(factors, parts)
-        return None if stderr is None else Quantity(value, stderr, self._unit(wanted))
+        return None if stderr is None else MeasuredQuantity(value, stderr, self._unit(wanted))
 
-    def _unit(self, wanted: Combination) -> str:
+    def _unit(self, wanted: BaseParameterCombination) -> str:
         """Return the unit that the leading parameter has here; a combination led by another is scaled to the wanted unit."""
         lead = next(iter(wanted.weights))
         return self.rows[lead].quantity.unit if lead in self.rows else wanted.quantity.unit
 
-    def _stderr(self, factors: list[float], parts: list[Combination]) -> float | None:
+    def _stderr(self, factors: list[float], parts: list[BaseParameterCombination]) -> float | None:
         sizes = [part.quantity.stderr for part in parts]
         known = np.array([s for s in sizes if s is not None])
         if not parts or len(known) < len(sizes):
@@ -123,15 +123,15 @@ def read_combinations(content: Mapping[str, Any]) -> Combinations:
     return Combinations(rows, matrix, fixed)
 
 
-def _row(entry: Mapping[str, Any], names: set[str]) -> tuple[str, Combination]:
+def _row(entry: Mapping[str, Any], names: set[str]) -> tuple[str, BaseParameterCombination]:
     """Return a base parameter under the name that leads it; what cannot be taken apart is its own name."""
     lead, text = str(entry["name"]), str(entry.get("expression", entry["name"]))
     weights = read_expression(text)
     if not names.issuperset(weights) or weights.get(lead) != 1.0:
         lead, weights = text, {text: 1.0}
     weights = {lead: 1.0} | weights
-    held = quantity(entry["value"], entry.get("stderr"), entry.get("unit", ""))
-    return lead, Combination(text, weights, held)
+    held = build_measured_quantity(entry["value"], entry.get("stderr"), entry.get("unit", ""))
+    return lead, BaseParameterCombination(text, weights, held)
 
 
 def _dicts(items: Any) -> Iterable[dict[str, Any]]:

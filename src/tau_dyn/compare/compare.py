@@ -16,19 +16,19 @@ from math import hypot
 
 from scipy.stats import norm
 
-from tau_dyn.compare.circumstances import Difference, differences, input_changes
-from tau_dyn.compare.quantity import Quantity
-from tau_dyn.compare.read import Side
+from tau_dyn.compare.circumstances import CircumstanceDifference, list_differences, list_input_changes
+from tau_dyn.compare.quantity import MeasuredQuantity
+from tau_dyn.compare.read import ComparedSide
 from tau_dyn.compare.result import Change, Comparison, Determined, ErrorChange, FindingChange
 from tau_dyn.exceptions import InputError
 
-LEVEL = 0.05
+SIGNIFICANCE_LEVEL = 0.05
 """Chance that any change is named where nothing changed."""
-_NEAR = 0.2
+_MAX_RELATIVE_FREQUENCY_DIFFERENCE = 0.2
 """Relative distance within which two resonances are taken for the same one."""
 
 
-def compare(a: Side, b: Side) -> Comparison:
+def compare(a: ComparedSide, b: ComparedSide) -> Comparison:
     """Compare two models, results or run folders.
 
     Raises:
@@ -55,25 +55,25 @@ def compare(a: Side, b: Side) -> Comparison:
             for key in causes
         ),
         warnings=(*_doubts(a, b), *_unmatched(a, b, changes, [*joint_a, *joint_b])),
-        inputs=input_changes(a.inputs, b.inputs),
-        numbers=tuple(d for d in differences(a.numbers, b.numbers) if d.a is not None and d.b is not None),
+        inputs=list_input_changes(a.inputs, b.inputs),
+        numbers=tuple(d for d in list_differences(a.numbers, b.numbers) if d.a is not None and d.b is not None),
         **_of_runs(a, b),
     )
 
 
-def _of_runs(a: Side, b: Side) -> dict[str, tuple[Difference, ...]]:
+def _of_runs(a: ComparedSide, b: ComparedSide) -> dict[str, tuple[CircumstanceDifference, ...]]:
     if a.run is None or b.run is None:
         return {}
-    versions = differences(a.run.versions, b.run.versions)
-    return {"configuration": differences(a.run.configuration, b.run.configuration), "versions": versions}
+    versions = list_differences(a.run.versions, b.run.versions)
+    return {"configuration": list_differences(a.run.configuration, b.run.configuration), "versions": versions}
 
 
-def _error(name: str, a: Side, b: Side) -> ErrorChange:
+def _error(name: str, a: ComparedSide, b: ComparedSide) -> ErrorChange:
     (x, unit), (y, _) = a.errors[name], b.errors[name]
     return ErrorChange(name, unit, x, y, a.intervals.get(name), b.intervals.get(name))
 
 
-def _joint(a: Side, b: Side, known: list[str]) -> tuple[list[Change], list[str], list[str]]:
+def _joint(a: ComparedSide, b: ComparedSide, known: list[str]) -> tuple[list[Change], list[str], list[str]]:
     """Compare the combinations of parameters of both.
 
     Args:
@@ -101,7 +101,7 @@ def _joint(a: Side, b: Side, known: list[str]) -> tuple[list[Change], list[str],
     return changes, only_a, only_b
 
 
-def _unmatched(a: Side, b: Side, changes: list[Change], alone: list[str]) -> Iterator[str]:
+def _unmatched(a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str]) -> Iterator[str]:
     """Yield which combinations of parameters were not compared, and why."""
     lacking = [side for side in (a, b) if not side.combinations.rows]
     given = {*a.combinations.fixed, *b.combinations.fixed}  # no member of any combination
@@ -121,7 +121,7 @@ def _unmatched(a: Side, b: Side, changes: list[Change], alone: list[str]) -> Ite
             )
 
 
-def _change(name: str, a: Quantity, b: Quantity, *, combination: bool = False) -> Change:
+def _change(name: str, a: MeasuredQuantity, b: MeasuredQuantity, *, combination: bool = False) -> Change:
     if a.unit != b.unit:
         raise InputError(f"{name} is in {a.unit or 'no unit'} in one and in {b.unit or 'no unit'} in the other")
     by: Determined = ("both" if b.determined else "first") if a.determined else "second" if b.determined else "neither"
@@ -137,16 +137,21 @@ def _holm(changes: list[Change]) -> list[Change]:
     tested = sorted((c.p_value, k) for k, c in enumerate(changes) if c.p_value is not None)
     marked = list(changes)
     for rank, (p, k) in enumerate(tested):
-        if p * (len(tested) - rank) > LEVEL:
+        if p * (len(tested) - rank) > SIGNIFICANCE_LEVEL:
             break
         marked[k] = replace(changes[k], changed=True)
     return marked
 
 
-def _matched(a: Mapping[str, Quantity], b: Mapping[str, Quantity]) -> dict[str, Quantity]:
+def _matched(a: Mapping[str, MeasuredQuantity], b: Mapping[str, MeasuredQuantity]) -> dict[str, MeasuredQuantity]:
     """Return the second's quantities with its resonances under the number of the first's nearest."""
     mine, theirs = _frequencies(a), _frequencies(b)
-    pairs = sorted((abs(f - g) / f, i, j) for i, f in mine.items() for j, g in theirs.items() if abs(f - g) < _NEAR * f)
+    pairs = sorted(
+        (abs(f - g) / f, i, j)
+        for i, f in mine.items()
+        for j, g in theirs.items()
+        if abs(f - g) < _MAX_RELATIVE_FREQUENCY_DIFFERENCE * f
+    )
     new: dict[int, int] = {}
     for _, i, j in pairs:
         if j not in new and i not in new.values():
@@ -162,12 +167,12 @@ def _matched(a: Mapping[str, Quantity], b: Mapping[str, Quantity]) -> dict[str, 
     return found
 
 
-def _frequencies(quantities: Mapping[str, Quantity]) -> dict[int, float]:
+def _frequencies(quantities: Mapping[str, MeasuredQuantity]) -> dict[int, float]:
     names = {n: n.split(" ") for n in quantities if n.startswith("mode ") and n.endswith(" frequency")}
     return {int(words[1]): quantities[n].value for n, words in names.items()}
 
 
-def _doubts(a: Side, b: Side) -> Iterable[str]:
+def _doubts(a: ComparedSide, b: ComparedSide) -> Iterable[str]:
     for side in (a, b):
         if side.missing:
             yield f"{side.place}: its data could not answer ({side.missing})"

@@ -11,7 +11,7 @@ _STAYED = 0.2
 """Distance from the nominal value, in standard errors, within which a value that data added nothing to has stayed."""
 
 
-class Quantity(NamedTuple):
+class MeasuredQuantity(NamedTuple):
     """A value, its standard error (None where no data determined it), and its unit.
 
     `at_prior`: the standard error is that of the prior the value started from, so no data determined it either.
@@ -28,7 +28,9 @@ class Quantity(NamedTuple):
         return self.stderr is not None and not self.at_prior
 
 
-def quantity(value: Any, stderr: Any, unit: Any, *, prior: Any = None, nominal: Any = None) -> Quantity:
+def build_measured_quantity(
+    value: Any, stderr: Any, unit: Any, *, prior: Any = None, nominal: Any = None
+) -> MeasuredQuantity:
     """Return a value that was read; a standard error that is none, such as zero, is taken as not known.
 
     Args:
@@ -47,4 +49,4 @@ def quantity(value: Any, stderr: Any, unit: Any, *, prior: Any = None, nominal: 
     held = known is not None and prior is not None and abs(known - float(prior)) <= _LEFT * float(prior)
     if known is not None and held and nominal is not None:
         held = abs(float(value) - float(nominal)) <= _STAYED * known
-    return Quantity(float(value), known, str(unit), held)
+    return MeasuredQuantity(float(value), known, str(unit), held)

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from tau_dyn.compare.combinations import Combinations, read_combinations
-from tau_dyn.compare.quantity import Quantity, quantity
-from tau_dyn.compare.run import RESULT, RUN, Run, is_run, read_run
+from tau_dyn.compare.quantity import MeasuredQuantity, build_measured_quantity
+from tau_dyn.compare.run import RESULT, RUN, RecordedRun, is_run, read_run
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 from tau_dyn.model import Model
@@ -25,11 +25,11 @@ _NO_DATA = (".urdf", ".xacro", ".yaml", ".yml", ".json")  # robots, maps, models
 _PARTS = ("train", "holdout", "baseline", "extended", "noise_floor")
 _RMS = "unseen position error, rms"
 _NO_ANSWER = ("seed", "search_s", "evaluations")  # what a run was asked, and how long it took
-_MOST = 64 * 2**20  # [bytes] a result is a few hundred kB
+_MAX_FILE_BYTES = 64 * 2**20  # [bytes] a result is a few hundred kB
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class ComparedSide:
     """One of the two things compared.
 
     Attributes:
@@ -52,7 +52,7 @@ class Side:
     path: Path
     sha256: str
     kind: str
-    quantities: Mapping[str, Quantity]
+    quantities: Mapping[str, MeasuredQuantity]
     errors: Mapping[str, tuple[float, str]]
     findings: Mapping[tuple[str, tuple[str, ...]], str]
     logs: frozenset[str]
@@ -60,7 +60,7 @@ class Side:
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     gains: Mapping[tuple[str, tuple[str, ...]], tuple[float, float, float]] = field(default_factory=dict)
     numbers: Mapping[str, float] = field(default_factory=dict)
-    run: Run | None = None
+    run: RecordedRun | None = None
     missing: str = ""
     combinations: Combinations = field(default_factory=Combinations)
 
@@ -70,7 +70,7 @@ class Side:
         return self.path if self.run is None else self.path.parent
 
 
-def read_side(path: str | Path) -> Side:
+def read_side(path: str | Path) -> ComparedSide:
     """Read a model file, a result or a run folder.
 
     Raises:
@@ -84,9 +84,9 @@ def read_side(path: str | Path) -> Side:
     return _of_file(path / RESULT, read_run(path))
 
 
-def _of_file(path: Path, run: Run | None = None) -> Side:
+def _of_file(path: Path, run: RecordedRun | None = None) -> ComparedSide:
     try:
-        data = read_bytes(path, _MOST)
+        data = read_bytes(path, _MAX_FILE_BYTES)
     except OSError as fault:
         raise InputError(f"{path}: {'no such file' if not path.exists() else 'cannot be read'}") from fault
     digest = hashlib.sha256(data).hexdigest()
@@ -95,16 +95,18 @@ def _of_file(path: Path, run: Run | None = None) -> Side:
     return _of_result(path, digest, data, run)
 
 
-def _of_model(path: Path, digest: str) -> Side:
+def _of_model(path: Path, digest: str) -> ComparedSide:
     model = Model.load(path)
-    values = {p.name: quantity(p.value, p.stderr, p.unit, prior=p.prior_stderr) for p in model.parameters}
+    values = {
+        p.name: build_measured_quantity(p.value, p.stderr, p.unit, prior=p.prior_stderr) for p in model.parameters
+    }
     used = [x for key in ("trained_on", "held_out") for x in _dicts(model.provenance.get(key))]
     logs = frozenset(str(x["sha256"]) for x in used if "sha256" in x)
     fixed = {p.name: p.value for p in model.parameters if not p.free}
-    return Side(path, digest, "model", values, {}, {}, logs, combinations=Combinations(fixed=fixed))
+    return ComparedSide(path, digest, "model", values, {}, {}, logs, combinations=Combinations(fixed=fixed))
 
 
-def _of_result(path: Path, digest: str, data: bytes, run: Run | None) -> Side:
+def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) -> ComparedSide:
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as fault:
@@ -118,7 +120,7 @@ def _of_result(path: Path, digest: str, data: bytes, run: Run | None) -> Side:
         raise InputError(f"{path}: this result says that its data cannot answer; there is nothing to compare")
     read = [x for x in _dicts(content.get("inputs")) if "sha256" in x]
     try:
-        return Side(
+        return ComparedSide(
             path,
             digest,
             content["command"],
@@ -191,26 +193,26 @@ def _numbers(content: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
             yield f"largest error, {method} [m]", float(entry["max"])
 
 
-def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
+def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:
     for row in [
         *_dicts(content.get("parameters")),
         *(p for x in _dicts(content.get("findings")) for p in x["parameters"]),
     ]:
         known = {"prior": row.get("nominal_stderr"), "nominal": row.get("nominal")}
-        yield str(row["name"]), quantity(row["value"], row.get("stderr"), row.get("unit", ""), **known)
+        yield str(row["name"]), build_measured_quantity(row["value"], row.get("stderr"), row.get("unit", ""), **known)
 
 
-def _modes(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
+def _modes(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:
     for k, mode in enumerate(_dicts(content.get("modes")), 1):
-        yield f"mode {k} frequency", quantity(mode["frequency_hz"], mode["frequency_stderr"], "Hz")
-        yield f"mode {k} damping", quantity(mode["damping_ratio"], mode["damping_stderr"], "")
+        yield f"mode {k} frequency", build_measured_quantity(mode["frequency_hz"], mode["frequency_stderr"], "Hz")
+        yield f"mode {k} damping", build_measured_quantity(mode["damping_ratio"], mode["damping_stderr"], "")
 
 
-def _calibrated(content: Mapping[str, Any]) -> Iterator[tuple[str, Quantity]]:
+def _calibrated(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:
     for model in _dicts(content.get("models")):
         if model["name"] == content.get("chosen"):
             for row in _dicts(model.get("parameters")):
-                yield str(row["name"]), quantity(row["value"], row.get("stderr"), row.get("unit", ""))
+                yield str(row["name"]), build_measured_quantity(row["value"], row.get("stderr"), row.get("unit", ""))
 
 
 def _errors(content: Mapping[str, Any]) -> Iterator[tuple[str, tuple[float, str]]]:

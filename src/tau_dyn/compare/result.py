@@ -8,8 +8,8 @@ from typing import Any, Literal, NamedTuple
 from scipy.stats import norm
 
 from tau_dyn.coded_warning import format_warnings
-from tau_dyn.compare.circumstances import Difference, InputChange
-from tau_dyn.compare.read import Side
+from tau_dyn.compare.circumstances import CircumstanceDifference, InputChange
+from tau_dyn.compare.read import ComparedSide
 from tau_dyn.shown import Shown
 
 Determined = Literal["both", "first", "second", "neither"]
@@ -130,8 +130,8 @@ class Comparison(Shown):
         numbers: Plain numbers that differ, without uncertainty.
     """
 
-    a: Side
-    b: Side
+    a: ComparedSide
+    b: ComparedSide
     changes: tuple[Change, ...]
     only_a: tuple[str, ...]
     only_b: tuple[str, ...]
@@ -139,9 +139,9 @@ class Comparison(Shown):
     findings: tuple[FindingChange, ...]
     warnings: tuple[str, ...]
     inputs: tuple[InputChange, ...] = ()
-    configuration: tuple[Difference, ...] = ()
-    versions: tuple[Difference, ...] = ()
-    numbers: tuple[Difference, ...] = ()
+    configuration: tuple[CircumstanceDifference, ...] = ()
+    versions: tuple[CircumstanceDifference, ...] = ()
+    numbers: tuple[CircumstanceDifference, ...] = ()
 
     @property
     def changed(self) -> tuple[Change, ...]:

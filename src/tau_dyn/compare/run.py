@@ -17,11 +17,11 @@ from tau_dyn.files import read_bytes
 
 RUN, RESULT, REPORT = "run.json", "result.json", "report.html"
 FORMAT = 1
-_MOST = 2**20  # [bytes] a run.json is a few kB
+_MAX_FILE_BYTES = 2**20  # [bytes] a run.json is a few kB
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RecordedRun:
     """One run of a command.
 
     Attributes:
@@ -70,7 +70,7 @@ def is_run(folder: Path) -> bool:
     return (folder / RUN).is_file()
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> RecordedRun:
     """Read a run folder's run.json.
 
     Raises:
@@ -78,7 +78,7 @@ def read_run(folder: Path) -> Run:
     """
     path = folder / RUN
     try:
-        held = json.loads(read_bytes(path, _MOST))
+        held = json.loads(read_bytes(path, _MAX_FILE_BYTES))
     except OSError as fault:
         raise InputError(f"{folder}: no run folder; it has no {RUN}") from fault
     except InputError:
@@ -88,7 +88,7 @@ def read_run(folder: Path) -> Run:
     if not isinstance(held, dict) or held.get("run_format") != FORMAT:
         raise InputError(f"{path}: not a run of ours; its run_format is not {FORMAT}")
     try:
-        return Run(
+        return RecordedRun(
             command=_text(held["command"]),
             command_line=_text(held["command_line"]),
             configuration={_text(k): v for k, v in held["configuration"].items()},

@@ -16,7 +16,7 @@ from tau_dyn.diagnose.result import (
     Unexplained,
     Untestable,
 )
-from tau_dyn.diagnose.simulated import with_simulation
+from tau_dyn.diagnose.simulated import add_simulation
 
 __all__ = [
     "PARAMETER_CAUSES",
@@ -30,9 +30,9 @@ __all__ = [
     "TimeTrace",
     "Unexplained",
     "Untestable",
+    "add_simulation",
     "diagnose",
     "propose_motion",
-    "with_simulation",
 ]
 
 

@@ -17,10 +17,10 @@ from tau_dyn.effects import Effect
 from tau_dyn.exceptions import InputError
 
 _FINE = 5  # settings tried to either side of a grid point that does well
-_WORTH = 0.8  # share of the best that a grid point explains where a finer one may explain all
+_MIN_EXPLAINED_SHARE = 0.8  # share of the best that a grid point explains where a finer one may explain all
 
 
-def alias_periods(channel: Channel, ground: NullModel, effect: Effect) -> tuple[float, ...]:
+def compute_alias_periods(channel: Channel, ground: NullModel, effect: Effect) -> tuple[float, ...]:
     """Return the periods [m or rad] that explain as much as an effect's own, longest first; only its own where it is sure.
 
     Args:
@@ -37,7 +37,7 @@ def alias_periods(channel: Channel, ground: NullModel, effect: Effect) -> tuple[
         return (effect.settings["period"],)
     step = float(np.median(np.abs(np.diff(lines)))) if len(lines) > 1 else 1 / travel
     rough = _explained(channel, ground, effect, lines)
-    starts = [own, *lines[rough > rough.max() * _WORTH - MIN_2LOGL_DIFFERENCE]]
+    starts = [own, *lines[rough > rough.max() * _MIN_EXPLAINED_SHARE - MIN_2LOGL_DIFFERENCE]]
     fine = np.concatenate([x + step * np.linspace(-0.5, 0.5, 2 * _FINE + 1) for x in starts])
     fine = np.concatenate([[own], fine[fine > 0]])
     found = list(zip(_explained(channel, ground, effect, fine), fine, strict=True))
@@ -49,7 +49,7 @@ def alias_periods(channel: Channel, ground: NullModel, effect: Effect) -> tuple[
     return tuple(sorted((1 / line for line in kept), reverse=True))
 
 
-def spacing(channel: Channel, joint: str) -> float:
+def compute_position_spacing(channel: Channel, joint: str) -> float:
     """Return the usual step between places of a joint [m or rad]."""
     steps = [np.abs(np.diff(v[f"q_{joint}"])) for v in channel.variables()]
     all_steps = np.concatenate(steps)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.group_tests import Candidate, GroupTest, combine_group_tests
+from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest, combine_group_tests
 from tau_dyn.diagnose.null_model import NullModel, compute_score_test
 from tau_dyn.effects import Effect
 
@@ -36,7 +36,7 @@ _MATCHED = 2e-3
 """Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
 
 
-class Columns(Sequence[np.ndarray]):
+class EffectColumns(Sequence[np.ndarray]):
     """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
 
     def __init__(self, channel: Channel, effect: Effect) -> None:
@@ -63,14 +63,14 @@ class ColumnCache:
     def __init__(self, channel: Channel) -> None:
         """Start empty."""
         self.channel = channel
-        self._made: dict[tuple, Columns] = {}
+        self._made: dict[tuple, EffectColumns] = {}
 
-    def columns(self, effect: Effect) -> Columns:
+    def columns(self, effect: Effect) -> EffectColumns:
         """Return an effect's exact columns."""
-        return self._made.setdefault(get_effect_key(effect), Columns(self.channel, effect))
+        return self._made.setdefault(get_effect_key(effect), EffectColumns(self.channel, effect))
 
 
-def get_columns(library: ColumnCache, effects: Sequence[Effect]) -> list[Columns]:
+def get_columns(library: ColumnCache, effects: Sequence[Effect]) -> list[EffectColumns]:
     """Return the columns (n, m, k) of several effects."""
     return [library.columns(effect) for effect in effects]
 
@@ -87,7 +87,7 @@ def find_nonnegative(effect: Effect) -> np.ndarray:
 
 def scan_causes(
     library: ColumnCache, ground: NullModel, draws: np.ndarray, causes: Sequence[type[Effect]], taken: set[tuple]
-) -> list[Candidate]:
+) -> list[CandidateCause]:
     """Try every cause; return those that can be tried at all.
 
     Args:
@@ -99,14 +99,16 @@ def scan_causes(
     """
     found = []
     for cls in causes:
-        tried = [fit_group(library, ground, draws, cls, group) for group in groups(library.channel, cls, taken)]
+        tried = [
+            fit_group(library, ground, draws, cls, group) for group in list_joint_groups(library.channel, cls, taken)
+        ]
         fits = [fit for fit in tried if fit is not None]
         if fits:
             found.append(combine_group_tests(cls.name, fits))
     return found
 
 
-def groups(channel: Channel, cls: type[Effect], taken: set[tuple]) -> list[tuple[str, ...]]:
+def list_joint_groups(channel: Channel, cls: type[Effect], taken: set[tuple]) -> list[tuple[str, ...]]:
     """Return the groups of joints worth trying."""
     if cls.untestable(channel.scene) is not None:
         return []

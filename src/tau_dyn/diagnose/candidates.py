@@ -10,13 +10,13 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate import (
     Trajectory,
-    fourier_motion,
-    multisine_on_stroke,
-    random_binary_motion,
-    slow_motion,
-    stroke_motion,
+    build_fourier_motion,
+    build_multisine_on_stroke,
+    build_random_binary_motion,
+    build_slow_motion,
+    build_stroke_motion,
 )
-from tau_dyn.simulate.fourier import top_speed
+from tau_dyn.simulate.fourier import compute_top_speed
 
 _Maker = Callable[[Model, float, int, np.random.Generator], Trajectory]
 
@@ -24,40 +24,44 @@ _Maker = Callable[[Model, float, int, np.random.Generator], Trajectory]
 def _fourier(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return sines, the lowest 0.05 to 0.2 Hz, the highest 0.4 to 3 Hz."""
     slow, fast = 0.05 * 4 ** rng.uniform(), 0.4 * 7.5 ** rng.uniform()
-    return fourier_motion(model, duration, seed, harmonics=int(rng.integers(3, 8)), slow_hz=slow, fast_hz=fast)
+    return build_fourier_motion(model, duration, seed, harmonics=int(rng.integers(3, 8)), slow_hz=slow, fast_hz=fast)
 
 
 def _very_slow(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return strokes of 0.3 to 6 % of the highest speed."""
-    return stroke_motion(model, duration, seed, speeds=tuple(np.geomspace(0.003, 0.06, 6) * rng.uniform(0.7, 1.4, 6)))
+    return build_stroke_motion(
+        model, duration, seed, speeds=tuple(np.geomspace(0.003, 0.06, 6) * rng.uniform(0.7, 1.4, 6))
+    )
 
 
 def _strokes(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return strokes from slow to full speed."""
     lowest = 0.01 * 20 ** rng.uniform()
-    return stroke_motion(model, duration, seed, speeds=tuple(np.geomspace(lowest, 1.0, int(rng.integers(4, 9)))))
+    return build_stroke_motion(model, duration, seed, speeds=tuple(np.geomspace(lowest, 1.0, int(rng.integers(4, 9)))))
 
 
 def _multisine(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return strokes with a multisine of a band between 1 and 14 Hz riding on them."""
     low = rng.uniform(1.0, 4.0)
-    return multisine_on_stroke(model, duration, seed, band_hz=(low, rng.uniform(low + 3, 14.0)))
+    return build_multisine_on_stroke(model, duration, seed, band_hz=(low, rng.uniform(low + 3, 14.0)))
 
 
 def _slow(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return slow circles of 1 to 30 % of the highest speed, a reversal a second."""
-    return slow_motion(model, duration, seed, speed=float(top_speed(model).min()) * 0.01 * 30 ** rng.uniform())
+    return build_slow_motion(
+        model, duration, seed, speed=float(compute_top_speed(model).min()) * 0.01 * 30 ** rng.uniform()
+    )
 
 
 def _binary(model: Model, duration: float, seed: int, rng: np.random.Generator) -> Trajectory:
     """Return random binary speeds of 10 to 90 %."""
-    return random_binary_motion(model, duration, seed, share=0.1 * 9 ** rng.uniform())
+    return build_random_binary_motion(model, duration, seed, share=0.1 * 9 ** rng.uniform())
 
 
 _KINDS: tuple[_Maker, ...] = (_fourier, _very_slow, _strokes, _binary, _slow, _multisine)
 
 
-def candidate_pieces(model: Model, duration: float, count: int, rng: np.random.Generator) -> list[Trajectory]:
+def build_candidate_pieces(model: Model, duration: float, count: int, rng: np.random.Generator) -> list[Trajectory]:
     """Return `count` motions of this length [s], kinds in turn; those that the robot's limits forbid are left out.
 
     Raises:

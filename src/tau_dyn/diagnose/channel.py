@@ -17,7 +17,7 @@ import numpy as np
 
 from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.effects import Effect, Scene, StructuralCompliance
-from tau_dyn.estimate import Run
+from tau_dyn.estimate import RegressionRun
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
@@ -46,7 +46,7 @@ class Channel(ABC):
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     parameters: Parameters
-    runs: tuple[Run, ...]
+    runs: tuple[RegressionRun, ...]
     parts: tuple[np.ndarray, ...]
     scene: Scene
     causes: tuple[type[Effect], ...]

@@ -17,7 +17,7 @@ from tau_dyn.diagnose.channel_pipeline import (
     SHARED,
     Answer,
     build_diagnosis,
-    findings_of,
+    build_findings,
     select_confirmed,
     select_supported,
 )
@@ -27,7 +27,7 @@ from tau_dyn.diagnose.internal_validation import confirm_all
 from tau_dyn.diagnose.recommendation import recommend
 from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors, Unexplained
 from tau_dyn.diagnose.stepwise_selection import select_causes
-from tau_dyn.diagnose.unexplained import unexplained_of
+from tau_dyn.diagnose.unexplained import build_unexplained
 from tau_dyn.diagnose.unknown_structure import find_structure
 from tau_dyn.effects.words import quantity
 from tau_dyn.model import Model
@@ -59,10 +59,10 @@ def diagnose_channel(
     structure = find_structure(channel, hunt.ground, hunt.ground.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
     tests = confirm_all(channel, hunt, structure)
     claims = select_confirmed(channel, hunt, tests.causes)
-    unexplained = unexplained_of(channel, hunt, tests.structure)
+    unexplained = build_unexplained(channel, hunt, tests.structure)
     progress("measuring the gain")
     claims, bars = select_supported(channel, hunt, claims, rng)
-    findings = findings_of(channel, hunt, claims, bars, rng)
+    findings = build_findings(channel, hunt, claims, bars, rng)
     limits, untestable = compute_detection_limits(channel, hunt, [f.cause for f in findings])
     named = [f for f in findings if f.status == "confirmed"]
     open_end = any(u.status == "confirmed" for u in unexplained)

@@ -18,15 +18,15 @@ from tau_dyn.diagnose.confirm import Confirmation, confirm
 from tau_dyn.diagnose.data_split import EVERY, TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.extended_fit import (
     EvaluatedFit,
+    build_extended_regression,
     compute_gain,
     evaluate_fit,
-    extended_regression,
     fit_extended_model,
     restrict_to_parts,
     solve_with_fallback,
 )
-from tau_dyn.diagnose.findings import build_finding, signature_of
-from tau_dyn.diagnose.floor import noise_floor
+from tau_dyn.diagnose.findings import build_finding, build_signature
+from tau_dyn.diagnose.floor import estimate_noise_floor
 from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
 from tau_dyn.diagnose.plausibility import (
     find_edge,
@@ -48,7 +48,7 @@ from tau_dyn.diagnose.result import (
     Untestable,
     Verdict,
 )
-from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, effects_of
+from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
 from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.model import Model
@@ -109,7 +109,7 @@ class Waterfall(NamedTuple):
     nominal: EvaluatedFit | None = None
 
 
-def confirmation(channel: Channel, hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
+def confirm_cause(channel: Channel, hunt: StepwiseSelection, one: SelectedCause) -> Confirmation:
     """Test one cause on the confirmation part, the others accounted for."""
     effects, others = (get_columns(hunt.library, x) for x in (one.candidate.effects, hunt.others(one)))
     return confirm(channel, hunt.noise, effects, others)
@@ -139,7 +139,7 @@ def select_confirmed(
 
 def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalConstraints | None) -> float:
     """Return the rms on the confirmation part, outputs by their own size, of a fit of the training part."""
-    regression = extended_regression(channel, effects_of(found))
+    regression = build_extended_regression(channel, build_effects(found))
     theta = solve_with_fallback(restrict_to_parts(regression, channel, TRAIN), physics).theta
     masks = channel.masks(VALIDATION)
     shares = []
@@ -152,7 +152,7 @@ def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalC
     return float(np.sqrt(np.sum(shares)))
 
 
-def waterfall(
+def build_waterfall(
     channel: Channel,
     hunt: StepwiseSelection,
     kept: Sequence[SelectedCause],
@@ -172,16 +172,16 @@ def waterfall(
         physics: What makes the baseline's values physical.
     """
     values = channel.parameters.values if nominal is None else nominal
-    first = evaluate_fit(channel, extended_regression(channel, ()), values, None, rng)
+    first = evaluate_fit(channel, build_extended_regression(channel, ()), values, None, rng)
     steps = [Step("nominal", first.errors)]
     judgements = [fit_extended_model(channel, (), physics, rng)]
     steps.append(Step("refitted", judgements[0].errors))
     gains = []
     for k, one in enumerate(kept):
-        judgements.append(fit_extended_model(channel, effects_of(kept[: k + 1]), physics, rng))
+        judgements.append(fit_extended_model(channel, build_effects(kept[: k + 1]), physics, rng))
         joints = sorted({j for e in one.candidate.effects for j in e.joints}, key=channel.scene.joints.index)
         steps.append(Step(f"{one.candidate.cause} {' '.join(joints)}", judgements[-1].errors))
-        own, before = (get_columns(hunt.library, effects_of(x)) for x in ([one], kept[:k]))
+        own, before = (get_columns(hunt.library, build_effects(x)) for x in ([one], kept[:k]))
         shown = confirm(channel, hunt.noise, own, before, TEST, fitted_on=(TRAIN, VALIDATION))
         gains.append(compute_gain(channel, judgements[-2].residuals, judgements[-1].residuals, joints, rng, shown))
     return Waterfall(steps, judgements, gains, first)
@@ -204,7 +204,7 @@ def select_supported(
     that look at one cause alone come first, as what they turn down may be what makes another one worse.
     """
     while True:
-        bars = waterfall(channel, hunt, claims.kept, rng, nominal=nominal, physics=physics)
+        bars = build_waterfall(channel, hunt, claims.kept, rng, nominal=nominal, physics=physics)
         judged_again = _reject_by_amplitude(channel, hunt, claims, bars)
         if judged_again is claims:
             judged_again = _drop_worse_joints(channel, claims, bars, rng)
@@ -239,7 +239,7 @@ def _borne_out(
     channel: Channel, hunt: StepwiseSelection, test: Confirmation, kept: Sequence[SelectedCause], one: SelectedCause
 ) -> bool:
     """Tell whether the last part shows some of a cause, beside the others kept."""
-    effects, others = one.candidate.effects, effects_of([other for other in kept if other is not one])
+    effects, others = one.candidate.effects, build_effects([other for other in kept if other is not one])
     own, beside = (get_columns(hunt.library, x) for x in (effects, others))
     return test.within or confirm(channel, hunt.noise, own, beside, TEST).share > 0
 
@@ -271,7 +271,7 @@ def _reject_without_gain(claims: Claims, bars: Waterfall) -> Claims:
     return claims.judge(claims.found.index(claims.kept[n]), why)
 
 
-def findings_of(
+def build_findings(
     channel: Channel,
     hunt: StepwiseSelection,
     claims: Claims,
@@ -286,16 +286,16 @@ def findings_of(
         if not why_not:
             gain = bars.gains[kept.index(one)]
         else:
-            fit = fit_extended_model(channel, [*effects_of(kept), *effects], None, rng)
+            fit = fit_extended_model(channel, [*build_effects(kept), *effects], None, rng)
         names = {n for e in effects for n in e.parameters.names}
         values = Parameters([p for p in get_fitted_parameters(fit) if p.name in names])
-        signature = signature_of(channel, effects, fit.residuals, values)
+        signature = build_signature(channel, effects, fit.residuals, values)
         finding = build_finding(channel, hunt, one, test, values, gain, signature, kept=not why_not)
         found.append(replace(finding, why_not_confirmed=why_not))
     return found
 
 
-def extended_model(model: Model, fit: EvaluatedFit, effects: Sequence[Effect]) -> Model:
+def build_extended_model(model: Model, fit: EvaluatedFit, effects: Sequence[Effect]) -> Model:
     """Return a model with further effects and all values that the fit has; what belongs to the recording stays out."""
     more = Parameters([p for effect in effects for p in effect.parameters])
     extended = replace(model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more)
@@ -318,7 +318,7 @@ def get_sort_key(finding: Finding) -> tuple[bool, bool, float]:
     return finding.status == "parameter", finding.status == "suspected", -worth
 
 
-def traces(channel: Channel, before: EvaluatedFit, after: EvaluatedFit) -> tuple[TimeTrace, ...]:
+def build_time_traces(channel: Channel, before: EvaluatedFit, after: EvaluatedFit) -> tuple[TimeTrace, ...]:
     """Return what the time view draws."""
     found = []
     for k, run in enumerate(channel.runs):
@@ -375,7 +375,7 @@ def build_diagnosis(
         recommendation: Which model to use, and why.
     """
     before, after = bars.judgements[0], bars.judgements[-1]
-    floor = noise_floor(channel, after, np.random.default_rng(seed))
+    floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
     return Diagnosis(
         verdict=answer.verdict,
         sentence=answer.sentence,
@@ -390,9 +390,9 @@ def build_diagnosis(
         unexplained=answer.unexplained,
         limits=tuple(dict.fromkeys(answer.limits)),
         untestable=tuple(dict.fromkeys(answer.untestable)),
-        model=extended_model(model, before, ()),
-        extended_model=extended_model(model, after, [e for e in effects_of(claims.kept) if e.name in EFFECTS]),
-        traces=traces(channel, before, after),
+        model=build_extended_model(model, before, ()),
+        extended_model=build_extended_model(model, after, [e for e in build_effects(claims.kept) if e.name in EFFECTS]),
+        traces=build_time_traces(channel, before, after),
         n_parts=measure_part_durations(channel),
         how=answer.how,
         warnings=tuple(dict.fromkeys(answer.warnings)),

@@ -27,7 +27,7 @@ from tau_dyn.diagnose.candidate_scan import PRIOR_WEIGHT_BLOCKS
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
-from tau_dyn.estimate import Autoregression, Whitener, unit_columns
+from tau_dyn.estimate import Autoregression, Whitener, scale_columns
 
 SIGNIFICANCE_LEVEL = 0.02
 _MIN_EXPECTED_Z = 4.0
@@ -78,7 +78,7 @@ def confirm(
     k = B_t.shape[1]
     prior = np.concatenate([prior_rows, np.zeros((len(prior_y), k - prior_rows.shape[1]))], axis=1)
     B_all = np.concatenate([B_t, prior])
-    unit, norm = unit_columns(B_all)
+    unit, norm = scale_columns(B_all)
     inverse = np.linalg.pinv(unit, rcond=1e-7) / norm[:, None]
     moved = inverse @ np.concatenate([C_t, np.zeros((len(prior_y), C_t.shape[1]))])
     theta = inverse @ np.concatenate([y_t, prior_y])
@@ -93,7 +93,7 @@ def confirm(
 def _information(C: np.ndarray, shifts: np.ndarray, B: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Return what columns (n, k) leave beside free `shifts` (n, k) and `B` (n, p) with prior `R`: their Gram matrix (k, k)."""
     rows = np.concatenate([np.column_stack([shifts, B]), np.column_stack([np.zeros((len(R), shifts.shape[1])), R])])
-    own, (unit, _) = np.concatenate([C, np.zeros((len(R), C.shape[1]))]), unit_columns(rows)
+    own, (unit, _) = np.concatenate([C, np.zeros((len(R), C.shape[1]))]), scale_columns(rows)
     rest = own - unit @ np.linalg.lstsq(unit, own, rcond=1e-9)[0]
     return rest.T @ rest
 
@@ -118,7 +118,7 @@ def _regress(
     """Regress `r` (n,) on free columns (n, 2), the first an instrument for `predicted` (n,), and on `B` (n, k) with prior `R`."""
     rows = np.concatenate([np.column_stack([free, B]), np.column_stack([np.zeros((len(R), 2)), R])])
     y = np.concatenate([r, np.zeros(len(R))])
-    unit, norm = unit_columns(rows)
+    unit, norm = scale_columns(rows)
     solution = np.linalg.lstsq(unit, y, rcond=1e-9)[0] / norm
     rest = (y - rows @ solution)[: len(r)]
     others = rows[:, 1:] / norm[1:]

@@ -12,21 +12,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.estimate import Run
+from tau_dyn.estimate import RegressionRun
 
 TRAIN, VALIDATION, TEST = EVERY = (0, 1, 2)
 _SHARED = (TRAIN, VALIDATION, TRAIN, TEST, TRAIN)
 _HELD_OUT = (VALIDATION, TEST)
 _WITHIN = (TRAIN, VALIDATION, TRAIN, TRAIN)
-_LONGEST_S = 6.0
-_FEWEST = 15
+_MAX_BLOCK_S = 6.0
+_MIN_BLOCKS = 15
 """Blocks that a log is cut into, where they stay long enough; of fewer none would see all parts of the motion."""
 _MIN_GAPS = (6.0, 4.0, 3.0)
 """Least length of a block in gaps at a border: a block between two borders keeps 2/3, 1/2 or 1/3 of its samples. The first that
 gives every part something is taken."""
 
 
-def split_by_blocks(runs: Sequence[Run], held: Sequence[bool], any_held: bool, gap_s: float) -> list[np.ndarray]:
+def split_by_blocks(
+    runs: Sequence[RegressionRun], held: Sequence[bool], any_held: bool, gap_s: float
+) -> list[np.ndarray]:
     """Return the part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 beside a border.
 
     Args:
@@ -44,7 +46,7 @@ def split_by_blocks(runs: Sequence[Run], held: Sequence[bool], any_held: bool, g
 
 
 def _divided(
-    runs: Sequence[Run], held: Sequence[bool], any_held: bool, gap_s: float, least_s: float
+    runs: Sequence[RegressionRun], held: Sequence[bool], any_held: bool, gap_s: float, least_s: float
 ) -> list[np.ndarray]:
     """Divide as `split_by_blocks`, with blocks of a length of `least_s` [s] or more."""
     found, turn = [], {True: 0, False: 0}
@@ -58,7 +60,7 @@ def _divided(
     return found
 
 
-def divide_training(runs: Sequence[Run], parts: Sequence[np.ndarray], gap_s: float) -> list[np.ndarray]:
+def divide_training(runs: Sequence[RegressionRun], parts: Sequence[np.ndarray], gap_s: float) -> list[np.ndarray]:
     """Return parts in which the training logs alone are trained on and confirmed on, 3 : 1 in blocks; the rest is left out."""
     found, turn = [], 0
     for run, part in zip(runs, parts, strict=True):
@@ -87,7 +89,7 @@ def _blocks(
 
 def _count_blocks(duration: float, size: int, least_s: float) -> int:
     """Return how many blocks a run is cut into: whole patterns of a size where they fit, else as many blocks as fit, or one."""
-    wanted = max(1, round(max(duration / _LONGEST_S, _FEWEST) / size)) * size
+    wanted = max(1, round(max(duration / _MAX_BLOCK_S, _MIN_BLOCKS) / size)) * size
     most = int(duration / least_s) if least_s > 0 else wanted
     if most >= size:
         return min(wanted, most // size * size)

@@ -19,12 +19,12 @@ from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.channel_diagnosis import diagnose_channel
 from tau_dyn.diagnose.data_split import split_by_blocks
 from tau_dyn.diagnose.deflection_clock import ClockOffset
-from tau_dyn.diagnose.deflection_pieces import Piece, joints_of, piece_of
-from tau_dyn.diagnose.filters import compute_border_gap_s, diagnosis_preparation
+from tau_dyn.diagnose.deflection_pieces import DeflectionSegment, build_deflection_segment, list_encoder_pairs
+from tau_dyn.diagnose.filters import choose_diagnosis_preparation, compute_border_gap_s
 from tau_dyn.diagnose.null_model import NullModel
-from tau_dyn.diagnose.periodogram import explained_by_periods, of_force, of_output
+from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics, select_output_rows
 from tau_dyn.diagnose.result import Diagnosis
-from tau_dyn.diagnose.scenes import scene_along, shared_signals
+from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
 from tau_dyn.effects import EFFECTS, Effect, Scene
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.exceptions import InputError
@@ -45,7 +45,7 @@ class DeflectionChannel(Channel):
         preparation: Filters.
     """
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[DeflectionSegment, ...]
     preparation: Preparation
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
@@ -59,10 +59,10 @@ class DeflectionChannel(Channel):
         if not effects[0].dense:
             return None
         joint = self.scene.index(effects[0].joints[0])
-        u, mask = of_output(ground.whiten, joint, both)
+        u, mask = select_output_rows(ground.whiten, joint, both)
         q, v = (np.concatenate([run.signals[key][:, joint] for run in self.runs]) for key in ("q", "v"))
         periods = np.array([effect.settings["period"] for effect in effects])
-        return explained_by_periods(q, v, u, mask, periods, self.preparation.force_cutoff_hz, of_force(q))
+        return compute_period_statistics(q, v, u, mask, periods, self.preparation.force_cutoff_hz, build_force_terms(q))
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds, accelerations, forces and time of each run."""
@@ -81,7 +81,7 @@ def _all() -> list[type[Effect]]:
     return [ClockOffset, *(e for e in EFFECTS.values() if e.cause and issubclass(e, JointwiseDisplacement))]
 
 
-def deflection_channel(
+def build_deflection_channel(
     robot: Robot, train: Sequence[Log], held: Sequence[Log] = (), causes: Sequence[type[Effect]] | None = None
 ) -> DeflectionChannel:
     """Build the channel.
@@ -97,11 +97,11 @@ def deflection_channel(
         CannotAnswer: Too few measurements for three parts.
     """
     stretches = [(p, out) for logs, out in ((train, False), (held, True)) for log in logs for p in even_segments(log)]
-    joints = joints_of(robot, [log for log, _ in stretches])
-    preparation = diagnosis_preparation(robot, [log for log, out in stretches if not out], ())
+    joints = list_encoder_pairs(robot, [log for log, _ in stretches])
+    preparation = choose_diagnosis_preparation(robot, [log for log, out in stretches if not out], ())
     where = [robot.actuated.index(j) for j in joints]
     preparation = replace(preparation, speed_threshold=preparation.speed_threshold[where])
-    pieces = tuple(piece_of(joints, log, preparation) for log, _ in stretches)
+    pieces = tuple(build_deflection_segment(joints, log, preparation) for log, _ in stretches)
     units = tuple(robot.force_units[k] for k in where)
     lengths = tuple("m" if unit == "N" else "rad" for unit in units)
     parameters, columns = _zeros(pieces, joints, lengths)
@@ -161,12 +161,12 @@ def diagnose_deflection(
     if not train:
         raise InputError("no log was given")
     progress("columns")
-    channel = deflection_channel(robot, train, held, causes)
+    channel = build_deflection_channel(robot, train, held, causes)
     return diagnose_channel(channel, Model.of(robot), seed=seed, progress=progress, warnings=warnings, held=bool(held))
 
 
 def _zeros(
-    pieces: Sequence[Piece], joints: tuple[str, ...], units: tuple[str, ...]
+    pieces: Sequence[DeflectionSegment], joints: tuple[str, ...], units: tuple[str, ...]
 ) -> tuple[Parameters, list[np.ndarray]]:
     """Return a zero of each joint in each log, and their columns (n, m, p) of each run."""
     logs = list(dict.fromkeys(piece.log.name for piece in pieces))
@@ -183,14 +183,16 @@ def _zeros(
     return Parameters(rows), found
 
 
-def _scene(joints: tuple[str, ...], units: tuple[str, ...], pieces: Sequence[Piece], preparation: Preparation) -> Scene:
+def _scene(
+    joints: tuple[str, ...], units: tuple[str, ...], pieces: Sequence[DeflectionSegment], preparation: Preparation
+) -> Scene:
     motions = [p.motion for p in pieces]
-    return scene_along(
+    return build_scene(
         motions,
         joints,
         units,
         slow=preparation.speed_threshold,
         cutoff_hz=preparation.force_cutoff_hz,
         duration=sum(p.log.duration for p in pieces),
-        signals=shared_signals(motions) | {"load_side"},
+        signals=find_shared_signals(motions) | {"load_side"},
     )

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.diagnose.deflection_clock import LOAD_SPEED
-from tau_dyn.diagnose.pieces import directions, without_ends
+from tau_dyn.diagnose.pieces import find_directions, mask_filter_edges
 from tau_dyn.effects import Motion
-from tau_dyn.estimate import Run
+from tau_dyn.estimate import RegressionRun
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import measured_signals
+from tau_dyn.identify.regression import get_measured_signals
 from tau_dyn.log import Log, decimate, differentiate, lowpass
 from tau_dyn.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class DeflectionSegment:
     """One even stretch of a log, at the log's rate.
 
     Attributes:
@@ -45,15 +45,15 @@ class Piece:
         """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
         return decimate(lowpass(x, self.preparation.force_cutoff_hz, self.log.rate_hz), self.factor)
 
-    def run(self, W: np.ndarray) -> Run:
+    def run(self, W: np.ndarray) -> RegressionRun:
         """Return the baseline's regression with these columns (n, m, p)."""
-        usable = without_ends(self.usable, self.preparation.force_cutoff_hz, self.log.rate_hz, self.factor)
+        usable = mask_filter_edges(self.usable, self.preparation.force_cutoff_hz, self.log.rate_hz, self.factor)
         y, t = self.passed(self.deflection), decimate(self.log.t, self.factor)
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
-        return Run(self.log.name, t, W, y, usable, W, y, signals)
+        return RegressionRun(self.log.name, t, W, y, usable, W, y, signals)
 
 
-def joints_of(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
+def list_encoder_pairs(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
     """Return the joints with two encoders; the first log decides.
 
     Raises:
@@ -71,7 +71,7 @@ def joints_of(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
     return found
 
 
-def piece_of(joints: tuple[str, ...], log: Log, preparation: Preparation) -> Piece:
+def build_deflection_segment(joints: tuple[str, ...], log: Log, preparation: Preparation) -> DeflectionSegment:
     """Return a stretch with its deflection and the motion of the motor side."""
     read, load, force = (log.joint(key, joints) for key in ("q", "q_link", "tau"))
     for name, x in (("q_link", load), ("tau", force)):
@@ -83,8 +83,8 @@ def piece_of(joints: tuple[str, ...], log: Log, preparation: Preparation) -> Pie
     v, load_speed = (differentiate(x, log.dt, accuracy=4) for x in (q, far))
     a = differentiate(v, log.dt, accuracy=4)
     threshold = preparation.speed_threshold
-    sign, usable = directions(v, threshold)
-    signals = measured_signals(log, joints, q, v, threshold) | {"force": force, LOAD_SPEED: load_speed}
+    sign, usable = find_directions(v, threshold)
+    signals = get_measured_signals(log, joints, q, v, threshold) | {"force": force, LOAD_SPEED: load_speed}
     motion = Motion.of(joints, q, v, a, sign, t=log.t, signals=signals)
     deflection = read - load
-    return Piece(log, motion, deflection - deflection.mean(axis=0), usable, preparation)
+    return DeflectionSegment(log, motion, deflection - deflection.mean(axis=0), usable, preparation)

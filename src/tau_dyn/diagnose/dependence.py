@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.diagnose.noise import WHOLE_TIME, over_runs, smooth
+from tau_dyn.diagnose.noise import WHOLE_TIME, build_joined_columns, smooth
 
 Values = Mapping[str, np.ndarray]
 """Variable -> its values (n,) in one run, such as `v_cart1` or `t`."""
@@ -43,7 +43,7 @@ class Dependence(NamedTuple):
 
     def bases(self, values: Sequence[Values]) -> list[np.ndarray]:
         """Return smooth columns (n, k) of each run: Legendre, degree 4, or 2 by 2 of a pair."""
-        return over_runs(values, self._basis)
+        return build_joined_columns(values, self._basis)
 
     def _basis(self, values: Values) -> np.ndarray:
         if len(self.names) == 1:
@@ -74,7 +74,7 @@ class Dependence(NamedTuple):
         return found
 
 
-def dependences(values: Sequence[Values], output: str) -> list[Dependence]:
+def list_dependences(values: Sequence[Values], output: str) -> list[Dependence]:
     """Return what an output is tried against: each variable with every joint's direction or none, each pair with its own."""
     common = [n for n in values[0] if n != WHOLE_TIME and all(n in v for v in values)]
     names = [n for n in common if np.ptp(np.concatenate([v[n] for v in values])) > 0]

@@ -24,22 +24,22 @@ from scipy.ndimage import binary_dilation
 
 from tau_dyn.diagnose.result import Diagnosis, TimeTrace
 from tau_dyn.effects import Effect, Motion
-from tau_dyn.estimate import Autoregression, Run, Whitener, fit_autoregression
-from tau_dyn.identify.regression import measured_signals
-from tau_dyn.log import Log, attenuation, decimate, differentiate, find_true_runs, lowpass
+from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, fit_autoregression
+from tau_dyn.identify.regression import get_measured_signals
+from tau_dyn.log import Log, compute_attenuation, decimate, differentiate, find_true_runs, lowpass
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.simulate import Trajectory
 
 RATE_HZ = 100.0
 """Rate of the rows, about [Hz]."""
-HIGHEST_HZ = 50.0
+MAX_FREQUENCY_HZ = 50.0
 """Highest frequency that a diagnosis looks at where the motion is quick and positions are clean enough [Hz], about."""
-_SLOWEST_HZ = 80.0
+_MIN_RATE_HZ = 80.0
 """A residual kept at a lower rate than this gives the noise's density only."""
 _IN_BAND = 0.28
 """Share of the rate up to which neither low-pass weakens a residual."""
-_MOST_ORDER = 8
+_MAX_ORDER = 8
 _OF_PLACE = ("inertia", "weight_gradient", "passive")
 
 Thing = Callable[[Motion], np.ndarray]
@@ -72,14 +72,14 @@ class Setting:
     def of(cls, diagnosis: Diagnosis) -> Setting:
         """Read it off a diagnosis; noise is what its extended model leaves."""
         prepared = diagnosis.settings["preparation"]
-        rate, noise = noise_of(diagnosis.traces, diagnosis.extended.rms)
+        rate, noise = estimate_output_noise(diagnosis.traces, diagnosis.extended.rms)
         threshold = np.asarray(prepared["speed_threshold"], float)
         cutoff = float(prepared["position_cutoff_hz"])
-        highest = max(float(prepared["force_cutoff_hz"]), min(HIGHEST_HZ, cutoff / 2))
+        highest = max(float(prepared["force_cutoff_hz"]), min(MAX_FREQUENCY_HZ, cutoff / 2))
         return cls(diagnosis.model, noise, rate, threshold, float(prepared["window_s"]), cutoff, highest)
 
 
-def noise_of(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple[Autoregression, ...]]:
+def estimate_output_noise(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple[Autoregression, ...]]:
     """Return a rate near 100 Hz and the noise of each output at it.
 
     Args:
@@ -99,14 +99,14 @@ def noise_of(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple[float, tuple
                 e = decimate(lowpass(np.where(usable, e, 0.0), 0.4 * rate / factor, rate), factor)
                 usable = decimate(usable, factor)
             stretches += [e[s] for s in find_true_runs(usable)]
-        models.append(flattened(fit_autoregression(stretches, _MOST_ORDER)))
-    if rate >= _SLOWEST_HZ:
+        models.append(flatten_noise_spectrum(fit_autoregression(stretches, _MAX_ORDER)))
+    if rate >= _MIN_RATE_HZ:
         return rate / factor, tuple(models)
     none = np.zeros(0)
     return RATE_HZ, tuple(Autoregression(none, m.variance * RATE_HZ / rate) for m in models)
 
 
-def flattened(noise: Autoregression) -> Autoregression:
+def flatten_noise_spectrum(noise: Autoregression) -> Autoregression:
     """Return a noise whose density goes on above the low-pass as it is below it.
 
     The residual was low-passed near the end of its band, candidate columns are not: whitened by what the low-pass left there
@@ -117,18 +117,18 @@ def flattened(noise: Autoregression) -> Autoregression:
     density = 1 / np.abs(1 - turn @ noise.phi) ** 2
     density *= noise.variance / np.fft.irfft(density)[0]
     density[f > _IN_BAND] = np.mean(density[(f > _IN_BAND / 2) & (f <= _IN_BAND)])
-    c = np.fft.irfft(density)[: _MOST_ORDER + 1]
+    c = np.fft.irfft(density)[: _MAX_ORDER + 1]
     phi = np.asarray(solve_toeplitz(c[:-1], c[1:])) if c[0] > 0 and len(noise.phi) else np.zeros(0)
     return Autoregression(phi, float(c[0]))
 
 
-def planned(setting: Setting, trajectory: Trajectory) -> tuple[Motion, np.ndarray]:
+def build_planned_motion(setting: Setting, trajectory: Trajectory) -> tuple[Motion, np.ndarray]:
     """Return the motion (n samples at the rows' rate) of a plan, without computed signals, and which samples count (n, na)."""
     log = Log(trajectory.t, {f"q_{j}": trajectory.q[:, k] for k, j in enumerate(trajectory.joints)}, trajectory.name)
     return _thinned(setting, log, trajectory.q, trajectory.v, trajectory.a)
 
 
-def measured(setting: Setting, log: Log, smooth_hz: float) -> tuple[Motion, np.ndarray]:
+def build_measured_motion(setting: Setting, log: Log, smooth_hz: float) -> tuple[Motion, np.ndarray]:
     """Return the same of an even stretch of a log, its positions low-passed at `smooth_hz` [Hz]."""
     rate = log.rate_hz
     q = lowpass(log.joint("q", setting.model.robot.actuated), min(smooth_hz, setting.cutoff_hz, 0.4 * rate), rate)
@@ -138,7 +138,7 @@ def measured(setting: Setting, log: Log, smooth_hz: float) -> tuple[Motion, np.n
 
 def _thinned(setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[Motion, np.ndarray]:
     joints, step = setting.model.robot.actuated, max(1, round(log.rate_hz / setting.rate_hz))
-    signals = {k: x[::step] for k, x in measured_signals(log, joints, q, v, setting.threshold).items()}
+    signals = {k: x[::step] for k, x in get_measured_signals(log, joints, q, v, setting.threshold).items()}
     unsure = np.abs(v) < setting.threshold
     unsure[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
     half = int(np.ceil(setting.window_s * log.rate_hz))
@@ -146,7 +146,7 @@ def _thinned(setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.nda
     return Motion.of(joints, q[::step], v[::step], a[::step], t=log.t[::step], signals=signals), counts[::step]
 
 
-def completed(setting: Setting, motion: Motion, needs: Iterable[str]) -> Motion:
+def add_computed_signals(setting: Setting, motion: Motion, needs: Iterable[str]) -> Motion:
     """Return a motion with the loads and forces that effects feel, at the refitted baseline.
 
     What depends on the place alone is computed at every fourth sample and interpolated.
@@ -164,16 +164,16 @@ def completed(setting: Setting, motion: Motion, needs: Iterable[str]) -> Motion:
     return setting.model.motion(motion.q, motion.v, motion.a, motion.sign, t=motion.t, signals=signals, needs=needs)
 
 
-def gram(setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[Thing]) -> np.ndarray:
+def compute_gram_matrix(setting: Setting, motion: Motion, counts: np.ndarray, things: Sequence[Thing]) -> np.ndarray:
     """Return the Gram matrix of white rows of all columns of all things, in their order."""
     assert motion.t is not None
     W, blank = np.concatenate([thing(motion) for thing in things], axis=2), np.zeros(counts.shape)
-    rows = Whitener.of([Run("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
+    rows = Whitener.of([RegressionRun("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
     rate = (len(motion.t) - 1) / float(motion.t[-1] - motion.t[0])
     return rows.T @ rows * (setting.rate_hz / rate)  # the noise belongs to the rows' rate, which a log meets nearly
 
 
-def refitted(model: Model, others: Sequence[Effect]) -> Thing:
+def build_refitted_columns(model: Model, others: Sequence[Effect]) -> Thing:
     """Return the columns that are refitted anyway: the model's free ones, and those of causes that are sure."""
     free = model.parameters.free
 
@@ -185,7 +185,7 @@ def refitted(model: Model, others: Sequence[Effect]) -> Thing:
     return columns
 
 
-def seen(setting: Setting, effect: Effect) -> Thing:
+def build_effect_columns(setting: Setting, effect: Effect) -> Thing:
     """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
 
     def columns(motion: Motion) -> np.ndarray:
@@ -193,14 +193,14 @@ def seen(setting: Setting, effect: Effect) -> Thing:
         if not effect.dense:
             return made
         f = effect.local_frequency(motion)[:, :, None]  # type: ignore[attr-defined]
-        return made / attenuation(f, setting.highest_hz)
+        return made / compute_attenuation(f, setting.highest_hz)
 
     return columns
 
 
-def force(setting: Setting, effects: Sequence[Effect], values: Parameters) -> Thing:
+def compute_effect_force(setting: Setting, effects: Sequence[Effect], values: Parameters) -> Thing:
     """Return the force of effects at fitted values, as one column."""
-    things = [seen(setting, e) for e in effects]
+    things = [build_effect_columns(setting, e) for e in effects]
     amplitudes = [values.select(e.parameters.names).values for e in effects]
 
     def columns(motion: Motion) -> np.ndarray:

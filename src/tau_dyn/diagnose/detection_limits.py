@@ -14,7 +14,7 @@ from scipy import optimize, stats
 from tau_dyn.diagnose.candidate_scan import ColumnCache
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.data_split import EVERY
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, Candidate, GroupTest
+from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, CandidateCause, GroupTest
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Limit, Untestable
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
@@ -67,7 +67,7 @@ def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
 
 
 def _limit(
-    channel: Channel, library: ColumnCache, ground: NullModel, candidate: Candidate, causes: int
+    channel: Channel, library: ColumnCache, ground: NullModel, candidate: CandidateCause, causes: int
 ) -> Limit | str | None:
     """Return the limit at the joint where a plausible cause is hardest to see, or why no plausible one would be seen."""
     found: list[tuple[float, str, str]] = []
@@ -112,7 +112,7 @@ def _amplitude(
     return None if force > _WHOLE * measured else size
 
 
-def _owned(library: ColumnCache, ground: NullModel, candidate: Candidate) -> bool:
+def _owned(library: ColumnCache, ground: NullModel, candidate: CandidateCause) -> bool:
     """Tell whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
     for fit in candidate.tested:
         C = ground.whiten_columns(library.columns(fit.effect))

@@ -16,14 +16,14 @@ from threadpoolctl import threadpool_limits
 
 from tau_dyn.diagnose.deflection import diagnose_deflection
 from tau_dyn.diagnose.force_diagnosis import Progress, diagnose_forces, fit_baseline
-from tau_dyn.diagnose.kinds import has_forces, has_links, has_tool, tool_disagrees
+from tau_dyn.diagnose.kinds import has_forces, has_links, has_tool, is_tool_inconsistent
 from tau_dyn.diagnose.merge import merge_diagnoses
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Choices, Identification
 from tau_dyn.identify.identify import build_model
-from tau_dyn.identify.log_inputs import as_log_list, drop_duplicate_logs, drop_trained_logs, require_forces
+from tau_dyn.identify.log_inputs import drop_duplicate_logs, drop_trained_logs, get_log_list, require_forces
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
@@ -67,9 +67,11 @@ def diagnose(
         prepared = (choices or Choices()).apply(build_model(robot, model))
         if (choices or Choices()).gains(prepared.robot.actuated):
             raise InputError("diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map")
-        given = drop_duplicate_logs(as_log_list(logs), warnings)
-        train = in_memory(given)
-        held = in_memory(drop_duplicate_logs(drop_trained_logs(given, as_log_list(holdout), warnings), warnings))
+        given = drop_duplicate_logs(get_log_list(logs), warnings)
+        train = load_into_memory(given)
+        held = load_into_memory(
+            drop_duplicate_logs(drop_trained_logs(given, get_log_list(holdout), warnings), warnings)
+        )
         if not train:
             raise InputError("no log was given")
         found = []
@@ -79,7 +81,7 @@ def diagnose(
             case = fit_baseline(prepared, train, held, preparation, exclude, progress, warnings)
             found.append(diagnose_forces(case, seed, progress, warnings))
         base = found[0].model if found else prepared
-        if has_tool(base.robot, train) and (not found or tool_disagrees(base, train)):
+        if has_tool(base.robot, train) and (not found or is_tool_inconsistent(base, train)):
             with_tool = [log for log in held if has_tool(base.robot, [log])]
             try:
                 found.append(diagnose_tool(base, train, holdout=with_tool, seed=seed, progress=progress))
@@ -96,7 +98,7 @@ def diagnose(
         raise
 
 
-def in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
+def load_into_memory(logs: Sequence[Log | Recording]) -> list[Log]:
     """Return logs that are in memory; a search looks at all of a log again and again."""
     odd = [log.name for log in logs if isinstance(log, Recording)]
     if odd:

@@ -42,7 +42,7 @@ class EvaluatedFit:
     errors: OutputErrors
 
 
-def extended_regression(channel: Channel, effects: Sequence[Effect]) -> Regression:
+def build_extended_regression(channel: Channel, effects: Sequence[Effect]) -> Regression:
     """Return the baseline's regression with the columns of further effects."""
     made = [channel.columns(effect) for effect in effects]
     whole = [channel.whole_columns(effect) for effect in effects]
@@ -62,7 +62,7 @@ def fit_extended_model(
     channel: Channel, effects: Sequence[Effect], physics: PhysicalConstraints | None, rng: np.random.Generator
 ) -> EvaluatedFit:
     """Fit baseline and effects on training and confirmation parts, and judge them on the rest."""
-    regression = extended_regression(channel, effects)
+    regression = build_extended_regression(channel, effects)
     estimate = solve_with_fallback(restrict_to_parts(regression, channel, TRAIN, VALIDATION), physics)
     return evaluate_fit(channel, regression, estimate.theta, estimate, rng)
 

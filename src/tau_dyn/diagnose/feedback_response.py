@@ -21,10 +21,10 @@ from tau_dyn.log import Log, lowpass
 
 REACHES = (0, 1, 2, 4)
 """How many samples before and after the noise its answers are looked for in."""
-_NARROWEST = 0.25
+_MIN_CUTOFF_SHARE = 0.25
 """Cutoff that is used at least, as a share of the rate: above it motion through a mass has died out (`log/band.py`). Just above
 the motion's band a tenth of the noise still is motion, which answers by its mass, and many taps followed that."""
-_WIDEST = 0.35
+_MAX_CUTOFF_SHARE = 0.35
 """Cutoff above which too little is left to fit to, as a share of the rate; motion that reaches beyond is small there."""
 
 
@@ -37,7 +37,7 @@ def estimate_feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) ->
         cutoff_hz: Up to here positions hold motion [Hz].
     """
     q, rate_hz = log.joint("q", joints), log.rate_hz
-    na, above = q.shape[1], min(max(cutoff_hz, _NARROWEST * rate_hz), _WIDEST * rate_hz)
+    na, above = q.shape[1], min(max(cutoff_hz, _MIN_CUTOFF_SHARE * rate_hz), _MAX_CUTOFF_SHARE * rate_hz)
     noise, answer = (x - lowpass(x, above, rate_hz) for x in (q, log.joint("tau", joints)))
     inner = slice(max(REACHES), -max(REACHES))
     answer = answer[inner]

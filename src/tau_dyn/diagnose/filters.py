@@ -12,10 +12,19 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.coded_warning import CodedWarning
-from tau_dyn.diagnose.scenes import fast_speeds
+from tau_dyn.diagnose.scenes import compute_fast_speeds
 from tau_dyn.identify.preparation import NOISE_FACTOR, RATE_FACTOR, Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import CODE, Kept, TooShort, choose_from_long, keep_long, refuse_short
-from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, motion_band, noise_gain
+from tau_dyn.log import (
+    Log,
+    compute_edge_samples,
+    compute_noise_gain,
+    decimate,
+    differentiate,
+    estimate_encoder_noise,
+    find_motion_band,
+    lowpass,
+)
 from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.robot import Robot
 
@@ -33,7 +42,7 @@ SMOOTH_FACTOR = 2.0
 """Of the frequency up to which the motion stands above the encoder's noise; a wider filter lets noise into the columns."""
 
 
-def diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...]) -> Preparation:
+def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...]) -> Preparation:
     """Choose filters for finding causes, which may act far above the motion's own band.
 
     The band of the forces is as wide as encoder noise allows: above it, that noise times a mass is all there is to see, and a
@@ -43,19 +52,19 @@ def diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str,
     plain = choose_preparation(robot, logs, exclude)
     rate = min(log.rate_hz for log in logs)
     q = [log.joint("q", robot.actuated) for log in logs]
-    noise = np.max([encoder_noise(x) for x in q], axis=0)
+    noise = np.max([estimate_encoder_noise(x) for x in q], axis=0)
     fast = np.max([_fast(x, plain.position_cutoff_hz, log) for x, log in zip(q, logs, strict=True)], axis=0)
     moving = fast > plain.speed_threshold
     cutoffs = np.geomspace(min(2 * plain.force_cutoff_hz, 0.4 * rate), 0.4 * rate, 40)
-    gains = np.array([noise_gain(rate, f) for f in cutoffs])
+    gains = np.array([compute_noise_gain(rate, f) for f in cutoffs])
     allowed = SLOW_SHARE * fast[moving] / np.maximum(NOISE_FACTOR * noise[moving], 1e-300)
     within = gains <= allowed.min() if moving.any() else np.ones(1, bool)
     position_cutoff = float(cutoffs[max(0, int(within.sum()) - 1)])
-    bands = [motion_band(x, log.rate_hz) for x, log in zip(q, logs, strict=True)]
+    bands = [find_motion_band(x, log.rate_hz) for x, log in zip(q, logs, strict=True)]
     edge = max(float(band.edge_hz.max()) for band in bands)
     noise_edge = min((float(e) for b in bands for e in b.noise_edge_hz[b.edge_hz > 0]), default=rate)
     force_cutoff = max(plain.force_cutoff_hz, min(0.16 * rate, BAND_FACTOR * edge, noise_edge))
-    threshold = MIN_DIRECTION_SNR * noise * noise_gain(rate, position_cutoff)
+    threshold = MIN_DIRECTION_SNR * noise * compute_noise_gain(rate, position_cutoff)
     return Preparation(
         position_cutoff,
         force_cutoff,
@@ -97,7 +106,7 @@ def keep_diagnosable(
 def _fast(q: np.ndarray, cutoff_hz: float, log: Log) -> np.ndarray:
     """Return the speed that each joint exceeds in 2 % of the samples (na,)."""
     v = differentiate(lowpass(q, cutoff_hz, log.rate_hz), log.dt)
-    return fast_speeds(v)
+    return compute_fast_speeds(v)
 
 
 def decimate_log(log: Log, cutoff_hz: float) -> Log:
@@ -119,7 +128,7 @@ def smooth_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     Noise in the columns is noise in the residual, times a mass: a cause whose column has the same noise, or lacks it where
     the baseline has it, would be found in it.
     """
-    edges = [motion_band(log.joint("q", robot.actuated), log.rate_hz).signal_edge_hz.max() for log in logs]
+    edges = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz).signal_edge_hz.max() for log in logs]
     return SMOOTH_FACTOR * float(max(edges))
 
 
@@ -138,10 +147,10 @@ def clear_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     A spring's force on the load is the fourth derivative of a position: above this, its column would be encoder noise, and the
     residual, which holds the same noise times a mass, would speak against any spring.
     """
-    bands = [motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
+    bands = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     return float(max(max(band.clear_edge_hz.max(), band.edge_hz.max()) for band in bands))
 
 
 def compute_border_gap_s(cutoff_hz: float, rate_hz: float) -> float:
     """Return the time [s] on both sides of a border in which a low-pass at `cutoff_hz` still remembers the other side."""
-    return 0.5 * edge_samples(cutoff_hz, rate_hz) / rate_hz
+    return 0.5 * compute_edge_samples(cutoff_hz, rate_hz) / rate_hz

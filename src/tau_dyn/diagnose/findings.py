@@ -16,7 +16,7 @@ from tau_dyn.diagnose.settings_refinement import differentiate_settings
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.effects import Effect
 from tau_dyn.effects.words import spelled
-from tau_dyn.estimate import unit_columns
+from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
 
 _POINTS = 2000
@@ -77,7 +77,7 @@ def build_finding(
         gain=gain,
         indistinguishable_from=twins,
         equation=first.equation,
-        sentence=sentence_of(effects, parameters, gain) + (_WITHIN if kept and confirmation.within else ""),
+        sentence=format_sentence(effects, parameters, gain) + (_WITHIN if kept and confirmation.within else ""),
         experiment=experiment,
         effects=effects,
         signature=signature,
@@ -99,7 +99,7 @@ def estimate_uncertainty(
     for effect in effects:
         amplitude = values.select(effect.parameters.names).values
         slopes += [ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, library)]
-    everything, norm = unit_columns(np.concatenate([*columns, *slopes], axis=1))
+    everything, norm = scale_columns(np.concatenate([*columns, *slopes], axis=1))
     variance = _variances(ground.gram(everything)) / norm**2
     stderr = iter(None if np.isnan(x) else float(np.sqrt(inflation * x)) for x in variance)
     for effect in effects:
@@ -123,7 +123,7 @@ def _variances(gram: np.ndarray) -> np.ndarray:
     return np.where(blind | (np.diag(gram) < MIN_UNABSORBED_SHARE), np.nan, variance)
 
 
-def sentence_of(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:
+def format_sentence(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:
     """Return what a colleague would say."""
     said = []
     for effect in effects:
@@ -140,7 +140,7 @@ def format_reduction(percent: float) -> str:
     return f"{percent:.{0 if percent >= 1 else 1}f} % better" if percent >= 0.05 else "no better"
 
 
-def signature_of(
+def build_signature(
     channel: Channel, effects: Sequence[Effect], residuals: Sequence[np.ndarray], values: Parameters
 ) -> Signature | None:
     """Return the residual without these effects, of the output that shows them best, against what it depends on."""
@@ -153,7 +153,7 @@ def signature_of(
     power = [sum(float(np.sum(np.where(m[:, k], s[:, k], 0) ** 2)) for s, m in zip(share, masks, strict=True))
              for k in range(len(channel.outputs))]  # fmt: skip
     k = int(np.argmax(power))
-    label, x = axis_of(channel, effects[0], channel.outputs[k])
+    label, x = build_axis(channel, effects[0], channel.outputs[k])
     xs, ys, fits = (
         np.concatenate([v[m[:, k]] for v, m in zip(values_of, masks, strict=True)])
         for values_of in (
@@ -169,7 +169,7 @@ def signature_of(
     return Signature(channel.outputs[k], label, y_label, xs[keep], ys[keep], fits[keep])
 
 
-def axis_of(channel: Channel, effect: Effect, output: str) -> tuple[str, list[np.ndarray]]:
+def build_axis(channel: Channel, effect: Effect, output: str) -> tuple[str, list[np.ndarray]]:
     """Return what a cause's plot shows on its horizontal axis, and its values (n,) for each run."""
     variables = channel.variables()
     position = "m" if channel.scene.units[0] == "N" else "rad"

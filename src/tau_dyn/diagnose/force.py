@@ -11,16 +11,22 @@ from scipy.interpolate import CubicSpline
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION, split_by_blocks
 from tau_dyn.diagnose.filters import compute_border_gap_s
-from tau_dyn.diagnose.force_timing import Timing, find_timing
+from tau_dyn.diagnose.force_timing import ForceTiming, find_timing
 from tau_dyn.diagnose.noise import WHOLE_TIME
 from tau_dyn.diagnose.null_model import NullModel
-from tau_dyn.diagnose.periodogram import LONG, explained_by_periods, of_displacement, of_force, of_output
+from tau_dyn.diagnose.periodogram import (
+    LONG,
+    build_displacement_terms,
+    build_force_terms,
+    compute_period_statistics,
+    select_output_rows,
+)
 from tau_dyn.diagnose.plausibility import measure_scales
-from tau_dyn.diagnose.scenes import scene_along, shared_signals
+from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.effects.gravity_direction import GRAVITY_TURN
-from tau_dyn.estimate import Regression, Run
+from tau_dyn.estimate import Regression, RegressionRun
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.regression import PreparedSegment, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
@@ -73,14 +79,14 @@ class ForceChannel(Channel):
         if not first.dense:
             return None
         joint = self.scene.index(first.joints[0])
-        u, mask = of_output(ground.whiten, joint, both)
+        u, mask = select_output_rows(ground.whiten, joint, both)
         q, v, a = (np.concatenate([getattr(m, key)[:, joint] for m in self.thinned]) for key in ("q", "v", "a"))
-        terms = of_force(q)
+        terms = build_force_terms(q)
         if isinstance(first, DisplacementEffect):
             u = u * np.concatenate([m.signals["inertia"][:, joint, joint] for m in self.thinned])[:, None]
-            terms = of_displacement(v, a)
+            terms = build_displacement_terms(v, a)
         periods = np.array([effect.settings["period"] for effect in effects])
-        explained = explained_by_periods(q, v, u, mask, periods, self.preparation.force_cutoff_hz, terms)
+        explained = compute_period_statistics(q, v, u, mask, periods, self.preparation.force_cutoff_hz, terms)
         explained[periods > np.ptp(q) / LONG] = np.nan
         return explained
 
@@ -109,7 +115,7 @@ class ForceChannel(Channel):
         return [float(begin[piece.log.name]) for piece in self.prepared]
 
 
-def prepared_pieces(
+def prepare_segments(
     model: Model, pieces: Sequence[Log], preparation: Preparation, smooth_hz: Sequence[float]
 ) -> tuple[PreparedSegment, ...]:
     """Return all pieces ready for making columns, in their order; `smooth_hz` is the low-pass of each one's positions."""
@@ -121,13 +127,13 @@ def prepared_pieces(
     return tuple(found)
 
 
-def force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
+def build_force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
     """Return the baseline's regression on prepared pieces."""
     runs, robot = tuple(piece.run(model) for piece in prepared), model.robot
     return Regression(model.parameters, robot.actuated, robot.force_units, runs, {"preparation": preparation})
 
 
-def force_channel(
+def build_force_channel(
     model: Model,
     prepared: Sequence[PreparedSegment],
     held: Sequence[bool],
@@ -186,7 +192,7 @@ def force_channel(
     return channel
 
 
-def determined_rank(regression: Regression, parts: Sequence[np.ndarray]) -> int:
+def compute_determined_rank(regression: Regression, parts: Sequence[np.ndarray]) -> int:
     """Return how many combinations of parameters the training part determines: the rank of its unit columns."""
     gram = np.zeros((len(regression.parameters),) * 2)
     for run, part in zip(regression.runs, parts, strict=True):
@@ -198,7 +204,7 @@ def determined_rank(regression: Regression, parts: Sequence[np.ndarray]) -> int:
 
 def _needed(regression: Regression, parts: Sequence[np.ndarray]) -> dict[int, int]:
     """Return how many usable values each part needs."""
-    rank = max(1, determined_rank(regression, parts))
+    rank = max(1, compute_determined_rank(regression, parts))
     others = MIN_VALUES * len(regression.outputs)
     return {TRAIN: VALUES_PER_COMBINATION * rank, VALIDATION: others, TEST: others}
 
@@ -209,7 +215,7 @@ def _with_signals(
     given: Mapping[str, np.ndarray],
     needs: Sequence[str],
     clear_hz: float,
-    timing: Timing | None = None,
+    timing: ForceTiming | None = None,
 ) -> PreparedSegment:
     """Return a piece whose motion has what a fitted model says of it: loads, inertia, predicted forces.
 
@@ -241,7 +247,11 @@ def _with_signals(
 
 
 def _gravity_turns(
-    model: Model, nominal: np.ndarray, prepared: Sequence[PreparedSegment], runs: Sequence[Run], trained: Sequence[bool]
+    model: Model,
+    nominal: np.ndarray,
+    prepared: Sequence[PreparedSegment],
+    runs: Sequence[RegressionRun],
+    trained: Sequence[bool],
 ) -> list[np.ndarray]:
     """Return what a turn of gravity does to the forces at rest (N, na, 2) of each piece.
 
@@ -275,7 +285,7 @@ def _at_rest(model: Model, piece: PreparedSegment) -> np.ndarray:
     return np.asarray(CubicSpline(t[few], model.mechanism.gravity_turn(piece.motion.q[few]))(t))
 
 
-def _by_joint(model: Model, timing: Timing | None) -> dict[str, tuple[float, float]]:
+def _by_joint(model: Model, timing: ForceTiming | None) -> dict[str, tuple[float, float]]:
     """Return each joint's delay and time constant [s]; empty where there is none."""
     if timing is None:
         return {}
@@ -283,7 +293,7 @@ def _by_joint(model: Model, timing: Timing | None) -> dict[str, tuple[float, flo
     return {joint: (float(delay), float(lag)) for joint, delay, lag in each}
 
 
-def _changed(model: Model, Y: np.ndarray, motion: Motion, timing: Timing | None) -> np.ndarray | float:
+def _changed(model: Model, Y: np.ndarray, motion: Motion, timing: ForceTiming | None) -> np.ndarray | float:
     """Return the force (N, na) of what a timing changes in the model's values, with the rigid bodies' columns given."""
     if timing is None:
         return 0.0
@@ -302,15 +312,15 @@ def _thinned(piece: PreparedSegment) -> Motion:
 def _scene(
     model: Model,
     motions: Sequence[Motion],
-    runs: Sequence[Run],
+    runs: Sequence[RegressionRun],
     parts: Sequence[np.ndarray],
     preparation: Preparation,
     campaigns: int,
 ) -> Scene:
-    signals = shared_signals(motions)
+    signals = find_shared_signals(motions)
     if "temperature" in signals and max(float(np.ptp(m.signals["temperature"])) for m in motions) < 0.5:
         signals -= {"temperature"}  # it never changed
-    scene = scene_along(
+    scene = build_scene(
         motions,
         model.robot.actuated,
         model.robot.force_units,

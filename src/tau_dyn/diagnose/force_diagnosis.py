@@ -20,7 +20,7 @@ from tau_dyn.diagnose.channel_pipeline import (
     SHARED,
     Answer,
     build_diagnosis,
-    findings_of,
+    build_findings,
     get_fitted_parameters,
     select_confirmed,
     select_supported,
@@ -28,35 +28,41 @@ from tau_dyn.diagnose.channel_pipeline import (
 from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.detection_limits import compute_detection_limits
 from tau_dyn.diagnose.filters import (
+    choose_diagnosis_preparation,
     clear_cutoff,
     compute_border_gap_s,
     decimate_log,
-    diagnosis_preparation,
     keep_diagnosable,
     smooth_cutoffs,
 )
-from tau_dyn.diagnose.force import ForceChannel, determined_rank, force_channel, force_regression, prepared_pieces
+from tau_dyn.diagnose.force import (
+    ForceChannel,
+    build_force_channel,
+    build_force_regression,
+    compute_determined_rank,
+    prepare_segments,
+)
 from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
 from tau_dyn.diagnose.internal_validation import confirm_all, confirm_within_training
 from tau_dyn.diagnose.noise_only_bootstrap import N_BOOTSTRAP_DRAWS, NoiseOnlyBootstrap, simulate_noise_only_logs
-from tau_dyn.diagnose.nominal import parameter_findings
+from tau_dyn.diagnose.nominal import find_parameter_changes
 from tau_dyn.diagnose.position_periodicity import detect_position_periodicity
 from tau_dyn.diagnose.recommendation import Recommendation, recommend
-from tau_dyn.diagnose.resonances import with_band, with_resonances
+from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, effects_of, select_causes
-from tau_dyn.diagnose.unexplained import unexplained_of
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects, select_causes
+from tau_dyn.diagnose.unexplained import build_unexplained
 from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
-from tau_dyn.diagnose.words import verdict_sentence
+from tau_dyn.diagnose.words import describe_verdict
 from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.log_inputs import log_warnings
-from tau_dyn.identify.log_integrity import check_integrity, spoils_diagnosis
+from tau_dyn.identify.log_integrity import check_integrity, is_diagnosis_invalid
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, list_crumbs, list_information_warnings
 from tau_dyn.identify.structural_identifiability import build_physical_constraints
-from tau_dyn.log import Log, even_segments, mend_log, motion_band
+from tau_dyn.log import Log, even_segments, find_motion_band, mend_log
 from tau_dyn.model import Model
 
 Progress = Callable[[str], None]
@@ -94,10 +100,10 @@ class FittedBaseline:
         """Return the channel of logs that hold nothing but the baseline and encoder noise."""
         assert isinstance(self.channel, ForceChannel)
         logs = simulate_noise_only_logs(self.channel, self.model, self.pieces, self.smooth_hz, rng)
-        prepared = prepared_pieces(self.nominal, logs, self.preparation, self.smooth_hz)
-        regression = force_regression(self.nominal, prepared, self.preparation)
+        prepared = prepare_segments(self.nominal, logs, self.preparation, self.smooth_hz)
+        regression = build_force_regression(self.nominal, prepared, self.preparation)
         return replace(
-            force_channel(self.model, prepared, self.held, self.preparation, regression, self.clear_hz),
+            build_force_channel(self.model, prepared, self.held, self.preparation, regression, self.clear_hz),
             parameters=self.nominal.parameters,
         )
 
@@ -134,7 +140,7 @@ def fit_baseline(
     warnings += list_crumbs([*train_logs, *held_logs])
     train, held, left_out = keep_diagnosable(model.robot, train_logs, train, held, exclude)
     warnings += left_out
-    preparation = preparation or diagnosis_preparation(model.robot, train, exclude)
+    preparation = preparation or choose_diagnosis_preparation(model.robot, train, exclude)
     pieces = (*train, *held)
     is_held = (*[False] * len(train), *[True] * len(held))
     how = (HELD_OUT if held else SHARED).format(what="logs")
@@ -158,8 +164,8 @@ def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
     masks = channel.masks(TRAIN)
     runs = tuple(replace(run, usable=m) for run, m in zip(channel.runs, masks, strict=True))
     used = Regression(channel.parameters, channel.outputs, channel.units, runs, {"preparation": case.preparation})
-    bands = [motion_band(log.joint("q", case.model.robot.actuated), log.rate_hz).edge_hz.max() for log in train]
-    rank, band_hz = determined_rank(used, channel.parts), float(max(bands))
+    bands = [find_motion_band(log.joint("q", case.model.robot.actuated), log.rate_hz).edge_hz.max() for log in train]
+    rank, band_hz = compute_determined_rank(used, channel.parts), float(max(bands))
     held = count_information(used, band_hz)
     if held < rank:
         raise CannotAnswer(
@@ -183,14 +189,14 @@ def _fitted(
     """Return the baseline fitted to pieces whose positions are low-passed at `smooth_hz` [Hz], each at its own."""
     progress("columns")
     thinned = [decimate_log(piece, preparation.position_cutoff_hz) for piece in pieces]
-    prepared = prepared_pieces(model, thinned, preparation, smooth_hz)
-    regression = force_regression(model, prepared, preparation)
+    prepared = prepare_segments(model, thinned, preparation, smooth_hz)
+    regression = build_force_regression(model, prepared, preparation)
     physics = build_physical_constraints(model)
     progress("baseline")
     first = replace(regression, runs=regression.runs[: is_held.count(False)])
     estimate = solve_least_squares(first, physics=physics)
     fit = model.with_parameters(estimate.parameters)
-    channel = force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
+    channel = build_force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
     channel = replace(channel, parameters=model.parameters)
     return FittedBaseline(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces, how)
 
@@ -198,7 +204,7 @@ def _fitted(
 def diagnose_forces(case: FittedBaseline, seed: int, progress: Progress, warnings: list[str]) -> Diagnosis:
     """Find causes of what the baseline leaves of the forces."""
     progress("looking for resonances")
-    channel, rng = with_resonances(case.channel), np.random.default_rng(seed)
+    channel, rng = add_resonances(case.channel), np.random.default_rng(seed)
     assert isinstance(channel, ForceChannel)
     progress("looking for causes")
     noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
@@ -216,19 +222,19 @@ def diagnose_forces(case: FittedBaseline, seed: int, progress: Progress, warning
     nominal = case.nominal.parameters
     claims, bars = select_supported(channel, hunt, claims, rng, nominal=nominal.values, physics=case.physics)
     before, after = bars.judgements[0], bars.judgements[-1]
-    findings = [with_band(f, case.clear_hz) for f in findings_of(channel, hunt, claims, bars, rng)]
+    findings = [add_band_note(f, case.clear_hz) for f in build_findings(channel, hunt, claims, bars, rng)]
     findings += [
         replace(f, status="suspected", why_not_confirmed=spoiled) if spoiled else f
-        for f in parameter_findings(case.nominal, nominal, get_fitted_parameters(after), after.estimate)
+        for f in find_parameter_changes(case.nominal, nominal, get_fitted_parameters(after), after.estimate)
     ]
-    unexplained = unexplained_of(channel, hunt, tests.structure)
+    unexplained = build_unexplained(channel, hunt, tests.structure)
     if spoiled:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
     limits, untestable = compute_detection_limits(channel, hunt, [f.cause for f in findings])
     verdict = "cannot_tell" if spoiled else _verdict(findings, unexplained)
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
-        sentence = verdict_sentence(verdict, findings, unexplained, before.errors, after.errors)
+        sentence = describe_verdict(verdict, findings, unexplained, before.errors, after.errors)
     answer = Answer(
         verdict,
         sentence,
@@ -250,7 +256,7 @@ _MEND = "mend the log or its column map as the first warning says, or record it 
 
 def _describe_spoiled(warnings: Sequence[str]) -> str:
     """Return why nothing may be confirmed from logs that are not what they claim to be; empty where they are."""
-    codes = dict.fromkeys(get_code(warning) for warning in warnings if spoils_diagnosis([warning]))
+    codes = dict.fromkeys(get_code(warning) for warning in warnings if is_diagnosis_invalid([warning]))
     return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 
 
@@ -265,7 +271,7 @@ def _sifted(
             kept.append(replace(one, candidate=left))
     if (
         structure is not None
-        and compute_structure_p_value(noise, hunt.ground, structure, effects_of(hunt.found)) > FAMILY_LEVEL
+        and compute_structure_p_value(noise, hunt.ground, structure, build_effects(hunt.found)) > FAMILY_LEVEL
     ):
         structure = None
     return replace(hunt, found=tuple(kept)), structure

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tau_dyn.diagnose.null_model import orthonormal
-from tau_dyn.estimate import Run
+from tau_dyn.diagnose.null_model import orthonormalise
+from tau_dyn.estimate import RegressionRun
 
 MAX_TIME_S = 0.1
 """Longest delay and time constant that are looked for: the end of the plausible range of `delay` and `drive_lag`."""
@@ -31,7 +31,7 @@ _MIN_IMPROVEMENT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Timing:
+class ForceTiming:
     """Timing of the logged forces that fits the baseline best.
 
     Attributes:
@@ -45,7 +45,7 @@ class Timing:
     change: np.ndarray
 
 
-def find_timing(runs: Sequence[Run], values: np.ndarray, free: np.ndarray) -> Timing | None:
+def find_timing(runs: Sequence[RegressionRun], values: np.ndarray, free: np.ndarray) -> ForceTiming | None:
     """Return the timing of the forces that fits the baseline best; None where it is as good as none.
 
     Args:
@@ -66,13 +66,13 @@ def find_timing(runs: Sequence[Run], values: np.ndarray, free: np.ndarray) -> Ti
     changed = weight * (profile.moved(delays, lags) - predicted)
     found = np.zeros(len(free))
     found[free] = np.linalg.lstsq(W * weight[:, None] / unit, changed, rcond=1e-8)[0] / unit
-    return Timing(delays, lags, found)
+    return ForceTiming(delays, lags, found)
 
 
 class _Profile:
     """The baseline's misfit at any timing of the forces."""
 
-    def __init__(self, runs: Sequence[Run], free: np.ndarray) -> None:
+    def __init__(self, runs: Sequence[RegressionRun], free: np.ndarray) -> None:
         """Prepare the projection; rows (R,) are the usable samples, outputs by their own residual."""
         every = 1 + sum(int(run.usable.sum()) for run in runs) // _MAX_ROWS
         self.usable = [run.usable & (np.arange(len(run.t)) % every == 0)[:, None] for run in runs]
@@ -83,12 +83,12 @@ class _Profile:
         self.output = np.concatenate([np.nonzero(mask)[1] for mask in self.usable])
         self.W = np.concatenate([run.W_all[:, :, free][mask] for run, mask in zip(runs, self.usable, strict=True)])
         now = np.concatenate([y[mask] for y, mask in zip(self.y, self.usable, strict=True)])
-        Q = orthonormal(self.W)
+        Q = orthonormalise(self.W)
         e = now - Q @ (Q.T @ now)
         count = np.maximum(np.bincount(self.output, minlength=self.m), 1)
         size = np.sqrt(np.bincount(self.output, e**2, self.m) / count)
         self.weight = 1 / np.maximum(size, 1e-12 * max(float(np.abs(now).max(initial=0.0)), 1e-300))[self.output]
-        self.Q = orthonormal(self.W * self.weight[:, None])
+        self.Q = orthonormalise(self.W * self.weight[:, None])
 
     def moved(self, delays: np.ndarray, lags: np.ndarray) -> np.ndarray:
         """Return usable forces (R,) with the outputs' delays (m,) and low-passes (m,) [s] taken out."""

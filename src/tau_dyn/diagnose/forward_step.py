@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from tau_dyn.diagnose.candidate_scan import ColumnCache, rescore_group
-from tau_dyn.diagnose.group_tests import MIN_SHARE_OF_STRONGEST, Candidate, GroupTest, merit_under
+from tau_dyn.diagnose.group_tests import MIN_SHARE_OF_STRONGEST, CandidateCause, GroupTest, compute_penalised_statistic
 from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.plausibility import SEARCH_MARGIN
 from tau_dyn.diagnose.settings_refinement import drop_redundant_groups, estimate_amplitudes, refine_settings
@@ -17,18 +17,18 @@ MIN_2LOGL_DIFFERENCE = 8.0
 TAKEOVER_2LOGL_MARGIN = 4.0
 """Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
 
-ArtefactFilter = Callable[[NullModel, Candidate, Sequence[Effect], int], Candidate | None]
+ArtefactFilter = Callable[[NullModel, CandidateCause, Sequence[Effect], int], CandidateCause | None]
 """Return what of a candidate is no artefact, or None: judged on a ground, beside the effects in it, as one of so many causes."""
 
 
 def choose_next_cause(
-    significant: Sequence[Candidate],
+    significant: Sequence[CandidateCause],
     library: ColumnCache,
     ground: NullModel,
     others: Sequence[Effect],
     n: int,
     sift: ArtefactFilter | None,
-) -> tuple[Candidate, tuple[str, ...]] | None:
+) -> tuple[CandidateCause, tuple[str, ...]] | None:
     """Return the strongest cause that is no artefact, its settings refined, and its twins; None if there is none."""
     left = [drop_redundant_groups(c, library, ground) for c in significant]
     while left:
@@ -42,7 +42,7 @@ def choose_next_cause(
     return None
 
 
-def _is_believable(candidate: Candidate, library: ColumnCache, ground: NullModel) -> bool:
+def _is_believable(candidate: CandidateCause, library: ColumnCache, ground: NullModel) -> bool:
     """Return whether amplitudes lie near their plausible ranges; far beyond them a law only mimics something else."""
     for fit in candidate.fits:
         values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, library, ground))
@@ -51,7 +51,7 @@ def _is_believable(candidate: Candidate, library: ColumnCache, ground: NullModel
     return True
 
 
-def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, ...]]:
+def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, tuple[str, ...]]:
     """Return the cause that explains most, each by its own scatter, and its twins.
 
     Among those that explain as much under one scatter the one with the least freedom is taken.
@@ -71,8 +71,8 @@ def _strongest(significant: Sequence[Candidate]) -> tuple[Candidate, tuple[str, 
 
 
 def _drop_shadowed_joints(
-    best: Candidate, significant: Sequence[Candidate], library: ColumnCache, ground: NullModel
-) -> tuple[Candidate, tuple[str, ...]]:
+    best: CandidateCause, significant: Sequence[CandidateCause], library: ColumnCache, ground: NullModel
+) -> tuple[CandidateCause, tuple[str, ...]]:
     """Return a cause without the joints at which it is the shadow of another one that explains more, and its twins elsewhere.
 
     A shadow explains hardly a tenth of its own beside the other; what explains more than that is a thing of its own. Where
@@ -83,11 +83,11 @@ def _drop_shadowed_joints(
     kept, twins = [], []
     for fit in best.fits:
         own = next(f for f in best.tested if f.effect.joints == fit.effect.joints)
-        merit = merit_under([own], scatter)
+        merit = compute_penalised_statistic([own], scatter)
         same = [(cause, other) for cause, other in alone if set(other.effect.joints) == set(fit.effect.joints)]
-        near = [x for x in same if merit_under([x[1]], scatter) > merit - MIN_2LOGL_DIFFERENCE]
+        near = [x for x in same if compute_penalised_statistic([x[1]], scatter) > merit - MIN_2LOGL_DIFFERENCE]
         over = [(cause, other) for cause, other in near if _is_shadow(own, other, library, ground)]
-        if any(merit_under([other], scatter) > merit + TAKEOVER_2LOGL_MARGIN for _, other in over):
+        if any(compute_penalised_statistic([other], scatter) > merit + TAKEOVER_2LOGL_MARGIN for _, other in over):
             continue
         kept.append(fit)
         twins += [cause for cause, _ in over]

@@ -67,7 +67,7 @@ class GroupTest:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CandidateCause:
     """One cause on the joints that show it.
 
     Attributes:
@@ -94,7 +94,7 @@ class Candidate:
 
     def merit_under(self, inflation: float) -> float:
         """Return the merit under one inflation for all groups, so that a law is not chosen for its own scatter."""
-        return merit_under(self.fits, inflation)
+        return compute_penalised_statistic(self.fits, inflation)
 
     @property
     def statistic(self) -> float:
@@ -102,12 +102,12 @@ class Candidate:
         return sum(fit.statistic / fit.overdispersion for fit in self.fits)
 
 
-def merit_under(fits: Sequence[GroupTest], inflation: float) -> float:
+def compute_penalised_statistic(fits: Sequence[GroupTest], inflation: float) -> float:
     """Return the merit of several groups under one inflation."""
     return sum(replace(fit, overdispersion=inflation).penalised_statistic for fit in fits)
 
 
-def combine_group_tests(cause: str, fits: list[GroupTest]) -> Candidate:
+def combine_group_tests(cause: str, fits: list[GroupTest]) -> CandidateCause:
     """Combine a cause's groups: its p-value, and which groups show it."""
     best = max(fits, key=lambda fit: fit.penalised_statistic)
     alone = min(fit.p_value for fit in fits)
@@ -120,7 +120,7 @@ def combine_group_tests(cause: str, fits: list[GroupTest]) -> Candidate:
         for fit in fits
         if fit is best or fit.statistic > max(fit.threshold, MIN_SHARE_OF_STRONGEST * best.statistic)
     ]
-    return Candidate(
+    return CandidateCause(
         cause, tuple(sorted(_disjoint(chosen), key=lambda f: -f.penalised_statistic)), p_value, tuple(fits)
     )
 
@@ -130,7 +130,11 @@ def _disjoint(fits: list[GroupTest]) -> list[GroupTest]:
     whole = max(fits, key=lambda fit: len(fit.effect.joints))
     parts = [fit for fit in fits if not set(fit.effect.joints) & set(whole.effect.joints) or fit is whole]
     alone = [fit for fit in fits if len(fit.effect.joints) < len(whole.effect.joints)]
-    if alone and len(whole.effect.joints) > 2 and merit_under(alone, whole.overdispersion) > whole.penalised_statistic:
+    if (
+        alone
+        and len(whole.effect.joints) > 2
+        and compute_penalised_statistic(alone, whole.overdispersion) > whole.penalised_statistic
+    ):
         return _disjoint(alone)
     kept: list[GroupTest] = []
     for fit in sorted(parts, key=lambda f: -f.penalised_statistic):

@@ -14,13 +14,13 @@ import numpy as np
 
 from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.channel_pipeline import confirmation
+from tau_dyn.diagnose.channel_pipeline import confirm_cause
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.data_split import TRAIN, divide_training
 from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, select_causes
-from tau_dyn.diagnose.unexplained import StructureTest, discriminate_structures, structure_confirmation
+from tau_dyn.diagnose.unexplained import StructureTest, confirm_structure, discriminate_structures
 from tau_dyn.diagnose.unknown_structure import Structure, find_structure
 
 
@@ -34,7 +34,7 @@ class ConfirmationResults:
 
 def confirm_all(channel: Channel, hunt: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
     """Test everything found on the confirmation part."""
-    causes = tuple(confirmation(channel, hunt, one) for one in hunt.found)
+    causes = tuple(confirm_cause(channel, hunt, one) for one in hunt.found)
     return ConfirmationResults(causes, structure and discriminate_structures(channel, hunt, structure))
 
 
@@ -70,7 +70,7 @@ def confirm_within_training(
     if left is not None and left.test.is_inconclusive:
         found = find_structure(inner, again.ground, again.ground.draw_null_residuals(N_NULL_DRAWS, rng), FAMILY_LEVEL)
         if found and found.output == left.structure.output and set(found.variables) & set(left.structure.variables):
-            test = structure_confirmation(inner, again, found)
+            test = confirm_structure(inner, again, found)
             left = replace(left, test=replace(test, within=True)) if test.is_confirmed else left
     return ConfirmationResults(causes, left)
 
@@ -90,5 +90,5 @@ def _better(
 ) -> Confirmation:
     if other is None:
         return before
-    test = confirmation(inner, again, other)
+    test = confirm_cause(inner, again, other)
     return replace(test, within=True) if test.is_confirmed else before

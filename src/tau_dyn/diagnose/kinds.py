@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.diagnose.tool_pieces import OUTPUTS
-from tau_dyn.log import Log, encoder_noise
+from tau_dyn.log import Log, estimate_encoder_noise
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
@@ -25,7 +25,7 @@ def has_tool(robot: Robot, logs: Sequence[Log]) -> bool:
     return robot.tool_frame is not None and all(set(OUTPUTS) <= set(log.channels) for log in logs)
 
 
-def tool_disagrees(model: Model, logs: Sequence[Log]) -> bool:
+def is_tool_inconsistent(model: Model, logs: Sequence[Log]) -> bool:
     """Tell whether measured tools are farther from forward kinematics than the encoders' noise puts them.
 
     Where they are not, there is nothing to explain: the tool was computed from the encoders, or agrees with them.
@@ -36,7 +36,7 @@ def tool_disagrees(model: Model, logs: Sequence[Log]) -> bool:
         few = slice(None, None, max(1, log.n_samples // _LOOKED_AT))
         away = np.column_stack([log.channels[c][few] for c in OUTPUTS]) - model.mechanism.tool_position(read[few])
         spread = float(np.sqrt(np.mean(np.sum((away - away.mean(axis=0)) ** 2, axis=1))))
-        noise = model.mechanism.tool_jacobian(read[few]) * encoder_noise(read)
+        noise = model.mechanism.tool_jacobian(read[few]) * estimate_encoder_noise(read)
         if spread > _ENCODERS * float(np.sqrt(np.mean(np.sum(noise**2, axis=(1, 2))))):
             return True
     return False

@@ -22,7 +22,7 @@ _DEGREE = 4
 _MAX_ORDER = 8
 
 
-def noise_models(
+def fit_noise_models(
     channel: Channel, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
 ) -> tuple[Autoregression, ...]:
     """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
@@ -30,7 +30,7 @@ def noise_models(
     variables = channel.variables()
     models = []
     for k, output in enumerate(channel.outputs):
-        rich = rich_columns(variables, output)
+        rich = build_smooth_columns(variables, output)
         columns = [
             np.concatenate(
                 [c[r][:, k] for c in (channel.free_columns, channel.resonance_columns, *extra)] + [rich[r]], axis=1
@@ -49,12 +49,12 @@ def noise_models(
     return tuple(models)
 
 
-def rich_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
+def build_smooth_columns(variables: Sequence[Mapping[str, np.ndarray]], output: str) -> list[np.ndarray]:
     """Return smooth functions (n, c) of an output's own variables, and the same times the direction of motion, of each run."""
-    return over_runs(variables, lambda joined: _rich(joined, output))
+    return build_joined_columns(variables, lambda joined: _rich(joined, output))
 
 
-def over_runs(
+def build_joined_columns(
     variables: Sequence[Mapping[str, np.ndarray]], columns: Callable[[Mapping[str, np.ndarray]], np.ndarray]
 ) -> list[np.ndarray]:
     """Return columns (n, c) of each run, made of all runs' variables joined: one function, whatever range a run covers."""

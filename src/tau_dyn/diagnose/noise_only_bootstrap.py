@@ -22,16 +22,16 @@ from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.feedback_response import apply_feedback_taps, estimate_feedback_taps
 from tau_dyn.diagnose.filters import decimate_log
 from tau_dyn.diagnose.force import ForceChannel
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, GROUP_LEVEL, Candidate
+from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 from tau_dyn.effects import Effect
-from tau_dyn.log import Log, encoder_noise, lowpass, quantisation_step
+from tau_dyn.log import Log, estimate_encoder_noise, estimate_quantisation_step, lowpass
 from tau_dyn.model import Model
 
 N_BOOTSTRAP_DRAWS = 4
 """Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
 NONCENTRALITY_SAFETY_FACTOR = 2.0
-_WIDEST = 0.45
+_MAX_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
 
 
@@ -54,7 +54,11 @@ def simulate_noise_only_logs(
         force = model.columns(whole) @ model.parameters.values
         seen = decimate_log(_noise(log, joints, min(smooth, cutoff), smooth, rng), cutoff)
         rate = piece.log.rate_hz
-        smooth_q = m.q if smooth < cutoff else lowpass(piece.log.joint("q", joints), min(smooth, _WIDEST * rate), rate)
+        smooth_q = (
+            m.q
+            if smooth < cutoff
+            else lowpass(piece.log.joint("q", joints), min(smooth, _MAX_CUTOFF_SHARE * rate), rate)
+        )
         q, force = smooth_q + seen.joint("q", joints), force + seen.joint("tau", joints)
         channels = dict(piece.log.channels)
         for k, joint in enumerate(joints):
@@ -67,8 +71,10 @@ def _noise(log: Log, joints: Sequence[str], smooth_hz: float, signal_hz: float, 
     """Return a log of nothing but fresh encoder noise, rounded as positions are, and what forces answer to it."""
     read = log.joint("q", joints)
     smooth = lowpass(read, smooth_hz, log.rate_hz)
-    step = quantisation_step(read)
-    before = np.sqrt(np.maximum(encoder_noise(read) ** 2 - step**2 / 12, 0))  # what rounding adds follows the place
+    step = estimate_quantisation_step(read)
+    before = np.sqrt(
+        np.maximum(estimate_encoder_noise(read) ** 2 - step**2 / 12, 0)
+    )  # what rounding adds follows the place
     q = smooth + before * rng.standard_normal(read.shape)
     grid = np.where(step > 0, step, 1.0)
     phase = rng.uniform(size=len(step))  # on the logs' own grid a rest would be exact
@@ -106,8 +112,8 @@ class NoiseOnlyBootstrap:
         ]
 
     def reject_artefacts(
-        self, ground: NullModel, candidate: Candidate, others: Sequence[Effect], n: int
-    ) -> Candidate | None:
+        self, ground: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int
+    ) -> CandidateCause | None:
         """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
 
         Args:

@@ -17,9 +17,9 @@ from scipy import stats
 from tau_dyn.diagnose.payload import (
     Explanation,
     compare_with_trusted,
-    end_link,
+    compute_payload_parameters,
+    find_end_link,
     find_explanation,
-    payload_parameters,
 )
 from tau_dyn.diagnose.result import Finding
 from tau_dyn.effects.words import quantity
@@ -35,14 +35,14 @@ PARAMETER_CAUSES = {
     "force_scale": "tau_log = force_scale tau, of one joint",
 }
 """Causes that only a trusted nominal value shows, with their equations; `drive_gain` is an effect, too."""
-LEVEL = 0.01
+SIGNIFICANCE_LEVEL = 0.01
 MAX_GAIN_RANGE = (0.5, 2.0)
 """Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
 MAX_MASS_SHARE = 2.0
 """Payload or mass over the mass of all bodies; no robot carries more than twice its own mass."""
 
 
-def parameter_findings(
+def find_parameter_changes(
     model: Model, nominal: Parameters, fitted: Parameters, estimate: Estimate | None = None
 ) -> list[Finding]:
     """Return a finding for each mass that is off its nominal value, or one for what explains all that is off.
@@ -68,7 +68,7 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
         return []
     z = np.array([(p.value - n.value) / _both(p, n) for p, n in rows])
     p_values = 2 * stats.norm.sf(np.abs(z))
-    off = [k for k in range(len(rows)) if p_values[k] * len(rows) < LEVEL]
+    off = [k for k in range(len(rows)) if p_values[k] * len(rows) < SIGNIFICANCE_LEVEL]
     if not off:
         return []
     if len(rows) > 1 and len(off) > 1 and _common_factor(rows):
@@ -138,9 +138,9 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
     """Return the finding of one explanation of all that is off."""
     robot, stderr = model.robot, float(np.sqrt(found.cov[0, 0]))
     if found.cause == "payload":
-        link = end_link(robot)
+        link = find_end_link(robot)
         joint = str(robot.model.names[link.joint_id]) if link is not None else ""
-        parameters = payload_parameters(found, joint)
+        parameters = compute_payload_parameters(found, joint)
         mass, *centre = parameters
         sentence = f"The robot carries {quantity(mass.value, 'kg', mass.stderr)}"
         if centre:

@@ -61,7 +61,7 @@ class NullModel:
         blank = np.zeros((len(prior_y), sum(c.shape[1] for c in B[1:])))
         stacked = np.concatenate([np.concatenate(B, axis=1), np.concatenate([prior_rows, blank], axis=1)])
         y = np.concatenate([whiten(channel.target), prior_y])
-        Q = orthonormal(stacked)
+        Q = orthonormalise(stacked)
         e = y - Q @ (Q.T @ y)
         n = whiten.n_rows
         dof = max(1, n - Q.shape[1])
@@ -84,7 +84,7 @@ class NullModel:
 
     def augment(self, extra: Sequence[Sequence[np.ndarray]]) -> NullModel:
         """Return what is left with further columns (lists over runs of (n, m, k)) accounted for too."""
-        more = orthonormal(self.project_out(np.concatenate([self.whiten_columns(c) for c in extra], axis=1)))
+        more = orthonormalise(self.project_out(np.concatenate([self.whiten_columns(c) for c in extra], axis=1)))
         return replace(self, Q=np.concatenate([self.Q, more], axis=1), e=self.e - more @ (more.T @ self.e))
 
     def gram(self, C: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ class NullModel:
         return compute_score_statistics(s, G, np.einsum("rgk,rgk->gk", C, C), nonnegative)
 
 
-def orthonormal(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
+def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     """Return an orthonormal basis (R, r) of columns (R, p), dependent ones left out."""
     norm = np.linalg.norm(B, axis=0)
     B = B[:, norm > 0] / norm[norm > 0]

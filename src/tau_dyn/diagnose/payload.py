@@ -48,7 +48,7 @@ _MIN_LENGTH_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Difference:
+class BaseParameterDifference:
     """A fit's inertial base parameters against trusted values.
 
     Attributes:
@@ -118,7 +118,7 @@ class Explanation:
         return sure and possible and (all_of_it or self.left < (1 - MIN_EXPLAINED_SHARE) * whole)
 
 
-def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) -> Difference:
+def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) -> BaseParameterDifference:
     """Return how far the bodies of a fit are from trusted values.
 
     Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
@@ -145,10 +145,12 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
     else:
         spread = np.array([_trusted_stderr(robot, trusted, n) if n in bodies else 0.0 for n in base.names])
         S = cov + (E * spread**2) @ E.T
-    return Difference(select @ estimate.beta_plain - E @ values, S, E, base.names, estimate, select, trusted)
+    return BaseParameterDifference(
+        select @ estimate.beta_plain - E @ values, S, E, base.names, estimate, select, trusted
+    )
 
 
-def find_explanation(robot: Robot, difference: Difference) -> Explanation | None:
+def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Explanation | None:
     """Return the significant explanation of a difference, with its twins; None where none explains it."""
     if not len(difference.d):
         return None
@@ -159,19 +161,19 @@ def find_explanation(robot: Robot, difference: Difference) -> Explanation | None
         return None
     best = min(fit, key=lambda one: one.penalised)
     near = [one.cause for one in fit if one.penalised < best.penalised + TWIN_MARGIN and one.cause != best.cause]
-    heavier = best.cause == "payload" and trusted_from_file(robot, difference.trusted)
+    heavier = best.cause == "payload" and is_trusted_from_file(robot, difference.trusted)
     extra = (
         ["link_mass"] if heavier or best.cause == "drive_gain" else []
     )  # all masses off alike are all forces off alike
     return replace(best, p=best.p_value(whole, len(found)), twins=tuple(dict.fromkeys([*near, *extra])))
 
 
-def trusted_from_file(robot: Robot, trusted: Parameters) -> bool:
+def is_trusted_from_file(robot: Robot, trusted: Parameters) -> bool:
     """Return whether trusted values are a robot file's and were not identified."""
     return all(trusted[n].stderr is None for n in robot.parameters.names if n in trusted)
 
 
-def end_link(robot: Robot) -> LinkInertia | None:
+def find_end_link(robot: Robot) -> LinkInertia | None:
     """Return the link that carries the tool, or the only one on which nothing hangs; None where that is not one."""
     by_joint = {link.joint_id: link for link in robot.links}
     if robot.tool_frame is not None:
@@ -183,7 +185,7 @@ def end_link(robot: Robot) -> LinkInertia | None:
     return leaves[0] if len(leaves) == 1 else None
 
 
-def payload_parameters(explanation: Explanation, joint: str) -> tuple[Parameter, ...]:
+def compute_payload_parameters(explanation: Explanation, joint: str) -> tuple[Parameter, ...]:
     """Return a payload's mass and its centre in the frame of the last joint, with standard errors."""
     m, first = float(explanation.amplitudes[0]), explanation.amplitudes[1:4]
     cov = explanation.cov
@@ -198,9 +200,9 @@ def payload_parameters(explanation: Explanation, joint: str) -> tuple[Parameter,
     return tuple(rows)
 
 
-def _candidates(robot: Robot, difference: Difference) -> list[tuple[str, str, np.ndarray]]:
+def _candidates(robot: Robot, difference: BaseParameterDifference) -> list[tuple[str, str, np.ndarray]]:
     found: list[tuple[str, str, np.ndarray]] = []
-    last = end_link(robot)
+    last = find_end_link(robot)
     if last is not None:
         found.append(("payload", last.link, _columns(difference, last)))
     pi = _values(difference.trusted, difference.names)
@@ -224,14 +226,14 @@ def _values(parameters: Parameters, names: Sequence[str]) -> np.ndarray:
     return np.array([parameters[n].value if n in parameters else 0.0 for n in names])
 
 
-def _columns(difference: Difference, link: LinkInertia) -> np.ndarray:
+def _columns(difference: BaseParameterDifference, link: LinkInertia) -> np.ndarray:
     """Return the base parameters (r, n) per unit of a link's own numbers: all ten, or its mass alone."""
     places = [difference.names.index(n) if n in difference.names else None for n in link.names]
     columns = [np.zeros(len(difference.d)) if k is None else difference.combine[:, k] for k in places]
     return np.column_stack(columns)
 
 
-def _force_scale(difference: Difference, joint: int) -> np.ndarray:
+def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
     """Return what a refit makes of one joint's predicted force (r,): base parameters per unit of its factor less one."""
     estimate = difference.estimate
     names = estimate.regression.parameters.names
@@ -273,7 +275,7 @@ def _is_given(armature: Parameter) -> bool:
     return armature.origin != NOT_GIVEN and not armature.origin.startswith("within")
 
 
-def _fit(difference: Difference, cause: str, place: str, B: np.ndarray) -> Explanation | None:
+def _fit(difference: BaseParameterDifference, cause: str, place: str, B: np.ndarray) -> Explanation | None:
     """Return an explanation's amplitudes by generalised least squares; None where it has no effect."""
     norm = np.linalg.norm(B, axis=0)
     if not norm[0] > _MIN_EFFECT * np.linalg.norm(difference.combine, axis=0).max():

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft, ndimage, sparse
 
 from tau_dyn.estimate import Whitener
-from tau_dyn.log import attenuation
+from tau_dyn.log import compute_attenuation
 
 _CLASSES = 8
 _PER_PERIOD = 12
@@ -30,7 +30,7 @@ Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
 """A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
 
 
-def explained_by_periods(
+def compute_period_statistics(
     q: np.ndarray,
     v: np.ndarray,
     u: np.ndarray,
@@ -48,7 +48,7 @@ def explained_by_periods(
         mask: Samples that count (n,).
         periods: Periods (g,) [m or rad].
         cutoff_hz: The zero-phase low-pass that both sides pass [Hz].
-        terms: What a unit amplitude is before it; see `of_force` and `of_displacement`.
+        terms: What a unit amplitude is before it; see `build_force_terms` and `build_displacement_terms`.
     """
     if not mask.any():
         return np.zeros((len(periods), u.shape[1]))
@@ -65,7 +65,7 @@ def explained_by_periods(
         mine = np.flatnonzero((number == c) & mask)
         if mine.size:
             place = sparse.csr_matrix((np.ones(len(mine)), (bins[mine], np.arange(len(mine)))), shape=(size, len(mine)))
-            passed = 1 / attenuation(float(np.median(speed[mine])) * lines, cutoff_hz)
+            passed = 1 / compute_attenuation(float(np.median(speed[mine])) * lines, cutoff_hz)
             for factor, size_of in terms:
                 spectrum = np.asarray(fft.rfft(np.ascontiguousarray((place @ (factor[mine, None] * u[mine])).T)))
                 S += passed * size_of(2 * np.pi * lines) * np.conj(spectrum[:, index])
@@ -74,24 +74,24 @@ def explained_by_periods(
     return np.divide(power, noise, out=np.zeros_like(power), where=noise > 1e-9 * noise.max(initial=1e-300)).T
 
 
-def of_force(q: np.ndarray) -> list[Term]:
+def build_force_terms(q: np.ndarray) -> list[Term]:
     """Return the one term of a force of the position."""
     return [(np.ones(len(q)), np.ones_like)]
 
 
-def of_displacement(v: np.ndarray, a: np.ndarray) -> list[Term]:
+def build_displacement_terms(v: np.ndarray, a: np.ndarray) -> list[Term]:
     """Return the terms of a displacement's acceleration along speeds and accelerations (n,)."""
     return [(a, lambda w: 1j * w), (v**2, lambda w: -(w**2))]
 
 
-def of_output(whiten: Whitener, output: int, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def select_output_rows(whiten: Whitener, output: int, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return white rows (R, d) of all outputs as samples (n, d) of one of them, and which samples (n,) are in a row of it."""
     rows = whiten.rows[output :: whiten.n_outputs]
-    u = np.concatenate(carried_back(rows, white[np.flatnonzero(whiten.index == output)]))
+    u = np.concatenate(project_to_samples(rows, white[np.flatnonzero(whiten.index == output)]))
     return u, np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in rows])
 
 
-def carried_back(rows: Sequence[sparse.csr_matrix], white: np.ndarray) -> list[np.ndarray]:
+def project_to_samples(rows: Sequence[sparse.csr_matrix], white: np.ndarray) -> list[np.ndarray]:
     """Return white rows (R, d) of one output carried back to the samples of each run (n, d)."""
     borders = np.cumsum([0, *(len(L.indptr) - 1 for L in rows)])
     return [L.T @ white[a:b] for L, a, b in zip(rows, borders[:-1], borders[1:], strict=True)]

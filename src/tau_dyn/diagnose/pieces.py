@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.log import edge_samples
+from tau_dyn.log import compute_edge_samples
 
 
-def directions(v: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def find_directions(v: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the direction of the last motion that was surely one, and from when on there was any.
 
     Args:
@@ -30,7 +30,7 @@ def _direction(v: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]
     return np.sign(v[sure[np.maximum(last, 0)]]), last >= 0
 
 
-def without_ends(mask: np.ndarray, cutoff_hz: float, rate_hz: float, factor: int) -> np.ndarray:
+def mask_filter_edges(mask: np.ndarray, cutoff_hz: float, rate_hz: float, factor: int) -> np.ndarray:
     """Return which samples count, without those at both ends that the low-pass disturbs.
 
     Args:
@@ -43,6 +43,6 @@ def without_ends(mask: np.ndarray, cutoff_hz: float, rate_hz: float, factor: int
         Samples (n, ...) after decimation.
     """
     inner = mask[::factor].copy()
-    edge = int(np.ceil(edge_samples(cutoff_hz, rate_hz) / factor))
+    edge = int(np.ceil(compute_edge_samples(cutoff_hz, rate_hz) / factor))
     inner[:edge] = inner[len(inner) - edge :] = False
     return inner

@@ -7,15 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.design import Setting, Thing, force, gram, refitted, seen
+from tau_dyn.diagnose.design import (
+    Setting,
+    Thing,
+    build_effect_columns,
+    build_refitted_columns,
+    compute_effect_force,
+    compute_gram_matrix,
+)
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE
 from tau_dyn.diagnose.question import CauseHypothesis, DesignGoal
-from tau_dyn.diagnose.rivals import AlternativeCause, SchurComplement, amplitudes
-from tau_dyn.diagnose.scenes import scene_along
+from tau_dyn.diagnose.rivals import AlternativeCause, SchurComplement, compute_imitating_amplitudes
+from tau_dyn.diagnose.scenes import build_scene
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 
-_MOST_SETTINGS = 60
-_NEAR = 0.3
+_MAX_SETTINGS = 60
+_MAX_SETTING_DISTANCE = 0.3
 """Settings of a fine grid that lie this near the true cause's own are tried as a rival's."""
 _WEAK = 1e-12
 _IMITATED = 0.5
@@ -108,7 +115,7 @@ class DiscriminationDesign:
         return replace(self, lines=tuple(kept))
 
 
-def needs_of(question: DesignGoal) -> frozenset[str]:
+def get_required_signals(question: DesignGoal) -> frozenset[str]:
     """Return the computed signals that the question's effects feel."""
     pairs = [
         cls for suspect, rival in question.pairs for cls in (*suspect.effects, *([EFFECTS[rival]] if rival else []))
@@ -116,10 +123,10 @@ def needs_of(question: DesignGoal) -> frozenset[str]:
     return frozenset(name for cls in (*pairs, *question.others, *question.causes) for name in cls.needs) - {"reversal"}
 
 
-def scene_of(setting: Setting, motions: Sequence[Motion], signals: frozenset[str]) -> Scene:
+def build_design_scene(setting: Setting, motions: Sequence[Motion], signals: frozenset[str]) -> Scene:
     """Return what motions offer together."""
     robot = setting.model.robot
-    return scene_along(
+    return build_scene(
         motions,
         robot.actuated,
         robot.force_units,
@@ -130,7 +137,7 @@ def scene_of(setting: Setting, motions: Sequence[Motion], signals: frozenset[str
     )
 
 
-def pair_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
+def build_discrimination_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     """Return the plan that tells suspects from their rivals."""
     plan = _empty(setting, question, scene)
     for suspect, rival in question.pairs:
@@ -138,14 +145,14 @@ def pair_plan(setting: Setting, question: DesignGoal, scene: Scene) -> Discrimin
     return plan
 
 
-def with_mirrored(plan: DiscriminationDesign, recorded: Sequence[DesignMotion]) -> DiscriminationDesign:
+def add_mirrored_contrasts(plan: DiscriminationDesign, recorded: Sequence[DesignMotion]) -> DiscriminationDesign:
     """Return the plan with rivals taken as true as well, at the amplitudes with which they imitate the suspect so far.
 
     A rival that imitates less than half of it on the measured motion could not be behind what was measured.
     """
     if not plan.question.pairs:
         return plan
-    total = np.sum([gram(plan.setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
+    total = np.sum([compute_gram_matrix(plan.setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
     schur = plan.schur(total)
     for line, (suspect, rival) in zip(plan.lines, plan.question.pairs, strict=True):
         if line.instead is None or any(s.cause == rival for s, _ in plan.question.pairs):
@@ -153,12 +160,12 @@ def with_mirrored(plan: DiscriminationDesign, recorded: Sequence[DesignMotion]) 
         x = int(line.columns[0])
         left, chosen = line.instead.best(schur, x)
         if chosen and left < _IMITATED * schur.G[x, x]:
-            values = amplitudes(schur, x, chosen)
+            values = compute_imitating_amplitudes(schur, x, chosen)
             plan = _with_pair(plan, CauseHypothesis(rival, tuple(e for e, _ in chosen), values), suspect.cause, suspect)
     return plan
 
 
-def sight_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
+def build_detection_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     """Return the plan that shows causes, each on each group of joints at the setting in the middle of its grid."""
     plan = _empty(setting, question, scene)
     for cls in question.causes:
@@ -168,14 +175,16 @@ def sight_plan(setting: Setting, question: DesignGoal, scene: Scene) -> Discrimi
             grid = cls.grid(scene, joints)
             if grid and cls.untestable(scene) is None:
                 effect = _built(cls, scene, joints, grid[len(grid) // 2])
-                plan, columns = _added(plan, seen(setting, effect), len(effect.parameters))
+                plan, columns = _added(plan, build_effect_columns(setting, effect), len(effect.parameters))
                 plan = replace(plan, lines=(*plan.lines, Contrast(cls.name, "", columns, None)))
     return plan
 
 
 def _empty(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
     p = int(np.sum(setting.model.parameters.free)) + sum(len(e.parameters) for e in question.others)
-    return DiscriminationDesign(setting, question, scene, (refitted(setting.model, question.others),), (), p, 0)
+    return DiscriminationDesign(
+        setting, question, scene, (build_refitted_columns(setting.model, question.others),), (), p, 0
+    )
 
 
 def _added(plan: DiscriminationDesign, thing: Thing, k: int) -> tuple[DiscriminationDesign, np.ndarray]:
@@ -187,14 +196,14 @@ def _with_pair(
     plan: DiscriminationDesign, suspect: CauseHypothesis, rival: str, found: CauseHypothesis | None
 ) -> DiscriminationDesign:
     """Return the plan with one more pair; where the rival itself was `found`, its settings are tried as they are, too."""
-    plan, x = _added(plan, force(plan.setting, suspect.effects, suspect.values), 1)
+    plan, x = _added(plan, compute_effect_force(plan.setting, suspect.effects, suspect.values), 1)
     if not rival:
         return replace(plan, lines=(*plan.lines, Contrast(suspect.cause, "", x, None)))
     groups, columns = [], []
     for options in _options(EFFECTS[rival], plan.scene, suspect, found):
         places = []
         for effect in options:
-            plan, where = _added(plan, seen(plan.setting, effect), len(effect.parameters))
+            plan, where = _added(plan, build_effect_columns(plan.setting, effect), len(effect.parameters))
             places.append(where)
         groups.append(options)
         columns.append(tuple(places))
@@ -212,7 +221,7 @@ def _options(
             continue
         grid = cls.grid(scene, joints)
         own = {k: x for e in suspect.effects for k, x in e.settings.items() if k in cls.defaults}
-        if len(grid) > _MOST_SETTINGS:
+        if len(grid) > _MAX_SETTINGS:
             grid = _fewer(grid, own)
             grid.append(own | {k: x for k, x in grid[0].items() if k not in own})
         grid += [dict(e.settings) for e in (found.effects if found else ()) if e.joints == joints]
@@ -222,10 +231,14 @@ def _options(
 
 
 def _fewer(grid: list[dict[str, float]], own: dict[str, float]) -> list[dict[str, float]]:
-    """Return at most `_MOST_SETTINGS` of a grid: those near the true cause's own settings where it has the same ones."""
-    near = [g for g in grid if own and all(abs(g[k] / x - 1) < _NEAR for k, x in own.items() if x and k in g)]
+    """Return at most `_MAX_SETTINGS` of a grid: those near the true cause's own settings where it has the same ones."""
+    near = [
+        g
+        for g in grid
+        if own and all(abs(g[k] / x - 1) < _MAX_SETTING_DISTANCE for k, x in own.items() if x and k in g)
+    ]
     near = near or grid
-    return near[:: -(-len(near) // _MOST_SETTINGS)]
+    return near[:: -(-len(near) // _MAX_SETTINGS)]
 
 
 def _built(cls: type[Effect], scene: Scene, joints: tuple[str, ...], settings: dict[str, float]) -> Effect:

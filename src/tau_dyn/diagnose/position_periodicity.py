@@ -13,13 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.diagnose.force import ForceChannel
-from tau_dyn.diagnose.periodogram import explained_by_periods, of_force
+from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics
 from tau_dyn.effects import TransmissionError
 from tau_dyn.log import decimate, lowpass
 
 _DRAWS = 8
 _ROOM = 1.25
-_CHANCE = 1e-6
+_SIGNIFICANCE_LEVEL = 1e-6
 """Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
 
 
@@ -52,8 +52,8 @@ def _wave(channel: ForceChannel, joint: str, smooth_hz: Sequence[float], rng: np
     periods = periods[fastest / periods > lowest]
     if not periods.size:
         return False
-    T = explained_by_periods(q, v, u, np.ones(len(q), bool), periods, top, of_force(q))
-    return bool(len(periods) * len(channel.scene.joints) * np.exp(-0.5 * T[:, 0].max()) < _CHANCE)
+    T = compute_period_statistics(q, v, u, np.ones(len(q), bool), periods, top, build_force_terms(q))
+    return bool(len(periods) * len(channel.scene.joints) * np.exp(-0.5 * T[:, 0].max()) < _SIGNIFICANCE_LEVEL)
 
 
 def _between(x: np.ndarray, low_hz: float, high_hz: float, rate_hz: float) -> np.ndarray:

@@ -8,28 +8,30 @@ from scipy import stats
 from tau_dyn.diagnose.forward_step import MIN_2LOGL_DIFFERENCE
 from tau_dyn.diagnose.group_tests import FAMILY_LEVEL
 from tau_dyn.diagnose.plan import Contrast, DiscriminationDesign
-from tau_dyn.diagnose.question import DesignGoal, other_experiment
+from tau_dyn.diagnose.question import DesignGoal, find_other_experiment
 
 TRAINED = 0.6
 """Share of a log that is searched for causes; the rest confirms and measures."""
-_TRIES = 300
+_N_TRIALS = 300
 _FRESH = 20.0
 """Times smaller that an effect is seen, above which the measured motion hardly showed it."""
 
 
-def chance_of_telling(strength: float, rival: bool = True) -> float:
+def estimate_identification_probability(strength: float, rival: bool = True) -> float:
     """Return how probably a search on a log of this lambda ranks the true cause clearly above its rival.
 
     Twice the log-likelihood ratio of the two is normal about lambda with variance 4 lambda (Cox 1962); twins are told apart
-    from `MIN_2LOGL_DIFFERENCE` up. Without a rival it is the power of the search itself, about `_TRIES` tries counted.
+    from `MIN_2LOGL_DIFFERENCE` up. Without a rival it is the power of the search itself, about `_N_TRIALS` tries counted.
     """
     trained = TRAINED * strength
     if not rival:
-        return float(stats.ncx2.sf(stats.chi2.isf(FAMILY_LEVEL / _TRIES, 1), 1, trained))
+        return float(stats.ncx2.sf(stats.chi2.isf(FAMILY_LEVEL / _N_TRIALS, 1), 1, trained))
     return float(stats.norm.cdf((trained - MIN_2LOGL_DIFFERENCE) / (2 * np.sqrt(trained)))) if trained > 0 else 0.0
 
 
-def notes_of(plan: DiscriminationDesign, question: DesignGoal, new: np.ndarray, old: np.ndarray | None) -> list[str]:
+def list_motion_notes(
+    plan: DiscriminationDesign, question: DesignGoal, new: np.ndarray, old: np.ndarray | None
+) -> list[str]:
     """Return what to expect of a motion.
 
     Args:
@@ -47,7 +49,7 @@ def notes_of(plan: DiscriminationDesign, question: DesignGoal, new: np.ndarray, 
         notes.append(text if old is None else f"{text}; the measured one, in the same time, with {_sure(old[k], line)}")
     told = {name for line in plan.lines for name in (line.cause, line.rival)}
     cause = question.pairs[0][0].cause
-    lost = [(r, other_experiment(cause, r)) for _, r in question.pairs if r and r not in told]
+    lost = [(r, find_other_experiment(cause, r)) for _, r in question.pairs if r and r not in told]
     return [*notes, *(f"no motion tells {cause} from {twin}: {how}" for twin, how in (*lost, *question.beyond))]
 
 
@@ -72,6 +74,6 @@ def _sight(plan: DiscriminationDesign, new: np.ndarray, old: np.ndarray | None) 
 
 
 def _sure(strength: float, line: Contrast) -> str:
-    chance = 100 * chance_of_telling(strength, bool(line.rival))
+    chance = 100 * estimate_identification_probability(strength, bool(line.rival))
     size = "over 99 %" if chance > 99 else "under 1 %" if chance < 1 else f"{chance:.0f} %"
     return f"{strength:.3g} (a diagnosis names it with a chance of {size})"

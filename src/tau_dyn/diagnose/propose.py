@@ -16,20 +16,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.diagnose.candidates import candidate_pieces
-from tau_dyn.diagnose.design import Setting, completed, gram, measured, planned
+from tau_dyn.diagnose.candidates import build_candidate_pieces
+from tau_dyn.diagnose.design import (
+    Setting,
+    add_computed_signals,
+    build_measured_motion,
+    build_planned_motion,
+    compute_gram_matrix,
+)
 from tau_dyn.diagnose.filters import smooth_cutoff
 from tau_dyn.diagnose.plan import (
     DesignMotion,
     DiscriminationDesign,
-    needs_of,
-    pair_plan,
-    scene_of,
-    sight_plan,
-    with_mirrored,
+    add_mirrored_contrasts,
+    build_design_scene,
+    build_detection_plan,
+    build_discrimination_plan,
+    get_required_signals,
 )
-from tau_dyn.diagnose.proposal_words import notes_of
-from tau_dyn.diagnose.question import DesignGoal, beyond_motion, find_design_goal, other_experiment
+from tau_dyn.diagnose.proposal_words import list_motion_notes
+from tau_dyn.diagnose.question import DesignGoal, build_refusal, find_design_goal, find_other_experiment
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, even_segments
@@ -38,7 +44,7 @@ from tau_dyn.simulate import Trajectory, concatenate
 
 PIECE_S = 14.0
 """Length of a piece, about [s]."""
-_SHORTEST_S = 6.0
+_MIN_DURATION_S = 6.0
 _REST_S = 0.5
 _STILL_S = 0.1  # the move between two pieces that end and start at home
 _LOOKED_AT_S = 120.0
@@ -71,8 +77,8 @@ def propose_motion(
         CannotAnswer: What is open is no matter of motion; the experiment that would tell is named.
         InputError: The motion is too short, or the robot's limits leave none.
     """
-    if not _SHORTEST_S <= duration <= 3600:
-        raise InputError(f"a proposed motion takes between {_SHORTEST_S:g} s and an hour, not {duration:g} s")
+    if not _MIN_DURATION_S <= duration <= 3600:
+        raise InputError(f"a proposed motion takes between {_MIN_DURATION_S:g} s and an hour, not {duration:g} s")
     if trials < 1:
         raise InputError(f"a motion is chosen among at least one trial, not {trials}")
     setting, rng = Setting.of(diagnosis), np.random.default_rng(seed)
@@ -81,26 +87,30 @@ def propose_motion(
     number = max(1, round(duration / PIECE_S))
     length = (duration - (number - 1) * (_REST_S + _STILL_S)) / number
     progress("motions to choose from")
-    pieces = candidate_pieces(diagnosis.extended_model, length, trials, rng)
+    pieces = build_candidate_pieces(diagnosis.extended_model, length, trials, rng)
     progress("what they show")
-    needs = needs_of(question)
+    needs = get_required_signals(question)
     recorded = _measured(setting, logs, needs)
     offered = [_prepared(setting, piece, needs) for piece in pieces]
-    scene = scene_of(setting, [*(p.motion for p in offered), *(p.motion for p in recorded)], signals)
-    plan = pair_plan(setting, question, scene) if question.pairs else sight_plan(setting, question, scene)
+    scene = build_design_scene(setting, [*(p.motion for p in offered), *(p.motion for p in recorded)], signals)
+    plan = (
+        build_discrimination_plan(setting, question, scene)
+        if question.pairs
+        else build_detection_plan(setting, question, scene)
+    )
     if recorded:
-        plan = with_mirrored(plan, recorded)
-    grams = np.array([gram(setting, p.motion, p.counts, plan.things) for p in offered])
+        plan = add_mirrored_contrasts(plan, recorded)
+    grams = np.array([compute_gram_matrix(setting, p.motion, p.counts, plan.things) for p in offered])
     plan = _answerable(plan, grams, question)
     progress("choosing")
     chosen = optimise_by_exchange(plan, grams, number)
     motion = concatenate([pieces[k] for k in sorted(chosen)], rest=_REST_S, rate_hz=1000.0, name="proposed")
     whole = _prepared(setting, motion, needs)
-    new = plan.strengths(gram(setting, whole.motion, whole.counts, plan.things))
+    new = plan.strengths(compute_gram_matrix(setting, whole.motion, whole.counts, plan.things))
     old = _of_measured(setting, plan, recorded, motion.duration)
     kinds = ", ".join(pieces[k].name for k in sorted(chosen))
     made = f"put together of {kinds}, the best of {len(pieces)} random pieces by exchange"
-    return replace(motion, notes=(*notes_of(plan, question, new, old), made))
+    return replace(motion, notes=(*list_motion_notes(plan, question, new, old), made))
 
 
 def optimise_by_exchange(plan: DiscriminationDesign, grams: np.ndarray, number: int) -> list[int]:
@@ -130,8 +140,8 @@ def _signals(model: Model) -> frozenset[str]:
 
 
 def _prepared(setting: Setting, trajectory: Trajectory, needs: frozenset[str]) -> DesignMotion:
-    motion, counts = planned(setting, trajectory)
-    return DesignMotion(completed(setting, motion, needs), counts)
+    motion, counts = build_planned_motion(setting, trajectory)
+    return DesignMotion(add_computed_signals(setting, motion, needs), counts)
 
 
 def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> list[DesignMotion]:
@@ -141,13 +151,13 @@ def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> l
         return []
     smooth_hz, found = smooth_cutoff(setting.model.robot, stretches), []
     for log in stretches:
-        motion, counts = measured(setting, log, smooth_hz)
+        motion, counts = build_measured_motion(setting, log, smooth_hz)
         n = max(16, int(_LOOKED_AT_S * setting.rate_hz / len(stretches)))
         arrays = {key: x[:n] for key, x in motion.signals.items()}
         part = replace(
             motion, **{key: getattr(motion, key)[:n] for key in ("q", "v", "a", "sign", "t")}, signals=arrays
         )
-        found.append(DesignMotion(completed(setting, part, needs), counts[:n]))
+        found.append(DesignMotion(add_computed_signals(setting, part, needs), counts[:n]))
     return found
 
 
@@ -157,7 +167,7 @@ def _of_measured(
     """Return strengths of the measured motion, in the time that the proposal takes [s]."""
     if not recorded:
         return None
-    total = np.sum([gram(setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
+    total = np.sum([compute_gram_matrix(setting, p.motion, p.counts, plan.things) for p in recorded], axis=0)
     took = sum(float(p.motion.t[-1] - p.motion.t[0]) for p in recorded if p.motion.t is not None)
     return plan.strengths(total * (duration / took))
 
@@ -175,4 +185,4 @@ def _answerable(plan: DiscriminationDesign, grams: np.ndarray, question: DesignG
         )
     cause = question.pairs[0][0].cause
     twins = dict.fromkeys(rival for _, rival in question.pairs if rival and rival != cause)
-    raise beyond_motion(cause, [*((t, other_experiment(cause, t)) for t in twins), *question.beyond])
+    raise build_refusal(cause, [*((t, find_other_experiment(cause, t)) for t in twins), *question.beyond])

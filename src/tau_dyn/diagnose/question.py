@@ -15,7 +15,7 @@ from tau_dyn.effects import EFFECTS, Effect
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
-_MOST = 3
+_MAX_HYPOTHESES = 3
 """Suspected causes that are told from each other."""
 
 _WEIGHING = (
@@ -89,7 +89,7 @@ def find_design_goal(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGo
     for finding in found:
         if finding.indistinguishable_from:
             return _twins(diagnosis, finding, signals)
-    suspected = [f for f in found if f.status == "suspected"][:_MOST]
+    suspected = [f for f in found if f.status == "suspected"][:_MAX_HYPOTHESES]
     if suspected:
         sure = _sure(diagnosis, suspected)
         if len(suspected) == 1:
@@ -101,7 +101,7 @@ def find_design_goal(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGo
     return _unseen(diagnosis, signals)
 
 
-def other_experiment(cause: str, twin: str, default: str = "") -> str:
+def find_other_experiment(cause: str, twin: str, default: str = "") -> str:
     """Return the experiment other than a motion that tells two causes apart."""
     known = _OTHER_EXPERIMENTS.get(twin) or _OTHER_EXPERIMENTS.get(cause) or default
     if known:
@@ -110,7 +110,7 @@ def other_experiment(cause: str, twin: str, default: str = "") -> str:
     return first.reveals if first else f"measure {twin.replace('_', ' ')} by itself"
 
 
-def beyond_motion(cause: str, twins: Sequence[tuple[str, str]]) -> CannotAnswer:
+def build_refusal(cause: str, twins: Sequence[tuple[str, str]]) -> CannotAnswer:
     """Return the refusal where no motion tells a cause from its twins, pairs of name and experiment."""
     names = " or ".join(name for name, _ in twins)
     experiments = list(dict.fromkeys(experiment for _, experiment in twins))
@@ -118,7 +118,7 @@ def beyond_motion(cause: str, twins: Sequence[tuple[str, str]]) -> CannotAnswer:
 
 
 def _beyond(cause: str, twins: Sequence[str], default: str = "") -> CannotAnswer:
-    return beyond_motion(cause, [(twin, other_experiment(cause, twin, default)) for twin in twins])
+    return build_refusal(cause, [(twin, find_other_experiment(cause, twin, default)) for twin in twins])
 
 
 def _twins(diagnosis: Diagnosis, finding: Finding, signals: Collection[str]) -> DesignGoal:
@@ -130,7 +130,7 @@ def _twins(diagnosis: Diagnosis, finding: Finding, signals: Collection[str]) -> 
     left = [t for t in twins if t not in out]
     if not left:
         raise _beyond(finding.cause, twins)
-    beyond = tuple((twin, other_experiment(finding.cause, twin)) for twin in out)
+    beyond = tuple((twin, find_other_experiment(finding.cause, twin)) for twin in out)
     return DesignGoal(tuple((CauseHypothesis.of(finding), t) for t in left), _sure(diagnosis, [finding]), beyond)
 
 

@@ -18,7 +18,7 @@ from tau_dyn.diagnose.confirm import confirm
 from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.extended_fit import EvaluatedFit, compute_gain
 from tau_dyn.diagnose.result import Choice, Gain
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, effects_of
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
 
 MAX_ERROR_RATIO = 3.0
 """Held-out over training rms of a joint above which the two are not of one machine: another motion changes it by less than two
@@ -65,7 +65,7 @@ def recommend(
     if worse:
         listed = ", ".join(f"{joint} by {loss:.2g} %" for joint, loss in worse)
         return Recommendation("refitted", f"with the confirmed causes held-out data are predicted worse at {listed}")
-    effects = effects_of(claims.kept)
+    effects = build_effects(claims.kept)
     joints = {joint for effect in effects for joint in effect.joints}
     shown = confirm(channel, hunt.noise, get_columns(hunt.library, effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
     gain = compute_gain(channel, before.residuals, after.residuals, sorted(joints), rng, shown)

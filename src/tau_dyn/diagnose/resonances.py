@@ -22,34 +22,34 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.result import Finding
-from tau_dyn.diagnose.tool import ToolChannel, on_group
+from tau_dyn.diagnose.tool import ToolChannel, restrict_to_group
 from tau_dyn.effects import StructuralCompliance
-from tau_dyn.estimate import solve_scaled, unit_columns
+from tau_dyn.estimate import scale_columns, solve_scaled
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.log import find_true_runs
 from tau_dyn.modes.methods import stabilise_poles
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.residuals import compute_aic_bic, compute_log_det_loss, count_free_parameters
 from tau_dyn.modes.subspace import subspace_factors
 from tau_dyn.parameters import Parameter
 
 ORDERS = (2, 4, 6, 8)
-SLOWEST_HZ = 3.0
+MIN_FREQUENCY_HZ = 3.0
 """Below, friction and drift look like modes."""
 HEAVIEST = 0.3
 """Damping ratio above which a mode does not ring."""
 KNOWN = (0.02, 0.5)
 """Largest standard errors of frequency and damping, as shares of them, of a mode that is proposed."""
-SHORTEST_S = 2.0
+MIN_SEGMENT_S = 2.0
 """Stretches without a reversal that are long enough to show a mode ring [s]."""
-MOST_SAMPLES = 20_000
+MAX_SAMPLES = 20_000
 ALONE = 0.95
 """Share of what a whole matrix explains, from which on a single joint's compliance is the simpler answer."""
 _REACH = 1.25
 """Frequency up to which modes are proposed, in those up to which the motion is clear; noise rings there in the fit only."""
-_ROUNDS = 15
+_MAX_ITERATIONS = 15
 _CAUSE = "structural_compliance"
 _SPREAD = 2.0
 _BEYOND = " That is above the {band} up to which the encoders show the motion, so it is what the response below lets one guess."
@@ -62,15 +62,15 @@ _WANTED = (
 C = TypeVar("C", bound=Channel)
 
 
-def with_resonances(channel: C) -> C:
+def add_resonances(channel: C) -> C:
     """Return a channel whose scene proposes the resonances that its training part shows."""
-    found = replace(channel, scene=replace(channel.scene, resonances=proposed(channel)))
+    found = replace(channel, scene=replace(channel.scene, resonances=propose_resonances(channel)))
     if not found.scene.resonances or not _of_structure(found):
         return found
     causes = found.causes
     if isinstance(channel, ToolChannel):  # there each group is a cause of its own
         others = (cls for cls in causes if cls.name != _CAUSE)
-        causes = (*others, on_group(channel.scene.joints, StructuralCompliance))
+        causes = (*others, restrict_to_group(channel.scene.joints, StructuralCompliance))
     return replace(found, scene=replace(found.scene, structure=True), causes=causes)
 
 
@@ -104,20 +104,20 @@ def _missed(channel: Channel, effects: Sequence[StructuralCompliance | None]) ->
     y, W, found = rows(channel.target), rows(channel.free_columns), []
     for effect in effects:
         C = W if effect is None else np.concatenate([W, rows(channel.columns(effect))], axis=1)
-        unit, _ = unit_columns(C)
+        unit, _ = scale_columns(C)
         left = y - unit @ np.linalg.lstsq(unit, y, rcond=1e-9)[0]
         found.append(float(left @ left))
     return found
 
 
-def proposed(channel: Channel) -> tuple[tuple[float, float], ...]:
+def propose_resonances(channel: Channel) -> tuple[tuple[float, float], ...]:
     """Return frequency [Hz] and damping ratio of the modes that the training part shows, the surest first."""
     records = _records(channel)
     best = _most_likely(records) if records else None
     if best is None:
         return ()
     top = min(channel.scene.cutoff_hz, _REACH * _clear_hz(channel), 0.4 / records[0].dt)
-    rings = [m for m in best.modes if _known(m) and SLOWEST_HZ < m.frequency_hz < top]
+    rings = [m for m in best.modes if _known(m) and MIN_FREQUENCY_HZ < m.frequency_hz < top]
     rings.sort(key=lambda m: m.frequency_stderr / m.frequency_hz)
     apart = [m for k, m in enumerate(rings) if not any(_one(m, other) for other in rings[:k])]
     return tuple((m.frequency_hz, m.damping_ratio) for m in apart)
@@ -141,14 +141,14 @@ def _known(mode: Mode) -> bool:
     return 0 < mode.damping_ratio < HEAVIEST and mode.frequency_stderr < frequency and mode.damping_stderr < damping
 
 
-def _most_likely(records: Sequence[Record]) -> Refined | None:
+def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
     """Return the best model by BIC; None where none beats a residual that answers at once or not at all."""
     p, m = records[0].y.shape[1], records[0].u.shape[1]
     n = sum(r.n_samples for r in records)
     least = compute_aic_bic(
         compute_log_det_loss(_at_once(records)), n, count_free_parameters(0, p, m, direct=True, predicts=False)
     )[1]
-    best: Refined | None = None
+    best: RefinedModel | None = None
     try:
         factors = subspace_factors(records)
     except TauDynError:
@@ -156,7 +156,7 @@ def _most_likely(records: Sequence[Record]) -> Refined | None:
     for order in (o for o in ORDERS if o <= factors.largest_order):
         try:
             found = refine(
-                stabilise_poles(factors.model(order, direct=True)), records, direct=True, maximum_rounds=_ROUNDS
+                stabilise_poles(factors.model(order, direct=True)), records, direct=True, maximum_rounds=_MAX_ITERATIONS
             )
         except (TauDynError, np.linalg.LinAlgError):
             continue
@@ -212,7 +212,7 @@ def _baseline(channel: Channel) -> np.ndarray:
 def _stretches(channel: Channel, u: np.ndarray, e: np.ndarray, mask: np.ndarray, dt: float) -> Iterator[Record]:
     """Return unbroken stretches of samples (n,) that are long enough, as deviations from their means."""
     for part in find_true_runs(mask):
-        if (part.stop - part.start) * dt >= SHORTEST_S:
+        if (part.stop - part.start) * dt >= MIN_SEGMENT_S:
             one, other = u[part] - u[part].mean(axis=0), e[part] - e[part].mean(axis=0)
             yield Record(one, other, dt, channel.scene.joints, channel.outputs)
 
@@ -221,12 +221,12 @@ def _few(records: Sequence[Record]) -> Iterator[Record]:
     """Return records of one clock until they hold enough samples."""
     total = 0
     for record in records:
-        if total < MOST_SAMPLES and abs(record.dt / records[0].dt - 1) < 1e-6:
+        if total < MAX_SAMPLES and abs(record.dt / records[0].dt - 1) < 1e-6:
             total += record.n_samples
             yield record
 
 
-def with_band(finding: Finding, band_hz: float) -> Finding:
+def add_band_note(finding: Finding, band_hz: float) -> Finding:
     """Return a finding that says so where its resonance lies above what the encoders show, and which data would tell.
 
     Frequency and damping of such a resonance are guesses, and lose their standard errors: true springs at 55 and 93 Hz were read

@@ -80,7 +80,9 @@ class AlternativeCause:
         return best
 
 
-def amplitudes(schur: SchurComplement, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]) -> Parameters:
+def compute_imitating_amplitudes(
+    schur: SchurComplement, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]
+) -> Parameters:
     """Return the values at which chosen effects imitate column x best; none is negative that must not be."""
     columns = np.concatenate([c for _, c in chosen])
     G = schur.G[np.ix_(columns, columns)]

@@ -13,7 +13,7 @@ _RARE = 0.01
 """Share of the training beyond either end of the range that a joint visits often."""
 
 
-def scene_along(
+def build_scene(
     motions: Sequence[Motion],
     joints: tuple[str, ...],
     units: tuple[str, ...],
@@ -35,7 +35,7 @@ def scene_along(
         slow: Slowest speed with a sure sign (na,) [m/s or rad/s].
         cutoff_hz: Frequency above which nothing is seen [Hz].
         duration: Length of all of them [s].
-        signals: What effects may feel; see `shared_signals`.
+        signals: What effects may feel; see `find_shared_signals`.
         campaigns: Number of logs that are told apart.
         trained: Which samples of each motion causes are fitted to (n,); by default all.
         coupled: Pairs of joints that a shared motor may drive.
@@ -44,13 +44,13 @@ def scene_along(
     seen = q if trained is None else q[np.concatenate(trained)]
     often = np.quantile(seen, (_RARE, 1 - _RARE), axis=0)
     ends = q.min(axis=0), q.max(axis=0)
-    hard = fast_speeds(np.concatenate([motion.a for motion in motions]))
+    hard = compute_fast_speeds(np.concatenate([motion.a for motion in motions]))
     return Scene(
         joints,
         units,
         *ends,
         slow,
-        fast_speeds(v),
+        compute_fast_speeds(v),
         cutoff_hz,
         duration,
         signals,
@@ -61,11 +61,11 @@ def scene_along(
     )
 
 
-def shared_signals(motions: Sequence[Motion]) -> frozenset[str]:
+def find_shared_signals(motions: Sequence[Motion]) -> frozenset[str]:
     """Return the names of the signals that all motions give."""
     return frozenset.intersection(*(frozenset(motion.signals) for motion in motions))
 
 
-def fast_speeds(v: np.ndarray) -> np.ndarray:
+def compute_fast_speeds(v: np.ndarray) -> np.ndarray:
     """Return the speed that each joint exceeds in 2 % of the samples (na,), of speeds (n, na)."""
     return np.quantile(np.abs(v), _FASTEST, axis=0)

@@ -9,10 +9,10 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.diagnose.candidate_scan import ColumnCache, get_columns, match_settings, rescore_group
-from tau_dyn.diagnose.group_tests import Candidate, GroupTest
+from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest
 from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import unit_columns
+from tau_dyn.estimate import scale_columns
 
 _STEPS = 3
 _TERM_LEVEL = 1e-4
@@ -20,7 +20,7 @@ _TERM_LEVEL = 1e-4
 _WIDE = 2.0
 
 
-def refine_settings(candidate: Candidate, library: ColumnCache, ground: NullModel) -> Candidate:
+def refine_settings(candidate: CandidateCause, library: ColumnCache, ground: NullModel) -> CandidateCause:
     """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points.
 
     A setting that agrees with an amplitude is found together with it.
@@ -54,7 +54,7 @@ def _grown(fit: GroupTest, library: ColumnCache, ground: NullModel) -> GroupTest
     return fit
 
 
-def drop_redundant_groups(candidate: Candidate, library: ColumnCache, ground: NullModel) -> Candidate:
+def drop_redundant_groups(candidate: CandidateCause, library: ColumnCache, ground: NullModel) -> CandidateCause:
     """Return a candidate with the groups that explain something beside its stronger ones, and what each explains there.
 
     What a joint does leaks through the baseline's refit into the others, where the same cause would be found again.
@@ -89,7 +89,7 @@ def _step(effect: Effect, library: ColumnCache, ground: NullModel, limits: Seque
     if not np.any(amplitude):
         return None
     D = np.concatenate([ground.whiten_columns(x) for x in differentiate_settings(effect, amplitude, library)], axis=1)
-    both, norm = unit_columns(np.concatenate([C, D], axis=1))
+    both, norm = scale_columns(np.concatenate([C, D], axis=1))
     solution = np.linalg.lstsq(ground.gram(both), both.T @ ground.e, rcond=1e-8)[0] / norm
     changed = {}
     for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):

@@ -26,7 +26,7 @@ def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
     )
 
 
-def with_simulation(
+def add_simulation(
     diagnosis: Diagnosis, logs: Sequence[Log], law: CascadeLaw, progress: Callable[[str], None] = lambda step: None
 ) -> Diagnosis:
     """Return a diagnosis with `simulation`: how far the closed loop is from a log before and after the extension.

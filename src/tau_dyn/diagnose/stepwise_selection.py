@@ -19,8 +19,14 @@ from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, ColumnCache, get_colum
 from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.forward_step import MIN_2LOGL_DIFFERENCE, ArtefactFilter, choose_next_cause
-from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, Candidate, GroupTest, combine_group_tests, merit_under
-from tau_dyn.diagnose.noise import noise_models
+from tau_dyn.diagnose.group_tests import (
+    FAMILY_LEVEL,
+    CandidateCause,
+    GroupTest,
+    combine_group_tests,
+    compute_penalised_statistic,
+)
+from tau_dyn.diagnose.noise import fit_noise_models
 from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.settings_refinement import refine_settings
 from tau_dyn.diagnose.unknown_structure import Structure, find_structure
@@ -48,7 +54,7 @@ class SelectedCause:
         rivals: Causes that explain as much in its place.
     """
 
-    candidate: Candidate
+    candidate: CandidateCause
     p_value: float
     rivals: tuple[str, ...]
 
@@ -69,16 +75,16 @@ class StepwiseSelection:
     found: tuple[SelectedCause, ...]
     noise: tuple[Autoregression, ...]
     ground: NullModel
-    last: tuple[Candidate, ...]
+    last: tuple[CandidateCause, ...]
     library: ColumnCache
     n_causes: int
 
     def others(self, one: SelectedCause) -> list[Effect]:
         """Return the effects of all causes found but one."""
-        return effects_of([other for other in self.found if other is not one])
+        return build_effects([other for other in self.found if other is not one])
 
 
-def effects_of(found: Sequence[SelectedCause]) -> list[Effect]:
+def build_effects(found: Sequence[SelectedCause]) -> list[Effect]:
     """Return the effects of several causes."""
     return [effect for one in found for effect in one.candidate.effects]
 
@@ -107,7 +113,7 @@ def select_causes(
             found[-1] = replace(found[-1], rivals=tuple(r for r in pending[-1] if r not in still))
         if not significant or len(found) >= MAX_CAUSES or len(pending) >= 2 * MAX_CAUSES:
             break
-        taken = choose_next_cause(significant, library, ground, effects_of(found), len(candidates), sift)
+        taken = choose_next_cause(significant, library, ground, build_effects(found), len(candidates), sift)
         if taken is None:
             break
         best, twins = taken
@@ -134,17 +140,17 @@ def _merged(found: list[SelectedCause]) -> list[SelectedCause]:
     return found
 
 
-def adjust_p_value_bonferroni(candidate: Candidate, candidates: Sequence[Candidate]) -> float:
+def adjust_p_value_bonferroni(candidate: CandidateCause, candidates: Sequence[CandidateCause]) -> float:
     """Return a cause's p-value with all causes tried taken into account (Bonferroni)."""
     return min(1.0, candidate.p_value * len(candidates))
 
 
 def _scan_candidates(
-    channel: Channel, library: ColumnCache, found: Sequence[Candidate], rng: np.random.Generator
-) -> tuple[tuple[Autoregression, ...], NullModel, list[Candidate]]:
+    channel: Channel, library: ColumnCache, found: Sequence[CandidateCause], rng: np.random.Generator
+) -> tuple[tuple[Autoregression, ...], NullModel, list[CandidateCause]]:
     effects = [effect for candidate in found for effect in candidate.effects]
     extra = get_columns(library, effects)
-    noise = noise_models(channel, (TRAIN,), extra)
+    noise = fit_noise_models(channel, (TRAIN,), extra)
     ground = NullModel.of(channel, (TRAIN,), noise, extra)
     taken = {(effect.name, effect.joints) for effect in effects}
     return (
@@ -162,7 +168,7 @@ def _eliminate_backward(
     while len(kept) > 1:
         judged = []
         for k, one in enumerate(kept):
-            others = effects_of([*kept[:k], *kept[k + 1 :]])
+            others = build_effects([*kept[:k], *kept[k + 1 :]])
             ground = NullModel.of(channel, (TRAIN,), noise, get_columns(library, others))
             fits = [rescore_group(fit, library, ground) for fit in one.candidate.fits]
             beside = combine_group_tests(one.candidate.cause, fits)
@@ -185,7 +191,7 @@ def _anew(
     """Return what was kept, weighed and refined beside the others that were: what was dropped had explained a part of it."""
     found = list(kept)
     for k, one in enumerate(found):
-        others = effects_of([other for other in found if other is not one])
+        others = build_effects([other for other in found if other is not one])
         ground = NullModel.of(channel, (TRAIN,), noise, get_columns(library, others))
         fits = tuple(rescore_group(fit, library, ground) for fit in one.candidate.fits)
         found[k] = replace(one, candidate=refine_settings(replace(one.candidate, fits=fits), library, ground))
@@ -206,7 +212,7 @@ def _reject_lack_of_fit(
     """
     kept = []
     for one in found:
-        others = effects_of([other for other in found if other is not one])
+        others = build_effects([other for other in found if other is not one])
         ground = NullModel.of(channel, (TRAIN,), noise, get_columns(library, others))
         fits = [rescore_group(fit, library, ground) for fit in one.candidate.fits]
         structure = find_structure(channel, ground, draws, level=1.0)
@@ -220,7 +226,9 @@ def _reject_lack_of_fit(
 
 
 def _beaten(fit: GroupTest, structure: Structure) -> bool:
-    own = merit_under([fit], 1.0)  # as a structure's: which explains more is no matter of either's scatter over time
+    own = compute_penalised_statistic(
+        [fit], 1.0
+    )  # as a structure's: which explains more is no matter of either's scatter over time
     if structure.penalised_statistic <= own + MIMIC_MARGIN:
         return False
     steadier = (

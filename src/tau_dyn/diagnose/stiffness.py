@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
 from tau_dyn.diagnose.deflection import DeflectionChannel
 from tau_dyn.diagnose.deflection_clock import ClockOffset
-from tau_dyn.diagnose.extended_fit import extended_regression, fit_extended_model, restrict_to_parts
+from tau_dyn.diagnose.extended_fit import build_extended_regression, fit_extended_model, restrict_to_parts
 from tau_dyn.effects import Backlash, Effect, Hysteresis, JointCompliance
 from tau_dyn.estimate import solve_least_squares
 
@@ -52,7 +52,7 @@ class Reading:
     rms: np.ndarray
 
 
-def stiffness_readings(channel: DeflectionChannel, seed: int = 0) -> list[Reading]:
+def estimate_stiffness(channel: DeflectionChannel, seed: int = 0) -> list[Reading]:
     """Return all readings; a loop takes, on each joint, the distance of its grid that fits best."""
     return [_reading(channel, causes, np.random.default_rng(seed)) for causes in READINGS]
 
@@ -86,7 +86,7 @@ def _on(channel: DeflectionChannel, causes: Sequence[type[Effect]], joint: str) 
 
 
 def _left(channel: DeflectionChannel, effects: Sequence[Effect], joint: str) -> float:
-    regression = restrict_to_parts(extended_regression(channel, effects), channel, TRAIN, VALIDATION)
+    regression = restrict_to_parts(build_extended_regression(channel, effects), channel, TRAIN, VALIDATION)
     k = channel.outputs.index(joint)
     residuals = regression.residuals(solve_least_squares(regression).theta)
     return sum(float(np.sum(e[run.usable[:, k], k] ** 2)) for e, run in zip(residuals, regression.runs, strict=True))

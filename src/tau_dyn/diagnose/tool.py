@@ -18,16 +18,24 @@ import numpy as np
 from tau_dyn.diagnose.candidate_scan import find_nonnegative
 from tau_dyn.diagnose.channel import Channel, refuse_scarce
 from tau_dyn.diagnose.data_split import split_by_blocks
-from tau_dyn.diagnose.filters import compute_border_gap_s, diagnosis_preparation
+from tau_dyn.diagnose.filters import choose_diagnosis_preparation, compute_border_gap_s
 from tau_dyn.diagnose.null_model import NullModel
-from tau_dyn.diagnose.scenes import scene_along, shared_signals
-from tau_dyn.diagnose.tool_pieces import OUTPUTS, POSE_S, Piece, aligned, cut, held_still, piece_of
+from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
+from tau_dyn.diagnose.tool_pieces import (
+    OUTPUTS,
+    POSE_S,
+    ToolSegment,
+    align_tool_frame,
+    build_tool_segment,
+    cut,
+    is_static,
+)
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 from tau_dyn.effects.displacement import DisplacementEffect
-from tau_dyn.estimate import Run
+from tau_dyn.estimate import RegressionRun
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.log import Log, attenuation
+from tau_dyn.log import Log, compute_attenuation
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -43,7 +51,7 @@ class ToolChannel(Channel):
         pieces: The stretches.
     """
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[ToolSegment, ...]
 
     @property
     def poses(self) -> bool:
@@ -83,13 +91,13 @@ class ToolChannel(Channel):
             found.append(Motion.of(p.motion.joints, q, v, a, sign, t=p.t, signals=signals))
         return tuple(found)
 
-    def _quick(self, effect: Effect, piece: Piece, motion: Motion) -> np.ndarray:
+    def _quick(self, effect: Effect, piece: ToolSegment, motion: Motion) -> np.ndarray:
         assert isinstance(effect, DisplacementEffect)
         columns = effect.tool_columns(motion, piece.jacobian[:: piece.factor])
         if piece.cutoff_hz is None:
             return columns
         f = effect.local_frequency(motion)[:, :1, None]  # type: ignore[attr-defined]
-        return columns / attenuation(f, piece.cutoff_hz)
+        return columns / compute_attenuation(f, piece.cutoff_hz)
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
         """Return positions, speeds (of poses: the way from the one before), accelerations and time of each run."""
@@ -104,7 +112,7 @@ class ToolChannel(Channel):
         return found
 
 
-def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -> ToolChannel:
+def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -> ToolChannel:
     """Build the channel.
 
     Args:
@@ -121,9 +129,9 @@ def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -
         raise InputError("no log was given")
     if model.robot.tool_frame is None:
         raise InputError(f"{model.robot.source}: the robot file has no frame named tool")
-    moving = [log for log, _ in stretches if not held_still(log)]
-    preparation = diagnosis_preparation(model.robot, moving, ()) if moving else None
-    pieces = aligned([piece_of(model, log, preparation) for log, _ in stretches])
+    moving = [log for log, _ in stretches if not is_static(log)]
+    preparation = choose_diagnosis_preparation(model.robot, moving, ()) if moving else None
+    pieces = align_tool_frame([build_tool_segment(model, log, preparation) for log, _ in stretches])
     scene = _scene(model, pieces, preparation)
     parameters, columns = _baseline(scene, pieces)
     runs = tuple(_run(piece, W) for piece, W in zip(pieces, columns, strict=True))
@@ -131,7 +139,7 @@ def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -
     gap = compute_border_gap_s(preparation.force_cutoff_hz, moving[0].rate_hz) if preparation else 0.0
     parts = tuple(split_by_blocks(runs, out, any(out), gap))
     displacing = [cls for cls in EFFECTS.values() if cls.cause and issubclass(cls, DisplacementEffect)]
-    causes = tuple(on_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
+    causes = tuple(restrict_to_group(group, cls) for cls in displacing for group in cls.groups(scene) or [()])
     units = ("m",) * len(OUTPUTS)
     channel = ToolChannel("tool", OUTPUTS, units, parameters, runs, parts, scene, causes, tuple(pieces))
     refuse_scarce(
@@ -144,7 +152,7 @@ def tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] = ()) -
     return channel
 
 
-def on_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
+def restrict_to_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
     """Return a cause that is tried on one group of joints only.
 
     The search adds up what a cause explains on several joints. Forces show each joint apart; the tool shows their sum, so here
@@ -157,7 +165,7 @@ def on_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
     return type(cls.__name__, (cls,), {"groups": classmethod(groups), "__doc__": cls.__doc__})
 
 
-def _baseline(scene: Scene, pieces: Sequence[Piece]) -> tuple[Parameters, list[np.ndarray]]:
+def _baseline(scene: Scene, pieces: Sequence[ToolSegment]) -> tuple[Parameters, list[np.ndarray]]:
     """Return frame and joint zeros that do not depend on each other, and their columns (n, 3, p) of each run."""
     centre = np.concatenate([p.predicted for p in pieces]).mean(axis=0)
     names = [*((f"frame.{x}", "m") for x in "xyz"), *((f"frame.r{x}", "rad") for x in "xyz")]
@@ -180,21 +188,21 @@ def _baseline(scene: Scene, pieces: Sequence[Piece]) -> tuple[Parameters, list[n
     return parameters, [W[:, :, keep] for W in found]
 
 
-def _run(piece: Piece, W: np.ndarray) -> Run:
+def _run(piece: ToolSegment, W: np.ndarray) -> RegressionRun:
     y = piece.passed(piece.tool - piece.predicted)
     usable = np.repeat(piece.seen[:, None], len(OUTPUTS), axis=1)
     signals = {"tool": piece.passed(piece.tool), "q": piece.motion.q[:: piece.factor]}
-    return Run(piece.log.name, piece.t, W, y, usable, W, y, signals)
+    return RegressionRun(piece.log.name, piece.t, W, y, usable, W, y, signals)
 
 
-def _scene(model: Model, pieces: Sequence[Piece], preparation: Preparation | None) -> Scene:
+def _scene(model: Model, pieces: Sequence[ToolSegment], preparation: Preparation | None) -> Scene:
     motions = [p.motion for p in pieces]
-    return scene_along(
+    return build_scene(
         motions,
         model.robot.actuated,
         model.robot.force_units,
         slow=preparation.speed_threshold if preparation else np.zeros(model.robot.na),
         cutoff_hz=preparation.force_cutoff_hz if preparation else np.inf,
         duration=sum(float(p.t[-1] - p.t[0]) for p in pieces),
-        signals=shared_signals(motions) | {"tool"},
+        signals=find_shared_signals(motions) | {"tool"},
     )

@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.diagnose.aliases import alias_periods, spacing
+from tau_dyn.diagnose.aliases import compute_alias_periods, compute_position_spacing
 from tau_dyn.diagnose.candidate_scan import get_columns
 from tau_dyn.diagnose.channel_pipeline import (
     HELD_OUT,
     SHARED,
     Answer,
     build_diagnosis,
-    confirmation,
-    findings_of,
+    build_findings,
+    confirm_cause,
     select_confirmed,
     select_supported,
 )
@@ -27,10 +27,10 @@ from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.detection_limits import compute_detection_limits
 from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.recommendation import recommend
-from tau_dyn.diagnose.resonances import with_resonances
+from tau_dyn.diagnose.resonances import add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, select_causes
-from tau_dyn.diagnose.tool import ToolChannel, tool_channel
+from tau_dyn.diagnose.tool import ToolChannel, build_tool_channel
 from tau_dyn.effects.words import quantity
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -64,19 +64,19 @@ def diagnose_tool(
     """
     train, held = list(logs), list(holdout)
     progress("columns")
-    channel = with_resonances(tool_channel(model, train, held))
+    channel = add_resonances(build_tool_channel(model, train, held))
     rng = np.random.default_rng(seed)
     progress("looking for causes")
     hunt = select_causes(channel, rng, progress)
     progress("confirming")
-    tests = [confirmation(channel, hunt, one) for one in hunt.found]
+    tests = [confirm_cause(channel, hunt, one) for one in hunt.found]
     periods = [_periods(channel, hunt, one) for one in hunt.found]
     claims = select_confirmed(channel, hunt, tests)
     for k, open_to in enumerate(periods):
         claims = claims.judge(k, "several periods fit alike") if len(open_to) > 1 else claims
     progress("measuring the gain")
     claims, bars = select_supported(channel, hunt, claims, rng)
-    said = findings_of(channel, hunt, claims, bars, rng)
+    said = build_findings(channel, hunt, claims, bars, rng)
     findings = [
         _open(channel, one, finding, open_to) if len(open_to) > 1 else finding
         for one, finding, open_to in zip(hunt.found, said, periods, strict=True)
@@ -104,7 +104,7 @@ def _periods(channel: ToolChannel, hunt: StepwiseSelection, one: SelectedCause) 
     if not (channel.poses and effect.dense and "period" in effect.settings):
         return ()
     ground = NullModel.of(channel, (TRAIN,), hunt.noise, get_columns(hunt.library, hunt.others(one)))
-    return alias_periods(channel, ground, effect)
+    return compute_alias_periods(channel, ground, effect)
 
 
 def _open(channel: ToolChannel, one: SelectedCause, finding: Finding, periods: tuple[float, ...]) -> Finding:
@@ -114,7 +114,7 @@ def _open(channel: ToolChannel, one: SelectedCause, finding: Finding, periods: t
     unit = "m" if effect.units[joint] == "N" else "rad"
     listed = ", ".join(quantity(p, unit) for p in periods[:_LISTED])
     more = f" and {len(periods) - _LISTED} more down to {quantity(periods[-1], unit)}" if len(periods) > _LISTED else ""
-    step, finer = (quantity(x, unit) for x in (spacing(channel, joint), periods[-1] / _PER_PERIOD))
+    step, finer = (quantity(x, unit) for x in (compute_position_spacing(channel, joint), periods[-1] / _PER_PERIOD))
     return replace(
         finding,
         status="suspected",

@@ -11,24 +11,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.diagnose.pieces import directions, without_ends
+from tau_dyn.diagnose.pieces import find_directions, mask_filter_edges
 from tau_dyn.effects import Motion
 from tau_dyn.effects.cart_shift import SENSITIVITY
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
 from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import MIN_RATE_HZ, Preparation
-from tau_dyn.identify.regression import measured_signals
+from tau_dyn.identify.regression import get_measured_signals
 from tau_dyn.log import Log, decimate, differentiate, even_segments, lowpass
 from tau_dyn.model import Model
 
 OUTPUTS = ("x_tool", "y_tool", "z_tool")
 POSE_S = 1.0
 """Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
-_SAME = 1e-4  # of a joint's range: it has not moved
+_MAX_RESTING_SHARE = 1e-4  # of a joint's range: it has not moved
 _STILL = 1e-9
 """Speed [m/s or rad/s] that rounding alone gives a joint which stands still without any noise."""
-_FAR = 0.05
+_MAX_RELATIVE_DISTANCE = 0.05
 """Distance from forward kinematics over the positions' own spread, above which the two do not belong together."""
 _LINE = 1e-6
 """Squared width over squared length of all positions, below which they lie on a line and leave the turn about it open; the
@@ -36,7 +36,7 @@ frames then have to agree beforehand."""
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class ToolSegment:
     """One stretch of a log with the tool measured.
 
     Attributes:
@@ -70,7 +70,7 @@ class Piece:
         """Which of the fit's samples count (n,)."""
         if self.cutoff_hz is None:
             return self.usable
-        return without_ends(self.usable, self.cutoff_hz, self.log.rate_hz, self.factor)
+        return mask_filter_edges(self.usable, self.cutoff_hz, self.log.rate_hz, self.factor)
 
     @property
     def t(self) -> np.ndarray:
@@ -84,24 +84,24 @@ def cut(log: Log) -> list[Log]:
     if missing:
         raise InputError(f"{log.name} has no column {missing[0]}; the tool channel needs {', '.join(OUTPUTS)} [m]")
     seen = np.all([np.isfinite(log.channels[c]) for c in OUTPUTS], axis=0)
-    if held_still(log):
+    if is_static(log):
         return [replace(log, t=log.t[seen], channels={key: x[seen] for key, x in log.channels.items()})]
     if not seen.all():
         raise InputError(f"{log.name}: the tool is missing in {np.sum(~seen)} samples; cut the log there")
     return even_segments(log)
 
 
-def held_still(log: Log) -> bool:
+def is_static(log: Log) -> bool:
     """Tell whether a log holds poses: sampled too slowly to show motion."""
     return log.rate_hz < MIN_RATE_HZ
 
 
-def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:
+def build_tool_segment(model: Model, log: Log, preparation: Preparation | None) -> ToolSegment:
     """Return a stretch with directions of motion, what effects feel, and forward kinematics; low-passed unless of poses."""
     joints, mechanism = model.robot.actuated, model.mechanism
     tool = np.column_stack([log.channels[c] for c in OUTPUTS])
     q = log.joint("q", joints)
-    if held_still(log) or preparation is None:
+    if is_static(log) or preparation is None:
         rest, t, cutoff, factor = np.zeros_like(q), None, None, 1
         v, a = rest, rest
         sign, travel = _approach(q)
@@ -111,8 +111,8 @@ def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:
         q = lowpass(q, preparation.position_cutoff_hz, log.rate_hz)
         v = differentiate(q, log.dt, accuracy=4)
         a = differentiate(v, log.dt, accuracy=4)
-        signals = measured_signals(log, joints, q, v, preparation.speed_threshold)
-        sign, _ = directions(v, np.maximum(preparation.speed_threshold, _STILL))
+        signals = get_measured_signals(log, joints, q, v, preparation.speed_threshold)
+        sign, _ = find_directions(v, np.maximum(preparation.speed_threshold, _STILL))
         turned = np.any(np.diff(sign, axis=0, prepend=sign[:1]) != 0, axis=1)
         half = int(np.ceil(preparation.window_s * log.rate_hz))
         usable = np.convolve(turned, np.ones(2 * half + 1), mode="same") < 0.5
@@ -124,13 +124,13 @@ def piece_of(model: Model, log: Log, preparation: Preparation | None) -> Piece:
     }
     motion = model.motion(q, v, a, sign, t=t, signals=signals, needs=("force", "rigid_force"))
     predicted, jacobian = mechanism.tool_position(q), mechanism.tool_jacobian(q)
-    return Piece(log, motion, tool, predicted, jacobian, usable, cutoff, factor)
+    return ToolSegment(log, motion, tool, predicted, jacobian, usable, cutoff, factor)
 
 
 def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return from which side each pose was approached (N, na), and the way since the last reversal (N, na)."""
     way = np.diff(q, axis=0, prepend=q[:1])
-    way = np.where(np.abs(way) > _SAME * np.ptp(q, axis=0), way, 0.0)
+    way = np.where(np.abs(way) > _MAX_RESTING_SHARE * np.ptp(q, axis=0), way, 0.0)
     sign, travel = np.zeros_like(q), np.zeros_like(q)
     for k in range(1, len(q)):
         goes = np.sign(way[k])
@@ -140,7 +140,7 @@ def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return sign, travel
 
 
-def aligned(pieces: Sequence[Piece]) -> list[Piece]:
+def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
     """Lay the measuring frame on the robot's, over all pieces at once."""
     measured = np.concatenate([p.tool[p.usable] for p in pieces])
     predicted = np.concatenate([p.predicted[p.usable] for p in pieces])
@@ -152,7 +152,7 @@ def aligned(pieces: Sequence[Piece]) -> list[Piece]:
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt if turned else np.eye(3)
     found = [replace(piece, tool=(piece.tool - m) @ R.T + p) for piece in pieces]
     off, spread = (measured - m) @ R.T - (predicted - p), predicted - p
-    if np.linalg.norm(off) > _FAR * np.linalg.norm(spread):
+    if np.linalg.norm(off) > _MAX_RELATIVE_DISTANCE * np.linalg.norm(spread):
         size = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
         raise InputError(
             f"the measured tool is {size:.2g} m from forward kinematics however the frames are laid; "

@@ -12,7 +12,7 @@ from tau_dyn.diagnose.channel import Channel
 from tau_dyn.diagnose.confirm import Confirmation, confirm, detect_effect
 from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.result import Unexplained
-from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, effects_of
+from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
 from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, list_indistinguishable
 
 MIN_GAINING_SHARE = 0.5
@@ -41,7 +41,7 @@ def discriminate_structures(channel: Channel, hunt: StepwiseSelection, structure
     As many of them as are tried count in its chance.
     """
     several = [structure, *list_indistinguishable(channel, hunt.ground, structure)]
-    tests = [structure_confirmation(channel, hunt, one) for one in several]
+    tests = [confirm_structure(channel, hunt, one) for one in several]
     worth = [one.penalised_statistic + _evidence(test) for one, test in zip(several, tests, strict=True)]
     k = int(np.argmax(worth))
     near = (one.variables for one, x in zip(several, worth, strict=True) if x > worth[k] - MIN_2LOGL_DIFFERENCE)
@@ -54,12 +54,12 @@ def _evidence(test: Confirmation) -> float:
     return max(0.0, float(stats.norm.isf(max(test.p_value, 1e-300)))) ** 2
 
 
-def structure_confirmation(channel: Channel, hunt: StepwiseSelection, structure: Structure) -> Confirmation:
+def confirm_structure(channel: Channel, hunt: StepwiseSelection, structure: Structure) -> Confirmation:
     """Test a structure on the confirmation part, all causes found accounted for.
 
     A drift in time is another one in another log; there it only has to be present, not to be the same.
     """
-    others = get_columns(hunt.library, effects_of(hunt.found))
+    others = get_columns(hunt.library, build_effects(hunt.found))
     test = detect_effect if _drifts_anew(channel, structure) else confirm
     return test(channel, hunt.noise, [structure.columns], others)
 
@@ -70,7 +70,7 @@ def _drifts_anew(channel: Channel, structure: Structure) -> bool:
     return "t" in structure.variables and not shared
 
 
-def unexplained_of(channel: Channel, hunt: StepwiseSelection, told: StructureTest | None) -> tuple[Unexplained, ...]:
+def build_unexplained(channel: Channel, hunt: StepwiseSelection, told: StructureTest | None) -> tuple[Unexplained, ...]:
     """Return the structure, confirmed or not."""
     if told is None:
         return ()
@@ -86,7 +86,7 @@ def _borne_out(channel: Channel, hunt: StepwiseSelection, told: StructureTest) -
 
     Of another log's drift, it has to show what the confirmation part of that log says.
     """
-    others = get_columns(hunt.library, effects_of(hunt.found))
+    others = get_columns(hunt.library, build_effects(hunt.found))
     known = VALIDATION if _drifts_anew(channel, told.structure) else TRAIN
     shown = confirm(channel, hunt.noise, [told.structure.columns], others, TEST, fitted_on=(known,))
     return shown.share - Z95 * shown.stderr > MIN_GAINING_SHARE

@@ -17,7 +17,7 @@ from scipy import stats
 
 from tau_dyn.diagnose.candidate_scan import PRIOR_WEIGHT_BLOCKS
 from tau_dyn.diagnose.channel import Channel
-from tau_dyn.diagnose.dependence import Dependence, dependences
+from tau_dyn.diagnose.dependence import Dependence, list_dependences
 from tau_dyn.diagnose.noise_only_bootstrap import (
     NONCENTRALITY_SAFETY_FACTOR,
     NoiseOnlyBootstrap,
@@ -28,7 +28,7 @@ from tau_dyn.effects import Effect
 
 MIN_2LOGL_DIFFERENCE = 8.0
 """Difference of merit (twice the log-likelihood) below which two sets of variables are not told apart."""
-_MOST_ALIKE = 6
+_MAX_INDISTINGUISHABLE = 6
 _PAIR_PRICE = 4.0
 """What a second variable, or another joint's direction, has to explain more, in twice the log-likelihood, beside its freedom."""
 _LEFT = 0.01
@@ -98,7 +98,7 @@ def find_structure(channel: Channel, ground: NullModel, draws: np.ndarray, level
         for s in shapes[1:]
         if s.on.output == best.on.output and s.penalised_statistic > best.penalised_statistic - MIN_2LOGL_DIFFERENCE
     ]
-    return _structure(channel, ground, best, tries, tuple(near[:_MOST_ALIKE]))
+    return _structure(channel, ground, best, tries, tuple(near[:_MAX_INDISTINGUISHABLE]))
 
 
 def list_indistinguishable(channel: Channel, ground: NullModel, structure: Structure) -> list[Structure]:
@@ -145,7 +145,7 @@ def _tried(channel: Channel, ground: NullModel, draws: np.ndarray) -> tuple[list
         rows = np.flatnonzero(ground.whiten.index == k)
         both = np.concatenate([ground.e[rows, None], draws[rows]], axis=1)
         Q = ground.Q[rows]
-        for on in dependences(values, output):
+        for on in list_dependences(values, output):
             C = _rows(ground, k, on.bases(values))
             if C.shape[1] == 0:
                 continue

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from tau_dyn.diagnose.result import Finding, OutputErrors, Unexplained, Verdict
 
-_MOST = 3
+_MAX_LISTED = 3
 
 
-def verdict_sentence(
+def describe_verdict(
     verdict: Verdict,
     findings: Sequence[Finding],
     unexplained: Sequence[Unexplained],
@@ -41,7 +41,7 @@ def verdict_sentence(
 
 def _listed(findings: Sequence[Finding]) -> str:
     """Return causes with their joints, at most three of them."""
-    said = [f"{f.cause.replace('_', ' ')} ({', '.join(f.joints)})" for f in findings[:_MOST]]
-    if len(findings) > _MOST:
-        said.append(f"{len(findings) - _MOST} more")
+    said = [f"{f.cause.replace('_', ' ')} ({', '.join(f.joints)})" for f in findings[:_MAX_LISTED]]
+    if len(findings) > _MAX_LISTED:
+        said.append(f"{len(findings) - _MAX_LISTED} more")
     return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.kinematics.tree_arrays import Vector, cross, plus
-from tau_dyn.robot.robot import inertia_matrix
+from tau_dyn.robot.robot import compute_inertia_matrix
 
 
 class BodyMotion(NamedTuple):
@@ -69,7 +69,7 @@ def body_wrench(body: BodyMotion, pi: np.ndarray) -> tuple[Vector, Vector]:
     if S is None:
         return force, moment
     force = plus(force, np.stack([row[0] * pi[1] + row[1] * pi[2] + row[2] * pi[3] for row in S]))
-    inertia = inertia_matrix(pi)
+    inertia = compute_inertia_matrix(pi)
     w, dw = body.turning, body.spinning_up
     spin = None if dw is None else inertia @ dw
     return force, plus(moment, plus(spin, None if w is None else cross(w, inertia @ w)))
@@ -80,7 +80,7 @@ def momentum(linear: np.ndarray, angular: Vector, pi: np.ndarray) -> tuple[np.nd
     if angular is None:
         return pi[0] * linear, None
     h = np.broadcast_to(pi[1:4, None], linear.shape)
-    return pi[0] * linear + cross(angular, h), cross(h, linear) + inertia_matrix(pi) @ angular  # type: ignore[operator]
+    return pi[0] * linear + cross(angular, h), cross(h, linear) + compute_inertia_matrix(pi) @ angular  # type: ignore[operator]
 
 
 def _product(column: list[np.ndarray], partial: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ import pinocchio as pin
 from tau_dyn.dynamics.linearised import Linearised
 from tau_dyn.dynamics.tree import TreeMechanism
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 _STEP = 1e-5  # [m or rad] of the central differences
 _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -59,14 +59,14 @@ class FlexibleModel:
                 f"{robot.source} has no <tau_dyn:spring>; name the joints that yield in the file, or, for gantry_tau, "
                 "load it with arms=complete flexible=true"
             )
-        as_filed = robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
+        as_filed = load_robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
         if as_filed.names != robot.parameters.names or np.any(as_filed.values != robot.parameters.values):
             raise InputError(
                 f"{robot.source}: a flexible model takes its masses from the robot file; change them there"
             )
         joints = [*robot.actuated, *(s.joint for s in robot.springs)]
         self.robot = robot
-        self.freed = robot_from_urdf(robot.urdf, robot.source, actuated=joints, lock_springs=False)
+        self.freed = load_robot_from_urdf(robot.urdf, robot.source, actuated=joints, lock_springs=False)
         self.mechanism = TreeMechanism(self.freed)
         self._order = [self.freed.actuated.index(j) for j in joints]  # ours -> the tree's
         self._stiffness = np.array([0.0] * robot.na + [s.stiffness for s in robot.springs])

@@ -23,7 +23,7 @@ from tau_dyn.dynamics.gantry_arrays import BLOCK, Pose, carts, dot, intersect, p
 from tau_dyn.dynamics.mechanism import Mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.robot import Robot
-from tau_dyn.robot.robot import inertia_matrix
+from tau_dyn.robot.robot import compute_inertia_matrix
 
 _FEW = 4  # samples up to which floats one by one are faster than arrays
 
@@ -250,7 +250,9 @@ class GantryTauMechanism(Mechanism):
         """Return alpha, beta, gamma and the centre's share of the length, from a rod's ten inertial numbers."""
         mass = pi[0] if pi[0] > 0 else 1.0
         c = float(np.linalg.norm(pi[1:4])) / (mass * length)
-        gamma = float(np.linalg.eigvalsh(inertia_matrix(pi))[-1]) / (mass * length**2)  # across the rod: int s^2 dm
+        gamma = float(np.linalg.eigvalsh(compute_inertia_matrix(pi))[-1]) / (
+            mass * length**2
+        )  # across the rod: int s^2 dm
         return 1 - 2 * c + gamma, c - gamma, gamma, c
 
     def _armature(self) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from tau_dyn.deprecated_names import get_deprecated
 from tau_dyn.effects.armature import Armature
 from tau_dyn.effects.backlash import Backlash
 from tau_dyn.effects.cart_tilt import CartTilt
@@ -84,7 +85,7 @@ FRICTION_MODELS: dict[str, tuple[type[Effect], ...]] = {
 """What `identify --model` offers by name."""
 
 
-def friction_model(name: str, joints: Iterable[str], units: Iterable[str]) -> tuple[Effect, ...]:
+def build_friction_model(name: str, joints: Iterable[str], units: Iterable[str]) -> tuple[Effect, ...]:
     """Return the effects that a friction model's name stands for, acting on these joints.
 
     Raises:
@@ -97,6 +98,8 @@ def friction_model(name: str, joints: Iterable[str], units: Iterable[str]) -> tu
 
 
 __all__ = [
+    "EFFECTS",
+    "FRICTION_MODELS",
     "Armature",
     "AsymmetricFriction",
     "Backlash",
@@ -107,9 +110,7 @@ __all__ = [
     "DisplacementEffect",
     "DriveGain",
     "DriveLag",
-    "EFFECTS",
     "Effect",
-    "FRICTION_MODELS",
     "FrictionChange",
     "GravityDirection",
     "GuidewayCompliance",
@@ -136,6 +137,10 @@ __all__ = [
     "TransmissionError",
     "ViscousAsymmetry",
     "ViscousCurvature",
-    "friction_model",
+    "build_friction_model",
     "register",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

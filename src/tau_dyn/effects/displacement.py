@@ -21,7 +21,7 @@ from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import Motion
 from tau_dyn.log import differentiate
 
-_FEWEST = 5  # samples that a derivative of fourth order takes
+_MIN_SAMPLES = 5  # samples that a derivative of fourth order takes
 
 
 class DisplacementEffect(Effect):
@@ -79,6 +79,6 @@ def derivative(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
 
     Zeros without a clock or of too few samples.
     """
-    if t is None or len(t) < _FEWEST or not np.any(x):
+    if t is None or len(t) < _MIN_SAMPLES or not np.any(x):
         return np.zeros(x.shape)
     return differentiate(x, float(t[-1] - t[0]) / (len(t) - 1), accuracy=4)

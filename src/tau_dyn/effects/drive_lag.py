@@ -65,7 +65,7 @@ class DriveLag(TimingEffect):
 
     def difference(self, force: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Return the low-passed force less the force, per second of the time constant (N,)."""
-        return (lowpass_first_order(force, t, self.settings["about"]) - force) / self.settings["about"]
+        return (apply_first_order_lowpass(force, t, self.settings["about"]) - force) / self.settings["about"]
 
     def describe(self, parameters: Parameters) -> str:
         """Return the time constant."""
@@ -74,7 +74,7 @@ class DriveLag(TimingEffect):
         return f"{which} logged behind a low-pass with a time constant of {amount(p)}"
 
 
-def lowpass_first_order(x: np.ndarray, t: np.ndarray, time_constant: float) -> np.ndarray:
+def apply_first_order_lowpass(x: np.ndarray, t: np.ndarray, time_constant: float) -> np.ndarray:
     """Return a signal (N,) behind a first-order low-pass [s], settled at the first sample of an even clock (N,) [s].
 
     Exact for a signal that is straight between samples (first-order hold; Franklin, Powell & Workman 1998, 6.3).

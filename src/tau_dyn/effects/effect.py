@@ -25,7 +25,7 @@ from tau_dyn.effects.words import amount, quantity
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
-MOST_TERMS = 1000
+MAX_TERMS = 1000
 """Terms that an effect may have on a joint; a file that asks for 10^9 of them would be read for ever."""
 
 
@@ -98,8 +98,8 @@ class Effect(ABC):
                 raise InputError(f"setting {key} of effect {self.name} must be a finite number, not {value!r}")
             if key in self.whole and (value < 1 or value != int(value)):
                 raise InputError(f"setting {key} of effect {self.name} must be a whole number from 1 up, not {value!r}")
-            if key in self.whole and value > MOST_TERMS:
-                raise InputError(f"setting {key} of effect {self.name} is {value!r}; it may be {MOST_TERMS} at most")
+            if key in self.whole and value > MAX_TERMS:
+                raise InputError(f"setting {key} of effect {self.name} is {value!r}; it may be {MAX_TERMS} at most")
             if key in self.positive and value <= 0:
                 raise InputError(f"setting {key} of effect {self.name} must be above zero, not {value!r}")
         self.settings: dict[str, float] = {**self.defaults, **{k: float(x) for k, x in settings.items()}}

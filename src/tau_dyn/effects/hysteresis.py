@@ -27,7 +27,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
 _SHARES = (1e-3, 0.1)
-_TRIES = 8
+_N_TRIALS = 8
 _PIECE = 30.0
 STATE = "presliding"
 """Signal (N, na) that replaces z where somebody follows it from sample to sample, as the simulator does."""
@@ -115,7 +115,7 @@ class Hysteresis(JointwiseDisplacement):
         if way <= 0:
             return []
         displaced = float(bool(SEEN_DIRECTLY & scene.signals))
-        return [{"distance": float(x) * way, "displaced": displaced} for x in np.geomspace(*_SHARES, _TRIES)]
+        return [{"distance": float(x) * way, "displaced": displaced} for x in np.geomspace(*_SHARES, _N_TRIALS)]
 
 
 def bristle(q: np.ndarray, distance: float) -> np.ndarray:

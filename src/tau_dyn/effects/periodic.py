@@ -17,9 +17,9 @@ from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount
 from tau_dyn.parameters import Parameter
 
-FEWEST_PERIODS = 4.0
+MIN_PERIODS = 4.0
 """Of a force of the position alone: fewer of them are any smooth dependence on the place."""
-MOST_PERIODS = 500.0
+MAX_PERIODS = 500.0
 _STEPS = 4.0
 
 
@@ -65,7 +65,7 @@ def waves(q: np.ndarray, period: float, harmonics: int) -> list[np.ndarray]:
     return [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.sin, np.cos)]
 
 
-def periods(scene: Scene, joint: str, fewest: float = FEWEST_PERIODS) -> list[dict[str, float]]:
+def periods(scene: Scene, joint: str, fewest: float = MIN_PERIODS) -> list[dict[str, float]]:
     """Return the periods [m or rad] worth trying, the longest first, of which the range holds `fewest`.
 
     There are none where the joint hardly moves.
@@ -74,7 +74,7 @@ def periods(scene: Scene, joint: str, fewest: float = FEWEST_PERIODS) -> list[di
     travel, slow = float(scene.high[k] - scene.low[k]), float(scene.slow[k])
     if travel <= 0:
         return []
-    highest = MOST_PERIODS / travel
+    highest = MAX_PERIODS / travel
     if slow > 0:
         highest = min(highest, scene.cutoff_hz / (2 * slow))
     lines = np.arange(fewest / travel, highest, 1 / (_STEPS * travel))

@@ -31,13 +31,13 @@ from tau_dyn.parameters import Parameter, Parameters
 
 _ENDS = ("", "_2", "_3")
 """What the names of each mode's settings and parameters end in."""
-MOST_MODES = len(_ENDS)
-_SLOWEST_HZ = 3.0
+MAX_MODES = len(_ENDS)
+_MIN_FREQUENCY_HZ = 3.0
 _REACH = 2.5
 """Frequency of the stiffest spring tried, in those that can be seen: above it, it cannot be told from one without a mode."""
 _STEP = 1.15
 _DAMPING = (0.03, 0.1)
-_NEAR = (0.97, 1.0, 1.03)
+_FREQUENCY_FACTORS = (0.97, 1.0, 1.03)
 """Settings beside a proposed frequency; a refinement goes on from the best of them."""
 
 
@@ -78,9 +78,9 @@ class StructuralCompliance(JointwiseDisplacement):
             InputError: A setting is not one that the effect can have.
         """
         super().__init__(joints, units, label=label, **settings)
-        if self.settings["modes"] > MOST_MODES:
+        if self.settings["modes"] > MAX_MODES:
             raise InputError(
-                f"setting modes of effect {self.name} is {MOST_MODES} at most, not {self.settings['modes']:g}"
+                f"setting modes of effect {self.name} is {MAX_MODES} at most, not {self.settings['modes']:g}"
             )
         self.refined = tuple(f"{key}{end}" for end in self._ends for key in ("frequency", "damping"))
 
@@ -193,19 +193,19 @@ class StructuralCompliance(JointwiseDisplacement):
         highest = _REACH * scene.cutoff_hz
         if not np.isfinite(highest):
             return []
-        proposed = scene.resonances[:MOST_MODES]
+        proposed = scene.resonances[:MAX_MODES]
         if len(joints) > 1:
             whole = _whole(scene)
             alone = [_around([one], whole) for one in proposed]
             return [*(s for row in alone for s in row), *_several(proposed, whole)]
-        steps = int(np.ceil(np.log(max(highest / _SLOWEST_HZ, 1.0)) / np.log(_STEP)))
-        found = np.geomspace(_SLOWEST_HZ, highest, steps) if steps > 1 else []
+        steps = int(np.ceil(np.log(max(highest / _MIN_FREQUENCY_HZ, 1.0)) / np.log(_STEP)))
+        found = np.geomspace(_MIN_FREQUENCY_HZ, highest, steps) if steps > 1 else []
         return [*({"frequency": float(f), "damping": d} for d in _DAMPING for f in found), *_several(proposed, {})]
 
     @classmethod
     def proposal(cls, scene: Scene, joints: tuple[str, ...]) -> dict[str, float]:
         """Return the settings that hold all proposed modes as they are proposed; there must be one."""
-        return _around(scene.resonances[:MOST_MODES], _whole(scene) if len(joints) > 1 else {})[1]
+        return _around(scene.resonances[:MAX_MODES], _whole(scene) if len(joints) > 1 else {})[1]
 
 
 def _whole(scene: Scene) -> dict[str, float]:
@@ -248,7 +248,7 @@ def _felt(motion: Motion | JointMotion, frequency: float) -> np.ndarray:
 def _around(modes: Sequence[tuple[float, float]], more: Mapping[str, float]) -> list[dict[str, float]]:
     """Return settings of several modes, all a little lower, as proposed, and a little higher."""
     found = []
-    for share in _NEAR:
+    for share in _FREQUENCY_FACTORS:
         row: dict[str, float] = {"modes": len(modes), **more}
         for end, (f, z) in zip(_ENDS, modes, strict=False):
             row |= {f"frequency{end}": share * f, f"damping{end}": z}

@@ -21,7 +21,7 @@ from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount, quantity
 from tau_dyn.parameters import Parameter
 
-_SHORTEST_S = 3.0
+_MIN_TIME_CONSTANT_S = 3.0
 _STEP = 2.0
 
 
@@ -62,8 +62,12 @@ class ThermalDrift(JointwiseEffect):
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return no lag, and lags from 3 s to a third of the recording, a factor 2 apart."""
         longest = scene.duration / 3
-        count = 1 + int(np.ceil(np.log(longest / _SHORTEST_S) / np.log(_STEP))) if longest > _SHORTEST_S else 0
-        return [{"lag": 0.0}, *({"lag": float(x)} for x in np.geomspace(_SHORTEST_S, longest, count))]
+        count = (
+            1 + int(np.ceil(np.log(longest / _MIN_TIME_CONSTANT_S) / np.log(_STEP)))
+            if longest > _MIN_TIME_CONSTANT_S
+            else 0
+        )
+        return [{"lag": 0.0}, *({"lag": float(x)} for x in np.geomspace(_MIN_TIME_CONSTANT_S, longest, count))]
 
 
 def lagged(temperature: np.ndarray, t: np.ndarray | None, lag: float) -> np.ndarray:

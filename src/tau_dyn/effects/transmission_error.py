@@ -21,7 +21,7 @@ from tau_dyn.effects.plausible import slide_and_hinge
 from tau_dyn.effects.scene import Scene
 from tau_dyn.parameters import Parameter
 
-_FEWEST = 1.5
+_MIN_PERIODS = 1.5
 """Periods in the range: a force that goes with the speed squared and the acceleration is like no other, however long its wave."""
 
 
@@ -69,4 +69,4 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return periods from two thirds of the range down to what speed and low-pass still show."""
-        return periods(scene, joints[0], _FEWEST)
+        return periods(scene, joints[0], _MIN_PERIODS)

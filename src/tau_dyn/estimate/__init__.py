@@ -3,13 +3,13 @@
 from tau_dyn.deprecated_names import get_deprecated
 from tau_dyn.estimate.autoregression import Autoregression, fit_autoregression
 from tau_dyn.estimate.base_parameters import BaseParameters, find_base
-from tau_dyn.estimate.combination import Combination, combination
 from tau_dyn.estimate.estimate import MAX_RELATIVE_STDERR, Estimate
 from tau_dyn.estimate.least_squares import solve_least_squares
+from tau_dyn.estimate.parameter_combination import ParameterSum, combine_parameters
 from tau_dyn.estimate.physical_consistency import solve_consistent
 from tau_dyn.estimate.physics import InertialBody, PhysicalConstraints, pseudo_inertia
-from tau_dyn.estimate.regression import Regression, Rows, Run, StreamedData
-from tau_dyn.estimate.scaled import solve_scaled, unit_columns
+from tau_dyn.estimate.regression import Regression, RegressionRows, RegressionRun, StreamedData
+from tau_dyn.estimate.scaled import scale_columns, solve_scaled
 from tau_dyn.estimate.sufficient_statistics import SufficientStatistics
 from tau_dyn.estimate.whitening import Whitener
 
@@ -17,24 +17,24 @@ __all__ = [
     "MAX_RELATIVE_STDERR",
     "Autoregression",
     "BaseParameters",
-    "Combination",
     "Estimate",
     "InertialBody",
+    "ParameterSum",
     "PhysicalConstraints",
     "Regression",
-    "Rows",
-    "Run",
+    "RegressionRows",
+    "RegressionRun",
     "StreamedData",
     "SufficientStatistics",
     "Whitener",
-    "combination",
+    "combine_parameters",
     "find_base",
     "fit_autoregression",
     "pseudo_inertia",
+    "scale_columns",
     "solve_consistent",
     "solve_least_squares",
     "solve_scaled",
-    "unit_columns",
 ]
 
 

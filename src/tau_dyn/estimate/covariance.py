@@ -18,13 +18,13 @@ import numpy as np
 from scipy import linalg, signal
 
 from tau_dyn.estimate.autoregression import Autoregression, Lags
-from tau_dyn.estimate.regression import Rows
+from tau_dyn.estimate.regression import RegressionRows
 
 BLOCK_S = 2.0
 ROUNDING = 1e-6  # of a block: a clock's last digit must not move a sample from one to the next
 
 
-def block_numbers(since: np.ndarray, seconds: float = BLOCK_S) -> np.ndarray:
+def assign_blocks(since: np.ndarray, seconds: float = BLOCK_S) -> np.ndarray:
     """Return the number of the block that each sample (n,) falls in, from times since the first block's start [s]."""
     return (since / seconds + ROUNDING).astype(int)
 
@@ -41,12 +41,12 @@ class Covariance(NamedTuple):
     models: tuple[Autoregression, ...]
 
 
-def larger_errors(coloured: np.ndarray, scattered: np.ndarray) -> np.ndarray:
+def select_larger_stderr(coloured: np.ndarray, scattered: np.ndarray) -> np.ndarray:
     """Return the larger of the standard errors (r,) that two covariances (r, r) give."""
     return np.sqrt(np.maximum(np.diag(coloured), np.diag(scattered)))
 
 
-Scores = Callable[[], Iterator[Iterator[Rows]]]
+Scores = Callable[[], Iterator[Iterator[RegressionRows]]]
 """Yields every run anew: its weighted base columns and residuals, in order, piece by piece."""
 
 
@@ -84,7 +84,7 @@ def _first_pass(scores: Scores, inverse: np.ndarray) -> tuple[list[Autoregressio
             for k, lag in enumerate(lags):
                 open_[k] = _add_stretches(lag, rows.y[:, k], rows.usable[:, k], bool(open_[k]))
             score = np.einsum("nmr,nm->nr", rows.W, np.where(rows.usable, rows.y, 0.0)) @ inverse
-            blocks.add(block_numbers(rows.t - start), score, np.any(rows.usable, axis=1))
+            blocks.add(assign_blocks(rows.t - start), score, np.any(rows.usable, axis=1))
         blocks.close()
     models = [lag.model() if lag.seen else Autoregression(np.zeros(0), 0.0) for lag in lags]
     return models, blocks.total, blocks.count

@@ -9,7 +9,7 @@ import numpy as np
 
 from tau_dyn.estimate.autoregression import Autoregression
 from tau_dyn.estimate.base_parameters import BaseParameters
-from tau_dyn.estimate.covariance import larger_errors
+from tau_dyn.estimate.covariance import select_larger_stderr
 from tau_dyn.estimate.regression import Regression
 from tau_dyn.parameters import Parameters
 
@@ -57,7 +57,7 @@ class Estimate:
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors of the base parameters (r,)."""
-        return larger_errors(self.cov, self.scatter)
+        return select_larger_stderr(self.cov, self.scatter)
 
     def stderr_of(self, weights: np.ndarray) -> float:
         """Return the standard error of `weights @ beta_plain`, weights (r,)."""

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.estimate.covariance import larger_errors
+from tau_dyn.estimate.covariance import select_larger_stderr
 from tau_dyn.estimate.estimate import Estimate
 from tau_dyn.estimate.physical_consistency import solve_consistent
 from tau_dyn.estimate.physics import PhysicalConstraints
-from tau_dyn.estimate.prior import prior_rows
+from tau_dyn.estimate.prior import build_prior_rows
 from tau_dyn.estimate.white_covariance import estimate_score_covariance
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
@@ -54,7 +54,7 @@ class WhiteRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class InstrumentalSolution:
     """Base estimates (r,), `J` (r, r) and whitened residuals (n, m) of each stretch."""
 
     beta: np.ndarray
@@ -62,7 +62,7 @@ class Solution:
     residuals: tuple[np.ndarray, ...]
 
 
-def solve_instrumental_variables(first: Estimate, rows: Sequence[WhiteRows]) -> Solution:
+def solve_instrumental_variables(first: Estimate, rows: Sequence[WhiteRows]) -> InstrumentalSolution:
     """Return base estimates from white rows and from what is known beforehand.
 
     Args:
@@ -79,13 +79,13 @@ def solve_instrumental_variables(first: Estimate, rows: Sequence[WhiteRows]) -> 
     if not np.all(scale > 0) or 1 / np.linalg.cond(J / np.outer(scale, scale)) < MIN_RECIPROCAL_CONDITION:
         raise _blind()
     beta = np.linalg.solve(J / np.outer(scale, scale), moment / scale) / scale
-    return Solution(beta, J, tuple(x.y - x.W @ beta for x in rows))
+    return InstrumentalSolution(beta, J, tuple(x.y - x.W @ beta for x in rows))
 
 
 def estimate_of(
     first: Estimate,
     rows: Sequence[WhiteRows],
-    solution: Solution,
+    solution: InstrumentalSolution,
     *,
     physics: PhysicalConstraints | None = None,
     gains: Mapping[str, float] | None = None,
@@ -104,13 +104,13 @@ def estimate_of(
     Raises:
         CannotAnswer: The instruments have next to nothing in common with the columns.
     """
-    coloured, scattered = covariance(first, rows, solution, gains or {}, factor)
+    coloured, scattered = estimate_instrumental_covariance(first, rows, solution, gains or {}, factor)
     try:
         R = np.linalg.cholesky(0.5 * (solution.J + solution.J.T)).T
     except np.linalg.LinAlgError:  # columns and instruments of different motions
         raise _blind() from None
     held = solve_consistent(first.regression.parameters, first.base, solution.beta, R, physics)
-    stderr = larger_errors(coloured, scattered)
+    stderr = select_larger_stderr(coloured, scattered)
     return replace(
         first,
         parameters=_with_stderr(first, held.parameters.values, stderr),
@@ -122,8 +122,12 @@ def estimate_of(
     )
 
 
-def covariance(
-    first: Estimate, rows: Sequence[WhiteRows], solution: Solution, gains: Mapping[str, float], factor: float = 1.0
+def estimate_instrumental_covariance(
+    first: Estimate,
+    rows: Sequence[WhiteRows],
+    solution: InstrumentalSolution,
+    gains: Mapping[str, float],
+    factor: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariance (r, r) by the residual's colour, and from the scatter of blocks; see `estimate_of`."""
     known, _ = _known(first)
@@ -159,7 +163,7 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _known(first: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Return what was measured beforehand as rows of unit noise: base columns (k, r) and values (k,)."""
-    rows, values = prior_rows(first.regression.parameters.select(first.base.names))
+    rows, values = build_prior_rows(first.regression.parameters.select(first.base.names))
     return rows[:, first.base.kept], values
 
 

@@ -18,16 +18,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.estimate.base_parameters import BaseParameters, find_base
-from tau_dyn.estimate.covariance import Scores, estimate_covariance, larger_errors
+from tau_dyn.estimate.covariance import Scores, estimate_covariance, select_larger_stderr
 from tau_dyn.estimate.estimate import Estimate
 from tau_dyn.estimate.physical_consistency import solve_consistent
 from tau_dyn.estimate.physics import PhysicalConstraints
-from tau_dyn.estimate.prior import prior_rows
-from tau_dyn.estimate.regression import Regression, Rows
+from tau_dyn.estimate.prior import build_prior_rows
+from tau_dyn.estimate.regression import Regression, RegressionRows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
-_ROUNDS = 20
+_MAX_ITERATIONS = 20
 
 
 def solve_least_squares(
@@ -63,7 +63,7 @@ def solve_least_squares(
     scores = _scores(regression, rows, base, _full(regression.parameters, rows, base, beta), sigma)
     certainty = estimate_covariance(scores, regression.n_samples, R, known)
     constrained = solve_consistent(regression.parameters, base, beta, R, physics)
-    stderr = larger_errors(certainty.autoregressive, certainty.clustered)
+    stderr = select_larger_stderr(certainty.autoregressive, certainty.clustered)
     return Estimate(
         regression=regression,
         parameters=_with_stderr(constrained.parameters, base, stderr),
@@ -115,14 +115,14 @@ def _rows(regression: Regression) -> _Rows:
     stacked, index = totals.R.reshape(-1, len(free) + 1), np.repeat(np.arange(len(totals.R)), len(free) + 1)
     fixed = np.concatenate([np.where(free, 0.0, -parameters.values), [1.0]])
     W, y, mean = stacked[:, :-1], stacked @ fixed, totals.sums @ fixed / np.maximum(totals.count, 1)
-    return _Rows(names, free, W[:, free], y, index, totals.count, mean, *prior_rows(parameters.select(names)))
+    return _Rows(names, free, W[:, free], y, index, totals.count, mean, *build_prior_rows(parameters.select(names)))
 
 
 def _scores(regression: Regression, rows: _Rows, base: BaseParameters, theta: np.ndarray, sigma: np.ndarray) -> Scores:
     """Return a function that yields every run's weighted base columns and residuals, piece by piece."""
     columns = np.flatnonzero(rows.free)[base.kept]
 
-    def runs() -> Iterator[Iterator[Rows]]:
+    def runs() -> Iterator[Iterator[RegressionRows]]:
         for run in regression.rows():
             yield (x._replace(W=x.W[:, :, columns] / sigma[:, None], y=(x.y - x.W @ theta) / sigma) for x in run)
 
@@ -141,7 +141,7 @@ def _iterate(rows: _Rows, base: BaseParameters, n_outputs: int) -> tuple[np.ndar
     sigma = np.where(sigma > 0, sigma, 1.0)
     floor = 1e-9 * sigma
     beta = np.zeros(base.rank)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         before = sigma
         W, y = rows.weighted(sigma, base)
         norm = np.linalg.norm(W, axis=0)

@@ -26,10 +26,10 @@ _EPS = (1e-4, 1e-2)
 0.03 of its standard error, while 1e-6 lets link masses wander off to 55 kg and the solver stop early."""
 _MAX_CHI2_RISE = 1e-2
 """Rise of chi-square above which physics has moved the answer beyond what the data leave open; the solver is more accurate."""
-_ROUNDS = 12
+_MAX_ITERATIONS = 12
 """How often the program is solved again from its answer, where a file that is off by orders of magnitude (placeholders, grams,
 millimetres) moved that by its pull or its scale; physics alone gives the same rise again, and the first answer stays."""
-_WORTH = 0.8
+_MAX_CHI2_RISE_RATIO = 0.8
 """Share of the rise of chi-square below which another round was worth it."""
 _EDGE = 1e-6
 """Part of a parameter's typical size within which it counts as being on its bound."""
@@ -61,7 +61,7 @@ def solve_consistent(
         return ConstrainedParameters(plain, {})
     theta = _program(parameters, base, beta, R, bodies)
     rise = float(np.sum((R @ (base.combine(theta) - beta)) ** 2))
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         if rise <= _MAX_CHI2_RISE:
             break
         near = parameters.with_values(dict(zip(base.names, theta, strict=True)))
@@ -69,7 +69,7 @@ def solve_consistent(
             again = _program(near, base, beta, R, bodies)
         except InputError:
             break
-        if (left := float(np.sum((R @ (base.combine(again) - beta)) ** 2))) > _WORTH * rise:
+        if (left := float(np.sum((R @ (base.combine(again) - beta)) ** 2))) > _MAX_CHI2_RISE_RATIO * rise:
             break
         theta, rise = again, left
     solved = parameters.with_values(dict(zip(base.names, theta, strict=True)))

@@ -27,7 +27,7 @@ REACH = len(STENCIL) // 2
 """Samples on either side that an acceleration needs."""
 
 
-def accelerations(q: np.ndarray, dt: float) -> np.ndarray:
+def compute_accelerations(q: np.ndarray, dt: float) -> np.ndarray:
     """Return second derivatives (n, ...) of positions, fourth order in `dt`; zero at the outermost two samples."""
     out = np.zeros_like(q)
     for shift, c in enumerate(STENCIL):
@@ -55,7 +55,7 @@ class PositionNoise:
 
     def of_positions(self, n: np.ndarray) -> np.ndarray:
         """Return `D n` (n, m) for positions (n, m), zero where an equation is left out."""
-        return self.keep * np.einsum("kij,kj->ki", self.inertia, accelerations(n, self.dt))
+        return self.keep * np.einsum("kij,kj->ki", self.inertia, compute_accelerations(n, self.dt))
 
     def to_positions(self, r: np.ndarray) -> np.ndarray:
         """Return `D' r` (n, m) for equations (n, m)."""

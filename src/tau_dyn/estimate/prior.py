@@ -7,7 +7,7 @@ import numpy as np
 from tau_dyn.parameters import Parameters
 
 
-def prior_rows(parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
+def build_prior_rows(parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
     """Return columns (k, p) and values (k,) of the k parameters with a `prior_stderr` among p."""
     known = [(k, p.value, float(p.prior_stderr)) for k, p in enumerate(parameters) if p.prior_stderr]
     rows = np.zeros((len(known), len(parameters)))

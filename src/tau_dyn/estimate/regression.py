@@ -17,7 +17,7 @@ from tau_dyn.parameters import Parameters
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RegressionRun:
     """One stretch of evenly sampled data.
 
     Attributes:
@@ -40,14 +40,14 @@ class Run:
     y_all: np.ndarray
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
 
-    def window(self, part: slice) -> Run:
+    def window(self, part: slice) -> RegressionRun:
         """Return a stretch of it."""
         signals = {name: x[part] for name, x in self.signals.items()}
         W, y, usable, W_all, y_all = (x[part] for x in (self.W, self.y, self.usable, self.W_all, self.y_all))
-        return Run(self.name, self.t[part], W, y, usable, W_all, y_all, signals)
+        return RegressionRun(self.name, self.t[part], W, y, usable, W_all, y_all, signals)
 
 
-class Rows(NamedTuple):
+class RegressionRows(NamedTuple):
     """A stretch of a run's rows: time (n,) [s], columns (n, m, p), outputs (n, m), and which a fit may use (n, m)."""
 
     t: np.ndarray
@@ -68,7 +68,7 @@ class StreamedData:
 
     used: SufficientStatistics
     whole: SufficientStatistics
-    runs: Sequence[Sequence[Rows]]
+    runs: Sequence[Sequence[RegressionRows]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class Regression:
     parameters: Parameters
     outputs: tuple[str, ...]
     units: tuple[str, ...]
-    runs: tuple[Run, ...]
+    runs: tuple[RegressionRun, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
     everything: StreamedData | None = None
 
@@ -118,12 +118,12 @@ class Regression:
             )
         return total
 
-    def rows(self) -> Iterator[Iterator[Rows]]:
+    def rows(self) -> Iterator[Iterator[RegressionRows]]:
         """Yield every run as its rows in order, in one piece or, of a large recording, in several."""
         if self.everything is not None:
             yield from (iter(run) for run in self.everything.runs)
         else:
-            yield from (iter([Rows(run.t, run.W, run.y, run.usable)]) for run in self.runs)
+            yield from (iter([RegressionRows(run.t, run.W, run.y, run.usable)]) for run in self.runs)
 
     def stacked(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the usable rows, output by output within each run: `W` (N, p), `y` (N,), output index (N,)."""

@@ -16,19 +16,20 @@ NORMAL_MAD = 0.6745
 """Median absolute deviation of a normal variable of unit variance."""
 
 
-def robust_scale(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def estimate_robust_scale(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return each column's deviation (m,) of `x` (n, m) where `mask` holds; a few wild samples do not move it."""
     found = [np.median(np.abs(x[mask[:, k], k])) if mask[:, k].any() else 0.0 for k in range(x.shape[1])]
     return np.where(np.array(found) > 0, np.array(found) / NORMAL_MAD, 1.0)
 
 
-def bisquare(x: np.ndarray) -> np.ndarray:
+def compute_bisquare_weights(x: np.ndarray) -> np.ndarray:
     """Return weights of residuals in units of their deviation."""
     return np.where(np.abs(x) < BISQUARE, (1 - (x / BISQUARE) ** 2) ** 2, 0.0)
 
 
 def compute_robust_covariance_factor(x: np.ndarray) -> float:
-    """Return `mean w / mean psi'`, by which a fit repeated with `bisquare` weights is less certain than one with fixed weights.
+    """Return `mean w / mean psi'`, by which a fit repeated with `compute_bisquare_weights` weights is less certain than one
+    with fixed weights.
 
     Args:
         x: Residuals in units of their deviation.
@@ -36,4 +37,4 @@ def compute_robust_covariance_factor(x: np.ndarray) -> float:
     inside = np.abs(x) < BISQUARE
     share = (x / BISQUARE) ** 2
     slope = np.where(inside, (1 - share) * (1 - 5 * share), 0.0)
-    return float(np.mean(bisquare(x)) / max(np.mean(slope), 1e-3))
+    return float(np.mean(compute_bisquare_weights(x)) / max(np.mean(slope), 1e-3))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def unit_columns(W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scale_columns(W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return columns (N, p) scaled to unit norm, and what they were divided by (p,); 1 for a column of zeros."""
     norm = np.linalg.norm(W, axis=0)
     norm[norm == 0] = 1.0
@@ -25,5 +25,5 @@ def solve_scaled(W: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
         y: What they are to explain.
         tolerance: Singular value of the unit columns, relative to the largest, below which a direction is left at zero.
     """
-    unit, norm = unit_columns(W)
+    unit, norm = scale_columns(W)
     return np.linalg.lstsq(unit, y, rcond=tolerance)[0] / norm

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tau_dyn.estimate.regression import Rows
+from tau_dyn.estimate.regression import RegressionRows
 
 
 class StoredRows:
@@ -32,7 +32,7 @@ class StoredRows:
         """Say that what comes next is another run."""
         self._places.append([])
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: RegressionRows) -> None:
         """Write a piece of the run that was begun last."""
         self._file.seek(0, 2)
         self._places[-1].append(self._file.tell())
@@ -44,11 +44,11 @@ class StoredRows:
             np.save(self._file, rows.W[:, k, touching])
 
     @property
-    def runs(self) -> Sequence[Sequence[Rows]]:
+    def runs(self) -> Sequence[Sequence[RegressionRows]]:
         """Every run as its pieces, read when they are asked for."""
         return tuple(_Run(self, places) for places in self._places)
 
-    def read(self, place: int) -> Rows:
+    def read(self, place: int) -> RegressionRows:
         """Return the piece at a place in the file."""
         self._file.seek(place)
         t, usable, y = (np.load(self._file) for _ in range(3))
@@ -56,10 +56,10 @@ class StoredRows:
         for k in range(y.shape[1]):
             touching = np.load(self._file)
             W[:, k, touching] = np.load(self._file)
-        return Rows(t, W, y, usable)
+        return RegressionRows(t, W, y, usable)
 
 
-class _Run(Sequence[Rows]):
+class _Run(Sequence[RegressionRows]):
     """One run's pieces."""
 
     def __init__(self, stored: StoredRows, places: list[int]) -> None:
@@ -71,5 +71,5 @@ class _Run(Sequence[Rows]):
     def __getitem__(self, index):
         return self._stored.read(self._places[index])
 
-    def __iter__(self) -> Iterator[Rows]:
+    def __iter__(self) -> Iterator[RegressionRows]:
         return (self._stored.read(place) for place in self._places)

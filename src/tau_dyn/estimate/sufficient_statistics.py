@@ -47,7 +47,10 @@ class SufficientStatistics:
             columns, measured = W[:, k].T, y[:, k]
             if usable is not None and not usable[:, k].all():
                 columns, measured = columns[:, usable[:, k]], measured[usable[:, k]]
-            found.R[k], found.sums[k] = triangle(columns.T, measured), [*columns.sum(axis=1), measured.sum()]
+            found.R[k], found.sums[k] = (
+                compute_triangular_factor(columns.T, measured),
+                [*columns.sum(axis=1), measured.sum()],
+            )
             found.count[k] = len(measured)
         return found
 
@@ -73,7 +76,7 @@ class SufficientStatistics:
         return np.sum(self.R[:, :, -1] ** 2, axis=1)
 
 
-def triangle(W: np.ndarray, y: np.ndarray) -> np.ndarray:
+def compute_triangular_factor(W: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the triangular factor (p + 1, p + 1) of rows `[W y]`, W (n, p) and y (n,); columns of zeros cost nothing."""
     p = W.shape[1]
     used = np.flatnonzero(W.any(axis=0)) if len(W) else np.zeros(0, int)

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.estimate.covariance import BLOCK_S, block_numbers
+from tau_dyn.estimate.covariance import BLOCK_S, assign_blocks
 
 SHORT_S = 0.1
 LAGS = 5
@@ -62,7 +62,7 @@ def _scatter(times: Sequence[np.ndarray], scores: Sequence[np.ndarray], seconds:
     """Return the sum of outer products of the scores of blocks (r, r)."""
     sums = []
     for t, g in zip(times, scores, strict=True):
-        _, first = np.unique(block_numbers(t - t[0], seconds), return_index=True)
+        _, first = np.unique(assign_blocks(t - t[0], seconds), return_index=True)
         sums.append(np.add.reduceat(g, first, axis=0))
     blocks = np.concatenate(sums)
     blocks = blocks[np.any(blocks != 0, axis=1)]

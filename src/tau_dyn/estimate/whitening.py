@@ -19,8 +19,8 @@ from scipy import sparse
 from scipy.linalg import solve_toeplitz
 
 from tau_dyn.estimate.autoregression import Autoregression
-from tau_dyn.estimate.covariance import block_numbers
-from tau_dyn.estimate.regression import Run
+from tau_dyn.estimate.covariance import assign_blocks
+from tau_dyn.estimate.regression import RegressionRun
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +42,14 @@ class Whitener:
     t: np.ndarray
 
     @classmethod
-    def of(cls, runs: Sequence[Run], masks: Sequence[np.ndarray], noise: Sequence[Autoregression]) -> Whitener:
+    def of(
+        cls, runs: Sequence[RegressionRun], masks: Sequence[np.ndarray], noise: Sequence[Autoregression]
+    ) -> Whitener:
         """Prepare for runs, the samples that count (n, m) of each, and the noise model of each output."""
         predictors = [_predictors(model) for model in noise]
         rows, index, block, t, first = [], [], [], [], 0
         for run, mask in zip(runs, masks, strict=True):
-            number = first + block_numbers(run.t - run.t[0])
+            number = first + assign_blocks(run.t - run.t[0])
             first = int(number[-1]) + 1
             for k, predictor in enumerate(predictors):
                 used = np.flatnonzero(mask[:, k])

@@ -36,7 +36,7 @@ class Exported:
     nominal: tuple[str, ...]
 
 
-class Body(NamedTuple):
+class BodyInertia(NamedTuple):
     """A link's inertia as files write it: mass [kg], centre (3,) [m], inertia about the centre (3, 3) [kg m^2]."""
 
     mass: float
@@ -44,7 +44,7 @@ class Body(NamedTuple):
     inertia: np.ndarray
 
 
-def body_of(link: LinkInertia, model: Model) -> Body:
+def build_body(link: LinkInertia, model: Model) -> BodyInertia:
     """Return a link's inertia at the model's values, in the link's axes.
 
     The model's ten numbers are about the joint frame's origin; the parallel axes theorem moves them to the centre.
@@ -54,10 +54,10 @@ def body_of(link: LinkInertia, model: Model) -> Body:
     about_origin = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
     centre = pi[1:4] / mass if mass > 0 else np.zeros(3)
     shifted = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return Body(mass, centre, about_origin - shifted)
+    return BodyInertia(mass, centre, about_origin - shifted)
 
 
-def friction_of(model: Model, joint: str) -> dict[str, float]:
+def compute_friction(model: Model, joint: str) -> dict[str, float]:
     """Return a joint's `coulomb` [N or N m] and `viscous` friction, each the mean of both directions."""
     found = {}
     for part, names in _PARTS.items():
@@ -68,7 +68,7 @@ def friction_of(model: Model, joint: str) -> dict[str, float]:
     return found
 
 
-def left_out(model: Model) -> tuple[str, ...]:
+def list_omitted_effects(model: Model) -> tuple[str, ...]:
     """Return what neither format can carry, a sentence each."""
     said = []
     for effect in model.effects:
@@ -86,19 +86,19 @@ def left_out(model: Model) -> tuple[str, ...]:
     return tuple(said)
 
 
-def nominal(model: Model) -> tuple[str, ...]:
+def list_nominal_parameters(model: Model) -> tuple[str, ...]:
     """Return the inertial parameters that stand at nominal values, none estimated."""
     return tuple(
         p.name for link in model.robot.links for p in model.robot.parameters.select(link.names) if p.stderr is None
     )
 
 
-def header(model: Model) -> str:
+def format_header(model: Model) -> str:
     """Return what a file says about itself: no two hyphens in a row, which XML comments cannot hold, no control characters."""
     lines = [f"Written by tau_dyn {__version__} from {model.robot.source}."]
-    leaning = nominal(model)
+    leaning = list_nominal_parameters(model)
     if leaning:
         lines.append(f"Not determined by data, so nominal: {', '.join(leaning)}.")
-    lines += [f"{sentence}." for sentence in left_out(model)]
+    lines += [f"{sentence}." for sentence in list_omitted_effects(model)]
     text = "".join(c if c.isprintable() else "?" for c in " ".join(lines))
     return re.sub("-(?=-)", "- ", text)

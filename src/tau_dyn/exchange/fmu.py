@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from html import escape
 
 from tau_dyn.effects.state import on_recording
-from tau_dyn.exchange.content import nominal
-from tau_dyn.exchange.fmu_build import compiled, compiler, library_place
-from tau_dyn.exchange.fmu_check import largest_difference
-from tau_dyn.exchange.fmu_description import description_of, identifier_of, variables_of
-from tau_dyn.exchange.fmu_equations import equations_of, unfit
-from tau_dyn.exchange.fmu_source import about, source_of
+from tau_dyn.exchange.content import list_nominal_parameters
+from tau_dyn.exchange.fmu_build import compile_library, find_compiler, get_library_path
+from tau_dyn.exchange.fmu_check import compute_largest_difference
+from tau_dyn.exchange.fmu_description import build_variables, format_description, format_identifier
+from tau_dyn.exchange.fmu_equations import build_equations, list_unsupported_effects
+from tau_dyn.exchange.fmu_source import describe_fmu, format_source
 from tau_dyn.model import Model
 
 _WHEN = (1980, 1, 1, 0, 0, 0)  # the same model is the same file
@@ -41,41 +41,42 @@ class ExportedFmu:
     difference: float
 
 
-def fmu_of(model: Model) -> ExportedFmu:
+def build_fmu(model: Model) -> ExportedFmu:
     """Return a model as an FMU.
 
     Raises:
         InputError: Something of the model cannot be written in C, or the C compiler fails.
     """
     left_out = [
-        f"effect {e.name} is left out: it feels {why}, which a state alone does not give" for e, why in unfit(model)
+        f"effect {e.name} is left out: it feels {why}, which a state alone does not give"
+        for e, why in list_unsupported_effects(model)
     ]
     left_out += [
         f"effect {e.name} is left out: it distorts what is recorded, not the motion"
         for e in model.effects
         if on_recording(e)
     ]
-    beyond = [e for e, _ in unfit(model)]
+    beyond = [e for e, _ in list_unsupported_effects(model)]
     kept = model.only(e for e in model.effects if e not in beyond and not on_recording(e))
-    equations = equations_of(kept)
-    difference = largest_difference(equations)
-    identifier = identifier_of(kept.robot.name)
-    body = source_of(equations, "")
-    guid = "{" + hashlib.sha256((body + description_of(equations, "")).encode()).hexdigest()[:32] + "}"
-    source = source_of(equations, guid)
+    equations = build_equations(kept)
+    difference = compute_largest_difference(equations)
+    identifier = format_identifier(kept.robot.name)
+    body = format_source(equations, "")
+    guid = "{" + hashlib.sha256((body + format_description(equations, "")).encode()).hexdigest()[:32] + "}"
+    source = format_source(equations, guid)
     files = {
-        "modelDescription.xml": description_of(equations, guid).encode(),
+        "modelDescription.xml": format_description(equations, guid).encode(),
         "sources/fmu.c": source.encode(),
-        "documentation/index.html": _page(kept, left_out, [v.name for v in variables_of(equations)]).encode(),
+        "documentation/index.html": _page(kept, left_out, [v.name for v in build_variables(equations)]).encode(),
     }
-    tool = compiler()
+    tool = find_compiler()
     if tool is None:
         left_out.append(
             "there is no C compiler here (cc, gcc, clang, or CC), so the FMU holds its source and no library"
         )
     else:
-        files[library_place(identifier)] = compiled(source, tool)
-    return ExportedFmu(_zipped(files), tuple(left_out), nominal(kept), difference)
+        files[get_library_path(identifier)] = compile_library(source, tool)
+    return ExportedFmu(_zipped(files), tuple(left_out), list_nominal_parameters(kept), difference)
 
 
 def _zipped(files: dict[str, bytes]) -> bytes:
@@ -93,5 +94,5 @@ def _page(model: Model, left_out: list[str], names: list[str]) -> str:
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in left_out) or "<li>nothing</li>"
     return (
         f"<!doctype html><meta charset='utf-8'><title>{escape(model.robot.name)}</title><h1>{escape(model.robot.name)}</h1>"
-        f"<p>{escape(about(model))}</p><p>Variables: {escape(', '.join(names))}.</p><p>Left out:</p><ul>{items}</ul>"
+        f"<p>{escape(describe_fmu(model))}</p><p>Variables: {escape(', '.join(names))}.</p><p>Left out:</p><ul>{items}</ul>"
     )

@@ -16,13 +16,13 @@ SECONDS = 300
 _FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
 
 
-def compiler() -> str | None:
+def find_compiler() -> str | None:
     """Return the C compiler: `$CC`, else `cc`, `gcc` or `clang`; None where there is none."""
     named = os.environ.get("CC", "").split()
     return next((found for name in (*named[:1], "cc", "gcc", "clang") if (found := shutil.which(name))), None)
 
 
-def library_place(identifier: str) -> str:
+def get_library_path(identifier: str) -> str:
     """Return where FMI 2.0 wants this computer's library in the archive."""
     if sys.platform == "win32":
         return f"binaries/win64/{identifier}.dll"
@@ -32,7 +32,7 @@ def library_place(identifier: str) -> str:
     return f"binaries/{'linux64' if machine in ('x86_64', 'amd64') else f'{machine}-linux'}/{identifier}.so"
 
 
-def compiled(source: str, with_: str) -> bytes:
+def compile_library(source: str, with_: str) -> bytes:
     """Return the shared library of a source.
 
     Args:

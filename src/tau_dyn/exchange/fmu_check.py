@@ -8,14 +8,14 @@ import numpy as np
 
 from tau_dyn.control.export_check import evaluate_graph, random_states
 from tau_dyn.exceptions import InputError
-from tau_dyn.exchange.fmu_equations import Equations, Part
+from tau_dyn.exchange.fmu_equations import EquationFunction, Equations
 from tau_dyn.simulate.forces import SampledForces
 
 STATES, AGREEMENT = 15, 1e-9
 """Random states, and how far expressions and simulator may differ there, relative to the largest value."""
 
 
-def largest_difference(equations: Equations) -> float:
+def compute_largest_difference(equations: Equations) -> float:
     """Return how far an FMU's equations are from the simulator's, relative to the largest value.
 
     Raises:
@@ -38,7 +38,9 @@ def largest_difference(equations: Equations) -> float:
     return worst
 
 
-def _expected(equations: Equations, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> list[tuple[Part, np.ndarray]]:
+def _expected(
+    equations: Equations, q: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> list[tuple[EquationFunction, np.ndarray]]:
     model, n = equations.model, equations.model.robot.na
     pairs = [model.mechanism.mass_and_bias(x, y) for x, y in zip(q, v, strict=True)]
     found = [(equations.dynamics, np.array([[*M.ravel(), *h] for M, h in pairs]))]
@@ -51,11 +53,11 @@ def _expected(equations: Equations, q: np.ndarray, v: np.ndarray, a: np.ndarray)
             rows.append([*np.ravel(forces.bounds(*state)), *np.ravel(np.zeros((n, n)) if added is None else added)])
         part = equations.friction
         gives = {"lower": _sorted(part, True), "upper": _sorted(part, False), "added": part.gives["added"]}
-        found.append((Part(part.graph, part.takes, gives), np.array(rows)))
+        found.append((EquationFunction(part.graph, part.takes, gives), np.array(rows)))
     return found
 
 
-def _sorted(part: Part, low: bool) -> tuple[Any, ...]:
+def _sorted(part: EquationFunction, low: bool) -> tuple[Any, ...]:
     """Return the friction's lower or upper bound as the simulator gives it where an effect pushes forwards."""
     graph, out = part.graph, []
     for k, (x, y) in enumerate(zip(part.gives["lower"], part.gives["upper"], strict=True)):

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from tau_dyn.exchange.fmu_equations import Equations
-from tau_dyn.exchange.fmu_source import about
+from tau_dyn.exchange.fmu_source import describe_fmu
 from tau_dyn.version import __version__
 
 _BASE = {
@@ -33,7 +33,7 @@ class Variable(NamedTuple):
     what: str
 
 
-def variables_of(equations: Equations) -> tuple[Variable, ...]:
+def build_variables(equations: Equations) -> tuple[Variable, ...]:
     """Return an FMU's variables in the order of their value references."""
     return tuple(_variables(equations))
 
@@ -64,22 +64,22 @@ def _variables(equations: Equations) -> Iterator[Variable]:
     yield Variable("step", "parameter", "fixed", "s", 1e-3, "longest step of the plant within a communication step")
 
 
-def identifier_of(name: str) -> str:
+def format_identifier(name: str) -> str:
     """Return a name that C and file systems take."""
     text = re.sub(r"[^A-Za-z0-9_]", "_", name)[:60]
     return text if re.match(r"[A-Za-z]", text) else f"robot_{text}"
 
 
-def description_of(equations: Equations, guid: str) -> str:
+def format_description(equations: Equations, guid: str) -> str:
     """Return the file's text."""
     model = equations.model
-    identifier, variables = identifier_of(model.robot.name), variables_of(equations)
+    identifier, variables = format_identifier(model.robot.name), build_variables(equations)
     root = Element(
         "fmiModelDescription",
         fmiVersion="2.0",
         modelName=model.robot.name,
         guid=guid,
-        description=about(model),
+        description=describe_fmu(model),
         generationTool=f"tau_dyn {__version__}",
         variableNamingConvention="flat",
     )
@@ -109,12 +109,12 @@ def _units(root: Element, variables: tuple[Variable, ...]) -> None:
     units = SubElement(root, "UnitDefinitions")
     for unit in dict.fromkeys(v.unit for v in variables if v.unit):
         element = SubElement(units, "Unit", name=unit)
-        powers = base_units(unit)
+        powers = build_base_units(unit)
         if powers is not None:
             SubElement(element, "BaseUnit", {name: str(power) for name, power in powers.items() if power})
 
 
-def base_units(unit: str) -> dict[str, int] | None:
+def build_base_units(unit: str) -> dict[str, int] | None:
     """Return a unit as powers of base units, `N s/m` as kg/s; None where it is not made of units known here.
 
     A space multiplies and a bar divides by what follows it, which may be a bracket: `N/(m/s)` is N s/m.

@@ -28,7 +28,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 
 
-class Part(NamedTuple):
+class EquationFunction(NamedTuple):
     """One function to be written: its graph, the arrays it takes, and what it computes, by array."""
 
     graph: Graph
@@ -56,15 +56,15 @@ class Equations:
     """
 
     model: Model
-    dynamics: Part
-    friction: Part | None
-    tool: Part | None
+    dynamics: EquationFunction
+    friction: EquationFunction | None
+    tool: EquationFunction | None
     loops: Loops | None
-    closure: Part | None
+    closure: EquationFunction | None
     parameters: tuple[int, ...]
 
 
-def equations_of(model: Model) -> Equations:
+def build_equations(model: Model) -> Equations:
     """Return the equations of a model.
 
     Raises:
@@ -152,7 +152,7 @@ def _open_closed_form(form: ClosedForm, given: _Inputs) -> ClosedForm:
     return form
 
 
-def _dynamics(given: _Inputs) -> Part:
+def _dynamics(given: _Inputs) -> EquationFunction:
     form, n = given.form(), given.model.robot.na
     if isinstance(form, ClosedForm):
         M, h = form.mass_and_bias(given.q[0], given.v[0])
@@ -163,10 +163,10 @@ def _dynamics(given: _Inputs) -> Part:
         units = (as_expression_array(row[None]) for row in np.eye(n))
         M = np.array([form.inverse_dynamics(given.q, given.rest, unit)[0] for unit in units], dtype=object).T
     gives = {"M": tuple(np.asarray(M, dtype=object).ravel()), "h": tuple(h)}
-    return Part(given.graph, (*given.takes, "v", "theta"), gives)
+    return EquationFunction(given.graph, (*given.takes, "v", "theta"), gives)
 
 
-def _friction(given: _Inputs) -> Part:
+def _friction(given: _Inputs) -> EquationFunction:
     """Return the effects' forces at both signs, and what they add to the mass matrix; see `simulate/forces.py`."""
     form, n = given.form(), given.model.robot.na
     effects = [effect for effect in given.model.effects if not on_recording(effect)]
@@ -194,7 +194,7 @@ def _friction(given: _Inputs) -> Part:
             for effect in scaled:
                 added[:, k] = added[:, k] + asked(effect, as_expression_array(unit[None]), 1.0, whole)
     gives = {"lower": tuple(both[0]), "upper": tuple(both[1]), "added": tuple(added.ravel())}
-    return Part(given.graph, (*given.takes, "v", "a", "theta"), gives)
+    return EquationFunction(given.graph, (*given.takes, "v", "a", "theta"), gives)
 
 
 class _Asked:
@@ -218,7 +218,7 @@ class _Asked:
         return as_expression_array(columns @ values)
 
 
-def _tool(given: _Inputs) -> Part:
+def _tool(given: _Inputs) -> EquationFunction:
     form, robot = given.form(), given.model.robot
     if isinstance(form, ClosedForm):
         x = form.tool_position(given.q)[0]
@@ -231,18 +231,18 @@ def _tool(given: _Inputs) -> Part:
         places = form.tree.places(form.tree.motions(q, still, still, np.zeros(3)))
         R, p = places[frame.parentJoint - 1] if frame.parentJoint > 0 else (np.eye(3), np.zeros(3))
         x = p + R @ frame.placement.translation
-    return Part(given.graph, given.takes, {"x": tuple(x)})
+    return EquationFunction(given.graph, given.takes, {"x": tuple(x)})
 
 
-def _closure(given: _Inputs) -> Part:
+def _closure(given: _Inputs) -> EquationFunction:
     loops = given.loops
     assert loops is not None
     closure = loops.closure(loops.full(given.q[0], given.passive))
     J = closure.jacobian[np.ix_(loops.rows, loops.passive)]
-    return Part(given.graph, ("q", "p"), {"gap": tuple(closure.gap), "J": tuple(J.ravel())})
+    return EquationFunction(given.graph, ("q", "p"), {"gap": tuple(closure.gap), "J": tuple(J.ravel())})
 
 
-def unfit(model: Model) -> Sequence[tuple[Any, str]]:
+def list_unsupported_effects(model: Model) -> Sequence[tuple[Any, str]]:
     """Return the effects that a state alone does not determine, each with what it feels."""
     found = []
     for effect in model.effects:

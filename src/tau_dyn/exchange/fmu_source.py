@@ -9,8 +9,8 @@ from tau_dyn.control.export_c_loops import closing_lines
 from tau_dyn.control.export_c_text import harmless
 from tau_dyn.control.export_model import Program
 from tau_dyn.control.feedforward import Feedforward
-from tau_dyn.exchange.content import nominal
-from tau_dyn.exchange.fmu_equations import Equations, Part
+from tau_dyn.exchange.content import list_nominal_parameters
+from tau_dyn.exchange.fmu_equations import EquationFunction, Equations
 from tau_dyn.exchange.fmu_interface import INTERFACE
 from tau_dyn.exchange.fmu_plant import PLANT
 from tau_dyn.exchange.fmu_states import STATES
@@ -18,7 +18,7 @@ from tau_dyn.model import Model
 from tau_dyn.version import __version__
 
 
-def source_of(equations: Equations, guid: str) -> str:
+def format_source(equations: Equations, guid: str) -> str:
     """Return the source, which needs no header of others beyond the C library's."""
     return "\n".join(_lines(equations, guid)) + "\n"
 
@@ -27,7 +27,7 @@ def _lines(equations: Equations, guid: str) -> Iterator[str]:
     model, loops = equations.model, equations.loops
     na, nt = model.robot.na, max(1, len(equations.parameters))
     passive = len(loops.passive) if loops is not None else 0
-    yield f"/* {harmless(about(model))} FMI 2.0 for co-simulation; C99. */"
+    yield f"/* {harmless(describe_fmu(model))} FMI 2.0 for co-simulation; C99. */"
     yield from ("#include <math.h>", "#include <stddef.h>", "#include <stdlib.h>", "#include <string.h>", "")
     sizes = {
         "NA": na,
@@ -63,15 +63,15 @@ def _lines(equations: Equations, guid: str) -> Iterator[str]:
     yield STATES
 
 
-def about(model: Model) -> str:
+def describe_fmu(model: Model) -> str:
     """Return what an FMU says of itself, in one paragraph."""
-    leaning = nominal(model)
+    leaning = list_nominal_parameters(model)
     effects = ", ".join(effect.name for effect in model.effects) or "none"
     text = f"{model.robot.name}, written by tau_dyn {__version__} from {model.robot.source}. Effects: {effects}."
     return text + (f" Not determined by data, so nominal: {', '.join(leaning)}." if leaning else "")
 
 
-def _function(name: str, part: Part, na: int, passive: int, place: dict[str, str]) -> Iterator[str]:
+def _function(name: str, part: EquationFunction, na: int, passive: int, place: dict[str, str]) -> Iterator[str]:
     """Yield one part as a function that leaves with 0, or with 1 where the robot cannot be."""
     takes = [f"const double *{array}" for array in part.takes]
     gives = [f"double {array}[{len(values)}]" for array, values in part.gives.items()]

@@ -16,16 +16,23 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.exchange.content import Exported, body_of, friction_of, header, left_out, nominal
+from tau_dyn.exchange.content import (
+    Exported,
+    build_body,
+    compute_friction,
+    format_header,
+    list_nominal_parameters,
+    list_omitted_effects,
+)
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.kinematics.tree_arrays import Joint, joints_of
 from tau_dyn.model import Model
 
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
-_LIGHTEST = {"mass": "1e-9", "inertia": "1e-12"}
+_MIN_INERTIA = {"mass": "1e-9", "inertia": "1e-12"}
 
 
-def mjcf_of(model: Model) -> Exported:
+def build_mjcf(model: Model) -> Exported:
     """Return the model's robot as MJCF text.
 
     Raises:
@@ -36,7 +43,7 @@ def mjcf_of(model: Model) -> Exported:
     if joints is None:
         raise InputError(f"{robot.source}: MJCF is written for robots of joints with one degree of freedom each")
     root = Element("mujoco", model=robot.name)
-    root.append(Comment(f" {header(model)} "))
+    root.append(Comment(f" {format_header(model)} "))
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")
     SubElement(root, "option", gravity=_numbers(robot.model.gravity.linear))
     world = SubElement(root, "worldbody")
@@ -56,7 +63,7 @@ def mjcf_of(model: Model) -> Exported:
         for name in robot.parameters.names
         if name.endswith(".gravity_mass") and robot.parameters[name].value
     )
-    return Exported(text, (*left_out(model), *extra, *shapes), nominal(model))
+    return Exported(text, (*list_omitted_effects(model), *extra, *shapes), list_nominal_parameters(model))
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
@@ -70,12 +77,12 @@ def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:
         body = SubElement(found[joint.parent], "body", {"name": names[joint.index], **pose})
         SubElement(body, "joint", _joint(model, joint))
         if joint.index in inertias:
-            carried = body_of(inertias[joint.index], model)
+            carried = build_body(inertias[joint.index], model)
             full = _numbers(carried.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
             SubElement(body, "inertial", pos=_numbers(carried.centre), mass=_numbers([carried.mass]), fullinertia=full)
         else:
-            least = _LIGHTEST["inertia"]
-            SubElement(body, "inertial", pos="0 0 0", mass=_LIGHTEST["mass"], diaginertia=f"{least} {least} {least}")
+            least = _MIN_INERTIA["inertia"]
+            SubElement(body, "inertial", pos="0 0 0", mass=_MIN_INERTIA["mass"], diaginertia=f"{least} {least} {least}")
         found.append(body)
     return found[1:]
 
@@ -88,7 +95,7 @@ def _joint(model: Model, joint: Joint) -> dict[str, str]:
     if item.nq == 1 and lower < upper and np.isfinite(lower + upper) and upper - lower < 1e10:
         said["range"] = _numbers([lower, upper])
     if name in robot.actuated:
-        friction = friction_of(model, name)
+        friction = compute_friction(model, name)
         said["armature"] = _numbers([robot.parameters[f"{name}.armature"].value])
         said |= {"damping": _numbers([friction["viscous"]]), "frictionloss": _numbers([friction["coulomb"]])}
     return said

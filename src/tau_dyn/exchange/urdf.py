@@ -12,24 +12,32 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from defusedxml.ElementTree import fromstring
 
-from tau_dyn.exchange.content import Body, Exported, body_of, friction_of, header, left_out, nominal
+from tau_dyn.exchange.content import (
+    BodyInertia,
+    Exported,
+    build_body,
+    compute_friction,
+    format_header,
+    list_nominal_parameters,
+    list_omitted_effects,
+)
 from tau_dyn.model import Model
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
 _ENTRIES = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2))
 
 
-def urdf_of(model: Model) -> Exported:
+def build_urdf(model: Model) -> Exported:
     """Return the model's robot as URDF text, which reads back with the same rigid-body forces."""
     root = fromstring(model.robot.urdf, forbid_dtd=True)
     links = {e.get("name", ""): e for e in root.findall("link")}
     for link in model.robot.links:
         for name in _fixed_to(root, link.link):
             _remove(links[name], "inertial")
-        _write_inertial(links[link.link], body_of(link, model))
+        _write_inertial(links[link.link], build_body(link, model))
     joints = {e.get("name", ""): e for e in root.findall("joint")}
     for joint in model.robot.actuated:
-        friction = friction_of(model, joint)
+        friction = compute_friction(model, joint)
         _remove(joints[joint], "dynamics")
         SubElement(joints[joint], "dynamics", damping=_text(friction["viscous"]), friction=_text(friction["coulomb"]))
     _write_drives(root, model)
@@ -38,8 +46,8 @@ def urdf_of(model: Model) -> Exported:
         ElementTree.register_namespace(prefix, space)
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
-    text = f'<?xml version="1.0"?>\n<!-- {header(model)} -->\n{body}\n'
-    return Exported(text, left_out(model), nominal(model))
+    text = f'<?xml version="1.0"?>\n<!-- {format_header(model)} -->\n{body}\n'
+    return Exported(text, list_omitted_effects(model), list_nominal_parameters(model))
 
 
 def _fixed_to(root: Element, link: str) -> list[str]:
@@ -55,7 +63,7 @@ def _fixed_to(root: Element, link: str) -> list[str]:
     return found
 
 
-def _write_inertial(link: Element, body: Body) -> None:
+def _write_inertial(link: Element, body: BodyInertia) -> None:
     _remove(link, "inertial")
     inertial = Element("inertial")
     SubElement(inertial, "origin", xyz=" ".join(map(_text, body.centre)), rpy="0 0 0")

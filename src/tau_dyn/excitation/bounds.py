@@ -18,8 +18,8 @@ from tau_dyn.kinematics import LoopSolver
 from tau_dyn.kinematics.loop_arrays import LoopArrays
 from tau_dyn.kinematics.tree_arrays import joints_of
 from tau_dyn.model import Model
-from tau_dyn.simulate.limits import condition_bound
-from tau_dyn.simulate.profiles import Path
+from tau_dyn.simulate.limits import compute_condition_bound
+from tau_dyn.simulate.profiles import MotionProfile
 
 MARGIN = 0.05
 """Share of every limit that stays unused, as of all motions (`simulate/limits.py`)."""
@@ -92,10 +92,12 @@ class Bounds:
                     f"the tool's box does not hold the tool at home ({place}) m, where every motion starts"
                 )
         speed = np.minimum(speed, (1 - MARGIN) * robot.velocity_limit)
-        most = condition_bound(model) if condition is None else condition
+        most = compute_condition_bound(model) if condition is None else condition
         return cls(model, low, high, speed, acceleration, (1 - MARGIN) * robot.effort_limit, most, box)
 
-    def of_states(self, path: Path, tau: np.ndarray, by_tau: list[tuple[int, int, np.ndarray]]) -> list[Excess]:
+    def of_states(
+        self, path: MotionProfile, tau: np.ndarray, by_tau: list[tuple[int, int, np.ndarray]]
+    ) -> list[Excess]:
         """Return range, speed, acceleration and force along a path (n, na), whose forces change as `by_tau` says."""
         middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
         made = [

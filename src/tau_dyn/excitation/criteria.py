@@ -21,7 +21,7 @@ Criterion = Callable[[np.ndarray, np.ndarray], tuple[float, np.ndarray]]
 """From M (r, r) and the parameters' scales (r,) to a value and its derivative (r, r)."""
 
 
-def determinant(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
+def compute_d_criterion(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
     """Return minus the mean log eigenvalue of M."""
     d, S = _unit(M)
     values, vectors = _eigen(S)
@@ -30,7 +30,7 @@ def determinant(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
     return float(value), -inverse * np.outer(d, d) / len(M)
 
 
-def conditioning(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
+def compute_condition_criterion(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
     """Return half the log condition number of M at unit diagonal."""
     d, S = _unit(M)
     values, vectors = _eigen(S)
@@ -41,7 +41,7 @@ def conditioning(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
     return float(0.5 * np.log(values[-1] / values[0])), gamma
 
 
-def largest_error(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
+def compute_largest_error(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the log of the largest standard error relative to the scales, smoothed by a power mean."""
     d, S = _unit(M)
     values, vectors = _eigen(S)
@@ -52,7 +52,11 @@ def largest_error(M: np.ndarray, scale: np.ndarray) -> tuple[float, np.ndarray]:
     return float(np.log(s.max()) + np.log(share.sum()) / _POWER), -(C * weight) @ C
 
 
-CRITERIA: dict[str, Criterion] = {"d": determinant, "condition": conditioning, "worst": largest_error}
+CRITERIA: dict[str, Criterion] = {
+    "d": compute_d_criterion,
+    "condition": compute_condition_criterion,
+    "worst": compute_largest_error,
+}
 """Every criterion by the name that the command line takes."""
 
 

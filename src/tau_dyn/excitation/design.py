@@ -17,17 +17,17 @@ import numpy as np
 from tau_dyn.exceptions import InputError, LoopClosureError, UnknownName
 from tau_dyn.excitation.bounds import Bounds
 from tau_dyn.excitation.criteria import CRITERIA, Criterion
-from tau_dyn.excitation.information import Information, gram
-from tau_dyn.excitation.layout import Layout, lay_out, whole
+from tau_dyn.excitation.information import Information, compute_information_matrix
+from tau_dyn.excitation.layout import MotionLayout, build_full_motion, lay_out
 from tau_dyn.excitation.noise import Noise
-from tau_dyn.excitation.predict import Prediction, predict
-from tau_dyn.excitation.search import Search, Stopped
+from tau_dyn.excitation.predict import InformationPrediction, predict
+from tau_dyn.excitation.search import MotionSearch, Stopped
 from tau_dyn.excitation.series import Series
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory
-from tau_dyn.simulate.fourier import RATE_HZ, reach, top_speed
+from tau_dyn.simulate.fourier import RATE_HZ, compute_reach, compute_top_speed
 from tau_dyn.simulate.motions import ACCELERATION
-from tau_dyn.simulate.profiles import Path
+from tau_dyn.simulate.profiles import MotionProfile
 
 SHORTEST_S, LONGEST_S = 4.0, 3600.0
 _BAND = 8.0  # the low-pass of forces is this many times the highest harmonic, about
@@ -35,7 +35,7 @@ _GRID, _FEWEST_SAMPLES = 10, 200
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class ExcitationDesign:
     """A designed motion.
 
     Attributes:
@@ -51,8 +51,8 @@ class Design:
     """
 
     motion: Trajectory
-    prediction: Prediction
-    before: Prediction
+    prediction: InformationPrediction
+    before: InformationPrediction
     criterion: str
     values: tuple[float, float]
     evaluations: int
@@ -78,7 +78,7 @@ def design_motion(
     seconds: float = 90.0,
     rate_hz: float = 1000.0,
     progress: Callable[[str], None] = lambda step: None,
-) -> Design:
+) -> ExcitationDesign:
     """Design a motion.
 
     Args:
@@ -114,10 +114,10 @@ def design_motion(
     if search.best is None or start is None:
         raise InputError(f"{model.robot.source}: no motion around home was found within the limits in {seconds:g} s")
     progress("predicting")
-    chosen, random = (whole(model, layout, x) for x in (search.best, start))
+    chosen, random = (build_full_motion(model, layout, x) for x in (search.best, start))
     taken = time.monotonic() - begun
     told, before = _errors(model, (chosen, random), noise, seed)
-    return Design(
+    return ExcitationDesign(
         replace(chosen, notes=_notes(search, criterion, value, finished, taken)),
         told,
         before,
@@ -171,13 +171,13 @@ def _bounds(
     box: Sequence[float] | None,
     condition: float | None,
 ) -> Bounds:
-    fastest = _per_joint(model, "speed", speed, top_speed(model))
-    quickest = _per_joint(model, "acceleration", acceleration, ACCELERATION * top_speed(model))
+    fastest = _per_joint(model, "speed", speed, compute_top_speed(model))
+    quickest = _per_joint(model, "acceleration", acceleration, ACCELERATION * compute_top_speed(model))
     corners = None if box is None else np.reshape(box, (2, 3))
-    return Bounds.of(model, reach(model), fastest, quickest, corners, condition)
+    return Bounds.of(model, compute_reach(model), fastest, quickest, corners, condition)
 
 
-def _search(ask: _Request, layout: Layout, rng: np.random.Generator) -> tuple[Search, Noise]:
+def _search(ask: _Request, layout: MotionLayout, rng: np.random.Generator) -> tuple[MotionSearch, Noise]:
     """Return the search, ready to start, and the noise that it assumes."""
     model, series = ask.model, layout.series
     samples = max(_FEWEST_SAMPLES, _GRID * series.harmonics)
@@ -187,13 +187,13 @@ def _search(ask: _Request, layout: Layout, rng: np.random.Generator) -> tuple[Se
     information = _information(model, noise, ask.fast_hz, first)
     strokes = 0.0 if layout.after is None else _of_strokes(information, layout.after, noise.rate_hz)
     added = information.prior + strokes
-    search = Search(
+    search = MotionSearch(
         series, information, ask.bounds, ask.criterion, added, noise.rate_hz, samples, ask.deadline, ask.progress
     )
     return search, noise
 
 
-def _searched(search: Search, rng: np.random.Generator, trials: int) -> tuple[np.ndarray | None, float, bool]:
+def _searched(search: MotionSearch, rng: np.random.Generator, trials: int) -> tuple[np.ndarray | None, float, bool]:
     """Search until it settles, time is up or the user had enough.
 
     Returns:
@@ -215,7 +215,7 @@ def _searched(search: Search, rng: np.random.Generator, trials: int) -> tuple[np
 
 def _errors(
     model: Model, motions: tuple[Trajectory, Trajectory], noise: Noise, seed: int
-) -> tuple[Prediction, Prediction]:
+) -> tuple[InformationPrediction, InformationPrediction]:
     """Return what both motions will tell, driven in simulation; without it where the user will not wait."""
     one, other = motions
     try:
@@ -224,7 +224,7 @@ def _errors(
         return predict(model, one, noise, seed), predict(model, other, noise, seed)
 
 
-def _generic(model: Model, series: Series, waves: Path, rng: np.random.Generator) -> Path:
+def _generic(model: Model, series: Series, waves: MotionProfile, rng: np.random.Generator) -> MotionProfile:
     """Return a random path (n, na) that the loops allow."""
     x = series.random(rng)
     for _ in range(60):
@@ -238,7 +238,7 @@ def _generic(model: Model, series: Series, waves: Path, rng: np.random.Generator
     raise InputError(f"{model.robot.source}: the loops do not close anywhere around home, so no motion is possible")
 
 
-def _information(model: Model, noise: Noise, fast_hz: float, path: Path) -> Information:
+def _information(model: Model, noise: Noise, fast_hz: float, path: MotionProfile) -> Information:
     """Return what makes rows; filters are guessed as identification will choose them."""
     force_hz = min(_BAND * fast_hz, 0.16 * noise.rate_hz)
     position_hz = min(8 * force_hz, 0.4 * noise.rate_hz)
@@ -250,7 +250,7 @@ def _information(model: Model, noise: Noise, fast_hz: float, path: Path) -> Info
 def _of_strokes(information: Information, motion: Trajectory, rate_hz: float) -> np.ndarray:
     step = max(1, motion.n_samples // 2000)
     few = motion.every(step)
-    return gram(information.rows(Path(few.q, few.v, few.a))) * rate_hz * step / RATE_HZ
+    return compute_information_matrix(information.rows(MotionProfile(few.q, few.v, few.a))) * rate_hz * step / RATE_HZ
 
 
 def _per_joint(model: Model, name: str, given: Sequence[float] | None, default: np.ndarray) -> np.ndarray:
@@ -264,7 +264,7 @@ def _per_joint(model: Model, name: str, given: Sequence[float] | None, default: 
     return np.broadcast_to(x, (model.robot.na,)).copy()
 
 
-def _notes(search: Search, criterion: str, before: float, finished: bool, seconds: float) -> tuple[str, ...]:
+def _notes(search: MotionSearch, criterion: str, before: float, finished: bool, seconds: float) -> tuple[str, ...]:
     series = search.series
     said = (
         f"{series.periods} periods of {series.period:.4g} s with {series.harmonics} harmonics up to "

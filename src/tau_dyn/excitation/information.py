@@ -20,7 +20,7 @@ from tau_dyn.effects import Motion
 from tau_dyn.estimate import BaseParameters, find_base
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.model import Model
-from tau_dyn.simulate.profiles import Path
+from tau_dyn.simulate.profiles import MotionProfile
 
 STEP = 1e-6
 """Of the finite differences [m or rad, a second, a second squared]."""
@@ -28,7 +28,7 @@ _UNKNOWN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class InformationRows:
     """What one evaluation of the model gives along a path (n, na).
 
     Attributes:
@@ -50,7 +50,7 @@ class Information:
         sigma: Force noise of each joint that weighs all there is (na,).
         window_s: Time around a reversal that identification leaves out, to each side [s].
         slow: Slowest speed with a sure sign (na,).
-        scale: What each base parameter's error is counted in (r,); see `scales`.
+        scale: What each base parameter's error is counted in (r,); see `compute_parameter_scales`.
     """
 
     model: Model
@@ -61,7 +61,7 @@ class Information:
     scale: np.ndarray
 
     @classmethod
-    def of(cls, model: Model, sigma: np.ndarray, window_s: float, slow: np.ndarray, path: Path) -> Information:
+    def of(cls, model: Model, sigma: np.ndarray, window_s: float, slow: np.ndarray, path: MotionProfile) -> Information:
         """Find the base parameters on the states of a path (n, na).
 
         Raises:
@@ -78,7 +78,7 @@ class Information:
         rows = model.parameters.select([base.names[k] for k in base.kept])
         values = base.combine(np.array([model.parameters[name].value for name in base.names]))
         tau = model.torque(path.q, path.v, path.a)
-        scale = scales(values, [p.unit for p in rows], W[:, base.kept], tau)
+        scale = compute_parameter_scales(values, [p.unit for p in rows], W[:, base.kept], tau)
         return cls(model, base, sigma, window_s, slow, scale)
 
     @cached_property
@@ -91,7 +91,7 @@ class Information:
         rows = [self.model.parameters[self.base.names[k]].prior_stderr for k in self.base.kept]
         return np.diag([1 / float(s) ** 2 if s else 0.0 for s in rows])
 
-    def rows(self, path: Path, *, steep: bool = True) -> Rows:
+    def rows(self, path: MotionProfile, *, steep: bool = True) -> InformationRows:
         """Return white rows and forces along a path (n, na); with `steep` signs are those of the speeds."""
         q, v, a = path
         sign = np.sign(v) if steep else v / np.sqrt(v**2 + self.slow**2)
@@ -99,21 +99,21 @@ class Information:
         columns = self.model.columns(motion)
         left = v**2 / (v**2 + (a * self.window_s) ** 2 + self.slow**2)
         Y = columns[:, :, self._kept] * (np.sqrt(left) / self.sigma)[:, :, None]
-        return Rows(Y, columns @ self.model.parameters.values)
+        return InformationRows(Y, columns @ self.model.parameters.values)
 
-    def derivatives(self, path: Path, at: Rows) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
+    def derivatives(self, path: MotionProfile, at: InformationRows) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
         """Return, for each of q, v, a (0, 1, 2) and each joint, how rows and forces change with it."""
         out = []
         for kind in range(3):
             for j in range(path.q.shape[1]):
                 moved = [x.copy() for x in path]
                 moved[kind][:, j] += STEP
-                there = self.rows(Path(*moved), steep=False)
+                there = self.rows(MotionProfile(*moved), steep=False)
                 out.append((kind, j, (there.Y - at.Y) / STEP, (there.tau - at.tau) / STEP))
         return out
 
 
-def scales(values: np.ndarray, units: Sequence[str], W: np.ndarray, tau: np.ndarray) -> np.ndarray:
+def compute_parameter_scales(values: np.ndarray, units: Sequence[str], W: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Return what errors of parameters (r,) are compared with.
 
     That is the value; of a small one a tenth of the largest of its unit; where a unit has no value at all (friction before
@@ -133,7 +133,7 @@ def scales(values: np.ndarray, units: Sequence[str], W: np.ndarray, tau: np.ndar
     return np.array(out)
 
 
-def gram(rows: Rows) -> np.ndarray:
+def compute_information_matrix(rows: InformationRows) -> np.ndarray:
     """Return the sum of the outer products of all white rows (r, r)."""
     flat = rows.Y.reshape(-1, rows.Y.shape[2])
     return flat.T @ flat

@@ -11,25 +11,25 @@ from tau_dyn.excitation.bounds import Bounds
 from tau_dyn.excitation.series import Series
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory
-from tau_dyn.simulate.fourier import RATE_HZ, reach
-from tau_dyn.simulate.limits import broken_limit
-from tau_dyn.simulate.motions import stroke_motion
-from tau_dyn.simulate.profiles import Path
+from tau_dyn.simulate.fourier import RATE_HZ, compute_reach
+from tau_dyn.simulate.limits import describe_exceeded_limit
+from tau_dyn.simulate.motions import build_stroke_motion
+from tau_dyn.simulate.profiles import MotionProfile
 
 PERIOD_S = 10.0
 """Length of a period, about [s]."""
 _STROKES_S = 6.0
-_FEWEST_HARMONICS = 3
+_MIN_HARMONICS = 3
 
 
-class Layout(NamedTuple):
+class MotionLayout(NamedTuple):
     """The strokes, if there is time for them, and the series that fills the rest."""
 
     after: Trajectory | None
     series: Series
 
 
-def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> Layout:
+def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> MotionLayout:
     """Return what of the duration [s] is strokes, a share of it, and what is the series, up to a frequency [Hz].
 
     Raises:
@@ -39,38 +39,40 @@ def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> La
         raise InputError(f"strokes take a share of the duration from 0 to below 1, not {share:g}")
     model, after = bounds.model, None
     if share * duration >= _STROKES_S - 1e-9:
-        after = stroke_motion(model, round(share * duration, 3), 0)
+        after = build_stroke_motion(model, round(share * duration, 3), 0)
         if _outside(bounds, after):
             after = None
     left = duration - (0.0 if after is None else after.duration)
     periods = max(1, round(left / PERIOD_S))
     harmonics = int(np.floor(fast_hz * left / periods + 1e-9))
-    if harmonics < _FEWEST_HARMONICS:
+    if harmonics < _MIN_HARMONICS:
         raise InputError(
             f"{fast_hz:g} Hz leaves {harmonics} harmonics in a period of {left / periods:.3g} s; a design needs at least "
-            f"{_FEWEST_HARMONICS}: take a longer motion or a higher --fastest"
+            f"{_MIN_HARMONICS}: take a longer motion or a higher --fastest"
         )
-    return Layout(after, Series(model.robot.home, reach(model), left / periods, harmonics, periods))
+    return MotionLayout(after, Series(model.robot.home, compute_reach(model), left / periods, harmonics, periods))
 
 
 def _outside(bounds: Bounds, motion: Trajectory) -> bool:
     """Return whether strokes break a bound that they do not know of: the tool's box, accelerations, passive joints."""
     few = motion.every(max(1, motion.n_samples // 600))
-    path = Path(few.q, few.v, few.a)
+    path = MotionProfile(few.q, few.v, few.a)
     found = [*bounds.of_states(path, np.zeros_like(few.q), []), *bounds.of_places(few.q, slopes=False)]
     return any(e.values.max() > 1e-9 for e in found)
 
 
-def whole(model: Model, layout: Layout, x: np.ndarray) -> Trajectory:
+def build_full_motion(model: Model, layout: MotionLayout, x: np.ndarray) -> Trajectory:
     """Return all periods and the strokes as one motion at 1 kHz."""
     after, series = layout
     t = np.arange(round(series.duration * RATE_HZ) + 1) / RATE_HZ
     path = series.path(series.waves(t), x)
     if after is not None:
-        path = Path(*(np.concatenate([a[:-1], b]) for a, b in zip(path, (after.q, after.v, after.a), strict=True)))
+        path = MotionProfile(
+            *(np.concatenate([a[:-1], b]) for a, b in zip(path, (after.q, after.v, after.a), strict=True))
+        )
     clock = np.arange(len(path.q)) / RATE_HZ
     motion = Trajectory(model.robot.actuated, clock, *path, "optimal")
-    broken = broken_limit(model, motion, condition=np.inf)
+    broken = describe_exceeded_limit(model, motion, condition=np.inf)
     if broken:
         raise InputError(f"{model.robot.source}: the designed motion breaks a limit: {broken}")
     return motion

@@ -16,16 +16,16 @@ import numpy as np
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, solve_least_squares
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.excitation.information import scales
+from tau_dyn.excitation.information import compute_parameter_scales
 from tau_dyn.excitation.noise import Noise
 from tau_dyn.identify import build_regression
-from tau_dyn.log import Log, encoder_noise
+from tau_dyn.log import Log, estimate_encoder_noise
 from tau_dyn.model import Model
 from tau_dyn.simulate import Sensors, Trajectory, simulate
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class InformationPrediction:
     """What one motion will tell.
 
     Attributes:
@@ -34,7 +34,7 @@ class Prediction:
         units: Their units (r,).
         values: The model's values (r,).
         stderr: Standard errors (r,).
-        scale: What errors are compared with (r,); see `scales`.
+        scale: What errors are compared with (r,); see `compute_parameter_scales`.
         condition: Condition number of the regressor with unit columns, as identification will report it.
     """
 
@@ -73,7 +73,9 @@ class Prediction:
         ]
 
 
-def predict(model: Model, motion: Trajectory, noise: Noise, seed: int = 0, *, driven: bool = False) -> Prediction:
+def predict(
+    model: Model, motion: Trajectory, noise: Noise, seed: int = 0, *, driven: bool = False
+) -> InformationPrediction:
     """Return the standard errors that a motion will give.
 
     Args:
@@ -88,7 +90,7 @@ def predict(model: Model, motion: Trajectory, noise: Noise, seed: int = 0, *, dr
         CannotAnswer: The motion tells nothing: too slow, too short.
     """
     model = model.steady()
-    log = simulated(model, motion, noise, seed) if driven else imagined(model, motion, noise, seed)
+    log = simulate_log(model, motion, noise, seed) if driven else predict_ideal_log(model, motion, noise, seed)
     estimate = solve_least_squares(build_regression(model, [log]))
     base = estimate.base
     rows = model.parameters.select([base.names[k] for k in base.kept])
@@ -98,11 +100,11 @@ def predict(model: Model, motion: Trajectory, noise: Noise, seed: int = 0, *, dr
     words = tuple(base.expression(k) for k in range(base.rank))
     stderr = np.sqrt(np.diag(estimate.cov))
     W, y, _ = estimate.regression.stacked()
-    scale = scales(combined, units, W[:, np.flatnonzero(model.parameters.free)[base.kept]], y)
-    return Prediction(names, words, units, combined, stderr, scale, estimate.cond)
+    scale = compute_parameter_scales(combined, units, W[:, np.flatnonzero(model.parameters.free)[base.kept]], y)
+    return InformationPrediction(names, words, units, combined, stderr, scale, estimate.cond)
 
 
-def imagined(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
+def predict_ideal_log(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
     """Return the log that a robot would leave that follows the motion exactly."""
     moved, rng = motion.resampled(noise.rate_hz), np.random.default_rng(seed)
     tau = model.torque(moved.q, moved.v, moved.a)
@@ -114,16 +116,16 @@ def imagined(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> L
     return Log(moved.t, channels, "the predicted recording")
 
 
-def simulated(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
+def simulate_log(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
     """Return the log that a simulated robot leaves, with its controller; one that it cannot follow is imagined instead."""
     sensors = Sensors(force_noise=noise.force.tolist(), encoder_noise=noise.encoder.tolist())
     try:
         return simulate(model, motion, sensors=sensors, seed=seed, rate_hz=noise.rate_hz)
     except TauDynError:
-        return imagined(model, motion, noise, seed)
+        return predict_ideal_log(model, motion, noise, seed)
 
 
-def noise_of_log(model: Model, log: Log, rate_hz: float) -> Noise:
+def estimate_log_noise(model: Model, log: Log, rate_hz: float) -> Noise:
     """Return the noise that a recording shows: encoders' own, and what a fit of the model leaves of the forces.
 
     Args:
@@ -139,5 +141,5 @@ def noise_of_log(model: Model, log: Log, rate_hz: float) -> Noise:
     estimate = solve_least_squares(build_regression(model, [log]))
     cutoff = float(estimate.regression.settings["preparation"].force_cutoff_hz)
     force = estimate.sigma * np.sqrt(rate_hz / (2 * cutoff))  # white, of the density that is left below the low-pass
-    encoder = encoder_noise(log.joint("q", model.robot.actuated))
+    encoder = estimate_encoder_noise(log.joint("q", model.robot.actuated))
     return Noise.given(model.robot, force, encoder, rate_hz, f"what a fit leaves of {log.name}")

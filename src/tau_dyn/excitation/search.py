@@ -19,11 +19,11 @@ from scipy.optimize import minimize
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.excitation.bounds import Bounds, Excess
 from tau_dyn.excitation.criteria import Criterion
-from tau_dyn.excitation.information import Information, gram
+from tau_dyn.excitation.information import Information, compute_information_matrix
 from tau_dyn.excitation.series import Series
-from tau_dyn.simulate.profiles import Path
+from tau_dyn.simulate.profiles import MotionProfile
 
-ROUNDS = 6
+MAX_ITERATIONS = 6
 ITERATIONS = 40
 _SLACK = 0.01
 _FIRST_MU, _GROWTH = 10.0, 5.0
@@ -38,7 +38,7 @@ class Stopped(Exception):
 
 
 @dataclass(eq=False)
-class Search:
+class MotionSearch:
     """One search; `best` is what it would hand back now.
 
     Attributes:
@@ -81,7 +81,7 @@ class Search:
     def matrix(self, x: np.ndarray) -> np.ndarray:
         """Return the information of a motion's coefficients (na, k)."""
         rows = self.information.rows(self.series.path(self._waves, x), steep=False)
-        return self._weight * gram(rows) + self.added
+        return self._weight * compute_information_matrix(rows) + self.added
 
     def merit(self, x: np.ndarray) -> float:
         """Return the criterion of coefficients (na, k)."""
@@ -102,7 +102,7 @@ class Search:
             Stopped: The deadline passed.
         """
         self._multipliers, self._mu = {}, _FIRST_MU
-        for k in range(ROUNDS):
+        for k in range(MAX_ITERATIONS):
             before = self.value
             try:
                 found = minimize(
@@ -114,7 +114,7 @@ class Search:
                     self._offer(self._last)
             left = self._update(x)
             self.progress(
-                f"round {k + 1} of {ROUNDS}: criterion {self.value:.4g}, bounds exceeded by {100 * left:.1f} %"
+                f"round {k + 1} of {MAX_ITERATIONS}: criterion {self.value:.4g}, bounds exceeded by {100 * left:.1f} %"
             )
             if left < _SLACK and k and before - self.value < 1e-3:
                 return
@@ -132,12 +132,14 @@ class Search:
         gradient = sum(s.T @ w for s, w in zip(slopes, self._waves, strict=True)) * self.series.reach[:, None]
         return value, np.asarray(gradient).ravel()
 
-    def _value(self, path: Path) -> tuple[float, list[np.ndarray]]:
+    def _value(self, path: MotionProfile) -> tuple[float, list[np.ndarray]]:
         """Return the Lagrangian along a path (n, na) and its derivative by positions, speeds and accelerations (n, na)."""
         self.evaluations += 1
         rows = self.information.rows(path, steep=False)
         changes = self.information.derivatives(path, rows)
-        value, gamma = self.criterion(self._weight * gram(rows) + self.added, self.information.scale)
+        value, gamma = self.criterion(
+            self._weight * compute_information_matrix(rows) + self.added, self.information.scale
+        )
         pull = 2 * self._weight * rows.Y @ gamma
         slopes = [np.zeros_like(path.q) for _ in range(3)]
         for kind, j, dY, _ in changes:
@@ -187,11 +189,11 @@ class Search:
             low, high = (middle, high) if self._holds(self.series.path(waves, middle * x)) else (low, middle)
         return low
 
-    def _holds(self, path: Path) -> bool:
+    def _holds(self, path: MotionProfile) -> bool:
         """Return whether a path keeps all bounds: what is cheap first, forces on the coarse grid."""
         if not _kept(self.bounds.of_states(path, np.zeros_like(path.q), [])):
             return False
-        few = Path(*(y[::_FINE] for y in path))
+        few = MotionProfile(*(y[::_FINE] for y in path))
         try:
             if not _kept(self.bounds.of_places(path.q, slopes=False)):
                 return False

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import null_space
 
-from tau_dyn.simulate.profiles import Path
+from tau_dyn.simulate.profiles import MotionProfile
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Series:
         """Length of all periods [s]."""
         return self.period * self.periods
 
-    def waves(self, t: np.ndarray) -> Path:
+    def waves(self, t: np.ndarray) -> MotionProfile:
         """Return displacement, speed and acceleration of each free direction (n, k) at times (n,) [s], per unit of reach."""
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
         sine, cosine = np.sin(t[:, None] * w), np.cos(t[:, None] * w)
@@ -64,12 +64,12 @@ class Series:
             np.hstack([w * cosine, -w * sine]),
             np.hstack([-(w**2) * sine, -(w**2) * cosine]),
         )
-        return Path(*(x @ self.free for x in made))
+        return MotionProfile(*(x @ self.free for x in made))
 
-    def path(self, waves: Path, x: np.ndarray) -> Path:
+    def path(self, waves: MotionProfile, x: np.ndarray) -> MotionProfile:
         """Return the motion (n, na) of coefficients (na, k)."""
         scaled = (self.reach[:, None] * x).T
-        return Path(self.home + waves.q @ scaled, waves.v @ scaled, waves.a @ scaled)
+        return MotionProfile(self.home + waves.q @ scaled, waves.v @ scaled, waves.a @ scaled)
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         """Return coefficients (na, k) of a motion that uses all harmonics."""

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.effects.hysteresis import Hysteresis
-from tau_dyn.estimate import Rows, Run, SufficientStatistics
+from tau_dyn.estimate import RegressionRows, RegressionRun, SufficientStatistics
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import prepare_segment
-from tau_dyn.log import Log, edge_samples
+from tau_dyn.log import Log, compute_edge_samples
 from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.log.even_segments import EvenSegment, InMemorySegment
 from tau_dyn.model import Model
@@ -52,14 +52,14 @@ class BlockRows(NamedTuple):
         run: Everything, where it was asked for.
     """
 
-    rows: Rows
+    rows: RegressionRows
     used: SufficientStatistics
     whole: SufficientStatistics
-    run: Run | None
+    run: RegressionRun | None
 
 
 @dataclass(frozen=True, eq=False)
-class Work:
+class BlockWork:
     """What all blocks share; it travels to other processes.
 
     Attributes:
@@ -83,7 +83,7 @@ class Work:
     @property
     def wanted(self) -> tuple[str, ...]:
         """Names of the channels that are read."""
-        return channels(self.model, self.preparation.exclude)
+        return list_channels(self.model, self.preparation.exclude)
 
     def compute(self, block: Block, log: Log | None = None) -> BlockRows:
         """Return a block's rows; `log` is what `read` gives, where somebody else has read it."""
@@ -96,7 +96,9 @@ class Work:
         run = prepared.run(self.model).window(slice(block.start - first, block.stop - first))
         run = replace(run, y=run.y * self.scale, y_all=run.y_all * self.scale)
         used, whole = SufficientStatistics.of(run.W, run.y, run.usable), SufficientStatistics.of(run.W_all, run.y_all)
-        return BlockRows(Rows(run.t, run.W, run.y, run.usable), used, whole, run if block in self.shown else None)
+        return BlockRows(
+            RegressionRows(run.t, run.W, run.y, run.usable), used, whole, run if block in self.shown else None
+        )
 
     def read(self, block: Block) -> Log:
         """Return a block's samples and those around it."""
@@ -104,13 +106,15 @@ class Work:
 
     def _around(self, block: Block) -> tuple[int, int]:
         stretch = self.stretches[block.stretch]
-        factor, margin = self.preparation.factor(stretch.rate_hz), overlap(self.preparation, stretch.rate_hz)
+        factor, margin = self.preparation.factor(stretch.rate_hz), compute_overlap(self.preparation, stretch.rate_hz)
         return max(0, block.start * factor - margin), min(stretch.n_samples, (block.stop - 1) * factor + 1 + margin)
 
 
-def overlap(preparation: Preparation, rate_hz: float) -> int:
+def compute_overlap(preparation: Preparation, rate_hz: float) -> int:
     """Return how many samples around a block its rows depend on, a multiple of the decimation."""
-    filters = sum(edge_samples(f, rate_hz) for f in (preparation.force_cutoff_hz, preparation.position_cutoff_hz))
+    filters = sum(
+        compute_edge_samples(f, rate_hz) for f in (preparation.force_cutoff_hz, preparation.position_cutoff_hz)
+    )
     gate = (preparation.window_s + 2 / preparation.position_cutoff_hz) * rate_hz
     factor = preparation.factor(rate_hz)
     return factor * int(np.ceil((OVERLAP_FILTER_MEMORIES * filters + gate + 16) / factor))
@@ -142,7 +146,7 @@ def split_blocks(
     return found
 
 
-def channels(model: Model, exclude: Sequence[str]) -> tuple[str, ...]:
+def list_channels(model: Model, exclude: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the channels that a fit of a model reads."""
     joints = model.robot.actuated
     return (*(f"{s}_{j}" for s in ("q", "tau", "temp") for j in joints), ROOM_TEMPERATURE, *exclude)

@@ -21,10 +21,10 @@ from tau_dyn.identify.short_pieces import list_crumbs, refuse_short
 from tau_dyn.identify.streaming import (
     BlockExecutor,
     Progress,
-    channels,
-    even_stretches,
+    build_stream_regression,
+    list_channels,
     refuse_missing,
-    stream_regression,
+    split_recording_evenly,
 )
 from tau_dyn.log import Log, Recording, even_segments, mend_log
 from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
@@ -79,10 +79,10 @@ class Data:
         for log in self.logs if self.streams else ():
             if isinstance(log, Recording):
                 refuse_missing(self.model, [log], self.exclude)
-                for stretch in even_stretches(log):
+                for stretch in split_recording_evenly(log):
                     middle = max(0, stretch.n_samples // 2 - 2**15)
                     part = stretch.window(
-                        middle, min(stretch.n_samples, middle + 2**16), channels(self.model, self.exclude)
+                        middle, min(stretch.n_samples, middle + 2**16), list_channels(self.model, self.exclude)
                     )
                     found.append(part.with_warnings(*log.warnings, *stretch.warnings))
                     whole.append(part)
@@ -94,7 +94,7 @@ class Data:
     def regression(self, at: Model) -> Regression:
         """Return the regression, with signals at a model's values."""
         if self.streams:
-            whole, *parts = stream_regression(
+            whole, *parts = build_stream_regression(
                 self.model,
                 self.logs,
                 preparation=self.preparation,

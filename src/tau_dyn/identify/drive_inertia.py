@@ -28,14 +28,14 @@ def free_drive_inertias(model: Model, seed: int = 0) -> Model:
         model: Any model; drive inertias that its file or its user gave are kept.
         seed: Of the random states at which columns are compared.
     """
-    from tau_dyn.identify.structural_identifiability import random_positions
+    from tau_dyn.identify.structural_identifiability import draw_random_positions
 
     robot, parameters = model.robot, model.parameters
     unknown = [j for j in robot.actuated if parameters[f"{j}.armature"].origin == NOT_GIVEN]
     if not unknown:
         return model
     rng = np.random.default_rng(seed)
-    q = random_positions(model, N_STATES, rng)
+    q = draw_random_positions(model, N_STATES, rng)
     v, a = rng.normal(size=(2, *q.shape))
     W = model.mechanism.regressor(q, v, a).reshape(-1, len(robot.parameters))
     names = robot.parameters.names

@@ -50,7 +50,7 @@ class ForceErrors:
         return out
 
 
-def force_errors(regression: Regression, theta: np.ndarray) -> ForceErrors:
+def build_force_errors(regression: Regression, theta: np.ndarray) -> ForceErrors:
     """Return the errors of a full parameter vector (p,) on a regression's data."""
     used, every = regression.totals(), regression.totals(whole=True)
     whole = _errors(regression.outputs, every, theta, 1.0, None)

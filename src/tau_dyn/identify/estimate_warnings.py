@@ -71,7 +71,7 @@ _RESISTS = ("coulomb", "viscous", "coulomb_pos", "coulomb_neg", "viscous_pos", "
 """Friction parameters, which oppose motion."""
 
 
-def equivalences(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]:
+def list_equivalent_models(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]:
     """Return the descriptions that fit exactly as well as the one reported."""
     found = []
     for joint in joints:

@@ -20,7 +20,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.fixed_point import PARAMETER_DEPENDENT_SIGNALS
 from tau_dyn.identify.full_rate_estimators import FullRateEstimate, estimate_full_rate
 from tau_dyn.identify.structural_identifiability import build_physical_constraints
-from tau_dyn.log import Log, encoder_noise
+from tau_dyn.log import Log, estimate_encoder_noise
 from tau_dyn.model import Model
 
 ESTIMATORS = ("auto", "wls", "ml", "iv", "robust")
@@ -163,7 +163,9 @@ def _reference_fault(pieces: Sequence[Log], joints: tuple[str, ...]) -> str:
         if not log.has("q_ref", joints):
             return f"{log.name} has no q_ref of every joint, from which instruments are made; use ml, or log the references"
         reference = log.joint("q_ref", joints)
-        noisy = encoder_noise(reference) > CLEAN_REFERENCE * encoder_noise(log.joint("q", joints)) + 1e-12
+        noisy = (
+            estimate_encoder_noise(reference) > CLEAN_REFERENCE * estimate_encoder_noise(log.joint("q", joints)) + 1e-12
+        )
         if noisy.any():
             joint = joints[int(np.argmax(noisy))]
             return f"q_ref_{joint} of {log.name} is as noisy as an encoder, so it is no reference; use ml"

@@ -14,7 +14,15 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.gate import find_excluded_samples
 from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES, choose_preparation
-from tau_dyn.log import Log, decimate, differentiate, edge_samples, encoder_noise, lowpass, noise_gain
+from tau_dyn.log import (
+    Log,
+    compute_edge_samples,
+    compute_noise_gain,
+    decimate,
+    differentiate,
+    estimate_encoder_noise,
+    lowpass,
+)
 from tau_dyn.robot import Robot
 
 MAX_DURATION_S = 60.0
@@ -93,7 +101,9 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
     q, tau = lowpass(raw, cutoff, rate), lowpass(log.joint("tau", joints), cutoff, rate)
     v = differentiate(q, log.dt, accuracy=4)
     a = differentiate(v, log.dt, accuracy=4)
-    threshold = np.maximum(NOISE_FACTOR * encoder_noise(raw) * noise_gain(rate, cutoff), 0.005 * np.abs(v).max(axis=0))
+    threshold = np.maximum(
+        NOISE_FACTOR * estimate_encoder_noise(raw) * compute_noise_gain(rate, cutoff), 0.005 * np.abs(v).max(axis=0)
+    )
     shut = np.abs(v) <= threshold
     shut[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
     left_out = find_excluded_samples(log, joints, robot.effort_limit, exclude)
@@ -101,7 +111,7 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
         left_out = find_excluded_samples(log, joints, np.full(robot.na, np.inf), exclude)
     shut |= left_out
     used = ~_widen(shut, int(np.ceil(MASK_PERIODS * rate / cutoff)))
-    edge = edge_samples(cutoff, rate)
+    edge = compute_edge_samples(cutoff, rate)
     used[:edge] = used[len(used) - edge :] = False
     factor = max(1, int(rate / (4 * cutoff)))
     used = used[::factor]

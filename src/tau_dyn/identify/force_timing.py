@@ -51,7 +51,7 @@ LAG_GAIN_NATS = 5.0
 """Log-likelihood gain from which a lag and a delay are told apart."""
 
 
-class Timing(NamedTuple):
+class ForceDelay(NamedTuple):
     """How late forces are.
 
     Attributes:
@@ -87,7 +87,7 @@ def check_timing(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning
     return [_say(robot, name, found, late, _gain_of_lag(fitter, found, late), excerpt.log.dt)]
 
 
-def _gain_of_lag(fitter: _Fitter, found: Timing, late: np.ndarray) -> float:
+def _gain_of_lag(fitter: _Fitter, found: ForceDelay, late: np.ndarray) -> float:
     """Return by how many nats a first-order lag explains the joints that are late better than a delay does."""
     late = late & (found.delay_s > 0)
     if not late.any():
@@ -97,7 +97,7 @@ def _gain_of_lag(fitter: _Fitter, found: Timing, late: np.ndarray) -> float:
     return float(fitter.used.sum(axis=0)[late] @ ratio / 2)
 
 
-def _believed(found: Timing, dt: float) -> np.ndarray:
+def _believed(found: ForceDelay, dt: float) -> np.ndarray:
     """Return which joints' delays are said (na,)."""
     z = np.abs(found.delay_s) / found.stderr_s
     large = np.abs(found.delay_s) > MIN_SAMPLES_LATE * dt
@@ -148,7 +148,7 @@ class _Fitter:
         _, singular, right = np.linalg.svd(np.linalg.qr(columns[used], mode="r"))
         return cls(excerpt, columns @ right[singular > 1e-6 * singular[0]].T, used)
 
-    def delays(self) -> Timing:
+    def delays(self) -> ForceDelay:
         """Return the delays of all joints, by Gauss-Newton together with the parameters."""
         na, n = self.used.shape[1], len(self.used)
         _, power, theta = self._solve(self.columns, np.zeros((n, na, 0)), np.zeros(na), None)
@@ -170,7 +170,7 @@ class _Fitter:
         _, power, _ = self._solve(self.columns, np.zeros((n, na, 0)), delay, power)
         judged = self.used.any(axis=0) & np.isfinite(stderr) & (stderr > 0) & (np.abs(delay) < 0.99 * MAX_DELAY_S)
         removed = 1 - power / np.maximum(before, 1e-300)
-        return Timing(delay, np.where(judged, stderr, np.inf), removed, power, judged)
+        return ForceDelay(delay, np.where(judged, stderr, np.inf), removed, power, judged)
 
     def residual_with_lags(self, lags: np.ndarray) -> np.ndarray:
         """Return the residual power (na,) where each joint's columns pass a first-order lag near the given one [s]."""
@@ -259,7 +259,7 @@ def _lagged(columns: np.ndarray, lag: float, dt: float) -> np.ndarray:
     return passed + trend - lag * (columns[-1:] - columns[:1]) / max((n - 1) * dt, 1e-300)
 
 
-def _say(robot: Robot, name: str, found: Timing, late: np.ndarray, gain: float, dt: float) -> CodedWarning:
+def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: float, dt: float) -> CodedWarning:
     """Return the warning of a delay or a lag: of all joints the mean, else the largest."""
     chosen: Sequence[int] = np.flatnonzero(late).tolist()
     weight = found.stderr_s[late] ** -2.0

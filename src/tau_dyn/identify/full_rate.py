@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from tau_dyn.estimate.position_noise import REACH, accelerations
+from tau_dyn.estimate.position_noise import REACH, compute_accelerations
 from tau_dyn.identify.gate import find_excluded_samples
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.signals import measured_signals
-from tau_dyn.log import Log, differentiate, edge_samples, lowpass
+from tau_dyn.identify.signals import get_measured_signals
+from tau_dyn.log import Log, compute_edge_samples, differentiate, lowpass
 from tau_dyn.model import Model
 
 INERTIA_EVERY = 10
@@ -69,12 +69,12 @@ def build_full_rate_equations(model: Model, log: Log, preparation: Preparation) 
     raw = log.joint("q", joints)
     q = lowpass(raw, preparation.position_cutoff_hz, rate)
     v = differentiate(q, log.dt, accuracy=4)
-    signals = measured_signals(log, joints, q, v, preparation.speed_threshold)
-    W = _columns(model, log, q, v, accelerations(raw, log.dt), signals)
+    signals = get_measured_signals(log, joints, q, v, preparation.speed_threshold)
+    W = _columns(model, log, q, v, compute_accelerations(raw, log.dt), signals)
     keep = _sure(v, SIGN_THRESHOLD_RATIO * preparation.speed_threshold)
     flagged = find_excluded_samples(log, joints, model.robot.effort_limit, preparation.exclude)
     keep &= ~np.asarray(binary_dilation(flagged, np.ones((2 * REACH + 1, 1), bool)), dtype=bool)
-    edge = edge_samples(preparation.position_cutoff_hz, rate)
+    edge = compute_edge_samples(preparation.position_cutoff_hz, rate)
     keep[:edge] = keep[len(keep) - edge :] = False
     return FullRate(log, raw, (q, v), signals, log.joint("tau", joints), W, _inertia(model, q), keep)
 

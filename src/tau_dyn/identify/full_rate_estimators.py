@@ -1,6 +1,6 @@
 r"""Estimates at the statistical limit: full-rate equations, the noise's exact weights, instruments instead of noisy columns.
 
-From a first estimate (weighted least squares), the force noise is found beside the encoders' (`encoder_noise`), and the
+From a first estimate (weighted least squares), the force noise is found beside the encoders' (`estimate_encoder_noise`), and the
 equations are whitened by both. Then, two or three times over,
 
     ml      Z along q_hat = q + sigma_q^2 D' Sigma^-1 (tau - Y theta), the most likely true motion given positions *and* forces.
@@ -23,17 +23,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.estimate import Estimate, PhysicalConstraints
-from tau_dyn.estimate.instrumental_variables import Solution, WhiteRows, estimate_of, solve_instrumental_variables
-from tau_dyn.estimate.position_noise import PositionNoise, accelerations
-from tau_dyn.estimate.robust import bisquare, compute_robust_covariance_factor, robust_scale
+from tau_dyn.estimate.instrumental_variables import (
+    InstrumentalSolution,
+    WhiteRows,
+    estimate_of,
+    solve_instrumental_variables,
+)
+from tau_dyn.estimate.position_noise import PositionNoise, compute_accelerations
+from tau_dyn.estimate.robust import compute_bisquare_weights, compute_robust_covariance_factor, estimate_robust_scale
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.full_rate import FullRate, build_full_rate_equations
 from tau_dyn.identify.reference_instruments import predict_tracked_motion
-from tau_dyn.log import Log, differentiate, encoder_noise
+from tau_dyn.log import Log, differentiate, estimate_encoder_noise
 from tau_dyn.model import Model
 
 MAX_ITERATIONS = 6
-SETTLED = 0.02
+MAX_CHANGE_STDERRS = 0.02
 """Rounds end when no base parameter moves by more than this part of its standard error."""
 
 NOISE_SAMPLES = 20_000
@@ -99,7 +104,7 @@ def _reference_columns(model: Model, stretch: FullRate, preparation) -> np.ndarr
     log = stretch.log
     q = predict_tracked_motion(model, log, preparation, stretch.position)
     v = differentiate(q, log.dt, accuracy=4)
-    a = accelerations(q, log.dt)
+    a = compute_accelerations(q, log.dt)
     return model.columns(model.motion(q, v, a, np.sign(v), t=log.t, signals=stretch.signals))
 
 
@@ -112,16 +117,18 @@ class _Fit:
         self.free = np.flatnonzero(parameters.free)
         self.kept = self.free[first.base.kept]
         self.fixed = np.where(parameters.free, 0.0, parameters.values)
-        self.position = np.sqrt(np.mean([encoder_noise(s.position) ** 2 for s in stretches], axis=0))
+        self.position = np.sqrt(np.mean([estimate_encoder_noise(s.position) ** 2 for s in stretches], axis=0))
         self.force = self._force_noise(self._residuals(first.beta_plain))
 
-    def settled(self, references: tuple[np.ndarray, ...] | None) -> tuple[Solution, tuple[WhiteRows, ...], float]:
+    def settled(
+        self, references: tuple[np.ndarray, ...] | None
+    ) -> tuple[InstrumentalSolution, tuple[WhiteRows, ...], float]:
         """Return the solution with instruments along references, or along the most likely motion."""
         noises = [self._noise(s, self.force) for s in self.stretches]
         solution, rows = self._rounds(noises, references, self.first.beta_plain)
         return solution, rows, 1.0
 
-    def robust(self) -> tuple[Solution, tuple[WhiteRows, ...], float]:
+    def robust(self) -> tuple[InstrumentalSolution, tuple[WhiteRows, ...], float]:
         """Return the solution with bisquare weights on each sample of force, and how much less certain they leave it."""
         plain = [self._noise(s, self.force) for s in self.stretches]
         beta, noises, scaled = self.first.beta_plain, plain, np.zeros(1)
@@ -131,13 +138,13 @@ class _Fit:
             scaled, weights = self._weights(plain, self._residuals(solution.beta))
             noises = [self._noise(s, self.force / np.sqrt(w)) for s, w in zip(self.stretches, weights, strict=True)]
             solution, rows = self._rounds(noises, None, solution.beta)
-            if _moved(before, solution) < SETTLED:
+            if _moved(before, solution) < MAX_CHANGE_STDERRS:
                 break
         return solution, rows, compute_robust_covariance_factor(scaled)
 
     def _rounds(
         self, noises: list[PositionNoise], references: tuple[np.ndarray, ...] | None, beta: np.ndarray
-    ) -> tuple[Solution, tuple[WhiteRows, ...]]:
+    ) -> tuple[InstrumentalSolution, tuple[WhiteRows, ...]]:
         sides = [self._sides(s, noise) for s, noise in zip(self.stretches, noises, strict=True)]
         solution = None
         for _ in range(MAX_ITERATIONS):
@@ -147,7 +154,7 @@ class _Fit:
                 rows.append(WhiteRows(s.log.t, noise.whiten(Z[:, :, self.kept]), W, y, shares, s.keep))
             before, solution = solution, solve_instrumental_variables(self.first, rows)
             beta = solution.beta
-            if references is not None or (before is not None and _moved(before, solution) < SETTLED):
+            if references is not None or (before is not None and _moved(before, solution) < MAX_CHANGE_STDERRS):
                 break
         assert solution is not None
         return solution, tuple(rows)
@@ -157,7 +164,7 @@ class _Fit:
         found = []
         for s, noise, r in zip(self.stretches, noises, self._residuals(beta), strict=True):
             q = s.position + self.position**2 * noise.to_positions(noise.solve(r))
-            found.append(s.columns(self.model, accelerations(q, s.log.dt)))
+            found.append(s.columns(self.model, compute_accelerations(q, s.log.dt)))
         return found
 
     def _sides(self, s: FullRate, noise: PositionNoise) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -181,9 +188,11 @@ class _Fit:
         """Return scaled force residuals that count (N,) and weights (n, m) of each stretch."""
         found = [self.force**2 * noise.solve(r) for noise, r in zip(noises, residuals, strict=True)]
         keep = np.concatenate([s.keep for s in self.stretches])
-        scale = robust_scale(np.concatenate(found), keep)
+        scale = estimate_robust_scale(np.concatenate(found), keep)
         scaled = [e / scale for e in found]
-        return np.concatenate(scaled)[keep], [np.maximum(bisquare(x), MIN_ROBUST_WEIGHT) for x in scaled]
+        return np.concatenate(scaled)[keep], [
+            np.maximum(compute_bisquare_weights(x), MIN_ROBUST_WEIGHT) for x in scaled
+        ]
 
     def _force_noise(self, residuals: list[np.ndarray]) -> np.ndarray:
         r"""Return each joint's force noise (m,) from residuals, beside the encoders' known one.
@@ -210,7 +219,7 @@ class _Fit:
         return force
 
 
-def _moved(before: Solution, after: Solution) -> float:
+def _moved(before: InstrumentalSolution, after: InstrumentalSolution) -> float:
     """Return the largest move of a base parameter in its own standard errors, as the information has them."""
     stderr = np.sqrt(np.abs(np.diag(np.linalg.inv(after.J))))
     return float(np.max(np.abs(after.beta - before.beta) / stderr))

@@ -15,7 +15,7 @@ from tau_dyn.effects import Effect, Motion
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.log import Log
-from tau_dyn.log.jumps import jump_finding
+from tau_dyn.log.jumps import check_jumps
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.robot import Robot
 
@@ -78,6 +78,6 @@ def refuse_jumps(log: Log, robot: Robot, columns: tuple[str, ...]) -> None:
     for column in columns:
         left_out |= log.channels.get(column, left_out) != 0
     for joint, kind, fastest in zip(robot.actuated, robot.joint_kinds, robot.velocity_limit, strict=True):
-        found = jump_finding(log, joint, revolute=kind != "prismatic", fastest=float(fastest), left_out=left_out)
+        found = check_jumps(log, joint, revolute=kind != "prismatic", fastest=float(fastest), left_out=left_out)
         if found is not None:
             raise InputError(f"{found.sentence} {found.remedy}")

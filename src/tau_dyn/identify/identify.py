@@ -16,15 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.coded_warning import CodedWarning
-from tau_dyn.effects import FRICTION_MODELS, friction_model
+from tau_dyn.effects import FRICTION_MODELS, build_friction_model
 from tau_dyn.estimate import MAX_RELATIVE_STDERR, BaseParameters, Estimate, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.choices import Choices
 from tau_dyn.identify.data import Data
 from tau_dyn.identify.drive_inertia import free_drive_inertias
-from tau_dyn.identify.errors import ForceErrors, force_errors
+from tau_dyn.identify.errors import ForceErrors, build_force_errors
 from tau_dyn.identify.estimate_warnings import (
-    equivalences,
+    list_equivalent_models,
     list_estimate_warnings,
     list_friction_sign_warnings,
     list_inertia_scale_warnings,
@@ -32,13 +32,13 @@ from tau_dyn.identify.estimate_warnings import (
 )
 from tau_dyn.identify.estimators import Estimator
 from tau_dyn.identify.fixed_point import iterate_to_fixed_point
-from tau_dyn.identify.log_inputs import as_log_list, drop_duplicate_logs, drop_trained_logs, require_forces
+from tau_dyn.identify.log_inputs import drop_duplicate_logs, drop_trained_logs, get_log_list, require_forces
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.result import Identification
 from tau_dyn.identify.short_pieces import TooShort, count_information, list_information_warnings
 from tau_dyn.identify.streaming import BlockExecutor
-from tau_dyn.identify.structural_identifiability import build_physical_constraints, structural_base
+from tau_dyn.identify.structural_identifiability import build_physical_constraints, find_structural_base
 from tau_dyn.identify.timing import (
     ForceOffset,
     build_offset_columns,
@@ -49,7 +49,7 @@ from tau_dyn.identify.timing import (
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.scale.run_many import cores
+from tau_dyn.scale.run_many import count_cores
 
 
 def identify(
@@ -87,15 +87,15 @@ def identify(
     """
     ask = _Request(
         robot=robot,
-        train=as_log_list(logs),
-        holdout=as_log_list(holdout),
+        train=get_log_list(logs),
+        holdout=get_log_list(holdout),
         model=model,
         choices=choices or Choices(),
         preparation=preparation,
         exclude=exclude,
         estimator=estimator,
         seed=seed,
-        engine=engine or BlockExecutor(cores()),
+        engine=engine or BlockExecutor(count_cores()),
         progress=progress,
     )
     warnings: list[str] = []
@@ -146,7 +146,7 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     ask.progress("structure")
     better = Estimator(ask.estimator, model, data.pieces, gains, warnings)
     sigmas = {joint: sigma for joint, (_, sigma) in gains.items()}
-    solve = _Solver(model, structural_base(model, ask.seed), sigmas, better)
+    solve = _Solver(model, find_structural_base(model, ask.seed), sigmas, better)
     warnings += list_information_warnings(training, solve.structural.rank)
     ask.progress("estimate")
     training, estimate = _settled_or_scarce(model, training, solve, data, warnings)
@@ -158,7 +158,7 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     else:
         held = _judge_last_part(data, training, solve, bool(ask.holdout), warnings)
     _refuse_if_nothing_determined(estimate)
-    train = force_errors(training, estimate.theta)
+    train = build_force_errors(training, estimate.theta)
     warnings += list_unjudged_joint_warnings(train, held.errors)
     return Identification(
         model=replace(
@@ -176,7 +176,7 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
                 [*warnings, *list_estimate_warnings(estimate), *list_inertia_scale_warnings(estimate, model.parameters)]
             )
         ),
-        equivalent=equivalences(estimate, model.robot.actuated),
+        equivalent=list_equivalent_models(estimate, model.robot.actuated),
         seed=ask.seed,
         logs=tuple(data.logs),
         force_offset=offset,
@@ -238,10 +238,10 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
         InputError: The model file is of a robot with other actuated joints or parameters.
     """
     if isinstance(model, str) and model in FRICTION_MODELS:
-        return free_drive_inertias(Model.of(robot, friction_model(model, robot.actuated, robot.force_units)))
+        return free_drive_inertias(Model.of(robot, build_friction_model(model, robot.actuated, robot.force_units)))
     if not isinstance(model, Model):
         if isinstance(model, str) and not Path(model).suffix:
-            friction_model(model, robot.actuated, robot.force_units)  # says which names there are
+            build_friction_model(model, robot.actuated, robot.force_units)  # says which names there are
         model = Model.load(model)
     if model.robot.actuated != robot.actuated:
         theirs = ", ".join(model.robot.actuated)
@@ -303,7 +303,7 @@ def _judge_held_out(
         return _Held(None, None, "no held-out log was long enough")
     warnings += held_out.left_out
     how = "held-out logs: " + ", ".join(log.name for log in held_out.logs)
-    return _Held(regression, force_errors(regression, estimate.theta), how)
+    return _Held(regression, build_force_errors(regression, estimate.theta), how)
 
 
 def _judge_last_part(data: Data, training: Regression, solve: _Solver, asked: bool, warnings: list[str]) -> _Held:
@@ -319,7 +319,7 @@ def _judge_last_part(data: Data, training: Regression, solve: _Solver, asked: bo
         )
         return _Held(None, None, "the logs are too short to hold a part out")
     how = "last 30 % of each log, predicted by a fit of its first 70 %"
-    return _Held(last if there else None, force_errors(last, estimate.theta), how)
+    return _Held(last if there else None, build_force_errors(last, estimate.theta), how)
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:

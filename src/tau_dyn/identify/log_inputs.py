@@ -12,8 +12,8 @@ from tau_dyn.coded_warning import UNCODED, CodedWarning, get_code
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.gate import SATURATION_RATIO
 from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES
-from tau_dyn.log import Log, Recording, unit_warnings
-from tau_dyn.log.check_motion import moving_mask
+from tau_dyn.log import Log, Recording, list_unit_warnings
+from tau_dyn.log.check_motion import find_moving_samples
 from tau_dyn.log.check_signals import check_signals
 from tau_dyn.robot import Robot
 
@@ -22,10 +22,10 @@ Kind = TypeVar("Kind", bound=Log | Recording)
 _CHANNEL_FAULTS = ("frozen", "clipping", "held")
 """What a fit does not notice by itself."""
 
-_MOST = 4  # warnings about one log before they are counted instead of listed
+_MAX_LISTED_WARNINGS = 4  # warnings about one log before they are counted instead of listed
 
 
-def as_log_list(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log | Recording]:
+def get_log_list(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log | Recording]:
     """Return one log or many as a list; a path is refused."""
     if isinstance(logs, Log | Recording):
         return [logs]
@@ -38,7 +38,7 @@ def drop_duplicate_logs(logs: Sequence[Kind], warnings: list[str]) -> list[Kind]
     """Return the logs without repetitions: the same samples twice would look like twice the evidence."""
     once: list[Kind] = []
     for log in logs:
-        if any(shares_samples(log, other) for other in once):
+        if any(has_common_samples(log, other) for other in once):
             warnings.append(f"{log.name} is given twice, or overlaps with a log given before; it counts once")
         else:
             once.append(log)
@@ -50,10 +50,10 @@ def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
     found: list[str] = []
     for name in dict.fromkeys(log.name for log in logs):
         pieces = [log for log in logs if log.name == name]
-        of_logs = (w for log in pieces for w in (*log.warnings, *unit_warnings(log, robot)))
+        of_logs = (w for log in pieces for w in (*log.warnings, *list_unit_warnings(log, robot)))
         longest = max(pieces, key=lambda log: log.n_samples)
         said = list(dict.fromkeys([*of_logs, *_channel_warnings(robot, longest)]))
-        found += said if len(said) <= _MOST else _some(said, name)
+        found += said if len(said) <= _MAX_LISTED_WARNINGS else _some(said, name)
     return found
 
 
@@ -76,7 +76,7 @@ def _channel_warnings(robot: Robot, log: Log) -> list[str]:
         if c in columns and np.abs(x).max() < SATURATION_RATIO * limits.get(c, np.inf)
     }
     channels = Log(log.t, used, log.name)
-    moving = {joint: moving_mask(channels, joint) for joint in channels.joints("q")}
+    moving = {joint: find_moving_samples(channels, joint) for joint in channels.joints("q")}
     found = check_signals(channels, moving)[0]
     doubtful = [f for f in found if f.topic in _CHANNEL_FAULTS and f.severity != "ok"]
     return [CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful]
@@ -84,7 +84,7 @@ def _channel_warnings(robot: Robot, log: Log) -> list[str]:
 
 def drop_trained_logs(train: Sequence[Log | Recording], held: Sequence[Kind], warnings: list[str]) -> list[Kind]:
     """Drop held-out logs that are also trained on, and say so; their errors would not be held-out errors."""
-    both = [log for log in held if any(shares_samples(log, other) for other in train)]
+    both = [log for log in held if any(has_common_samples(log, other) for other in train)]
     for log in both:
         warnings.append(
             f"{log.name} is both trained on and held out; its errors are not held-out errors and are left out"
@@ -92,7 +92,7 @@ def drop_trained_logs(train: Sequence[Log | Recording], held: Sequence[Kind], wa
     return [log for log in held if log not in both]
 
 
-def shares_samples(one: Log | Recording, other: Log | Recording) -> bool:
+def has_common_samples(one: Log | Recording, other: Log | Recording) -> bool:
     """Return whether two logs hold the same samples; parts of one file that do not overlap in time are different data."""
     if one is other:
         return True

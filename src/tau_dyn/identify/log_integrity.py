@@ -52,9 +52,9 @@ def _against_robot(
     longest = sorted(zip(logs, told, strict=True), key=lambda pair: -pair[0].duration)[:MAX_LOGS]
     for log, warnings in longest:
         sound = log
-        if spoils_diagnosis(warnings):
+        if is_diagnosis_invalid(warnings):
             sound = mend_log(log, robot.actuated)
-            if sound is log or spoils_diagnosis(list_data_warnings(sound, robot.actuated)):
+            if sound is log or is_diagnosis_invalid(list_data_warnings(sound, robot.actuated)):
                 continue
         excerpt = make_excerpt(robot, even_segments(sound), exclude)
         if excerpt is not None:
@@ -62,6 +62,6 @@ def _against_robot(
     return list(dict.fromkeys(found))
 
 
-def spoils_diagnosis(warnings: Iterable[str]) -> bool:
+def is_diagnosis_invalid(warnings: Iterable[str]) -> bool:
     """Return whether a warning says that the log would make false physics, so that no cause may be confirmed from it."""
     return any(get_code(warning) in SPOILING for warning in warnings)

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, encoder_noise, motion_band, noise_gain
+from tau_dyn.log import Log, compute_noise_gain, estimate_encoder_noise, find_motion_band
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 5.0
@@ -98,7 +98,7 @@ def choose_preparation(
     rate = min(log.rate_hz for log in logs)
     if rate < MIN_RATE_HZ:
         raise InputError(f"{logs[0].name} is sampled at {rate:.3g} Hz; t must be in s (does it stand in ms or us?)")
-    bands = [motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
+    bands = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     edge = max(float(band.edge_hz.max()) for band in bands)
     if edge <= 0:
         raise CannotAnswer(
@@ -109,7 +109,10 @@ def choose_preparation(
     noise_edge = min((float(x.min()) for x in moving if x.size), default=rate)
     force_cutoff = max(min(BAND_FACTOR * edge, noise_edge, 0.16 * rate), edge)
     position_cutoff = min(POSITION_FACTOR * force_cutoff, 0.4 * rate)
-    noise = [encoder_noise(log.joint("q", robot.actuated)) * noise_gain(log.rate_hz, position_cutoff) for log in logs]
+    noise = [
+        estimate_encoder_noise(log.joint("q", robot.actuated)) * compute_noise_gain(log.rate_hz, position_cutoff)
+        for log in logs
+    ]
     return Preparation(
         position_cutoff,
         force_cutoff,

@@ -20,13 +20,13 @@ import numpy as np
 
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion
 from tau_dyn.effects.effect import naming
-from tau_dyn.estimate import Regression, Run
+from tau_dyn.estimate import Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.gate import compute_gate, find_excluded_samples, refuse_jumps
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
-from tau_dyn.identify.signals import measured_signals, refuse_missing_campaign, refuse_missing_temperature
-from tau_dyn.log import Log, decimate, differentiate, edge_samples, even_segments, lowpass
+from tau_dyn.identify.signals import get_measured_signals, refuse_missing_campaign, refuse_missing_temperature
+from tau_dyn.log import Log, compute_edge_samples, decimate, differentiate, even_segments, lowpass
 from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.model import Model
 
@@ -130,12 +130,12 @@ class PreparedSegment:
             out /= self.weight.T[:, None]
         return out.transpose(2, 0, 1)
 
-    def run(self, model: Model) -> Run:
+    def run(self, model: Model) -> RegressionRun:
         """Return the regression of a model on this stretch."""
-        Y = columns_of(model, self.motion)
+        Y = compute_columns(model, self.motion)
         y = self.passed(self.gate * self.force) / self.weight
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
-        return Run(
+        return RegressionRun(
             self.log.name,
             decimate(self.log.t, self.factor),
             self.columns(Y),
@@ -147,7 +147,7 @@ class PreparedSegment:
         )
 
 
-def columns_of(model: Model, motion: Motion) -> np.ndarray:
+def compute_columns(model: Model, motion: Motion) -> np.ndarray:
     """Return all columns (N, na, p) along a motion, samples last in memory; see `Model.columns`."""
     rigid = model.mechanism.regressor(motion.q, motion.v, motion.a)
     N, na, first = rigid.shape
@@ -204,7 +204,7 @@ def prepare_segment(
         force = lowpass(force, preparation.position_cutoff_hz, rate)
     v = differentiate(q, dt, accuracy=4)
     a = differentiate(v, dt, accuracy=4)
-    measured = {**measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
+    measured = {**get_measured_signals(log, joints, q, v, preparation.speed_threshold), **(signals or {})}
     refuse_missing_temperature(model, log, measured)
     gate = compute_gate(log, Motion.of(joints, q, v, a, signals=measured), model, preparation, rate)
     sign = np.sign(v)
@@ -216,9 +216,9 @@ def prepare_segment(
     factor = preparation.factor(rate)
     share = decimate(lowpass(gate, preparation.force_cutoff_hz, rate), factor)
     usable = share > MIN_SHARE
-    edge = edge_samples(preparation.force_cutoff_hz, rate)
+    edge = compute_edge_samples(preparation.force_cutoff_hz, rate)
     if smooth_hz is not None:
-        edge = max(edge, edge_samples(smooth_hz, rate))
+        edge = max(edge, compute_edge_samples(smooth_hz, rate))
     edge = int(np.ceil(edge / factor))
     usable[:edge] = usable[len(usable) - edge :] = False
     return PreparedSegment(log, motion, force, gate, preparation, usable, np.where(usable, share, 1.0), rate)

@@ -8,11 +8,11 @@ from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.estimate import Regression
 from tau_dyn.identify.preparation import Preparation
 
-MOST = 0.5
+MAX_RESTING_SHARE = 0.5
 """Share of the samples at rest from which a joint rests most of the time."""
 
 
-def rest_shares(regression: Regression) -> np.ndarray:
+def compute_rest_shares(regression: Regression) -> np.ndarray:
     """Return the share of samples at which each joint (na,) is slower than the slowest speed of a sure sign."""
     preparation: Preparation = regression.settings["preparation"]
     v = np.concatenate([run.signals["v"] for run in regression.runs])
@@ -23,7 +23,9 @@ def list_resting_warnings(regression: Regression) -> list[str]:
     """Return one warning that names the joints at rest most of the time."""
     if not any(len(run.t) for run in regression.runs):
         return []
-    resting = {j: x for j, x in zip(regression.outputs, rest_shares(regression), strict=True) if x > MOST}
+    resting = {
+        j: x for j, x in zip(regression.outputs, compute_rest_shares(regression), strict=True) if x > MAX_RESTING_SHARE
+    }
     if not resting:
         return []
     named = ", ".join(f"{joint} ({100 * share:.0f} %)" for joint, share in resting.items())

@@ -16,7 +16,7 @@ from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.estimate import Regression
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.preparation import BAND_FACTOR, Preparation
-from tau_dyn.log import Log, Recording, edge_samples, short_segments
+from tau_dyn.log import Log, Recording, compute_edge_samples, count_short_segments
 from tau_dyn.log.column_names import count
 
 CODE = "short_log"
@@ -35,7 +35,7 @@ class TooShort(CannotAnswer):
     """No piece of the logs is long enough for the filters."""
 
 
-class Piece(Protocol):
+class ShortSegment(Protocol):
     """A stretch without gaps, in memory or on disk."""
 
     @property
@@ -54,7 +54,7 @@ class Piece(Protocol):
         ...
 
 
-AnyPiece = TypeVar("AnyPiece", bound=Piece)
+AnyPiece = TypeVar("AnyPiece", bound=ShortSegment)
 
 
 class Kept(NamedTuple):
@@ -76,7 +76,7 @@ def choose_from_long(pieces: Sequence[AnyPiece], choose: Callable[[list[AnyPiece
     return choose([piece for piece in pieces if piece in long or piece.rate_hz < 0.99 * slowest_hz])
 
 
-def keep_long(pieces: Sequence[Piece], cutoff_hz: float, factor: Callable[[float], int]) -> Kept:
+def keep_long(pieces: Sequence[ShortSegment], cutoff_hz: float, factor: Callable[[float], int]) -> Kept:
     """Tell the pieces that give rows from those that are shorter than the ends that a low-pass disturbs.
 
     Args:
@@ -87,7 +87,7 @@ def keep_long(pieces: Sequence[Piece], cutoff_hz: float, factor: Callable[[float
     Raises:
         TooShort: None is long enough.
     """
-    needed = [min_samples(cutoff_hz, piece.rate_hz, factor(piece.rate_hz)) for piece in pieces]
+    needed = [compute_min_samples(cutoff_hz, piece.rate_hz, factor(piece.rate_hz)) for piece in pieces]
     index = tuple(k for k, (piece, n) in enumerate(zip(pieces, needed, strict=True)) if piece.n_samples >= n)
     seconds = max((n / piece.rate_hz for piece, n in zip(pieces, needed, strict=True)), default=0.0)
     if not index:
@@ -95,12 +95,12 @@ def keep_long(pieces: Sequence[Piece], cutoff_hz: float, factor: Callable[[float
     return Kept(index, _left_out(pieces, index, seconds))
 
 
-def min_samples(cutoff_hz: float, rate_hz: float, factor: int) -> int:
+def compute_min_samples(cutoff_hz: float, rate_hz: float, factor: int) -> int:
     """Return how many samples a piece has at least that gives a row between the ends that a low-pass disturbs."""
-    return 2 * (edge_samples(cutoff_hz, rate_hz) + factor) + 1
+    return 2 * (compute_edge_samples(cutoff_hz, rate_hz) + factor) + 1
 
 
-def refuse_short(pieces: Sequence[Piece], needed_s: float) -> TooShort:
+def refuse_short(pieces: Sequence[ShortSegment], needed_s: float) -> TooShort:
     """Return the refusal of logs without a piece of the length that the filters need [s]."""
     names = ", ".join(dict.fromkeys(piece.name for piece in pieces))
     longest = max((piece.n_samples / piece.rate_hz for piece in pieces), default=0.0)
@@ -111,7 +111,7 @@ def refuse_short(pieces: Sequence[Piece], needed_s: float) -> TooShort:
     )
 
 
-def _left_out(pieces: Sequence[Piece], index: Sequence[int], needed_s: float) -> tuple[str, ...]:
+def _left_out(pieces: Sequence[ShortSegment], index: Sequence[int], needed_s: float) -> tuple[str, ...]:
     said = []
     for name in dict.fromkeys(piece.name for piece in pieces):
         lengths = [
@@ -131,7 +131,7 @@ def list_crumbs(logs: Sequence[Log | Recording]) -> list[str]:
     """Return warnings about pieces between gaps of too few samples for anything, which no list of pieces holds."""
     said = []
     for log in logs:
-        n, seconds = short_segments(log) if isinstance(log, Log) else (0, 0.0)
+        n, seconds = count_short_segments(log) if isinstance(log, Log) else (0, 0.0)
         if n:
             sentence = f"{log.name}: {count(n, 'piece')} of fewer than 10 samples between gaps, {seconds:.3g} s in all, left out"
             said.append(CodedWarning(CODE, sentence))

@@ -12,16 +12,16 @@ from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.model import Model
 
 
-def measured_signals(
+def get_measured_signals(
     log: Log, joints: tuple[str, ...], q: np.ndarray, v: np.ndarray, threshold: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Return what a log says beyond positions and forces: temperatures, and travel since each joint's last reversal."""
-    found = {"reversal": np.column_stack([travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
+    found = {"reversal": np.column_stack([compute_travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
     warmth = log.temperatures(joints)
     return found if warmth is None else {**found, "temperature": warmth}
 
 
-def travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
+def compute_travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
     """Return the distance (N,) since a joint last reversed, from the turning point of each stretch of one direction.
 
     Stretches are told apart where the speed is sure, above the threshold; where they turned lies a little before. The first one

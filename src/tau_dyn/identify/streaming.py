@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tau_dyn.estimate import Regression, Run, StreamedData, SufficientStatistics
+from tau_dyn.estimate import Regression, RegressionRun, StreamedData, SufficientStatistics
 from tau_dyn.estimate.stored_rows import StoredRows
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.blocks import Block, BlockRows, Work, channels, refuse_memory, split_blocks
+from tau_dyn.identify.blocks import Block, BlockRows, BlockWork, list_channels, refuse_memory, split_blocks
 from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
 from tau_dyn.log import Log, Recording, even_segments
 from tau_dyn.log.even_segments import EvenSegment, InMemorySegment, split_even_segments
 from tau_dyn.model import Model
-from tau_dyn.scale.run_many import in_order, run_on_workers
+from tau_dyn.scale.run_many import iterate_in_order, run_on_workers
 
 SURVEYED = 2**20
 """Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""
@@ -54,7 +54,7 @@ class BlockExecutor:
     jobs: int = 1
     cluster: str | None = None
 
-    def compute(self, work: Work, blocks: Sequence[Block]) -> Iterator[BlockRows]:
+    def compute(self, work: BlockWork, blocks: Sequence[Block]) -> Iterator[BlockRows]:
         """Yield the blocks' rows in their order."""
         with threadpool_limits(1):
             if self.cluster is None:
@@ -62,18 +62,20 @@ class BlockExecutor:
             else:
                 yield from self._there(work, blocks)
 
-    def _here(self, work: Work, blocks: Sequence[Block]) -> Iterator[BlockRows]:
+    def _here(self, work: BlockWork, blocks: Sequence[Block]) -> Iterator[BlockRows]:
         own = threading.local()  # a mechanism remembers its last closure, so each thread has one
 
         def compute(block: Block, log: Log) -> BlockRows:
             if not hasattr(own, "work"):
-                own.work = fresh(work)
+                own.work = copy_with_own_mechanisms(work)
             return own.work.compute(block, log)
 
         with ThreadPoolExecutor(self.jobs) as pool:
-            yield from in_order(lambda block: pool.submit(compute, block, work.read(block)), blocks, self.jobs + 1)
+            yield from iterate_in_order(
+                lambda block: pool.submit(compute, block, work.read(block)), blocks, self.jobs + 1
+            )
 
-    def _there(self, work: Work, blocks: Sequence[Block]) -> Iterator[BlockRows]:
+    def _there(self, work: BlockWork, blocks: Sequence[Block]) -> Iterator[BlockRows]:
         address = None if self.cluster == "local" else self.cluster
 
         def prepare(client: Any) -> Callable[[Block], Any]:
@@ -87,10 +89,10 @@ def sample_recordings(
     pieces: Sequence[EvenSegment | InMemorySegment], model: Model, exclude: tuple[str, ...]
 ) -> list[Log]:
     """Return what filters and masks are chosen from."""
-    return [log for piece in pieces for log in piece.survey(channels(model, exclude), SURVEYED // len(pieces))]
+    return [log for piece in pieces for log in piece.survey(list_channels(model, exclude), SURVEYED // len(pieces))]
 
 
-def stream_regression(
+def build_stream_regression(
     model: Model,
     recordings: Sequence[Log | Recording],
     *,
@@ -135,7 +137,7 @@ def stream_regression(
     blocks = [b for k, piece in enumerate(pieces) for b in split_blocks(piece, k, preparation, width, share)]
     chosen = np.unique(np.linspace(0, len(blocks) - 1, SHOWN).astype(int))
     scale = np.array([factors.get(joint, 1.0) for joint in model.robot.actuated])
-    work = Work(model, at, pieces, tuple(names.index(p.name) for p in pieces), preparation, scale,
+    work = BlockWork(model, at, pieces, tuple(names.index(p.name) for p in pieces), preparation, scale,
                 frozenset(blocks[i] for i in chosen))  # fmt: skip
     whole, first, last = _summed(work, blocks, engine, progress)
     settings = {**whole.settings, "left_out": (*list_crumbs(recordings), *kept.warnings)}
@@ -143,7 +145,7 @@ def stream_regression(
 
 
 def _summed(
-    work: Work, blocks: list[Block], engine: BlockExecutor, progress: Progress
+    work: BlockWork, blocks: list[Block], engine: BlockExecutor, progress: Progress
 ) -> tuple[Regression, Regression, Regression]:
     model = work.model
     zero = SufficientStatistics.zero(model.robot.na, len(model.parameters))
@@ -163,7 +165,7 @@ def _summed(
         left = (time.monotonic() - began) * (len(blocks) / number - 1)
         progress(f"columns: block {number} of {len(blocks)}, {left:.0f} s left")
 
-    def regression(sections: Sequence[int], runs: Sequence[Run], rows) -> Regression:
+    def regression(sections: Sequence[int], runs: Sequence[RegressionRun], rows) -> Regression:
         totals = [sum((of[s] for s in sections), zero) for of in (used, whole)]
         settings = {"preparation": work.preparation}
         everything = StreamedData(totals[0], totals[1], rows)
@@ -174,7 +176,7 @@ def _summed(
     return regression((0, 1, 2), shown, stored.runs), regression((0,), (), ()), regression((2,), (), ())
 
 
-def _named(run: Run, n_blocks: int) -> Run:
+def _named(run: RegressionRun, n_blocks: int) -> RegressionRun:
     return run if n_blocks == 1 else replace(run, name=f"{run.name}, from {run.t[0]:.0f} s")
 
 
@@ -189,33 +191,35 @@ def refuse_missing(model: Model, recordings: Sequence[Recording], exclude: tuple
 
 def _pieces(log: Log | Recording) -> Sequence[EvenSegment | InMemorySegment]:
     return (
-        even_stretches(log) if isinstance(log, Recording) else [InMemorySegment(piece) for piece in even_segments(log)]
+        split_recording_evenly(log)
+        if isinstance(log, Recording)
+        else [InMemorySegment(piece) for piece in even_segments(log)]
     )
 
 
 @lru_cache(maxsize=8)
-def even_stretches(recording: Recording) -> list[EvenSegment]:
+def split_recording_evenly(recording: Recording) -> list[EvenSegment]:
     """Return a recording's even stretches; its clock is read once."""
     return split_even_segments(recording)
 
 
-def fresh(work: Work) -> Work:
+def copy_with_own_mechanisms(work: BlockWork) -> BlockWork:
     """Return the same work with mechanisms of its own."""
     model = replace(work.model)
     return replace(work, model=model, at=model if work.at is work.model else replace(work.at))
 
 
-def _given(work: Work) -> Work:
+def _given(work: BlockWork) -> BlockWork:
     return work
 
 
-_BUILT: dict[int, tuple[Work, Work]] = {}
+_BUILT: dict[int, tuple[BlockWork, BlockWork]] = {}
 
 
-def _compute(work: Work, block: Block) -> BlockRows:
+def _compute(work: BlockWork, block: Block) -> BlockRows:
     """Compute a block in a worker, which builds mechanisms once for each piece of work that reaches it."""
     if id(work) not in _BUILT:
         _BUILT.clear()
-        _BUILT[id(work)] = work, fresh(work)
+        _BUILT[id(work)] = work, copy_with_own_mechanisms(work)
     with threadpool_limits(1):
         return _BUILT[id(work)][1].compute(block)

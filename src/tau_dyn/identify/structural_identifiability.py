@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.estimate import BaseParameters, InertialBody, PhysicalConstraints, find_base
-from tau_dyn.identify.signals import travel
+from tau_dyn.identify.signals import compute_travel
 from tau_dyn.log import differentiate
 from tau_dyn.model import Model
 
@@ -13,14 +13,14 @@ _STATES = 60
 _SAMPLES = 2000
 
 
-def structural_base(model: Model, seed: int = 0) -> BaseParameters:
+def find_structural_base(model: Model, seed: int = 0) -> BaseParameters:
     """Return the base parameters of the free columns over random motion around home.
 
     Positions are drawn as far from home as the limits and the loops allow; speeds and accelerations are of order one.
     Effects that a single state does not determine are seen along a smooth random motion instead.
     """
     rng = np.random.default_rng(seed)
-    q = random_positions(model, _STATES, rng)
+    q = draw_random_positions(model, _STATES, rng)
     if len(model.steady().effects) == len(model.effects):
         v, a = rng.normal(size=(2, *q.shape))
         W = model.regressor(q, v, a)
@@ -57,13 +57,13 @@ def _along_a_motion(model: Model, reached: np.ndarray, rng: np.random.Generator)
     numbers = np.array(sorted({0.0, *(e.settings["number"] for e in model.effects if "campaign" in e.needs)}))
     signals = {
         "temperature": 30 + 10 * np.sin(0.4 * t[:, None] + np.arange(robot.na)),
-        "reversal": np.column_stack([travel(x, y, 0.0) for x, y in zip(q.T, v.T, strict=True)]),
+        "reversal": np.column_stack([compute_travel(x, y, 0.0) for x, y in zip(q.T, v.T, strict=True)]),
         "campaign": numbers[np.arange(_SAMPLES) % len(numbers)],
     }
     return model.regressor(q, v, a, t=t, signals=signals)[20:-20:5]
 
 
-def random_positions(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
+def draw_random_positions(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
     """Draw actuated positions (count, na) within limits at which the loops close, nearer home where need be."""
     robot = model.robot
     low = np.where(np.isfinite(robot.lower), robot.lower, robot.home - 1.0)

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from tau_dyn.effects import Delay
 from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, solve_least_squares
-from tau_dyn.estimate.prior import prior_rows
+from tau_dyn.estimate.prior import build_prior_rows
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import Log
@@ -135,7 +135,7 @@ def widen_by_offset(estimate: Estimate, columns: Sequence[np.ndarray], offset: F
         use = run.usable
         rows.append((run.W[:, :, kept] / estimate.sigma[:, None])[use])
         target.append((x / estimate.sigma)[use])
-    known, _ = prior_rows(parameters.select(base.names))  # what was measured beforehand does not move
+    known, _ = build_prior_rows(parameters.select(base.names))  # what was measured beforehand does not move
     W = np.concatenate([*rows, known[:, base.kept]])
     norm = np.where((size := np.linalg.norm(W, axis=0)) > 0, size, 1.0)
     slope = np.linalg.lstsq(W / norm, np.concatenate([*target, np.zeros(len(known))]), rcond=1e-10)[0] / norm

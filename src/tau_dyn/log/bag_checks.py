@@ -18,13 +18,13 @@ import yaml
 from tau_dyn.files import YAML_FAULTS, PlainLoader
 from tau_dyn.log.decompression_limit import DecompressionLimit
 
-LONGEST_DEFINITION = 2**20
+MAX_DEFINITION_BYTES = 2**20
 """All message definitions of a bag together [bytes]."""
 
-MOST_UNROLLED = 10_000
+MAX_UNROLLED_ENTRIES = 10_000
 """Entries of fixed arrays of texts or messages in all definitions together; each becomes lines of code."""
 
-MOST_TOPICS = 10_000
+MAX_TOPICS = 10_000
 
 _FILLER = "structure_needs_at_least_one_member"
 """What the library puts into an empty message; in ROS 1 it takes no bytes."""
@@ -51,10 +51,10 @@ def check_database(path: Path) -> None:
         if "encoded_message_definition" in columns.get("message_definitions", ()):
             _check_texts(base)
         if "offered_qos_profiles" in columns.get("topics", ()):
-            for (profiles,) in base.execute(f"SELECT offered_qos_profiles FROM topics LIMIT {MOST_TOPICS + 1}"):
+            for (profiles,) in base.execute(f"SELECT offered_qos_profiles FROM topics LIMIT {MAX_TOPICS + 1}"):
                 check_profiles(profiles)
-        if "topics" in columns and base.execute("SELECT count(*) FROM topics").fetchone()[0] > MOST_TOPICS:
-            raise ValueError(f"it has more than {MOST_TOPICS} topics")
+        if "topics" in columns and base.execute("SELECT count(*) FROM topics").fetchone()[0] > MAX_TOPICS:
+            raise ValueError(f"it has more than {MAX_TOPICS} topics")
 
 
 def check_profiles(profiles: Any) -> None:
@@ -66,7 +66,7 @@ def check_profiles(profiles: Any) -> None:
     if not isinstance(profiles, str) or not profiles:
         return
     try:
-        if len(profiles) > LONGEST_DEFINITION:
+        if len(profiles) > MAX_DEFINITION_BYTES:
             raise yaml.YAMLError("too long")
         yaml.load(profiles, Loader=PlainLoader)  # noqa: S506
     except YAML_FAULTS:
@@ -109,13 +109,13 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
             simple = inside[0] == Nodetype.BASE and inside[1][0] != "string"
             if kind == Nodetype.ARRAY:
                 unrolled += 0 if simple else length
-            if (kind == Nodetype.ARRAY and not 1 <= length <= 2**24) or unrolled > MOST_UNROLLED:
+            if (kind == Nodetype.ARRAY and not 1 <= length <= 2**24) or unrolled > MAX_UNROLLED_ENTRIES:
                 raise ValueError(f"{label} of {name} is an array of {length}")
             if nothing(inside):
                 raise ValueError(f"{label} of {name} is a list of messages that hold nothing")
 
 
-def bounded(decompress: Callable[[bytes], bytes], inflated: DecompressionLimit) -> Callable[[bytes], bytes]:
+def limit_decompression(decompress: Callable[[bytes], bytes], inflated: DecompressionLimit) -> Callable[[bytes], bytes]:
     """Return what opens a chunk of a ROS 1 bag no further than bounds; opening one again counts again."""
 
     def opened(data: bytes) -> bytes:
@@ -143,7 +143,7 @@ def _tables(rows: list[tuple[str, str, str]]) -> list[str]:
 def _check_texts(base: sqlite3.Connection) -> None:
     """Refuse definitions that take long to parse: too long, or in IDL with arithmetic in parentheses, or with shifts."""
     (size,) = base.execute("SELECT sum(length(encoded_message_definition)) FROM message_definitions").fetchone()
-    if size and size > LONGEST_DEFINITION:
+    if size and size > MAX_DEFINITION_BYTES:
         raise ValueError(f"its message definitions have {size} bytes")
     for (text,) in base.execute("SELECT encoded_message_definition FROM message_definitions"):
         depth, plain = 0, _ASIDE.sub("", str(text))

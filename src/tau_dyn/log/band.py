@@ -42,7 +42,7 @@ class MotionBand:
     clear_edge_hz: NDArray[np.float64]
 
 
-def motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
+def find_motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
     """Find the band of the motion in measured positions (N, n), evenly spaced and not filtered."""
     q = np.asarray(q, dtype=np.float64)
     acceleration = np.diff(q, 2, axis=0) * rate_hz**2

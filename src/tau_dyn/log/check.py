@@ -11,15 +11,15 @@ import numpy as np
 
 from tau_dyn.coded_warning import UNCODED, get_code
 from tau_dyn.log.check_clock import check_clock
-from tau_dyn.log.check_motion import check_motion, moving_mask
-from tau_dyn.log.check_result import CheckFinding, LogCheck, Severity, fault_of
+from tau_dyn.log.check_motion import check_motion, find_moving_samples
+from tau_dyn.log.check_result import CheckFinding, LogCheck, Severity, build_fault
 from tau_dyn.log.check_signals import check_signals
 from tau_dyn.log.column_names import format_names
 from tau_dyn.log.data_integrity import list_data_warnings
-from tau_dyn.log.jumps import jump_finding
+from tau_dyn.log.jumps import check_jumps
 from tau_dyn.log.log import Log
-from tau_dyn.log.resample import even_segments, segments
-from tau_dyn.log.units import JointLimits, unit_warnings
+from tau_dyn.log.resample import even_segments, split_at_gaps
+from tau_dyn.log.units import JointLimits, list_unit_warnings
 
 
 def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
@@ -37,14 +37,18 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         CheckFinding("warning", "reading", sentence, "Let the logger finish its file.") for sentence in log.warnings
     ]
     findings += _columns(log, robot) + _units(log, robot)
-    findings += [fault_of(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]
-    parts = segments(log)
+    findings += [build_fault(warning) for warning in list_data_warnings(log, () if robot is None else robot.actuated)]
+    parts = split_at_gaps(log)
     if not parts:
         lost = f"{log.name}: no stretch of it is without a gap."
         return LogCheck(log.name, (*findings, CheckFinding("fault", "gaps", lost, "Record it again.")), numbers)
     longest = int(np.argmax([part.n_samples for part in parts]))
     raw, part = parts[longest], even_segments(log)[longest]
-    moving = {joint: moving_mask(part, joint) for joint in log.joints("q")} if part.n_samples == raw.n_samples else {}
+    moving = (
+        {joint: find_moving_samples(part, joint) for joint in log.joints("q")}
+        if part.n_samples == raw.n_samples
+        else {}
+    )
     findings += _jumps(raw, robot)
     for more, figures in (check_signals(raw, moving), check_motion(part)):
         findings += more
@@ -93,7 +97,7 @@ def _units(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
             "Give the map with --columns MAP.yaml.",
             "" if get_code(sentence) == UNCODED else get_code(sentence),
         )
-        for sentence in unit_warnings(log, robot)
+        for sentence in list_unit_warnings(log, robot)
     ]
     return doubts or [CheckFinding("ok", "units", f"{log.name}: positions look like m and rad.")]
 
@@ -101,7 +105,7 @@ def _units(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
 def _jumps(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
     kinds = {} if robot is None else dict(zip(robot.actuated, robot.joint_kinds, strict=True))
     turns = {joint: kinds[joint] != "prismatic" if joint in kinds else None for joint in log.joints("q")}
-    found = (jump_finding(log, joint, revolute=revolute) for joint, revolute in turns.items())
+    found = (check_jumps(log, joint, revolute=revolute) for joint, revolute in turns.items())
     return [finding for finding in found if finding is not None]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from tau_dyn.log.check_result import CheckFinding
 from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
-from tau_dyn.log.resample import MAX_RELATIVE_JITTER, Clock, examine_clock, gap_sentence
+from tau_dyn.log.resample import MAX_RELATIVE_JITTER, Clock, describe_gaps, examine_clock
 
 MIN_RATE_HZ = 50.0
 """Below this rate [Hz] accelerations of a machine can hardly be had from positions."""
@@ -72,7 +72,7 @@ def _gaps(log: Log, clock: Clock) -> list[CheckFinding]:
             CheckFinding(
                 "warning",
                 "gaps",
-                gap_sentence(log, clock),
+                describe_gaps(log, clock),
                 "Record without interruption; the parts are used separately.",
             )
         ]

@@ -11,9 +11,9 @@ from scipy.signal import correlate
 
 from tau_dyn.log.check_result import CheckFinding
 from tau_dyn.log.column_names import count
-from tau_dyn.log.filtering import differentiate, edge_samples, find_reversals, lowpass
+from tau_dyn.log.filtering import compute_edge_samples, differentiate, find_reversals, lowpass
 from tau_dyn.log.log import Log
-from tau_dyn.log.noise_estimation import encoder_noise, noise_gain, quantisation_step
+from tau_dyn.log.noise_estimation import compute_noise_gain, estimate_encoder_noise, estimate_quantisation_step
 
 CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""
@@ -25,23 +25,23 @@ MIN_REVERSALS = 4
 """Fewer changes of direction hardly separate friction from inertia."""
 
 
-def motion_cutoff(log: Log) -> float:
+def compute_motion_cutoff(log: Log) -> float:
     """Return the cutoff [Hz] of the low-pass used for judging a motion: 60 Hz, less for slow clocks."""
     return min(60.0, CUTOFF_SHARE * log.rate_hz) if log.rate_hz >= 250.0 else 0.2 * log.rate_hz
 
 
-def velocities(log: Log, signal: str, joint: str) -> NDArray[np.float64]:
+def compute_velocities(log: Log, signal: str, joint: str) -> NDArray[np.float64]:
     """Return the filtered velocity (N,) of one joint's `q` or `q_ref`, from an even log."""
     q = log.channels[f"{signal}_{joint}"]
-    cutoff = motion_cutoff(log)
-    filtered = lowpass(q, cutoff, log.rate_hz) if len(q) > edge_samples(cutoff, log.rate_hz) else q
+    cutoff = compute_motion_cutoff(log)
+    filtered = lowpass(q, cutoff, log.rate_hz) if len(q) > compute_edge_samples(cutoff, log.rate_hz) else q
     return differentiate(filtered, log.dt)
 
 
-def moving_mask(log: Log, joint: str) -> NDArray[np.bool_]:
+def find_moving_samples(log: Log, joint: str) -> NDArray[np.bool_]:
     """Return the samples (N,) in which a joint moves, by its reference where there is one, else by its position."""
     signal = "q_ref" if log.has("q_ref", [joint]) else "q"
-    v = velocities(log, signal, joint)
+    v = compute_velocities(log, signal, joint)
     return np.abs(v) > max(_noise_speed(log, signal, joint), 0.02 * float(np.abs(v).max()))
 
 
@@ -76,12 +76,12 @@ def check_motion(log: Log) -> tuple[list[CheckFinding], dict[str, Any]]:
     return findings, {"joints": numbers}
 
 
-def reference_lag(log: Log, joint: str) -> float:
+def estimate_reference_lag(log: Log, joint: str) -> float:
     """Return the time [s] by which a joint's position follows its reference; negative where it runs ahead.
 
     The shift, within 0.25 s, that leaves the least squared difference between both velocities, refined by a parabola.
     """
-    reference, actual = (velocities(log, kind, joint) for kind in ("q_ref", "q"))
+    reference, actual = (compute_velocities(log, kind, joint) for kind in ("q_ref", "q"))
     reach = min(max(int(0.25 * log.rate_hz), 2), log.n_samples // 3)
     inner = actual[reach : log.n_samples - reach]
     products = correlate(reference, inner, mode="valid", method="fft")
@@ -96,17 +96,17 @@ def reference_lag(log: Log, joint: str) -> float:
 
 def _figures(log: Log, joint: str) -> dict[str, Any]:
     q = log.channels[f"q_{joint}"]
-    v = velocities(log, "q", joint)
+    v = compute_velocities(log, "q", joint)
     a = differentiate(v, log.dt)
-    cut = min(edge_samples(motion_cutoff(log), log.rate_hz), log.n_samples // 4)
+    cut = min(compute_edge_samples(compute_motion_cutoff(log), log.rate_hz), log.n_samples // 4)
     inner = slice(cut, log.n_samples - cut)
-    noise = float(encoder_noise(q))
-    gains = [noise_gain(log.rate_hz, motion_cutoff(log), derivatives=d) for d in (1, 2)]
+    noise = float(estimate_encoder_noise(q))
+    gains = [compute_noise_gain(log.rate_hz, compute_motion_cutoff(log), derivatives=d) for d in (1, 2)]
     fast = np.abs(v[inner]) > max(5 * noise * gains[0], 0.02 * float(np.abs(v[inner]).max()), 1e-12)
     speeds = np.abs(v[inner])[fast]
     return {
-        "moves": bool(np.ptp(q) > max(20 * noise, 3 * float(quantisation_step(q)), 1e-9) and speeds.size > 0),
-        "quantisation": float(quantisation_step(q)),
+        "moves": bool(np.ptp(q) > max(20 * noise, 3 * float(estimate_quantisation_step(q)), 1e-9) and speeds.size > 0),
+        "quantisation": float(estimate_quantisation_step(q)),
         "encoder_noise": noise,
         "velocity_noise": noise * gains[0],
         "range": [float(q.min()), float(q.max())],
@@ -115,20 +115,20 @@ def _figures(log: Log, joint: str) -> dict[str, Any]:
         "forward_share": float(np.mean(v[inner][fast] > 0)) if speeds.size else 0.0,
         "acceleration_rms": float(np.sqrt(np.mean(a[inner] ** 2))),
         "acceleration_noise": noise * gains[1],
-        "lag": reference_lag(log, joint) if log.has("q_ref", [joint]) and speeds.size else None,
+        "lag": estimate_reference_lag(log, joint) if log.has("q_ref", [joint]) and speeds.size else None,
     }
 
 
 def _noise_speed(log: Log, signal: str, joint: str) -> float:
-    noise = float(encoder_noise(log.channels[f"{signal}_{joint}"]))
-    return 5 * noise * noise_gain(log.rate_hz, motion_cutoff(log))
+    noise = float(estimate_encoder_noise(log.channels[f"{signal}_{joint}"]))
+    return 5 * noise * compute_noise_gain(log.rate_hz, compute_motion_cutoff(log))
 
 
 def _encoder(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
     step = f"steps of {f['quantisation']:.3g}" if f["quantisation"] else "no visible step"
     sentence = (
         f"{log.name}: q_{joint} has {step} and noise of {f['encoder_noise']:.2g}, "
-        f"which leaves {f['velocity_noise']:.2g} a second in the velocity below {motion_cutoff(log):.3g} Hz."
+        f"which leaves {f['velocity_noise']:.2g} a second in the velocity below {compute_motion_cutoff(log):.3g} Hz."
     )
     if f["moves"] and f["velocity_noise"] > 0.05 * f["speed"][0]:
         return CheckFinding(
@@ -170,10 +170,10 @@ def _excitation(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
 def _check_swapped_columns(log: Log) -> dict[str, CheckFinding]:
     """Return a fault for each joint that moves as another one's reference says and not as its own."""
     joints = [joint for joint in log.joints("q") if log.has("q_ref", [joint])]
-    wanted = {joint: velocities(log, "q_ref", joint) for joint in joints}
+    wanted = {joint: compute_velocities(log, "q_ref", joint) for joint in joints}
     found = {}
     for joint in joints:
-        v = velocities(log, "q", joint)
+        v = compute_velocities(log, "q", joint)
         miss = {other: float(np.sqrt(np.mean((v - r) ** 2))) for other, r in wanted.items()}
         nearest = min(miss, key=miss.__getitem__)
         if miss[nearest] < _CROSSED * miss[joint]:

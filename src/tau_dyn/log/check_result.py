@@ -27,7 +27,7 @@ class CheckFinding:
     """Stable code, see docs/warning_codes.md; empty where there is none."""
 
 
-def fault_of(warning: str) -> CheckFinding:
+def build_fault(warning: str) -> CheckFinding:
     """Return a coded warning as a fault of the log; its sentence holds the remedy."""
     return CheckFinding("fault", "integrity", str(warning), code=get_code(warning))
 
@@ -63,7 +63,7 @@ class LogCheck(Shown):
         sentence = f"{self.name}: wiring and the time of the forces were held against the masses of the robot file."
         judged = CheckFinding("ok", "synchronisation", sentence)
         kept = [f for f in self.findings if (f.topic, f.severity) != ("synchronisation", "ok")]
-        faults = [fault_of(warning) for warning in warnings]
+        faults = [build_fault(warning) for warning in warnings]
         return replace(self, findings=(*kept, judged, *(f for f in faults if f not in kept)))
 
     def to_dict(self) -> dict[str, Any]:

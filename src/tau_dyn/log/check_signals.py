@@ -55,7 +55,7 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
             if signal != "q_ref":
                 judges.append(lambda c=column, r=runs, m=moves: _frozen(log, c, r, m))
             if signal == "tau":
-                clipped[column] = clipped_share(runs, moves)
+                clipped[column] = compute_clipped_share(runs, moves)
                 judges.append(lambda c=column: _clipped(log, c, clipped[c]))
             if signal != "q_ref":
                 judges.append(lambda c=column, r=runs, m=moves: _check_sample_hold(log, c, r, m))
@@ -67,7 +67,7 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
     return findings, {"clipped": clipped}
 
 
-def clipped_share(runs: ConstantRuns, moves: NDArray[np.bool_]) -> float:
+def compute_clipped_share(runs: ConstantRuns, moves: NDArray[np.bool_]) -> float:
     """Return the share of samples on plateaus at a channel's largest or smallest value while its joint moves.
 
     A plateau is 5 samples or more, and the extreme value stands five times as often as the value next to it, so that

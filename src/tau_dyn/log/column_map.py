@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import LARGEST_YAML, YAML_FAULTS, PlainLoader, read_bytes
+from tau_dyn.files import MAX_YAML_BYTES, YAML_FAULTS, PlainLoader, read_bytes
 from tau_dyn.log.column_names import SIGNALS, format_names, is_contract_name, map_joints
 
 SOURCE_KEYS = ("column", "scale", "offset", "file")
@@ -113,7 +113,7 @@ class _UniqueLoader(PlainLoader):
 def _load_yaml(path: Path) -> dict[Any, Any]:
     try:
         entries = yaml.load(
-            read_bytes(path, LARGEST_YAML).decode("utf-8"), Loader=_UniqueLoader
+            read_bytes(path, MAX_YAML_BYTES).decode("utf-8"), Loader=_UniqueLoader
         )  # builds plain data only
     except InputError:
         raise

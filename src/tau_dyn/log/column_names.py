@@ -21,7 +21,7 @@ TOOL_COLUMNS = (
 ROOM_TEMPERATURE = "temp_room"
 
 
-def signal_and_joint(column: str) -> tuple[str, str] | None:
+def split_column_name(column: str) -> tuple[str, str] | None:
     """Return the signal and the joint that a column name stands for, or None where it stands for no joint."""
     if column == ROOM_TEMPERATURE or column in TOOL_COLUMNS:
         return None
@@ -33,10 +33,10 @@ def signal_and_joint(column: str) -> tuple[str, str] | None:
 
 def is_contract_name(column: str) -> bool:
     """Tell whether a column map may define the name: `t`, a joint's signal, a tool column or `temp_room`."""
-    return column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or signal_and_joint(column) is not None
+    return column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or split_column_name(column) is not None
 
 
-def used_columns(columns: Iterable[str]) -> tuple[str, ...]:
+def list_used_columns(columns: Iterable[str]) -> tuple[str, ...]:
     """Return the columns that the library uses, and whose every cell therefore has to be a number.
 
     `v_`, `a_`, `q_link_` and `temp_` count only beside a `q_` column of the same joint: a foreign log's `a_comment` is nobody's
@@ -49,7 +49,7 @@ def used_columns(columns: Iterable[str]) -> tuple[str, ...]:
 
 def map_joints(columns: Iterable[str]) -> tuple[tuple[str, str], ...]:
     """Return the (signal, joint) pairs among the columns, in their order."""
-    return tuple(pair for pair in map(signal_and_joint, columns) if pair is not None)
+    return tuple(pair for pair in map(split_column_name, columns) if pair is not None)
 
 
 def format_names(names: Iterable[str], limit: int = 12) -> str:
@@ -65,7 +65,7 @@ def count(n: int, noun: str) -> str:
 
 
 def _is_used(column: str, joints: set[str]) -> bool:
-    pair = signal_and_joint(column)
+    pair = split_column_name(column)
     if pair is None:
         return is_contract_name(column)
     return pair[0] in ("q", "q_ref", "tau") or pair[1] in joints

@@ -19,10 +19,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import owner, sweep
+from tau_dyn.files import get_owner_name, remove_stale_files
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import used_columns
-from tau_dyn.log.text_chunks import text_chunks
+from tau_dyn.log.column_names import list_used_columns
+from tau_dyn.log.text_chunks import iterate_text_chunks
 
 _ROWS = 2**17
 """Rows of a row group of a copy."""
@@ -33,8 +33,8 @@ class TemporaryFolder:
 
     def __init__(self) -> None:
         """Make it where the system keeps temporary files (`TMPDIR`); those of killed processes go."""
-        sweep(Path(tempfile.gettempdir()), "tau_dyn_")
-        self.path = Path(tempfile.mkdtemp(prefix=f"tau_dyn_{owner()}.", suffix=".part"))
+        remove_stale_files(Path(tempfile.gettempdir()), "tau_dyn_")
+        self.path = Path(tempfile.mkdtemp(prefix=f"tau_dyn_{get_owner_name()}.", suffix=".part"))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
@@ -68,8 +68,8 @@ def copy_text(path: Path, map_: ColumnMap | None) -> Copy:
     theirs = {source.column: source.scale for source in map_.sources.values()} if map_ is not None else {}
     texts: set[str] = set()
     with _room_for_a_copy(path.name, folder):
-        for table in text_chunks(path, digest):
-            used = {*theirs, *used_columns((*ours, *table.cells))}
+        for table in iterate_text_chunks(path, digest):
+            used = {*theirs, *list_used_columns((*ours, *table.cells))}
             columns = {
                 c: table.numbers(c, theirs.get(c, 1.0)) if c in used else table.numbers_or_none(c) for c in table.cells
             }

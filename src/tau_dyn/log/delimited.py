@@ -18,7 +18,7 @@ from tau_dyn.log.read_errors import describe_foreign_file
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
-MOST_COLUMNS = 10_000
+MAX_COLUMNS = 10_000
 """Columns of a table; a header with more is no header."""
 
 
@@ -99,9 +99,9 @@ def _cells_of(name: str, line: int, text: str, separator: str) -> list[str]:
 
 
 def _check_header(name: str, line: int, header: list[str]) -> None:
-    if len(header) > MOST_COLUMNS:
+    if len(header) > MAX_COLUMNS:
         raise InputError(
-            f"{name}, line {line}: the header names {len(header)} columns; a log has {MOST_COLUMNS} at most."
+            f"{name}, line {line}: the header names {len(header)} columns; a log has {MAX_COLUMNS} at most."
         )
     seen: set[str] = set()
     for position, column in enumerate(header, start=1):

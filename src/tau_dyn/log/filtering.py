@@ -17,7 +17,7 @@ from scipy import signal
 from tau_dyn.exceptions import InputError
 
 TRANSIENT = 0.01
-"""Share of a start-up transient that may be left after `edge_samples`."""
+"""Share of a start-up transient that may be left after `compute_edge_samples`."""
 
 _FLOOR = 1e-30
 """Constant put under a signal while it is filtered, in parts of its largest value, far below rounding: where a signal is zero for
@@ -27,7 +27,7 @@ long, the filter would fade into denormal numbers, with which processors are twe
 def lowpass(x: ArrayLike, cutoff_hz: float, rate_hz: float, order: int = 4) -> NDArray[np.float64]:
     """Low-pass a signal with zero phase.
 
-    The ends are continued point-symmetrically, which keeps slopes but not curvature: discard `edge_samples` there.
+    The ends are continued point-symmetrically, which keeps slopes but not curvature: discard `compute_edge_samples` there.
 
     Args:
         x: Samples (N, ...), evenly spaced.
@@ -46,7 +46,7 @@ def lowpass(x: ArrayLike, cutoff_hz: float, rate_hz: float, order: int = 4) -> N
         raise InputError(
             f"cutoff {cutoff_hz:g} Hz has to be above 0 and below {rate_hz / 2:g} Hz, half the sampling rate."
         )
-    pad = edge_samples(cutoff_hz, rate_hz, order)
+    pad = compute_edge_samples(cutoff_hz, rate_hz, order)
     if len(x) <= pad:
         raise InputError(
             f"{len(x)} samples at {rate_hz:g} Hz are too few for a low-pass of {cutoff_hz:g} Hz; give more than {pad}."
@@ -62,12 +62,12 @@ def _sections(order: int, cutoff_hz: float, rate_hz: float) -> NDArray[np.float6
     return np.asarray(signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
 
 
-def attenuation(f: NDArray[np.float64], cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
+def compute_attenuation(f: NDArray[np.float64], cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
     """Return how many times smaller `lowpass` makes sines of frequencies f (...) [Hz], far below half the sampling rate."""
     return 1 + (f / cutoff_hz) ** (2 * order)
 
 
-def edge_samples(cutoff_hz: float, rate_hz: float, order: int = 4) -> int:
+def compute_edge_samples(cutoff_hz: float, rate_hz: float, order: int = 4) -> int:
     """Return how many samples at each end of a log the low-pass of `lowpass` disturbs.
 
     After them 1 % of a transient is left, by the filter's slowest pole, of real part `-2 pi f_c sin(pi / (2 order))`.

@@ -46,7 +46,7 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0) -> NDArray[np.intp]
     return changes[found[apart]]
 
 
-def jump_finding(
+def check_jumps(
     log: Log,
     joint: str,
     *,

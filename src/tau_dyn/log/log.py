@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import writing_whole
+from tau_dyn.files import write_atomically
 from tau_dyn.log.column_names import ROOM_TEMPERATURE, count, map_joints
 from tau_dyn.log.read_errors import describe_missing_column
 from tau_dyn.shown import Shown
@@ -167,7 +167,7 @@ class Log(Shown):
         Raises:
             InputError: The folder does not exist or cannot be written.
         """
-        with writing_whole(path) as temporary:
+        with write_atomically(path) as temporary:
             self.to_frame().to_csv(temporary, index=False, float_format="%.12g", lineterminator="\n")
 
 

@@ -16,7 +16,7 @@ from tau_dyn.log.containers import has_topics
 from tau_dyn.log.copies import copy_groups, copy_text
 from tau_dyn.log.log import Log
 from tau_dyn.log.read import read_log, refuse_few
-from tau_dyn.log.recording import Recording, RowGroup, State, get_file_state, parquet_file
+from tau_dyn.log.recording import Recording, RowGroup, State, get_file_state, open_parquet_file
 from tau_dyn.log.table import PARQUET_SUFFIXES
 
 MAX_IN_MEMORY_SAMPLES = 2**18
@@ -68,7 +68,7 @@ def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recor
     """Read what the files say of themselves."""
     parts, first, columns, states = [], 0, (), tuple(get_file_state(path) for path in paths)
     for path, state in zip(paths, states, strict=True):
-        file = parquet_file(str(path), state)
+        file = open_parquet_file(str(path), state)
         theirs = tuple(file.schema_arrow.names)
         if len(set(theirs)) < len(theirs):
             twice = next(c for c in theirs if theirs.count(c) > 1)
@@ -104,6 +104,6 @@ def _copied_text(path: Path, map_: ColumnMap | None) -> Recording:
 
 def _copied_groups(name: str, paths: tuple[Path, ...], states: tuple[State, ...], map_: ColumnMap | None) -> Recording:
     """Return Parquet files whose row groups are too large as a recording of their copy."""
-    files = ((path, parquet_file(str(path), state)) for path, state in zip(paths, states, strict=True))
+    files = ((path, open_parquet_file(str(path), state)) for path, state in zip(paths, states, strict=True))
     copy = copy_groups(name, files, GROUP_ROWS)
     return replace(_opened(name, copy.paths, map_), paths=paths, states=states, copied=copy.folder)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.log.column_names import count
 from tau_dyn.log.log import Log
-from tau_dyn.log.noise_estimation import quantisation_step
+from tau_dyn.log.noise_estimation import estimate_quantisation_step
 from tau_dyn.log.resample import examine_clock
 
 MIN_Z = 10.0
@@ -90,7 +90,7 @@ def find_lost_samples(log: Log, joints: Sequence[str] = ()) -> LostSamples:
     q = q[:, ~np.array([_is_held(x) for x in q.T], bool)] if q.shape[1] else q
     if not q.shape[1]:
         return _NONE
-    floor = np.maximum(quantisation_step(q) / np.sqrt(12), _EXTENDED * np.ptp(q, axis=0))
+    floor = np.maximum(estimate_quantisation_step(q) / np.sqrt(12), _EXTENDED * np.ptp(q, axis=0))
     stretch, z, best, visible = (np.zeros(len(q) - 1) for _ in range(4))
     for half, degree in _WINDOWS:
         s, certainty, unit = _stretches(q, half, degree, floor)
@@ -138,7 +138,7 @@ def find_repeated_rows(log: Log, joints: Sequence[str] = ()) -> NDArray[np.intp]
         steps = np.diff(x)
         around = np.stack([np.roll(steps, shift) for shift in (2, 3, -2, -3)])
         mean, spread = around.mean(axis=0), np.ptp(around, axis=0)
-        moving |= (np.abs(mean) > 1.9 * float(quantisation_step(x))) & (np.abs(mean) > 3 * spread)
+        moving |= (np.abs(mean) > 1.9 * float(estimate_quantisation_step(x))) & (np.abs(mean) > 3 * spread)
     moving[:3] = moving[-3:] = False
     return np.flatnonzero(same & moving)
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 
-LARGEST = 2**29
+MAX_INFLATED_BYTES = 2**29
 """Bytes that a file may hold when it is inflated."""
 
-MOST_ELEMENTS = 2 * 10**6
+MAX_ELEMENTS = 2 * 10**6
 """Parts of a file, each of which costs time and memory however small it is; an array has four."""
 
 
@@ -51,7 +51,7 @@ def read_variables(path: Path) -> dict[str, Any]:
     """
     data, order = _bytes(path)
     found: dict[str, Any] = {}
-    left = iter(range(MOST_ELEMENTS))
+    left = iter(range(MAX_ELEMENTS))
     try:
         for inside in _variables(path, data, order):
             name, value = _matrix(inside, order, 0, left)
@@ -73,14 +73,14 @@ def _bytes(path: Path) -> tuple[bytes, str]:
             )
         if len(head) < _HEADER or head[126:128] not in (b"IM", b"MI"):
             raise InputError(f"{path.name} is not a MATLAB file of version 5 to 7.2; save it with: save(.., '-v7').")
-        if path.stat().st_size > LARGEST:
+        if path.stat().st_size > MAX_INFLATED_BYTES:
             raise _too_large(path)
         return head + file.read(), "<" if head[126:128] == b"IM" else ">"
 
 
 def _variables(path: Path, whole_file: bytes, order: str) -> Iterator[memoryview]:
     """Yield what is inside each variable, inflated; as views, since cells inside cells would copy it at every level."""
-    at, left, data = _HEADER, LARGEST, memoryview(whole_file)
+    at, left, data = _HEADER, MAX_INFLATED_BYTES, memoryview(whole_file)
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, at)
         if size > len(data) - at - 8:
@@ -153,7 +153,7 @@ def _elements(data: memoryview, order: str, left: Iterator[int]) -> Iterator[tup
     at = 0
     while at + 8 <= len(data):
         if next(left, None) is None:
-            raise ValueError(f"it has more than {MOST_ELEMENTS} parts")
+            raise ValueError(f"it has more than {MAX_ELEMENTS} parts")
         first, size = struct.unpack_from(f"{order}II", data, at)
         if first >> 16:  # up to four bytes within the tag
             yield first & 0xFFFF, data[at + 4 : at + 4 + min(first >> 16, 4)]
@@ -178,5 +178,5 @@ def _text(data: memoryview) -> str:
 
 def _too_large(path: Path) -> InputError:
     return InputError(
-        f"{path.name} holds more than {LARGEST / 2**20:.0f} MB; save the variables needed alone, or Parquet."
+        f"{path.name} holds more than {MAX_INFLATED_BYTES / 2**20:.0f} MB; save the variables needed alone, or Parquet."
     )

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import sha256_of
+from tau_dyn.files import compute_sha256
 from tau_dyn.log.column_names import format_names, is_contract_name
 from tau_dyn.log.matlab_file import Opaque, read_variables
 from tau_dyn.log.table import Table
-from tau_dyn.log.topic_columns import DEEPEST, LONGEST_LIST, MOST_CELLS, MOST_COLUMNS, Topic
-from tau_dyn.log.topics import table_of
+from tau_dyn.log.topic_columns import DEEPEST, LONGEST_LIST, MAX_CELLS, MOST_COLUMNS, Topic
+from tau_dyn.log.topics import build_topic_table
 
 CLOCKS = ("t", "time", "Time", "tout")
 
@@ -42,7 +42,7 @@ def read_mat(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
     if not timed:  # without any clock, a map may give a rate, or name one
         counts = Counter(n for array in fields.values() for n in array.shape if n > 1)
         topics = [_clockless(fields, counts.most_common(1)[0][0])] if counts else []
-    table = table_of(path, sha256_of(path), topics, wanted)
+    table = build_topic_table(path, compute_sha256(path), topics, wanted)
     if not timed:
         table.cells.pop("t")
     return table
@@ -92,9 +92,9 @@ def _numeric(value: Any) -> np.ndarray | None:
     """Return numbers as an array of one or two dimensions, else None."""
     if not isinstance(value, np.ndarray) or value.size < 2:
         return None
-    if value.size > MOST_CELLS:  # bytes become numbers of eight bytes
+    if value.size > MAX_CELLS:  # bytes become numbers of eight bytes
         raise InputError(
-            f"a variable holds {value.size} numbers, more than {MOST_CELLS}; save a part of it, or Parquet."
+            f"a variable holds {value.size} numbers, more than {MAX_CELLS}; save a part of it, or Parquet."
         )
     array = value.squeeze()
     return array if array.ndim in (1, 2) else None
@@ -122,8 +122,8 @@ def _columns(fields: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
         wide = array.ndim == 2 and n in array.shape and array.size // n <= LONGEST_LIST
         if not wide and array.shape != (n,):
             continue
-        if n * len(found) + array.size > MOST_CELLS:  # before they are copied
-            raise InputError(f"the file holds more than {MOST_CELLS} numbers; save the variables needed, or Parquet.")
+        if n * len(found) + array.size > MAX_CELLS:  # before they are copied
+            raise InputError(f"the file holds more than {MAX_CELLS} numbers; save the variables needed, or Parquet.")
         if not wide:
             found[key] = array.astype(np.float64)
         else:

@@ -17,13 +17,13 @@ from typing import Any, BinaryIO
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.decompression_limit import DecompressionLimit
-from tau_dyn.log.messages import Recorded, in_words, table_of_messages
+from tau_dyn.log.messages import Recorded, build_message_table, describe_fault
 from tau_dyn.log.table import Table
 
-LARGEST_CHUNK = 2**28
+MAX_CHUNK_BYTES = 2**28
 """A chunk larger than this [bytes] is not opened; recorders write chunks of a few MB."""
 
-LONGEST_DEFINITION = 2**20
+MAX_DEFINITION_BYTES = 2**20
 """A message definition longer than this [bytes] is not parsed."""
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -51,7 +51,7 @@ def read_mcap(path: Path, wanted: Mapping[str, str] | None = None, files: Sequen
     if not kinds:
         raise InputError(f"{path.name} is an MCAP file without messages; record it again.")
     messages = (message for file in paths for message in _messages(file, warnings))
-    return table_of_messages(path, paths, messages, kinds, wanted, warnings)
+    return build_message_table(path, paths, messages, kinds, wanted, warnings)
 
 
 def _library() -> None:
@@ -91,7 +91,7 @@ def _records(path: Path, warnings: list[str]) -> Iterator[tuple[int, Any]]:
         raise
     except (McapError, ValueError, struct.error, EOFError, MemoryError, OverflowError) as fault:
         raise InputError(
-            f"{path.name} is damaged: {in_words(fault)}; 'mcap recover' may save the rest of it."
+            f"{path.name} is damaged: {describe_fault(fault)}; 'mcap recover' may save the rest of it."
         ) from None
 
 
@@ -145,9 +145,9 @@ def _opened(name: str, data: bytes, inflated: DecompressionLimit) -> bytes:
     from mcap.records import Chunk
 
     chunk = Chunk.read(ReadDataStream(BytesIO(data)))
-    if chunk.uncompressed_size > LARGEST_CHUNK:
+    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         raise InputError(
-            f"{name} has a chunk of {chunk.uncompressed_size / 2**20:.0f} MB; chunks up to {LARGEST_CHUNK / 2**20:.0f} MB are "
+            f"{name} has a chunk of {chunk.uncompressed_size / 2**20:.0f} MB; chunks up to {MAX_CHUNK_BYTES / 2**20:.0f} MB are "
             "opened; write it again with 'mcap filter'."
         )
     inflated.take(chunk.uncompressed_size)
@@ -173,7 +173,7 @@ def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
 
             return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
     except Exception as fault:  # the file's fault, whatever its bytes break; ZstdError has no base of its own
-        raise ValueError(f"a chunk cannot be decompressed ({in_words(fault)})") from None
+        raise ValueError(f"a chunk cannot be decompressed ({describe_fault(fault)})") from None
     raise InputError(
         f"{name} has chunks compressed by '{kind[:20]}', which is not read; write it again with zstd or lz4."
     )
@@ -206,14 +206,14 @@ class _Decoders:
         try:
             if encoding == "json":
                 return json.loads(data)
-            if schema is not None and len(schema.data) > LONGEST_DEFINITION:
+            if schema is not None and len(schema.data) > MAX_DEFINITION_BYTES:
                 raise ValueError(f"its definition has {len(schema.data)} bytes")
             decoder = self._ros2.decoder_for(encoding, schema)
             if decoder is not None:
                 return decoder(_Whole(data))
         except Exception as fault:  # definitions and messages come from the file: whatever they break is its fault
             raise InputError(
-                f"{self.name}: a message of {channel.topic} cannot be decoded ({in_words(fault)})."
+                f"{self.name}: a message of {channel.topic} cannot be decoded ({describe_fault(fault)})."
             ) from None
         definition = f" with a definition in {schema.encoding}" if schema is not None and schema.encoding else ""
         raise InputError(

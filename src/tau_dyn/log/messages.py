@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import sha256_of, sha256_together
+from tau_dyn.files import compute_joint_sha256, compute_sha256
 from tau_dyn.log.column_names import format_names
 from tau_dyn.log.table import Table
 from tau_dyn.log.topic_columns import Budget, Topic, TopicRecorder
-from tau_dyn.log.topics import table_of
+from tau_dyn.log.topics import build_topic_table
 
-LARGEST_MESSAGE = 2**22
+MAX_MESSAGE_BYTES = 2**22
 """A message larger than this [bytes] is a picture or a cloud, and is passed over."""
 
 
@@ -34,7 +34,7 @@ class Recorded(NamedTuple):
     decode: Callable[[], Any]
 
 
-def table_of_messages(
+def build_message_table(
     path: Path,
     files: Sequence[Path],
     messages: Iterator[Recorded],
@@ -57,7 +57,7 @@ def table_of_messages(
     need = _needed(kinds, wanted)
     others: set[str] = set()
     for message in messages:
-        if message.size > LARGEST_MESSAGE or not need(message.topic, message.kind):
+        if message.size > MAX_MESSAGE_BYTES or not need(message.topic, message.kind):
             others.add(message.topic.lstrip("/"))
             continue
         if message.topic not in recorders:
@@ -69,8 +69,8 @@ def table_of_messages(
         raise InputError(
             f"{path.name} has no joint states, and no topic that a map names: {about}; name one in a column map."
         )
-    digest = sha256_together(map(sha256_of, files))
-    return table_of(path, digest, _in_order(topics), wanted, warnings)
+    digest = compute_joint_sha256(map(compute_sha256, files))
+    return build_topic_table(path, digest, _in_order(topics), wanted, warnings)
 
 
 def _needed(kinds: Mapping[str, str], wanted: Mapping[str, str] | None) -> Callable[[str, str], bool]:
@@ -103,7 +103,7 @@ def _in_order(topics: Sequence[Topic]) -> list[Topic]:
     return out
 
 
-def in_words(fault: BaseException) -> str:
+def describe_fault(fault: BaseException) -> str:
     """Return what a library says of a fault, in a line that fits into ours."""
     text = " ".join(str(fault).split()).rstrip(".")
     return text[:120] or type(fault).__name__

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.log.log import Log
-from tau_dyn.log.noise_estimation import encoder_noise
+from tau_dyn.log.noise_estimation import estimate_encoder_noise
 
 _SIGMA = 6.0
 _LOOK_S = 0.1
@@ -40,6 +40,6 @@ def _moving(log: Log) -> NDArray[np.bool_]:
     q = log.joint("q", log.joints("q"))
     width = min(max(2, round(_LOOK_S / log.dt)), log.n_samples - 1)
     travel = np.abs(q[width:] - q[:-width])
-    noise = np.sqrt(2) * encoder_noise(q)
+    noise = np.sqrt(2) * estimate_encoder_noise(q)
     went = np.any(travel > np.maximum(_SIGMA * noise, 1e-12), axis=1)
     return np.concatenate([np.full(width // 2, went[0]), went, np.full(width - width // 2, went[-1])])

@@ -26,7 +26,7 @@ WINDOW_SAMPLES = 128
 _DIFFERENCES = 4
 
 
-def quantisation_step(q: ArrayLike) -> NDArray[np.float64]:
+def estimate_quantisation_step(q: ArrayLike) -> NDArray[np.float64]:
     """Return the step (n,) or () of a rounded signal (N, n) or (N,), and 0 where values stand on no grid.
 
     The step is the smallest change between samples; it counts only if 99 % of all changes are whole multiples of it.
@@ -36,15 +36,15 @@ def quantisation_step(q: ArrayLike) -> NDArray[np.float64]:
     return steps.reshape(q.shape[1:])
 
 
-def encoder_noise(q: ArrayLike) -> NDArray[np.float64]:
+def estimate_encoder_noise(q: ArrayLike) -> NDArray[np.float64]:
     """Return the standard deviation (n,) or () of the white noise on positions (N, n) or (N,), in their unit."""
     q = np.asarray(q, dtype=np.float64)
     columns = q.reshape(len(q), -1).T
-    floor = quantisation_step(q).reshape(-1) / np.sqrt(12)
+    floor = estimate_quantisation_step(q).reshape(-1) / np.sqrt(12)
     return np.maximum([_white_level(column) for column in columns], floor).reshape(q.shape[1:])
 
 
-def velocity_noise(q: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
+def compute_velocity_noise(q: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
     """Return how much encoder noise is left in a filtered and differentiated position.
 
     Args:
@@ -56,10 +56,10 @@ def velocity_noise(q: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 
     Returns:
         Standard deviation (n,) or () of the velocity [m/s or rad/s] that noise and quantisation alone cause.
     """
-    return encoder_noise(q) * noise_gain(rate_hz, cutoff_hz, order, derivatives=1)
+    return estimate_encoder_noise(q) * compute_noise_gain(rate_hz, cutoff_hz, order, derivatives=1)
 
 
-def noise_gain(rate_hz: float, cutoff_hz: float, order: int = 4, derivatives: int = 1) -> float:
+def compute_noise_gain(rate_hz: float, cutoff_hz: float, order: int = 4, derivatives: int = 1) -> float:
     """Return what `lowpass` and central differences make of white noise of 1 [1/s^derivatives]."""
     half_turns = (np.arange(4096) + 0.5) / 4096 * np.pi / 2  # pi f dt, from 0 to half the sampling rate
     with np.errstate(over="ignore"):

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import sha256_together
+from tau_dyn.files import compute_joint_sha256
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import count, format_names, used_columns
+from tau_dyn.log.column_names import count, format_names, list_used_columns
 from tau_dyn.log.containers import has_topics, read_any
 from tau_dyn.log.log import Log
-from tau_dyn.log.read_errors import describe_missing_column, no_clock
+from tau_dyn.log.read_errors import describe_missing_clock, describe_missing_column
 from tau_dyn.log.table import Table
 
 MIN_SAMPLES = 10
@@ -129,7 +129,7 @@ def _own_columns(
     table: Table, columns: tuple[str, ...], beside: tuple[str, ...] = ()
 ) -> dict[str, NDArray[np.float64]]:
     """Return columns under their own names: ours checked cell by cell, foreign ones if they are numbers at all."""
-    used = set(used_columns((*beside, *columns)))
+    used = set(list_used_columns((*beside, *columns)))
     channels = {
         column: table.numbers(column) if column in used else table.numbers_or_none(column) for column in columns
     }
@@ -142,10 +142,10 @@ def _build(
     """Check the clock and the length, and freeze everything into a log."""
     refuse_few(main.name, main.n_rows)
     if "t" not in channels:
-        raise InputError(no_clock(main.name, tuple(main.cells)))
+        raise InputError(describe_missing_clock(main.name, tuple(main.cells)))
     t = channels.pop("t")
     _check_clock(main, t)
-    digest = sha256_together(table.sha256 for table in tables.values())
+    digest = compute_joint_sha256(table.sha256 for table in tables.values())
     return Log(t, channels, name=main.name, sha256=digest, warnings=tuple(dict.fromkeys(warnings)))
 
 

@@ -39,7 +39,7 @@ def describe_bad_cell(cell: object, largest: float) -> str:
     return f"{text[:40]!r} is not a number; write it as 0.125 or 1.25e-1"
 
 
-def looks_like_units(first: object, second: object) -> bool:
+def is_unit_row(first: object, second: object) -> bool:
     """Tell whether a column's first cell is a unit above numbers, such as `[s]`."""
     text = str(first).strip()
     return bool(text) and not any(c.isdigit() for c in text) and len(text) <= 12 and _is_number(str(second).strip())
@@ -69,7 +69,7 @@ def _is_json(data: bytes) -> bool:
     return True
 
 
-def nearest(name: str, columns: Iterable[str]) -> str:
+def find_nearest_column(name: str, columns: Iterable[str]) -> str:
     """Return the column that is called so but for capitals, blanks and punctuation; nothing where there is none."""
     return next((c for c in columns if _bare(c) == _bare(name)), "")
 
@@ -90,12 +90,12 @@ def describe_missing_column(file: str, name: str, columns: Sequence[str], why: s
     """
     if len(columns) == 1 and columns[0].count(" ") > 1:
         return f"{file} has one column, '{columns[0][:60]}'; separate names and cells by commas, semicolons or tabs."
-    near = nearest(name, columns)
+    near = find_nearest_column(name, columns)
     hint = f" (did you mean {near}?)" if near else ""
     return f"{file} has no column {name}{why}{hint}; it has {format_names(columns)}{more}."
 
 
-def no_clock(file: str, columns: Sequence[str]) -> str:
+def describe_missing_clock(file: str, columns: Sequence[str]) -> str:
     """Return the sentence about a log without `t`."""
     clock = next((c for c in columns if c.strip("[]() ").lower() in _CLOCKS or c.lower().startswith("time")), "")
     line = f"`t: {clock or 'NAME'}`, or `t: {{rate_hz: F}}` if there is none,"

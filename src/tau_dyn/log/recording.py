@@ -17,13 +17,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.files import sha256_of, sha256_together
+from tau_dyn.files import compute_joint_sha256, compute_sha256
 from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import signal_and_joint, used_columns
+from tau_dyn.log.column_names import list_used_columns, split_column_name
 from tau_dyn.log.copies import TemporaryFolder
 from tau_dyn.log.log import Log
-from tau_dyn.log.read_errors import describe_missing_column, no_clock
-from tau_dyn.log.table import Table, parquet_cells
+from tau_dyn.log.read_errors import describe_missing_clock, describe_missing_column
+from tau_dyn.log.table import Table, read_parquet_column
 
 State = tuple[int, int]
 """What changes when a file is written: its size and the time of its last change [ns]."""
@@ -89,7 +89,9 @@ class Recording:
                 raise InputError(
                     f"{path.name} was written to while it was read; let the recording end, or copy it first"
                 )
-        return sha256_together(_sha256(str(path), state) for path, state in zip(self.paths, self.states, strict=True))
+        return compute_joint_sha256(
+            _sha256(str(path), state) for path, state in zip(self.paths, self.states, strict=True)
+        )
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
@@ -135,7 +137,7 @@ class Recording:
     @cached_property
     def _used(self) -> frozenset[str]:
         """Channels whose every cell has to be a number."""
-        return frozenset(used_columns(self.channels))
+        return frozenset(list_used_columns(self.channels))
 
     def _channel(self, part: RowGroup, name: str) -> np.ndarray:
         """Return one channel (rows,) of a part in SI units."""
@@ -143,12 +145,14 @@ class Recording:
             if name not in self.columns:
                 file, columns = Path(part.path).name, tuple(self.columns)
                 raise InputError(
-                    no_clock(file, columns) if name == "t" else describe_missing_column(file, name, columns)
+                    describe_missing_clock(file, columns)
+                    if name == "t"
+                    else describe_missing_column(file, name, columns)
                 )
             return _cells(part, name, name in self._used)
         if name == "t" and self.map_.rate_hz:
             return (part.first + np.arange(part.rows)) / self.map_.rate_hz
-        signal, joint = signal_and_joint(name) or ("", "")
+        signal, joint = split_column_name(name) or ("", "")
         coupling = self.map_.couplings.get(signal)
         if coupling is None or joint not in coupling.joints:
             return self._theirs(part, name)
@@ -171,7 +175,7 @@ def get_file_state(path: Path) -> State:
 
 
 @lru_cache(maxsize=16)
-def parquet_file(path: str, state: State) -> pq.ParquetFile:
+def open_parquet_file(path: str, state: State) -> pq.ParquetFile:
     """Open a file; one that was written to since is another one."""
     try:
         file = pq.ParquetFile(path)
@@ -188,11 +192,11 @@ def _cells(part: RowGroup, column: str, checked: bool, scale: float = 1.0) -> np
     The last few are kept, as windows overlap.
     """
     try:
-        cells = parquet_file(part.path, part.state).read_row_group(part.group, columns=[column]).column(column)
+        cells = open_parquet_file(part.path, part.state).read_row_group(part.group, columns=[column]).column(column)
     except (pa.ArrowException, OSError) as fault:
         raise InputError(f"{Path(part.path).name} is damaged: {str(fault).splitlines()[0]}") from None
     path, places = Path(part.path), np.arange(part.in_file + 1, part.in_file + part.rows + 1)
-    table = Table(path.name, path, "", {column: parquet_cells(path.name, column, cells)}, places, "row")
+    table = Table(path.name, path, "", {column: read_parquet_column(path.name, column, cells)}, places, "row")
     values = None if checked else table.numbers_or_none(column)
     values = table.numbers(column, scale) if values is None else values
     values.setflags(write=False)
@@ -214,4 +218,4 @@ def _refuse_backwards(part: RowGroup, t: np.ndarray, row: int, before: float, wh
 @lru_cache(maxsize=4096)
 def _sha256(path: str, state: State) -> str:
     """Return a file's hash; one that was written to since is another one."""
-    return sha256_of(path)
+    return compute_sha256(path)

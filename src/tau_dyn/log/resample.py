@@ -4,7 +4,7 @@ Stamps that are even but rounded to few digits are recognised and replaced by th
 channels. Truly uneven stamps (more than 1 % of a step off, or one or two samples lost) are resampled with one cubic
 spline a channel: its error falls with dt^4, where a straight line would cut the peaks of an acceleration by up to `a
 dt^2 / 8` and halve the noise between samples but not at them. All channels go through the same linear operation, so no
-fit sees `q` and `tau` treated differently. Three or more lost samples in a row are a gap, and `segments` cuts the log
+fit sees `q` and `tau` treated differently. Three or more lost samples in a row are a gap, and `split_at_gaps` cuts the log
 there.
 """
 
@@ -62,13 +62,13 @@ def examine_clock(log: Log) -> Clock:
     return Clock(dt, jitter, int(missing.sum()), tuple(np.flatnonzero(ratio > MIN_GAP_STEPS).tolist()), rounded=False)
 
 
-def segments(log: Log) -> list[Log]:
+def split_at_gaps(log: Log) -> list[Log]:
     """Cut a log at its gaps; each part says so in its warnings, and parts with fewer than 10 samples are left out."""
     clock = examine_clock(log)
     if not clock.gaps:
         return [log]
     spans = [(a, b) for a, b in _spans(log, clock) if b - a >= MIN_SEGMENT_SAMPLES]
-    return [log.window(a, b).with_warnings(gap_sentence(log, clock)) for a, b in spans]
+    return [log.window(a, b).with_warnings(describe_gaps(log, clock)) for a, b in spans]
 
 
 def even_segments(log: Log) -> list[Log]:
@@ -76,11 +76,11 @@ def even_segments(log: Log) -> list[Log]:
 
     What is a gap is decided by the whole log's step: a part's own may be a little shorter.
     """
-    return [_resample(part, examine_clock(part)) for part in segments(log)]
+    return [_resample(part, examine_clock(part)) for part in split_at_gaps(log)]
 
 
-def short_segments(log: Log) -> tuple[int, float]:
-    """Return how many parts between gaps `segments` leaves out, and how long they are together [s]."""
+def count_short_segments(log: Log) -> tuple[int, float]:
+    """Return how many parts between gaps `split_at_gaps` leaves out, and how long they are together [s]."""
     clock = examine_clock(log)
     sizes = [b - a for a, b in _spans(log, clock) if b - a < MIN_SEGMENT_SAMPLES] if clock.gaps else []
     return len(sizes), sum(sizes) * clock.dt
@@ -106,7 +106,7 @@ def ensure_even(log: Log) -> Log:
     """
     clock = examine_clock(log)
     if clock.gaps:
-        raise InputError(gap_sentence(log, clock) + " Pass the parts as separate logs.")
+        raise InputError(describe_gaps(log, clock) + " Pass the parts as separate logs.")
     return _resample(log, clock)
 
 
@@ -124,7 +124,7 @@ def _resample(log: Log, clock: Clock) -> Log:
     return Log(grid, channels, log.name, log.sha256, log.warnings).with_warnings(_uneven_sentence(log, clock))
 
 
-def gap_sentence(log: Log, clock: Clock) -> str:
+def describe_gaps(log: Log, clock: Clock) -> str:
     """Return a sentence naming a log's gaps."""
     places = [f"{log.t[i + 1] - log.t[i]:.3g} s after t = {log.t[i]:.6g} s" for i in clock.gaps[:3]]
     more = f" and {len(clock.gaps) - 3} more" if len(clock.gaps) > 3 else ""

@@ -13,9 +13,9 @@ from typing import Any
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml
-from tau_dyn.log.bag_checks import bounded, check_database, check_definitions, check_profiles
+from tau_dyn.log.bag_checks import check_database, check_definitions, check_profiles, limit_decompression
 from tau_dyn.log.decompression_limit import DecompressionLimit
-from tau_dyn.log.messages import Recorded, in_words, table_of_messages
+from tau_dyn.log.messages import Recorded, build_message_table, describe_fault
 from tau_dyn.log.table import Table
 
 METADATA = "metadata.yaml"
@@ -64,7 +64,7 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
             kinds = _kinds(reader)
         except Exception as fault:  # a bag that is damaged breaks its reader in many ways
             raise _damaged(path, fault) from None
-        return table_of_messages(path, files, _messages(path, reader), kinds, wanted, [])
+        return build_message_table(path, files, _messages(path, reader), kinds, wanted, [])
 
 
 def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
@@ -141,7 +141,7 @@ def _decoder(path: Path, reader: Any, connection: Any, data: bytes) -> Callable[
             return reader.deserialize(data, connection.msgtype)
         except Exception as fault:  # definitions and messages come from the file
             raise InputError(
-                f"{path.name}: a message of {connection.topic} cannot be decoded ({in_words(fault)})."
+                f"{path.name}: a message of {connection.topic} cannot be decoded ({describe_fault(fault)})."
             ) from None
 
     return decode
@@ -153,9 +153,9 @@ def _bound(path: Path, reader: Any) -> None:
     for one in reader.readers:
         chunks = getattr(one, "chunks", {})
         for key, chunk in chunks.items():
-            chunks[key] = chunk._replace(decompressor=bounded(chunk.decompressor, inflated))
+            chunks[key] = chunk._replace(decompressor=limit_decompression(chunk.decompressor, inflated))
 
 
 def _damaged(path: Path, fault: Exception) -> InputError:
     remedy = "'ros2 bag reindex' or 'rosbag reindex' may mend it"
-    return InputError(f"{path.name} cannot be read as a ROS bag ({in_words(fault)}); {remedy}.")
+    return InputError(f"{path.name} cannot be read as a ROS bag ({describe_fault(fault)}); {remedy}.")

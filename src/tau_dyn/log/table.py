@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 from tau_dyn.log.decompression_limit import FREE_BYTES, MAX_INFLATION_RATIO
-from tau_dyn.log.delimited import MOST_COLUMNS, parse_delimited
-from tau_dyn.log.read_errors import describe_bad_cell, describe_missing_column, looks_like_units
+from tau_dyn.log.delimited import MAX_COLUMNS, parse_delimited
+from tau_dyn.log.read_errors import describe_bad_cell, describe_missing_column, is_unit_row
 
 MAX_MAGNITUDE = 1e15
 """No quantity of a robot in SI units is larger; what is comes from a broken logger."""
@@ -78,7 +78,7 @@ class Table:
         wrong = np.flatnonzero(~(np.abs(values) * abs(scale) < MAX_MAGNITUDE))
         if wrong.size:
             row, cells = int(wrong[0]), self.cells[column]
-            if row == 0 and len(cells) > 1 and looks_like_units(cells[0], cells[1]):
+            if row == 0 and len(cells) > 1 and is_unit_row(cells[0], cells[1]):
                 raise InputError(f"{self.where(0)} holds units ({column}: {cells[0]}), not a sample; delete that line.")
             raise InputError(f"{self.where(row)}, column {column}: {describe_bad_cell(cells[row], MAX_MAGNITUDE)}.")
         return values
@@ -158,12 +158,12 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
         raise InputError(f"{name} is not a Parquet file; give CSV another suffix than .parquet.") from None
     if table.num_rows == 0:
         raise InputError(f"{name} has columns but no rows; a log needs one row a sample.")
-    if len(names) > MOST_COLUMNS:
-        raise InputError(f"{name} has {len(names)} columns; a log has {MOST_COLUMNS} at most.")
-    return {column: parquet_cells(name, column, table.column(column)) for column in table.column_names}
+    if len(names) > MAX_COLUMNS:
+        raise InputError(f"{name} has {len(names)} columns; a log has {MAX_COLUMNS} at most.")
+    return {column: read_parquet_column(name, column, table.column(column)) for column in table.column_names}
 
 
-def parquet_cells(name: str, column: str, cells: pa.ChunkedArray) -> NDArray[Any]:
+def read_parquet_column(name: str, column: str, cells: pa.ChunkedArray) -> NDArray[Any]:
     """Return a Parquet file's column (N,) as numbers or text.
 
     Raises:

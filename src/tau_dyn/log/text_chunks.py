@@ -15,7 +15,7 @@ CHUNK_BYTES = 2**24
 """Size of the text parsed at once."""
 
 
-def text_chunks(path: Path, digest: Any = None) -> Iterator[Table]:
+def iterate_text_chunks(path: Path, digest: Any = None) -> Iterator[Table]:
     """Yield a delimited file's rows as tables, each with its lines' numbers in the file.
 
     A file that grows meanwhile is read as far as it went at the start.

@@ -25,7 +25,7 @@ OURS = {"position": "q", "velocity": "v", "effort": "tau"}
 
 LONGEST_LIST, MOST_COLUMNS, DEEPEST = 64, 500, 8
 
-MOST_CELLS = 50_000_000
+MAX_CELLS = 50_000_000
 """Numbers taken from one file (0.4 GB); more belongs into Parquet, which is read in windows."""
 
 
@@ -63,14 +63,14 @@ class Budget:
 
     def __init__(self, name: str) -> None:
         """Count for a file of this name."""
-        self.name, self.left = name, MOST_CELLS
+        self.name, self.left = name, MAX_CELLS
 
     def take(self, n: int) -> None:
         """Take `n` numbers, or refuse the file."""
         self.left -= n
         if self.left < 0:
             raise InputError(
-                f"{self.name} holds more than {MOST_CELLS} numbers in the topics asked for; cut it, or convert it to Parquet, "
+                f"{self.name} holds more than {MAX_CELLS} numbers in the topics asked for; cut it, or convert it to Parquet, "
                 "which is read in windows."
             )
 

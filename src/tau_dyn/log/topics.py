@@ -20,11 +20,11 @@ from tau_dyn.log.topic_clock import resample_to_clock
 from tau_dyn.log.topic_columns import Topic
 
 LOG_TIME = "log_time"
-LEAST_OVERLAP = 0.5
+MIN_OVERLAP = 0.5
 """Share of the main topic's messages that another one has to cover."""
 
 
-def table_of(
+def build_topic_table(
     path: Path, sha256: str, topics: Sequence[Topic], wanted: Mapping[str, str] | None, warnings: Sequence[str] = ()
 ) -> Table:
     """Return the topics as one table.
@@ -48,7 +48,7 @@ def table_of(
     covered = np.ones(t.size, bool)
     for topic, _ in others:
         covered &= clock.covers(topic, t)
-    if covered.sum() < LEAST_OVERLAP * t.size:
+    if covered.sum() < MIN_OVERLAP * t.size:
         names = format_names([topic.name for topic, _ in others])
         raise InputError(
             f"{path.name}: {names} and {main.name} were recorded together for {covered.mean():.0%} of the messages only; their "

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.log.log import Log
 
-LONGEST_AXIS = 20.0
+MAX_AXIS_LENGTH_M = 20.0
 """No prismatic joint without limits travels further [m]."""
 
 WIDEST_TURN = 16 * np.pi
@@ -40,7 +40,7 @@ class JointLimits(Protocol):
     def upper(self) -> NDArray[np.float64]: ...  # noqa: D102
 
 
-def unit_warnings(log: Log, robot: JointLimits | None = None) -> tuple[str, ...]:
+def list_unit_warnings(log: Log, robot: JointLimits | None = None) -> tuple[str, ...]:
     """Return a sentence for every joint whose positions do not look like m or rad.
 
     Args:
@@ -66,7 +66,7 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     low, high = _extent(log, joint)
     prismatic = kind == "prismatic"
     unit, foreign, scale = ("m", "mm", 1e-3) if prismatic else ("rad", "degrees", np.pi / 180)
-    reach = LONGEST_AXIS if prismatic else WIDEST_TURN
+    reach = MAX_AXIS_LENGTH_M if prismatic else WIDEST_TURN
     lower, upper = max(lower, -reach), min(upper, reach)
     margin = (upper - lower) / 2
     if low >= lower - margin and high <= upper + margin:

@@ -31,7 +31,7 @@ KERNEL_LEVEL = 1e-3
 """Height of the kernel of W^2 over its peak beyond which lags are free of the path from input to output."""
 SPANS = (30, 100, 300)
 """Lags that are added up, in samples: controllers answer at once, structures ring on."""
-LONGEST = 60_000
+MAX_SAMPLES = 60_000
 """Samples looked at."""
 
 
@@ -70,7 +70,7 @@ def find_acausality(residuals: Sequence[np.ndarray], inputs: Sequence[np.ndarray
 
 def _pair(e: list[np.ndarray], u: list[np.ndarray], j: int, i: int) -> Acausality:
     x, z = max(zip(u, e, strict=True), key=lambda pair: len(pair[0]))
-    x, z = x[:LONGEST] - x[:LONGEST].mean(), z[:LONGEST] - z[:LONGEST].mean()
+    x, z = x[:MAX_SAMPLES] - x[:MAX_SAMPLES].mean(), z[:MAX_SAMPLES] - z[:MAX_SAMPLES].mean()
     n = len(x)
     if n < 400 or not (x.any() and z.any()):
         return Acausality(1.0, 0.0, j, i)

@@ -19,7 +19,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes.actuators import Actuator, filtered
 from tau_dyn.modes.record import Record
 
-_LONGEST = 64
+_MAX_START_DELAY_SAMPLES = 64
 """Samples of delay up to which a start is looked for; the search itself may go on."""
 _STRIDE = 4
 """Samples of delay between two starts."""
@@ -140,7 +140,7 @@ def _scan(tests: Tests, dt: float) -> tuple[float, int]:
     longest = max(len(y) for _, y in tests)
     best = (np.inf, dt, 0)
     for width in np.geomspace(0.5 * dt, longest * dt, _WIDTHS):
-        for samples in range(0, min(_LONGEST, longest // 2), _STRIDE):
+        for samples in range(0, min(_MAX_START_DELAY_SAMPLES, longest // 2), _STRIDE):
             loss = sum(float(e @ e) for e in _errors(tests, dt, float(width), samples * dt))
             best = min(best, (loss, float(width), samples))
     return best[1], best[2]

@@ -22,7 +22,7 @@ DUST = 1e-60  # of a free response below this nothing is kept: products of such 
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class BasisColumns:
     """Columns of some samples.
 
     Attributes:
@@ -36,7 +36,7 @@ class Columns:
     predicted: np.ndarray
 
 
-def columns_of(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = CHUNK) -> Iterator[Columns]:
+def columns_of(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = CHUNK) -> Iterator[BasisColumns]:
     """Walk through a record whose inputs are already aligned by the delay.
 
     Args:
@@ -64,7 +64,7 @@ def columns_of(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = CHU
         xi = np.einsum("tkm,km->tk", X[:, :, :m], form.b) + X[:, :, m] * x0
         predicted = xi.real @ form.c.T.real - xi.imag @ form.c.T.imag + u @ form.D.T
         flat = X.reshape(n, k * (m + 2))
-        yield Columns(slice(start, start + n), np.hstack([flat.real, flat.imag, u]), predicted)
+        yield BasisColumns(slice(start, start + n), np.hstack([flat.real, flat.imag, u]), predicted)
 
 
 def derivative_maps(form: ModalForm, x0: np.ndarray) -> np.ndarray:

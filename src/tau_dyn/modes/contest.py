@@ -21,7 +21,7 @@ from tau_dyn.modes.preparation import PreparedRecords
 from tau_dyn.modes.residuals import SIMULATED, compute_residuals
 from tau_dyn.modes.simulate import late_inputs
 
-SURE = 1e-3
+ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""
 POSSIBLE = 0.2
 """p-value below which feedback cannot be excluded, and standard errors allow for it."""
@@ -31,7 +31,7 @@ a disturbance that comes back through the input. A judgement, not calibrated by 
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class MethodCandidate:
     """What one method made of the training data.
 
     Attributes:
@@ -57,7 +57,7 @@ class Candidate:
         return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
 
 
-def check_candidate(candidate: Candidate, data: PreparedRecords) -> Acausality:
+def check_candidate(candidate: MethodCandidate, data: PreparedRecords) -> Acausality:
     """Return whether the inputs follow what a candidate leaves of the training data."""
     trial = candidate.states.taken
     if trial is None:
@@ -67,8 +67,8 @@ def check_candidate(candidate: Candidate, data: PreparedRecords) -> Acausality:
 
 
 def settle(
-    data: PreparedRecords, before: Feedback, plain: Candidate, make: Callable[[], Candidate | None]
-) -> tuple[Candidate, Feedback, str]:
+    data: PreparedRecords, before: Feedback, plain: MethodCandidate, make: Callable[[], MethodCandidate | None]
+) -> tuple[MethodCandidate, Feedback, str]:
     """Return the candidate to go on with, what is known of feedback, and why.
 
     Args:
@@ -79,7 +79,7 @@ def settle(
     """
     found = check_candidate(plain, data)
     named = any(r.reference is not None for r in data.train)
-    sure = named or found.p_value < SURE
+    sure = named or found.p_value < ACAUSALITY_SIGNIFICANCE_LEVEL
     if not sure and not before.suspected:
         quiet = replace(before, possible=found.p_value < POSSIBLE, p_value=found.p_value, share=found.share)
         return plain, quiet, f"{quiet.why}, so n4sid"
@@ -87,7 +87,7 @@ def settle(
     ratio = np.inf if other is None else other.simulation_errors(data) / plain.simulation_errors(data)
     first = data.train[0]
     why = before.why
-    if not named and found.p_value < SURE:
+    if not named and found.p_value < ACAUSALITY_SIGNIFICANCE_LEVEL:
         why = (
             f"input '{first.inputs[found.input]}' follows what a causal model leaves of '{first.outputs[found.output]}' "
             f"(p = {found.p_value:.1g})"

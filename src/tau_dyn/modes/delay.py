@@ -27,20 +27,20 @@ from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refine import refine
 from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
 
-LONGEST = 6_000
+MAX_SAMPLES = 6_000
 """Samples that the delays are compared on."""
 MAX_DELAY_SAMPLES = 20
 """The longest delay that is tried."""
 ORDERS = (2, 4, 6, 8, 12, 20, 28)
 """Orders tried for every delay: modes that all of them lack would look like a delay."""
-HIGHEST_REFINED = 12
+MAX_REFINED_ORDER = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
 COARSE = 4
 """Step of the first look."""
 CLOSE_BIC_DIFFERENCE = 100.0
 """BIC within which two delays are compared by refined models."""
 RIVALS = 3
-ROUNDS = 8
+MAX_ITERATIONS = 8
 DECISIVE_BIC_DIFFERENCE = 10.0
 """BIC beyond which a rival is out of the question (Kass & Raftery 1995)."""
 
@@ -92,7 +92,7 @@ def choose_delay(
     Raises:
         CannotAnswer: No delay gives a model.
     """
-    few = truncate_records(records, LONGEST)
+    few = truncate_records(records, MAX_SAMPLES)
     most = min(most, min(r.n_samples for r in few) // 20)
     found: dict[int, tuple[float, int]] = {}
     firsts: dict[int, InitialModels] = {}
@@ -122,7 +122,7 @@ def choose_delay(
             if _refined(few, firsts[d], d, order, kind, most) <= after + room:
                 return _enough(found, d)
     order = found[close[0][1]][1]
-    if len(close) > 1 and order <= HIGHEST_REFINED:
+    if len(close) > 1 and order <= MAX_REFINED_ORDER:
         refined = {d: _refined(few, firsts[d], d, order, kind, most) for _, d in close}
     return _chosen(found, {d: bic for d, bic in refined.items() if np.isfinite(bic)})
 
@@ -226,7 +226,7 @@ def _apart(decays: Sequence[np.ndarray]) -> np.ndarray:
 def _refined(records: Sequence[Record], first: InitialModels, delay: int, order: int, kind: str, skip: int) -> float:
     """Return BIC of a refined model on samples whose input is known for every delay; infinite where there is none."""
     try:
-        refined = refine(first.model(order), records, kind=kind, maximum_rounds=ROUNDS, covariance=False)
+        refined = refine(first.model(order), records, kind=kind, maximum_rounds=MAX_ITERATIONS, covariance=False)
     except (TauDynError, np.linalg.LinAlgError):
         return float("inf")
     model, errors = refined.model, [e[skip - delay :] for e in refined.residuals]

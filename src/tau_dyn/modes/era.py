@@ -19,8 +19,8 @@ from tau_dyn.modes.input_matrices import input_matrices
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
 
-MOST_ROWS = 100  # block rows
-MOST_COLUMNS = 3000  # columns over all inputs or decays
+MAX_BLOCK_ROWS = 100  # block rows
+MAX_COLUMNS = 3000  # columns over all inputs or decays
 PULSE_OVER = 0.02  # of its largest magnitude: below it the pulse counts as over
 HEARD = 0.8  # of a decay's energy, twice that time is looked at: quick modes drown in longer ones
 
@@ -48,10 +48,10 @@ class Realisation:
         """Decompose impulse responses (N, p, m), or free decays side by side."""
         n, p, m = h.shape
         span = n // 2
-        rows = min(span, MOST_ROWS)
+        rows = min(span, MAX_BLOCK_ROWS)
         step = max(1, (span - 1) // max(rows - 1, 1))
         columns = n - (rows - 1) * step - 1
-        first = np.unique(np.linspace(0, columns - 1, min(columns, max(2, MOST_COLUMNS // m))).astype(int))
+        first = np.unique(np.linspace(0, columns - 1, min(columns, max(2, MAX_COLUMNS // m))).astype(int))
         both = [h[np.add.outer(step * np.arange(rows), first + k)] for k in (0, 1)]
         H, later = (x.transpose(0, 2, 1, 3).reshape(rows * p, -1) for x in both)
         # the triangle holds all that the long rows do, and V = Q V_R
@@ -154,7 +154,7 @@ def _heard(decays: Sequence[np.ndarray]) -> int:
     power = np.sum([np.sum(decay[:n] ** 2, axis=1) for decay in decays], axis=0)
     energy = np.cumsum(power - power[-max(1, n // 5) :].mean())
     loud = int(np.searchsorted(energy, HEARD * energy.max())) if energy.max() > 0 else n
-    return min(n, max(2 * loud, 4 * MOST_ROWS))
+    return min(n, max(2 * loud, 4 * MAX_BLOCK_ROWS))
 
 
 def _first_at_rest(record: Record) -> int:

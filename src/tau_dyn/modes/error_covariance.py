@@ -20,7 +20,7 @@ from tau_dyn.modes.hankel import compress
 from tau_dyn.modes.modal_form import layout_of
 from tau_dyn.modes.record import Record
 
-LONGEST_AR = 40
+MAX_AR_ORDER = 40
 CHUNK = 16384  # errors further apart than a chunk count as independent
 
 
@@ -62,7 +62,7 @@ def autoregression(errors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray
     """
     p = errors[0].shape[1]
     records = [Record(np.zeros((len(e), 0)), e, 1.0, (), ()) for e in errors]
-    longest = int(np.clip(max(map(len, errors)) // (20 * p), 1, LONGEST_AR))
+    longest = int(np.clip(max(map(len, errors)) // (20 * p), 1, MAX_AR_ORDER))
     factor = compress(records, longest + 1)
     order = best_length(factor, penalty=np.log(factor.n_columns), least=0)
     if order == 0:

@@ -26,7 +26,7 @@ from tau_dyn.modes.record import Record
 
 LAGS = (10, 20)
 """Lengths of the ARX model to choose from."""
-LONGEST = 10_000
+MAX_SAMPLES = 10_000
 """Samples looked at: more add power to see what would not matter."""
 SIGNIFICANCE_LEVEL = 1e-3
 MIN_VARIANCE_SHARE = 1e-3
@@ -88,7 +88,7 @@ def detect_feedback(records: Sequence[Record]) -> Feedback:
 
 def _first(records: Sequence[Record]) -> list[Record]:
     """Return records with so many samples in all."""
-    kept, left = [], LONGEST
+    kept, left = [], MAX_SAMPLES
     for r in records:
         if left >= 200 or not kept:
             kept.append(r.window(slice(0, max(left, 200))))

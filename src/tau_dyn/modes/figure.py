@@ -12,7 +12,7 @@ from tau_dyn.dynamics import FlexibleModel
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.robot import Robot
 
-_SAME = 1e-4  # [m] between points that are one
+_MAX_DUPLICATE_DISTANCE_M = 1e-4  # [m] between points that are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Skeleton:
 
 
 @dataclass(frozen=True, eq=False)
-class Figure:
+class MechanismFigure:
     """A robot whose springs may move, and what of it is drawn: joints and frames, link by link."""
 
     robot: Robot
@@ -45,7 +45,7 @@ class Figure:
     marks: tuple[tuple[tuple[str, int], ...], ...]
 
     @classmethod
-    def of(cls, robot: Robot) -> Figure:
+    def of(cls, robot: Robot) -> MechanismFigure:
         """Prepare a robot at home, its springs free to move."""
         flexible = FlexibleModel(robot) if robot.springs else None
         drawn = robot if flexible is None else flexible.freed
@@ -138,12 +138,12 @@ def _stretched(links: Sequence[np.ndarray], held: np.ndarray, fixed: np.ndarray)
     number = [np.array([int(np.argmin(np.linalg.norm(nodes - p, axis=1))) for p in x]) for x in links]
     known = np.full(len(nodes), np.nan)
     for points, share in ((fixed, 0.0), (held, 1.0)):
-        near = np.linalg.norm(nodes[:, None] - points[None], axis=2).min(axis=1) < _SAME
+        near = np.linalg.norm(nodes[:, None] - points[None], axis=2).min(axis=1) < _MAX_DUPLICATE_DISTANCE_M
         known[near] = share
     pull = np.zeros((len(nodes), len(nodes)))
     for x, k in zip(links, number, strict=True):
         if len(k) == 2:
-            pull[k[0], k[1]] = pull[k[1], k[0]] = 1 / max(float(np.linalg.norm(x[1] - x[0])), _SAME)
+            pull[k[0], k[1]] = pull[k[1], k[0]] = 1 / max(float(np.linalg.norm(x[1] - x[0])), _MAX_DUPLICATE_DISTANCE_M)
     free = np.isnan(known)
     balance = np.diag(pull.sum(axis=1)) - pull
     share = np.where(free, 0.0, known)

@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
-from tau_dyn.modes.contest import Candidate, settle
+from tau_dyn.modes.contest import MethodCandidate, settle
 from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay
 from tau_dyn.modes.era import era_factors
 from tau_dyn.modes.feedback_test import Feedback, detect_feedback
@@ -23,16 +23,16 @@ from tau_dyn.modes.methods import METHODS, build_initial_estimator, first_look
 from tau_dyn.modes.model_validation import validate_model
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
 from tau_dyn.modes.preparation import PreparedRecords, prepare_records
-from tau_dyn.modes.refine import Refined, refine
+from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 from tau_dyn.modes.response_onset import find_response_onset
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.widen import widen_modes
 
-HIGHEST_ASKED = 200
+MAX_REQUESTED_ORDER = 200
 PULSE_GAIN = 0.1
 """Share by which a delay must lower what pulse tests leave, to be believed."""
-FEW_ROUNDS = 15
+MAX_LARGE_MODEL_ITERATIONS = 15
 """Rounds of refinement for models of many free numbers; they begin at a trial that was refined."""
 NEIGHBOURS = 4
 """States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
@@ -90,15 +90,15 @@ def find_modes(
     feedback = _feedback(data)
     chosen, why = _method(method, data, feedback)
 
-    def candidate(name: str) -> Candidate:
+    def candidate(name: str) -> MethodCandidate:
         kind = PREDICTED if name == "pbsid" else SIMULATED
         late = _late(data, name, kind, asked, fixed, sensor, say)
         start = partial(build_initial_estimator, name, delay=late.delay, highest=max(20, asked or 0))
         pulses = data.kind == "impulse"
         states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
-        return Candidate(name, kind, late, states)
+        return MethodCandidate(name, kind, late, states)
 
-    def bearing_feedback() -> Candidate | None:
+    def bearing_feedback() -> MethodCandidate | None:
         say("trying pbsid")
         try:
             return candidate("pbsid")
@@ -120,7 +120,9 @@ def find_modes(
     return replace(found, method=best.method, why=reasons, seed=seed)
 
 
-def _refitted(refined: Refined, data: PreparedRecords, best: Candidate, how: str) -> tuple[Refined, str]:
+def _refitted(
+    refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, how: str
+) -> tuple[RefinedModel, str]:
     """Return the model fitted to all data, held-out ones included, and what was done; the one given where that fails."""
     if not data.whole or not data.holdout:
         return refined, "nothing was left to add"
@@ -134,7 +136,9 @@ def _refitted(refined: Refined, data: PreparedRecords, best: Candidate, how: str
     return final, "the model was then fitted to all data; the held-out fit is that of the model of the training data"
 
 
-def _widened(final: Refined, refined: Refined, data: PreparedRecords, best: Candidate, feedback: Feedback) -> Refined:
+def _widened(
+    final: RefinedModel, refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, feedback: Feedback
+) -> RefinedModel:
     """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
     taken = best.states.taken
     pairs = []
@@ -156,7 +160,11 @@ def _rounds(data: PreparedRecords, order: int) -> int:
     """Return how many rounds of refinement a model is given."""
     if data.kind == "impulse":
         return PULSE_ROUNDS
-    return FEW_ROUNDS if order * sum(data.train[0].u.shape[1:] + data.train[0].y.shape[1:]) > MANY_NUMBERS else 40
+    return (
+        MAX_LARGE_MODEL_ITERATIONS
+        if order * sum(data.train[0].u.shape[1:] + data.train[0].y.shape[1:]) > MANY_NUMBERS
+        else 40
+    )
 
 
 def _several(logs: Log | Sequence[Log]) -> list[Log]:
@@ -183,8 +191,8 @@ def _order(order: str | int) -> int | None:
         value = int(order)
     except ValueError:
         value = 0
-    if not 1 <= value <= HIGHEST_ASKED:
-        raise InputError(f"--order {order}: write auto, or a number of states from 1 to {HIGHEST_ASKED}")
+    if not 1 <= value <= MAX_REQUESTED_ORDER:
+        raise InputError(f"--order {order}: write auto, or a number of states from 1 to {MAX_REQUESTED_ORDER}")
     return value
 
 
@@ -260,7 +268,7 @@ def _late(
 
 def _refined(
     data: PreparedRecords, method: str, kind: str, delay: int, states: OrderChoice, *, alone: bool
-) -> tuple[Refined, str]:
+) -> tuple[RefinedModel, str]:
     """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
     order, taken = states.order, states.taken
     rounds = _rounds(data, order)
@@ -270,13 +278,13 @@ def _refined(
         if made.model.spectral_radius() < 1 and np.isfinite(made.loss):
             return made, f"{method} alone: refinement made the simulation of other data worse"
     starts = [(method, lambda: taken.model)] if taken is not None else []
-    alone = alone or kind == PREDICTED or data.kind == "impulse" or rounds == FEW_ROUNDS
+    alone = alone or kind == PREDICTED or data.kind == "impulse" or rounds == MAX_LARGE_MODEL_ITERATIONS
     names = (method,) if alone else tuple(dict.fromkeys((method, "n4sid", "arx")))
-    if not (taken is not None and (data.kind == "impulse" or rounds == FEW_ROUNDS)):
+    if not (taken is not None and (data.kind == "impulse" or rounds == MAX_LARGE_MODEL_ITERATIONS)):
         starts += [
             (n, lambda n=n: build_initial_estimator(n, data.train, delay=delay, highest=order)(order)) for n in names
         ]
-    found: list[tuple[float, str, Refined]] = []
+    found: list[tuple[float, str, RefinedModel]] = []
     fault: Exception | None = None
     for name, first in starts:
         try:

@@ -18,7 +18,7 @@ from tau_dyn.modes.tangent import Tangent, balanced, tangent_at, with_initial_st
 
 SMALL_STEP = 0.02  # mean step of a parameter over its standard error at which we stop
 SMALL_GAIN = 0.05  # log-likelihood gained by a round; two such in a row end the descent
-CLOSEST = 1e-8  # of a pole to the unit circle
+MIN_UNIT_CIRCLE_DISTANCE = 1e-8  # of a pole to the unit circle
 MAX_DAMPING_TRIALS = 12  # dampings tried before the point counts as a minimum
 
 
@@ -99,7 +99,7 @@ def _mean_step(tangent: Tangent) -> float:
 
 def _kept_inside(model: StateSpace, old: ModalForm) -> StateSpace:
     """The model with poles beyond the unit circle drawn back to a tenth of the old model's distance from it."""
-    limit = 1 - max(0.1 * (1 - np.abs(old.poles).max(initial=0.0)), CLOSEST)
+    limit = 1 - max(0.1 * (1 - np.abs(old.poles).max(initial=0.0)), MIN_UNIT_CIRCLE_DISTANCE)
     if not np.isfinite(model.A).all():
         return model
     values, vectors = np.linalg.eig(model.A)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.modes.mechanical_evidence import Evidence, Refined, evidence_of
+from tau_dyn.modes.mechanical_evidence import Evidence, HasResiduals, evidence_of
 from tau_dyn.modes.mechanical_fit import MechanicalFit, Task, fit_condensed_structure, fit_full_structure
 from tau_dyn.modes.mechanical_validation import MAX_RELATIVE_STDERR, SIGNIFICANCE_LEVEL, asymmetry
 from tau_dyn.modes.places import Places, places_of
@@ -99,7 +99,7 @@ class Mechanical:
 
 
 def fit_mechanical(
-    source: StateSpace | Refined | Any,
+    source: StateSpace | HasResiduals | Any,
     *,
     collocated: Sequence[tuple[int, int]] | None = None,
     output: str = "displacement",

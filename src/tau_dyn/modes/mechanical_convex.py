@@ -17,10 +17,10 @@ import numpy as np
 
 from tau_dyn.modes.second_order import SecondOrder, pack, symmetric_basis, unpack
 
-_ROUNDS = 8
+_MAX_ITERATIONS = 8
 _MARGIN = 1e-6
 """Least eigenvalue of M and K, as a part of their largest, that counts as positive."""
-_LEAST = 1e-4
+_MIN_EIGENVALUE = 1e-4
 """Least eigenvalue that the program gives M and K, in scaled units."""
 
 
@@ -37,7 +37,7 @@ def solve_conic(s: np.ndarray, H: np.ndarray, driven: tuple[int, ...]) -> Second
     W = np.broadcast_to(np.eye(n), (len(s), n, n))
     x = np.zeros(3 * n * (n + 1) // 2)
     found, last = unpack(x, n), x
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         R, target = _triangle(s, H, W, driven)
         x = np.linalg.lstsq(R, target, rcond=None)[0]
         found = unpack(x, n)
@@ -90,7 +90,7 @@ def _clipped(R: np.ndarray, target: np.ndarray, n: int) -> SecondOrder:
     """Return the plain minimum with its eigenvalues raised to what is physical: a start, where the solver gives up."""
     raised = []
     plain = unpack(np.linalg.lstsq(R, target, rcond=None)[0], n)
-    for part, least in ((plain.M, _LEAST), (plain.D, 0.0), (plain.K, _LEAST)):
+    for part, least in ((plain.M, _MIN_EIGENVALUE), (plain.D, 0.0), (plain.K, _MIN_EIGENVALUE)):
         value, vector = np.linalg.eigh(part)
         raised.append((vector * np.maximum(value, least)) @ vector.T)
     return SecondOrder(*raised)
@@ -104,6 +104,6 @@ def _problem(n: int) -> tuple[Any, list[Any], tuple[Any, Any]]:
     parts = [cp.Variable((n, n), symmetric=True) for _ in range(3)]
     x = cp.hstack([part[i, j] for part in parts for i, j in zip(*np.triu_indices(n), strict=True)])
     R, target = cp.Parameter((x.size, x.size)), cp.Parameter(x.size)
-    least = [_LEAST * np.eye(n), np.zeros((n, n)), _LEAST * np.eye(n)]
+    least = [_MIN_EIGENVALUE * np.eye(n), np.zeros((n, n)), _MIN_EIGENVALUE * np.eye(n)]
     constraints = [part >> edge for part, edge in zip(parts, least, strict=True)]
     return cp.Problem(cp.Minimize(cp.sum_squares(R @ x - target)), constraints), parts, (R, target)

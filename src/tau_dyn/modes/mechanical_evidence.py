@@ -21,7 +21,7 @@ STEP = 1e-2
 """Step of the central differences, in standard errors."""
 
 
-class Refined(Protocol):
+class HasResiduals(Protocol):
     """What a refined model must offer."""
 
     model: StateSpace
@@ -126,7 +126,7 @@ class Evidence:
         return Evidence(self.at.completed(places), near, self.dt)
 
 
-def evidence_of(source: StateSpace | Refined | Any, derivative: int = 0) -> Evidence:
+def evidence_of(source: StateSpace | HasResiduals | Any, derivative: int = 0) -> Evidence:
     """Return the evidence in a model, refined (with covariance) or not.
 
     Args:

@@ -98,7 +98,7 @@ def with_coordinates(model: StateSpace) -> tuple[ModalForm, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class Layout:
+class ModalLayout:
     """Where each free number of a modal form stands in the full vector.
 
     The full vector holds for every mode Re, Im of lambda; Re (p), Im (p) of c; Re (m), Im (m) of b; then D (p m).
@@ -143,9 +143,9 @@ class Layout:
         return slice(self.n_modes * self.width, self.size)
 
 
-def layout_of(form: ModalForm) -> Layout:
+def layout_of(form: ModalForm) -> ModalLayout:
     """Return the layout of a modal form."""
-    return Layout(len(form.poles), *form.D.shape)
+    return ModalLayout(len(form.poles), *form.D.shape)
 
 
 def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from tau_dyn.modes.poles import poles_of, zeros_of
 from tau_dyn.modes.preparation import PreparedRecords
 from tau_dyn.modes.pulses import impulse_responses
 from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import Refined
+from tau_dyn.modes.refine import RefinedModel
 from tau_dyn.modes.residuals import compute_residuals
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.result_warnings import add_warnings
@@ -34,13 +34,13 @@ TRACES = 6
 
 
 def validate_model(
-    refined: Refined,
+    refined: RefinedModel,
     data: PreparedRecords,
     feedback: Feedback,
     delay: DelayChoice,
     order: OrderChoice,
     *,
-    final: Refined | None = None,
+    final: RefinedModel | None = None,
     sensor: str = "displacement",
     collocated: Sequence[tuple[int, int]] | None = None,
 ) -> Modes:
@@ -136,7 +136,7 @@ def _tests(
 
 
 def _mechanical(
-    refined: Refined, sensor: str, collocated: Sequence[tuple[int, int]] | None, complete: bool
+    refined: RefinedModel, sensor: str, collocated: Sequence[tuple[int, int]] | None, complete: bool
 ) -> tuple[Mechanical | None, str]:
     try:
         return fit_mechanical(refined, collocated=collocated, output=sensor, complete=complete), ""
@@ -144,7 +144,7 @@ def _mechanical(
         return None, str(fault)
 
 
-def _response(refined: Refined, empirical: EmpiricalResponse) -> Response:
+def _response(refined: RefinedModel, empirical: EmpiricalResponse) -> Response:
     model = refined.model
     f = _grid(refined, empirical)
     spread = refined.response_covariance(f)
@@ -152,7 +152,7 @@ def _response(refined: Refined, empirical: EmpiricalResponse) -> Response:
     return Response(f, model.frequency_response(f), deviation)
 
 
-def _grid(refined: Refined, empirical: EmpiricalResponse) -> np.ndarray:
+def _grid(refined: RefinedModel, empirical: EmpiricalResponse) -> np.ndarray:
     """Return frequencies over the excited band, denser around each mode."""
     nyquist = 0.5 / refined.model.dt
     seen = empirical.frequency[empirical.excited]

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MOST = 30
-LONGEST = 50_000
+MAX_NOISE_ORDER = 30
+MAX_SAMPLES = 50_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +51,13 @@ def noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
 
     From tapered autocovariances (Yule-Walker), which make it stable whatever the errors are.
     """
-    few, left = [], LONGEST
+    few, left = [], MAX_SAMPLES
     for v in errors:
         if left > 0:
             few.append(v[:left])
             left -= len(v)
     n, p = sum(len(v) for v in few), few[0].shape[1]
-    most = int(max(0, min(MOST, min(len(v) for v in few) // 4, n // (10 * p))))
+    most = int(max(0, min(MAX_NOISE_ORDER, min(len(v) for v in few) // 4, n // (10 * p))))
     size = np.sqrt(np.sum([np.sum(v**2, axis=0) for v in few], axis=0) / n)
     size[size == 0] = 1.0
     R = np.array([np.sum([v[k:].T @ v[: len(v) - k] for v in few], axis=0) for k in range(most + 1)]) / n

@@ -20,12 +20,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.modes.figure import Figure, Skeleton
+from tau_dyn.modes.figure import MechanismFigure, Skeleton
 from tau_dyn.modes.modal import Mode
 from tau_dyn.robot import Robot
 
 _STEP = 1e-4  # [m or rad] of the largest spring: how far shapes are followed
-_FAR = 0.7
+_MAX_LOG_FREQUENCY_RATIO = 0.7
 """Logarithm of a ratio of frequencies from which on two modes are never the same."""
 
 
@@ -94,7 +94,7 @@ def sensed_places(outputs: Sequence[str]) -> dict[str, dict[int, int]]:
 def shapes_on_robot(robot: Robot, modes: Sequence[Mode], outputs: Sequence[str]) -> ShapesOnRobot | None:
     """Return measured modes on a robot, beside its own; None where no output names a place of it or it cannot be drawn."""
     try:
-        figure = Figure.of(robot)
+        figure = MechanismFigure.of(robot)
     except TauDynError:
         return None
     places = {name: axes for name, axes in sensed_places(outputs).items() if figure.frame(name) is not None}
@@ -128,7 +128,7 @@ def _scaled(frequency: float, damping: float, links: Sequence[np.ndarray], arrow
     return ModeShape(frequency, damping, tuple(x / top for x in links), {k: x / top for k, x in arrows.items()})
 
 
-def _own(figure: Figure, places: dict[str, dict[int, int]], rest: list[np.ndarray]) -> list[ModeShape]:
+def _own(figure: MechanismFigure, places: dict[str, dict[int, int]], rest: list[np.ndarray]) -> list[ModeShape]:
     """Return the modes of the robot file's springs, slowest first; none where it has none."""
     if figure.flexible is None:
         return []
@@ -169,7 +169,7 @@ def _paired(
                 mode.shape[[k for _, _, k in seen]], np.array([swing.arrows[n][x] for n, x, _ in seen])
             )
             away[i, j] = abs(np.log(mode.frequency_hz / swing.frequency_hz))
-    fits = np.where(away < _FAR, mac * (1 - away / _FAR), 0.0)
+    fits = np.where(away < _MAX_LOG_FREQUENCY_RATIO, mac * (1 - away / _MAX_LOG_FREQUENCY_RATIO), 0.0)
     chosen = dict(zip(*linear_sum_assignment(-fits), strict=True)) if own else {}
     pairs = []
     for i, swing in enumerate(measured):

@@ -37,23 +37,23 @@ from tau_dyn.modes.residuals import (
 from tau_dyn.modes.state_space import StateSpace
 
 SELECT_SHARE = 0.25
-LONGEST = 6_000
+MAX_SAMPLES = 6_000
 """Samples that the orders are compared on."""
 PULSE = 500
 """Samples of each pulse that are kept in any case."""
-HIGHEST = 60
+MAX_ORDER = 60
 """Highest order that is looked at unless one is asked for: thirty modes in the band of one test."""
-HIGHEST_PREDICTED = 24
+MAX_PREDICTED_ORDER = 24
 """The same where one-step predictions are compared, whose first models cost a factorisation each."""
 SMALL = 8
 """Up to this order all even ones below are refined, which costs little and fills the stabilisation diagram."""
 BEYOND = 4
 """Orders that are refined above the leading one: a diagram needs them, a choice does not."""
-MOST_REFINED = 14
+MAX_REFINED_MODELS = 14
 """Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
 MANY_NUMBERS = 100
 """Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
-ROUNDS = 4
+MAX_ITERATIONS = 4
 TOLERANCE = 2.0
 PATIENCE = 16
 """Orders without any gain after which the scan stops, once it has explained most of what moves."""
@@ -168,7 +168,8 @@ def choose_order(
             search.refine(order)
     else:
         wanted = _affordable(
-            fitted, [1, 2, 3, *range(4, max(HIGHEST if kind == SIMULATED else HIGHEST_PREDICTED, asked or 0) + 1, 2)]
+            fitted,
+            [1, 2, 3, *range(4, max(MAX_ORDER if kind == SIMULATED else MAX_PREDICTED_ORDER, asked or 0) + 1, 2)],
         )
         scanned = _scan(search, wanted)
         _refine_near(search, scanned, asked)
@@ -207,7 +208,7 @@ class _Search:
 
     def refine(self, order: int) -> None:
         """Add a refined model of an order, once, where the data can pay for it."""
-        if order < 1 or order in self.tried or order not in self.affordable or len(self.tried) >= MOST_REFINED:
+        if order < 1 or order in self.tried or order not in self.affordable or len(self.tried) >= MAX_REFINED_MODELS:
             return
         self.tried.add(order)
         if self.progress is not None:
@@ -295,7 +296,9 @@ def _try(fitted: Sequence[Record], kept: Sequence[Record], make: Start, order: i
     try:
         first = make(order)
         p, m = first.D.shape
-        refined = refine(first, fitted, kind=kind, maximum_rounds=ROUNDS, covariance=order * (p + m) <= MANY_NUMBERS)
+        refined = refine(
+            first, fitted, kind=kind, maximum_rounds=MAX_ITERATIONS, covariance=order * (p + m) <= MANY_NUMBERS
+        )
     except (TauDynError, np.linalg.LinAlgError):
         return None
     row = _judge(refined.model, fitted, kept, kind)
@@ -362,7 +365,7 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
 
 def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
     """Return pulses to fit on and the last quarter to compare on, if what is left still hits every input; else all twice."""
-    records = truncate_records(records, LONGEST, PULSE)
+    records = truncate_records(records, MAX_SAMPLES, PULSE)
     kept = max(1, round(SELECT_SHARE * len(records)))
     peaks = np.array([np.abs(r.u).max(axis=0) for r in records])
     alike = peaks[:-kept] > 0.05 * peaks.max(axis=0)
@@ -373,7 +376,7 @@ def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence
 
 def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     """Return what to fit on and what to compare on: the last quarter of each record."""
-    records = truncate_records(records, LONGEST)
+    records = truncate_records(records, MAX_SAMPLES)
     fitted = [r.window(slice(0, round((1 - SELECT_SHARE) * r.n_samples))) for r in records]
     kept = [r.window(slice(round((1 - SELECT_SHARE) * r.n_samples), None)) for r in records]
     return fitted, kept

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.arx import LONGEST, best_length, predictor
+from tau_dyn.modes.arx import MAX_LAGS, best_length, predictor
 from tau_dyn.modes.hankel import HankelFactor, compress
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
@@ -52,7 +52,7 @@ def predictor_factor(records: Sequence[Record], past: int | None, least: int = 1
         return compress(records, past + 1)
     w = records[0].u.shape[1] + records[0].y.shape[1]
     samples, longest = sum(r.n_samples for r in records), max(r.n_samples for r in records)
-    most = max(least, int(np.clip(min(samples / (10 * w), longest / 4), 2, LONGEST)))
+    most = max(least, int(np.clip(min(samples / (10 * w), longest / 4), 2, MAX_LAGS)))
     factor = compress(records, most + 1)
     chosen = max(least, best_length(factor))
     return factor if chosen == most else compress(records, chosen + 1)

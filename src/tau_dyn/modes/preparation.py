@@ -15,11 +15,11 @@ from itertools import pairwise
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, ensure_even, segments
+from tau_dyn.log import Log, ensure_even, split_at_gaps
 from tau_dyn.modes.record import Record, records_of, truncate_records
 
 TRAIN_SHARE = 0.7
-SETTLED = 0.2
+STEADY_STATE_SHARE = 0.2
 """Last share of an impulse record whose mean is the level that it decays to."""
 PULSE_SHARE = 0.03
 """Inputs that are away from rest for a smaller share of the time than this are pulses."""
@@ -31,7 +31,7 @@ SAMPLES_PER_CHANNEL = 40
 """Training samples for each input and output, at least; with fewer there is nothing to choose from."""
 PULSES = 10_000
 """Samples of all pulses together that are fitted to: the ends of long decays say little more."""
-LONGEST_REST = 20_000
+MAX_REST_SAMPLES = 20_000
 STEP_TOLERANCE = 1e-3
 
 
@@ -207,7 +207,7 @@ def _refuse_short(records: Sequence[Record], channels: int) -> None:
 
 
 def _warnings(logs: Sequence[Log]) -> list[str]:
-    pieces = [ensure_even(p) for log in logs for p in segments(log)]
+    pieces = [ensure_even(p) for log in logs for p in split_at_gaps(log)]
     return list(dict.fromkeys(w for p in pieces for w in p.warnings))
 
 
@@ -228,7 +228,7 @@ def operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
     Means of both do not belong together, because outputs still ring at a record's ends; what that leaves would be taken
     for a slow pole. A long ARX model with a constant gives the outputs at rest: y_t = c + sum A_k y_{t-k} + sum B_k u_{t-k}.
     """
-    u, y = record.u[:LONGEST_REST], record.y[:LONGEST_REST]
+    u, y = record.u[:MAX_REST_SAMPLES], record.y[:MAX_REST_SAMPLES]
     mean_u, mean_y, spread = record.u.mean(axis=0), record.y.mean(axis=0), record.y.std(axis=0)
     (n, m), p = u.shape, y.shape[1]
     lags = min(20, n // (20 * (m + p)))
@@ -255,5 +255,5 @@ def _centred(record: Record, origin: Record) -> Record:
 
 def _settled(record: Record) -> Record:
     """Return a pulse and its decay as deviations from rest."""
-    tail = record.y[-max(10, int(SETTLED * record.n_samples)) :]
+    tail = record.y[-max(10, int(STEADY_STATE_SHARE * record.n_samples)) :]
     return replace(record, u=record.u - np.median(record.u, axis=0), y=record.y - tail.mean(axis=0))

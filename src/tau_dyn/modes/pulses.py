@@ -29,7 +29,7 @@ TIME_CONSTANTS = 2.5
 """Of the slowest decaying mode, as many as are shown."""
 PERIODS = 12
 """Of the lowest mode, as many as are shown at most."""
-LONGEST = 200_000
+MAX_SAMPLES = 200_000
 
 
 def impulse_responses(
@@ -49,7 +49,7 @@ def impulse_responses(
     if kind == "impulse":
         return _of_pulses(model, records, held_out)
     length = _length(model, modes, min(r.n_samples for r in records))
-    few = [r.window(slice(0, LONGEST)) for r in records]
+    few = [r.window(slice(0, MAX_SAMPLES)) for r in records]
     pairs = [(r.u, np.hstack([r.y, simulate(model, r)])) for r in few]
     h = _divided(pairs, length)
     p = model.D.shape[0]

@@ -31,7 +31,7 @@ KINDS = (SIMULATED, PREDICTED)
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class RefinedModel:
     """A refined model.
 
     Attributes:
@@ -82,7 +82,7 @@ def refine(
     direct: bool | None = None,
     maximum_rounds: int = 40,
     covariance: bool = True,
-) -> Refined:
+) -> RefinedModel:
     """Refine a model on records.
 
     Args:
@@ -124,7 +124,7 @@ def refine(
     spread = (
         propagate_covariance(point.form, found, free, in_own_units) if covariance else np.full((size, size), np.nan)
     )
-    return Refined(
+    return RefinedModel(
         refined,
         spread,
         modes_of(refined, spread),

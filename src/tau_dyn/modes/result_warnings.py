@@ -13,7 +13,7 @@ POOR_FIT = 50.0
 MAX_RELATIVE_DAMPING_STDERR = 0.3
 """Standard error of a damping ratio over the ratio itself, beyond which it is hardly known."""
 MAX_FIT_DROP_PERCENT = 10.0
-FEW_PERIODS = 10
+MIN_RECORD_PERIODS = 10
 
 
 def add_warnings(found: Modes) -> Modes:
@@ -55,9 +55,9 @@ def _modes(found: Modes) -> list[str]:
     text = ", ".join(f"{m.frequency_hz:.3g} Hz" for m in vague)
     said = [f"the damping at {text} is known to worse than 30 %"] if vague else []
     duration = max(t.t[-1] for t in found.traces) if found.traces else 0.0
-    if found.modes and duration * found.modes[0].frequency_hz < FEW_PERIODS:
+    if found.modes and duration * found.modes[0].frequency_hz < MIN_RECORD_PERIODS:
         said.append(
-            f"the longest record holds fewer than {FEW_PERIODS} periods of {found.modes[0].frequency_hz:.3g} Hz"
+            f"the longest record holds fewer than {MIN_RECORD_PERIODS} periods of {found.modes[0].frequency_hz:.3g} Hz"
         )
     if not found.modes:
         said.append("the model has no resonance: all its poles are real")

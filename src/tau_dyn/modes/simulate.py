@@ -15,7 +15,7 @@ from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace
 
 CHUNK = 16384
-LONGEST_DECAY = 50_000  # samples of free response that an initial state is sought in
+MAX_DECAY_SAMPLES = 50_000  # samples of free response that an initial state is sought in
 
 
 def simulate(model: StateSpace, record: Record, x0: np.ndarray | None = None) -> np.ndarray:
@@ -34,7 +34,7 @@ def simulate(model: StateSpace, record: Record, x0: np.ndarray | None = None) ->
 def initial_state(model: StateSpace, record: Record, predictor: bool = False) -> np.ndarray:
     """Return the state (n,) at the first sample with which the simulation, or the one-step predictor, fits best."""
     u = late_inputs(model, record)
-    n = min(record.n_samples, LONGEST_DECAY)
+    n = min(record.n_samples, MAX_DECAY_SAMPLES)
     A, drive = (model.A, u @ model.B.T) if not predictor else _predictor(model, u, record.y)
     rest = record.y - states(A, drive, np.zeros(model.order)) @ model.C.T - u @ model.D.T
     scale = np.sqrt(np.mean(rest**2, axis=0))

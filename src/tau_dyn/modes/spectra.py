@@ -20,7 +20,7 @@ from tau_dyn.modes.record import Record
 
 STRETCHES = 5
 """Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
-LONGEST = 32_768
+MAX_WINDOW_SAMPLES = 32_768
 RESOLUTION = 6.0
 """Lines within the width of the narrowest resonance."""
 
@@ -116,7 +116,7 @@ def _size(records: Sequence[Record], impulses: bool, resolve: float) -> int:
     lengths, m = [r.n_samples for r in records], records[0].u.shape[1]
     if impulses:
         return min(lengths)
-    most = min(min(lengths), LONGEST, max(64, 2 * sum(lengths) // (STRETCHES + m + 1)))
+    most = min(min(lengths), MAX_WINDOW_SAMPLES, max(64, 2 * sum(lengths) // (STRETCHES + m + 1)))
     wanted = RESOLUTION / (resolve * records[0].dt) if resolve > 0 else most
     return 2 * int(min(most, max(256, wanted)) // 2)
 

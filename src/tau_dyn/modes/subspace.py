@@ -27,7 +27,7 @@ from tau_dyn.modes.state_space import StateSpace
 from tau_dyn.modes.states import innovation_gain
 
 WEIGHTINGS = ("cva", "moesp", "n4sid")
-LONGEST = 60  # block rows taken where the horizon is not given
+MAX_BLOCK_ROWS = 60  # block rows taken where the horizon is not given
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,4 +156,4 @@ def default_horizon(records: Sequence[Record]) -> int:
     """Return a horizon with at least ten samples for every row of data."""
     w = records[0].u.shape[1] + records[0].y.shape[1]
     samples, longest = sum(r.n_samples for r in records), max(r.n_samples for r in records)
-    return int(np.clip(min(samples / (20 * w), longest / 4), 2, LONGEST))
+    return int(np.clip(min(samples / (20 * w), longest / 4), 2, MAX_BLOCK_ROWS))

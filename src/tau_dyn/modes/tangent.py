@@ -19,7 +19,7 @@ from tau_dyn.modes.gramians import gramians, root
 from tau_dyn.modes.modal_form import ModalForm, layout_of, with_coordinates
 from tau_dyn.modes.state_space import StateSpace
 
-SMALLEST = 1e-15  # of the largest curvature: directions below it are not moved along
+MIN_RELATIVE_CURVATURE = 1e-15  # of the largest curvature: directions below it are not moved along
 _ROUNDING = 1e-14  # of a Gramian's largest eigenvalue
 
 
@@ -44,7 +44,7 @@ class Tangent:
     def step(self, damping: float) -> StateSpace:
         """Return the model after a step; damping is a part of the largest curvature."""
         top = self.values[-1]
-        size = np.where(self.values > SMALLEST * top, self.slopes / (self.values + damping * top), 0.0)
+        size = np.where(self.values > MIN_RELATIVE_CURVATURE * top, self.slopes / (self.values + damping * top), 0.0)
         dA, dB, dC, dD = _unstacked(self.directions @ size, self.model)
         return replace(self.model, A=self.model.A + dA, B=self.model.B + dB, C=self.model.C + dC, D=self.model.D + dD)
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from tau_dyn.calibrate.result import Calibration, frame_rows, list_correlated_pairs, parameter_rows
-from tau_dyn.calibrate.sensitivity import CHANGE, sensitivities
+from tau_dyn.calibrate.result import Calibration, build_frame_rows, build_parameter_rows, list_correlated_pairs
+from tau_dyn.calibrate.sensitivity import CHANGE, compute_sensitivities
 from tau_dyn.report import calibration_charts as charts
 from tau_dyn.report.calibration_words import (
     angle,
@@ -63,7 +63,7 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
         tried=_tried(found),
         findings=[(f, finding_words(f)) for f in found.findings],
         groups=_parameters(found),
-        frames=[_frame(row) for row in frame_rows(found.fit)],
+        frames=[_frame(row) for row in build_frame_rows(found.fit)],
         blind=found.fit.identifiability.to_dict()["not_identifiable"],
         pairs=[
             (c["parameters"], number(float(c["correlation"]), 3))
@@ -137,7 +137,7 @@ def _tried(found: Calibration) -> list[dict[str, str]]:
 
 def _parameters(found: Calibration) -> list[tuple[str, list[dict[str, Any]]]]:
     groups: dict[str, list[dict[str, Any]]] = {}
-    for row in parameter_rows(found.fit):
+    for row in build_parameter_rows(found.fit):
         owner = str(row["name"]).rpartition(".")[0]
         if owner.startswith(("device", "tool")) or row["stderr"] is None:
             continue
@@ -194,7 +194,7 @@ def _frame(row: dict[str, object]) -> dict[str, str]:
 
 
 def _sensitive(found: Calibration) -> list[dict[str, str]]:
-    rows = sorted(sensitivities(found.fit), key=lambda s: -s.position)[:_SENSITIVE]
+    rows = sorted(compute_sensitivities(found.fit), key=lambda s: -s.position)[:_SENSITIVE]
     each = 2 * max(int(found.fit.state.ok.sum()), 1)
     return [
         {

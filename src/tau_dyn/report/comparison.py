@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
-from tau_dyn.compare import Change, Comparison, Difference, ErrorChange, FindingChange, InputChange
+from tau_dyn.compare import Change, CircumstanceDifference, Comparison, ErrorChange, FindingChange, InputChange
 from tau_dyn.report.formatting import count, format_list, number, pretty_expression, pretty_unit, with_uncertainty
 from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.terminal import bare_table, plain, put, say
@@ -150,7 +150,7 @@ def _input_line(i: InputChange) -> str:
     return f"{i.a} → {i.b}, {'the same' if i.same else 'other'} content"
 
 
-def _difference_lines(rows: tuple[Difference, ...]) -> list[str]:
+def _difference_lines(rows: tuple[CircumstanceDifference, ...]) -> list[str]:
     return [f"{row.name} {_value(row.a)} → {_value(row.b)}" for row in rows]
 
 

@@ -10,7 +10,7 @@ from tau_dyn.estimate import MAX_RELATIVE_STDERR
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.report.formatting import Z95, with_uncertainty
 from tau_dyn.report.parameter_rows import ParameterRow, against_nominal, bar_scale, explain_unreliable, group_of, row_of
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 
 
@@ -26,7 +26,7 @@ def diagnosed_rows(diagnosis: Diagnosis) -> tuple[list[ParameterRow], float]:
 
 def _nominal(robot: Robot) -> Parameters:
     """Return the values of the robot's own file, which the model carries along."""
-    return robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
+    return load_robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
 
 
 def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.excitation import Prediction
+from tau_dyn.excitation import InformationPrediction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.report.fit_quality_text import FAIR, WELL, separation_words
@@ -69,7 +69,7 @@ def excitation_page(
     model: Model,
     condition: float,
     *,
-    prediction: Prediction | None = None,
+    prediction: InformationPrediction | None = None,
     command_line: str = "",
     **made: str,
 ) -> str:
@@ -78,7 +78,7 @@ def excitation_page(
     Args:
         motion: The motion.
         model: Robot and what shall be identified.
-        condition: `base_condition` of both.
+        condition: `compute_base_condition` of both.
         prediction: The standard errors that it will give, to be listed.
         command_line: The command that repeats it, for the provenance.
         made: What else the provenance says, such as `trials="20"` or `seed="0"`.
@@ -110,7 +110,7 @@ def excitation_page(
     )
 
 
-def _predicted(prediction: Prediction) -> list[dict[str, Any]]:
+def _predicted(prediction: InformationPrediction) -> list[dict[str, Any]]:
     """Return name, value, error and unit of each base parameter, and the error as a share of the value."""
     return [
         {

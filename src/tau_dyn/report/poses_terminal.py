@@ -8,8 +8,8 @@ from math import isnan
 from rich.console import Console
 from rich.table import Table
 
-from tau_dyn.calibrate.poses.automation import Plan
-from tau_dyn.calibrate.poses.pose_count import compute_min_poses, doubling_gain
+from tau_dyn.calibrate.poses.automation import CalibrationCampaign
+from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain, compute_min_poses
 from tau_dyn.report.calibration_words import angle, length
 from tau_dyn.report.formatting import format_list
 from tau_dyn.report.terminal import bare_table, plain, put, say, say_written
@@ -17,7 +17,7 @@ from tau_dyn.report.terminal import bare_table, plain, put, say, say_written
 _ROWS = 8
 
 
-def print_pose_plan(console: Console, plan: Plan, written: Mapping[str, str] | None = None) -> None:
+def print_pose_plan(console: Console, plan: CalibrationCampaign, written: Mapping[str, str] | None = None) -> None:
     """Print a plan for a person.
 
     Args:
@@ -35,7 +35,7 @@ def print_pose_plan(console: Console, plan: Plan, written: Mapping[str, str] | N
     say_written(console, written)
 
 
-def headline(plan: Plan) -> str:
+def headline(plan: CalibrationCampaign) -> str:
     """Return the answer in one sentence."""
     made = plan.choice.predicted
     turned = "" if isnan(made.turn) else f" and {angle(made.turn)}"
@@ -46,7 +46,7 @@ def headline(plan: Plan) -> str:
     )
 
 
-def summary(plan: Plan) -> str:
+def summary(plan: CalibrationCampaign) -> str:
     """Return what was looked at."""
     seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
     why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
@@ -54,7 +54,7 @@ def summary(plan: Plan) -> str:
     return f"{seen}{why}; {rank} parameters to be told, at least {least} poses"
 
 
-def rehearsal_words(plan: Plan) -> str:
+def rehearsal_words(plan: CalibrationCampaign) -> str:
     """Return what the simulated calibrations gave, and the tour."""
     tried, tour = plan.rehearsal, plan.tour
     rows = tried.to_dict()["position_rms"]
@@ -62,12 +62,12 @@ def rehearsal_words(plan: Plan) -> str:
     return (
         f"simulated: {length(rows['nominal'])} before, {length(tried.achieved)} after "
         f"({len(tried.after)} robots); twice as many poses "
-        f"would lower held-out errors by {100 * doubling_gain(plan.choice.predicted):.0f} %; tour of "
+        f"would lower held-out errors by {100 * compute_doubling_gain(plan.choice.predicted):.0f} %; tour of "
         f"{len(tour.q)} places" + (f", {ways} of them on the way" if ways else "")
     )
 
 
-def _curve(plan: Plan) -> Table:
+def _curve(plan: CalibrationCampaign) -> Table:
     table = bare_table()
     for title in ("poses", "tool", "held out"):
         table.add_column(title, no_wrap=True, justify="right")

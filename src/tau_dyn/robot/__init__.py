@@ -1,8 +1,9 @@
 """Robots: from a xacro file to a tree with loops, actuated joints and nominal parameters."""
 
+from tau_dyn.deprecated_names import get_deprecated
 from tau_dyn.robot.annotations import Spring
-from tau_dyn.robot.expand import describe_robot, list_robots, short_names, stock_names
-from tau_dyn.robot.load import load_robot, robot_from_urdf
+from tau_dyn.robot.expand import describe_robot, list_robot_names, list_robots, stock_names
+from tau_dyn.robot.load import load_robot, load_robot_from_urdf
 from tau_dyn.robot.robot import INERTIAL, NOT_GIVEN, LinkInertia, Loop, Robot
 
 __all__ = [
@@ -13,9 +14,13 @@ __all__ = [
     "Robot",
     "Spring",
     "describe_robot",
+    "list_robot_names",
     "list_robots",
     "load_robot",
-    "robot_from_urdf",
-    "short_names",
+    "load_robot_from_urdf",
     "stock_names",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

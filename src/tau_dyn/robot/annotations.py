@@ -15,7 +15,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot.numbers import check_numbers, check_parents, check_tree, numbers_in
+from tau_dyn.robot.numbers import check_numbers, check_parents, check_tree, parse_numbers
 
 _DRAKE = ("http://drake.mit.edu", "https://drake.mit.edu")
 _OURS = "urn:tau_dyn"
@@ -162,7 +162,7 @@ class _Reader:
 
     def _numbers(self, element: Element, attribute: str, count: int) -> tuple[float, ...]:
         text = element.get(attribute, "")
-        values = numbers_in(text)
+        values = parse_numbers(text)
         if len(values) != count or not all(abs(v) < 1e12 for v in values):
             tag = element.tag.split("}")[-1]
             raise InputError(f"{self.where}: <{tag} {attribute}='{text}'> must hold {count} finite number(s)")
@@ -225,7 +225,7 @@ class _Reader:
             return None
         for element in (actuator, joint):
             if ratio is None and (text := element.findtext("mechanicalReduction")) is not None:
-                values = numbers_in(text)
+                values = parse_numbers(text)
                 if len(values) != 1 or not abs(values[0]) < 1e12:
                     raise InputError(f"{self.where}: <mechanicalReduction>{text[:40]}</...> must be one finite number")
                 ratio = values[0]

@@ -27,7 +27,7 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.minidom import parseString
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.files import read_bytes, yaml_text
+from tau_dyn.files import format_yaml, read_bytes
 from tau_dyn.robot.expressions import checked_expressions
 from tau_dyn.robot.numbers import check_depth
 
@@ -38,19 +38,19 @@ _MODEL = "; is it a model file? Then give the robot's file first"
 _SWAPPED = {".csv": _LOG, ".parquet": _LOG, ".mcap": _LOG, ".bag": _LOG, ".mat": _LOG, ".yaml": _MODEL, ".yml": _MODEL}
 """What may have happened where a file of another kind stands for a robot."""
 
-LARGEST_ROBOT = 32 * 2**20
+MAX_ROBOT_BYTES = 32 * 2**20
 """[bytes] Of a robot file; real ones, without their meshes, have less than one MiB."""
 
 
-def urdf_folder() -> Path:
+def find_urdf_folder() -> Path:
     """Return the folder of the robots that come with the package."""
     installed = Path(str(files("tau_dyn"))) / "urdf"
     return installed if installed.is_dir() else Path(__file__).resolve().parents[3] / "urdf"
 
 
-def short_names() -> dict[str, Path]:
+def list_robot_names() -> dict[str, Path]:
     """Return the robots that come with the package: short name -> file."""
-    return {path.name.split(".")[0]: path for path in sorted(urdf_folder().glob("*.urdf*"))}
+    return {path.name.split(".")[0]: path for path in sorted(find_urdf_folder().glob("*.urdf*"))}
 
 
 @cache
@@ -69,14 +69,14 @@ def stock_names() -> dict[str, Path]:
 
 def list_robots() -> dict[str, Path]:
     """Return every robot that a name may mean: name -> file."""
-    return {**short_names(), **{n: p for n, p in sorted(stock_names().items()) if n not in short_names()}}
+    return {**list_robot_names(), **{n: p for n, p in sorted(stock_names().items()) if n not in list_robot_names()}}
 
 
 def describe_robot(path: Path) -> str:
     """Return the first sentence of the first comment in a robot file; empty where it has none."""
     head = path.read_text(encoding="utf-8", errors="replace")[:4000]
     comment = re.search(r"<!--(.*?)-->", head, re.DOTALL)
-    words = " ".join(comment.group(1).split()) if comment and path in short_names().values() else ""
+    words = " ".join(comment.group(1).split()) if comment and path in list_robot_names().values() else ""
     return re.split(r"[:;.](?= |$)", words, maxsplit=1)[0]
 
 
@@ -102,7 +102,7 @@ def find_robot(robot: str | Path) -> Path:
         raise InputError(
             f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau"
         )
-    ours = short_names()
+    ours = list_robot_names()
     if str(robot) in ours:
         return ours[str(robot)]
     if str(robot) in stock_names():
@@ -166,7 +166,7 @@ def _parse(inp: object, filename: str | None = None) -> Document:
         return inp
     name = filename or "robot text"
     try:
-        text = read_bytes(str(filename), LARGEST_ROBOT) if inp is None else str(inp).encode()
+        text = read_bytes(str(filename), MAX_ROBOT_BYTES) if inp is None else str(inp).encode()
         document = parseString(text, forbid_dtd=True)  # type: ignore[arg-type]
         check_depth(document, name)
         return document
@@ -197,4 +197,4 @@ def _defused_xacro() -> Iterator[None]:
 
 def _open_table(name: str) -> IO[str]:
     """Open a table that a xacro loads, once it is known to hold nothing that takes long."""
-    return io.StringIO(yaml_text(name))
+    return io.StringIO(format_yaml(name))

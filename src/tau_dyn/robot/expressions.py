@@ -22,9 +22,9 @@ _FORBIDDEN = frozenset({"vars", "type", "format", "format_map", "mro"})
 _INSIDES = ("_", "gi_", "ag_", "cr_", "tb_", "f_", "co_", "func_")
 """How attributes begin that lead into objects, generators, frames, code and functions."""
 
-_LARGEST_POWER = 100
+_MAX_EXPONENT = 100
 
-LONGEST = 10_000
+MAX_CHARACTERS = 10_000
 """Characters of an expression; the parser of longer ones may use up the stack."""
 
 
@@ -34,8 +34,8 @@ def check_expression(text: str) -> None:
     Raises:
         InputError: It names what leads to Python itself, or is longer than any sensible one. Bad syntax passes: xacro says it.
     """
-    if len(text) > LONGEST:
-        raise InputError(f"an expression of {len(text)} characters; at most {LONGEST} are evaluated")
+    if len(text) > MAX_CHARACTERS:
+        raise InputError(f"an expression of {len(text)} characters; at most {MAX_CHARACTERS} are evaluated")
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError):
@@ -44,14 +44,14 @@ def check_expression(text: str) -> None:
         if (name := _named(node)) and (name in _FORBIDDEN or name.startswith(_INSIDES)) and name != "_":
             raise InputError(f"the expression '{' '.join(text.split())[:80]}' may not use {name}")
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and not _small(node.right):
-            said = f"the expression '{' '.join(text.split())[:80]}' raises to a power that is no number up to {_LARGEST_POWER}"
+            said = f"the expression '{' '.join(text.split())[:80]}' raises to a power that is no number up to {_MAX_EXPONENT}"
             raise InputError(f"{said}; math.pow does")
 
 
 def _small(power: ast.expr) -> bool:
     """Tell whether an exponent is written out and small: 9**9**9 would be computed to its last digit."""
     power = power.operand if isinstance(power, ast.UnaryOp) else power
-    return isinstance(power, ast.Constant) and isinstance(power.value, int | float) and power.value <= _LARGEST_POWER
+    return isinstance(power, ast.Constant) and isinstance(power.value, int | float) and power.value <= _MAX_EXPONENT
 
 
 def _named(node: ast.AST) -> str:

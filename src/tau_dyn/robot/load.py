@@ -16,15 +16,15 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.files import sha256_of
+from tau_dyn.files import compute_sha256
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotations
 from tau_dyn.robot.expand import expand, find_robot
-from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, inertial_parameters
+from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 
 TOOL_NAMES = ("tool", "tool0", "flange", "tcp", "ee_link", "end_effector")
 """Usual names of a tool frame, the first that exists counts: our own files', ROS-Industrial's, and those of common arms."""
-MOST_FREEDOMS = 300
+MAX_DEGREES_OF_FREEDOM = 300
 """Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
 
 
@@ -54,10 +54,12 @@ def load_robot(
     path = find_robot(robot)
     urdf = expand(path, arguments, evaluate=xacro)
     given = {k: str(v) for k, v in arguments.items()}
-    return robot_from_urdf(urdf, str(robot), actuated=actuated, tool=tool, arguments=given, sha256=sha256_of(path))
+    return load_robot_from_urdf(
+        urdf, str(robot), actuated=actuated, tool=tool, arguments=given, sha256=compute_sha256(path)
+    )
 
 
-def robot_from_urdf(
+def load_robot_from_urdf(
     urdf: str,
     source: str,
     *,
@@ -128,8 +130,10 @@ def _build_model(urdf: str, where: str) -> pin.Model:
         raise InputError(f"{where}: Pinocchio cannot build the tree: {' '.join(words.split()) or reason}")
     if model.nv == 0:
         raise InputError(f"{where}: the robot has no movable joint")
-    if model.nv > MOST_FREEDOMS:
-        raise InputError(f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MOST_FREEDOMS} at most")
+    if model.nv > MAX_DEGREES_OF_FREEDOM:
+        raise InputError(
+            f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MAX_DEGREES_OF_FREEDOM} at most"
+        )
     return model
 
 
@@ -229,7 +233,7 @@ def _links(model: pin.Model, notes: Annotations, warnings: list[str]) -> tuple[L
 
 def _parameters(links: tuple[LinkInertia, ...], armature_units: dict[str, str], notes: Annotations) -> Parameters:
     armature = {t.joint: t.armature for t in notes.transmissions if t.armature is not None}
-    rows = [p for link in links for p in inertial_parameters(link)]
+    rows = [p for link in links for p in get_inertial_parameters(link)]
     for joint, unit in armature_units.items():
         origin = "robot file" if joint in armature else NOT_GIVEN
         rows.append(Parameter(f"{joint}.armature", armature.get(joint, 0.0), unit, 0.0, free=False, origin=origin))

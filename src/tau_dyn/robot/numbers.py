@@ -18,10 +18,10 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _LIMITS = ("lower", "upper", "velocity", "effort")
 
 
-DEEPEST = 100
+MAX_LEVELS = 100
 """Levels of a robot file; parsers go down one call a level."""
 
-MOST_LINKS = 1000
+MAX_LINKS = 1000
 """Links of a robot; Pinocchio's tables grow with their square."""
 
 
@@ -42,17 +42,19 @@ def check_tree(root: Element, where: str) -> None:
     """
     _refuse_deep(root, list, where)
     links = len(root.findall("link"))
-    if links > MOST_LINKS:
-        raise InputError(f"{where}: {links} links; a robot has {MOST_LINKS} at most")
+    if links > MAX_LINKS:
+        raise InputError(f"{where}: {links} links; a robot has {MAX_LINKS} at most")
 
 
 def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str) -> None:
     level = [root]
-    for _ in range(DEEPEST):
+    for _ in range(MAX_LEVELS):
         level = [child for node in level for child in children(node)]
         if not level:
             return
-    raise InputError(f"{where}: elements stand more than {DEEPEST} deep inside each other; a robot file has few levels")
+    raise InputError(
+        f"{where}: elements stand more than {MAX_LEVELS} deep inside each other; a robot file has few levels"
+    )
 
 
 def check_parents(root: Element, where: str) -> None:
@@ -124,11 +126,11 @@ def _check(parent: Element, tag: str, names: tuple[str, ...], count: int, place:
 
 
 def _are_numbers(text: str, count: int) -> bool:
-    values = numbers_in(text)
+    values = parse_numbers(text)
     return len(values) == count and all(map(isfinite, values))
 
 
-def numbers_in(text: str) -> tuple[float, ...]:
+def parse_numbers(text: str) -> tuple[float, ...]:
     """Return the numbers that a text lists between blanks; none where one word is no number."""
     try:
         return tuple(float(word) for word in text.split())

@@ -200,7 +200,7 @@ class Robot(Shown):
             extra = {k for k in range(10) if f"{link.link}.{INERTIAL[k]}" in wanted}
             links.append(replace(link, own=tuple(sorted({*link.own, *extra}))))
         old = {p.name: p for p in self.parameters}
-        inertial = [old.get(p.name, p) for link in links for p in inertial_parameters(link)]
+        inertial = [old.get(p.name, p) for link in links for p in get_inertial_parameters(link)]
         taken = {p.name for p in inertial}
         rest = [p for p in self.parameters if p.name not in taken]
         return replace(self, links=tuple(links), parameters=Parameters([*inertial, *rest]))
@@ -221,7 +221,7 @@ class Robot(Shown):
         return np.where(one_number, _finite_or(limit[self.active_q], default), default)
 
 
-def inertial_parameters(link: LinkInertia) -> list[Parameter]:
+def get_inertial_parameters(link: LinkInertia) -> list[Parameter]:
     """Return a link's own parameters at their nominal values."""
     rows = []
     for k in link.own:
@@ -230,7 +230,7 @@ def inertial_parameters(link: LinkInertia) -> list[Parameter]:
     return rows
 
 
-def inertia_matrix(pi: np.ndarray) -> np.ndarray:
+def compute_inertia_matrix(pi: np.ndarray) -> np.ndarray:
     """Return the inertia matrix (3, 3) about the joint frame's origin of ten inertial numbers in Pinocchio's order [kg m^2]."""
     xx, xy, yy, xz, yz, zz = pi[4:]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -240,7 +240,9 @@ def _inertia(pi: np.ndarray) -> pin.Inertia:
     """Return a body of ten inertial numbers; Pinocchio divides by the mass, which an estimate may find to be nothing."""
     if pi[0] == 0 and not pi[1:4].any():
         found = pin.Inertia.Zero()
-        found.inertia = inertia_matrix(pi)  # its constructor takes no negative ones, which an estimate may find, too
+        found.inertia = compute_inertia_matrix(
+            pi
+        )  # its constructor takes no negative ones, which an estimate may find, too
         return found
     return pin.Inertia.FromDynamicParameters(pi)
 

@@ -50,7 +50,7 @@ def run_journaled(
         InputError: The journal is of something else, of other code, damaged, or another process writes to it.
     """
     items = list(items)
-    head = {"about": _as_read(dict(about or {})), "version": __version__, "code": code_hash()}
+    head = {"about": _as_read(dict(about or {})), "version": __version__, "code": compute_code_hash()}
     with _opened(Path(path)) as file:
         done = _done(file, Path(path), head)
         rest = run_many(function, [i for i in items if name(i) not in done], cluster=cluster, jobs=jobs)
@@ -63,7 +63,7 @@ def run_journaled(
 
 
 @lru_cache(maxsize=1)
-def code_hash() -> str:
+def compute_code_hash() -> str:
     """Return a hash of this package's source: results of two versions must not meet in one table."""
     root, digest = Path(__file__).resolve().parents[1], hashlib.sha256()
     for file in sorted(root.rglob("*.py")):

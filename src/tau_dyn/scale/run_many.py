@@ -69,7 +69,7 @@ def run_many(
     yield from run_on_workers(prepare, items, cluster=cluster, jobs=jobs, ahead=_AHEAD)
 
 
-def in_order(submit: Callable[[Item], Any], items: Iterable[Item], ahead: int) -> Iterator[Any]:
+def iterate_in_order(submit: Callable[[Item], Any], items: Iterable[Item], ahead: int) -> Iterator[Any]:
     """Yield the results of submitted items in their order, with only so many under way; what `submit` returns has `result()`."""
     rest = iter(items)
     waiting = deque(submit(item) for item in islice(rest, ahead))
@@ -97,7 +97,7 @@ def run_on_workers(
         ahead: Items under way for each worker.
 
     Raises:
-        InputError: As `connected`.
+        InputError: As `connect_client`.
         TauDynError: No worker is left, or an item ends each worker that takes it.
     """
     queue = _Queue(iter(items))
@@ -125,10 +125,10 @@ def _remedy(cluster: str | None) -> str:
 
 @contextmanager
 def _started(cluster: str | None, jobs: int) -> Iterator[Any]:
-    """Give a client as `connected`; an embedded cluster that does not start has lost its workers."""
+    """Give a client as `connect_client`; an embedded cluster that does not start has lost its workers."""
     with ExitStack() as stack:
         try:
-            client = stack.enter_context(connected(cluster, jobs))
+            client = stack.enter_context(connect_client(cluster, jobs))
         except (OSError, RuntimeError) as fault:
             raise _WorkersLost(f"no worker process starts ({type(fault).__name__})") from fault
         yield client
@@ -189,7 +189,7 @@ def _count_workers(client: Any) -> int:
 
 
 @contextmanager
-def connected(cluster: str | None, jobs: int) -> Iterator[Any]:
+def connect_client(cluster: str | None, jobs: int) -> Iterator[Any]:
     """Give a Dask client of a cluster, or of as many processes on this machine as there are jobs."""
     try:
         from dask import config  # pyright: ignore[reportPrivateImportUsage]
@@ -234,6 +234,6 @@ def _close(local: Any) -> None:
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
-def cores() -> int:
+def count_cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

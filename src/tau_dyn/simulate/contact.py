@@ -16,15 +16,15 @@ from typing import Protocol
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.simulate.contact_arm import Pose, ServoArm
+from tau_dyn.simulate.contact_arm import ContactPose, ServoArm
 from tau_dyn.simulate.contact_hand import Hand
-from tau_dyn.simulate.contact_work import Work
+from tau_dyn.simulate.contact_work import ContactWorkpiece
 
 Reading = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """A wrench at the tool point in world axes (6,) and the tool's rotation to what a sensor shows, as `ForceSensor.reading`."""
 
 
-class Law(Protocol):
+class LeadThroughLaw(Protocol):
     """A lead-through controller."""
 
     in_contact: bool
@@ -36,7 +36,7 @@ class Law(Protocol):
         ...
 
     def __call__(
-        self, handle_wrench: np.ndarray, tool_wrench: np.ndarray, pose: Pose, time: float | None = None
+        self, handle_wrench: np.ndarray, tool_wrench: np.ndarray, pose: ContactPose, time: float | None = None
     ) -> np.ndarray:
         """Return the tool velocity to command (6,)."""
         ...
@@ -96,8 +96,8 @@ class ContactRun:
 
 def run_contact(
     arm: ServoArm,
-    law: Law,
-    work: Work,
+    law: LeadThroughLaw,
+    work: ContactWorkpiece,
     hand: Hand,
     duration: float,
     *,

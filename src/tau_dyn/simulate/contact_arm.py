@@ -20,7 +20,7 @@ _SINGULAR = 0.02
 _TOOLS = ("tool", "tool0")
 
 
-class Pose(NamedTuple):
+class ContactPose(NamedTuple):
     """Where the tool is: `position` (3,) [m] and `rotation` (3, 3) in the world."""
 
     position: np.ndarray
@@ -81,7 +81,7 @@ class ServoArm:
 
     def _look(self) -> None:
         at = self._placement()
-        self.pose = Pose(at.translation.copy(), at.rotation.copy())
+        self.pose = ContactPose(at.translation.copy(), at.rotation.copy())
         jacobian = pin.computeFrameJacobian(
             self._model, self._data, self._all, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )[:, self._columns]

@@ -18,7 +18,7 @@ from tau_dyn.exceptions import InputError
 _RUB = 2e-3  # [m/s] over which a peg's friction turns its sign
 
 
-class Work(Protocol):
+class ContactWorkpiece(Protocol):
     """Something a tool touches."""
 
     def reset(self) -> None:
@@ -164,14 +164,14 @@ class Hole:
         deep = -float(self.axis @ offset)
         if deep <= 0:
             return np.zeros(6)
-        force = self._at_tip(offset, deep, twist[:3] + cross(twist[3:], reach))
-        out = np.concatenate([force, cross(reach, force)])
+        force = self._at_tip(offset, deep, twist[:3] + compute_cross_product(twist[3:], reach))
+        out = np.concatenate([force, compute_cross_product(reach, force)])
         back = -rotation[:, 2]  # from the tip up the peg
         rise = deep - self.chamfer
         if rise > 0 and back @ self.axis > 0.1:
             arm = back * rise / (back @ self.axis)
-            force = self._at_wall(offset + arm, twist[:3] + cross(twist[3:], reach + arm))
-            out += np.concatenate([force, cross(reach + arm, force)])
+            force = self._at_wall(offset + arm, twist[:3] + compute_cross_product(twist[3:], reach + arm))
+            out += np.concatenate([force, compute_cross_product(reach + arm, force)])
         return out
 
     def _at_tip(self, offset: np.ndarray, deep: float, speed: np.ndarray) -> np.ndarray:
@@ -205,7 +205,7 @@ class Hole:
         return press * normal - rub
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def compute_cross_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return a x b of two vectors (3,), which is faster than NumPy's for just two."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 

@@ -52,7 +52,7 @@ class VibrationSensors:
         return cls(encoder_noise=1e-6, tool_noise=1e-5, accelerometer_hz=None)
 
 
-def vibration_log(
+def simulate_vibration_log(
     flexible: Linearised,
     reference: np.ndarray,
     force: np.ndarray,
@@ -99,7 +99,7 @@ def vibration_log(
     return Log(np.arange(len(y), dtype=np.float64) * float(dt), channels, name)
 
 
-def binary_log(
+def simulate_binary_log(
     flexible: Linearised,
     *,
     duration: float = 60.0,
@@ -142,7 +142,7 @@ def binary_log(
     for k, joint in enumerate(moved):
         shifted = np.roll(sequence, k * (len(sequence) // len(moved)))[:jumps]
         reference[:, flexible.robot.actuated.index(joint)] = amplitude * np.repeat(shifted, hold)[:n]
-    return vibration_log(
+    return simulate_vibration_log(
         flexible, reference, np.zeros((n, 3)), 1 / rate_hz, drives=drives, sensors=sensors, seed=seed, name=name
     )
 
@@ -195,7 +195,9 @@ def push_log(
         force[k * share + first : k * share + first + steps, column] = impulse * rate_hz * shape / shape.sum()
     still = np.zeros((n, flexible.na))
     name = name or f"push {directions}"
-    return vibration_log(flexible, still, force, 1 / rate_hz, drives=drives, sensors=sensors, seed=seed, name=name)
+    return simulate_vibration_log(
+        flexible, still, force, 1 / rate_hz, drives=drives, sensors=sensors, seed=seed, name=name
+    )
 
 
 def _samples(duration: float, rate_hz: float) -> int:

@@ -17,7 +17,7 @@ from tau_dyn.effects import Effect, Hysteresis, JointMotion, JointwiseEffect, Mo
 from tau_dyn.effects.state import on_recording
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
-from tau_dyn.simulate.memory import Memory, Surroundings, batch
+from tau_dyn.simulate.memory import EffectSurroundings, Memory, repeat_signals
 
 _PROBES = 8  # states, by chance, at which an effect is asked whether it feels accelerations; sin(q) a is silent at zero
 _REMEMBERED = frozenset({"temperature", "campaign", "reversal"})
@@ -27,7 +27,7 @@ _KNOWN = _REMEMBERED | BY_STATE
 class SampledForces:
     """Forces of a model's effects at one sample; `memory` is advanced by whoever moves the robot."""
 
-    def __init__(self, model: Model, surroundings: Surroundings | None = None) -> None:
+    def __init__(self, model: Model, surroundings: EffectSurroundings | None = None) -> None:
         """Look values up once; effects that act joint by joint are later asked for all joints in one call.
 
         Raises:
@@ -131,7 +131,7 @@ class SampledForces:
         """Return `len(a)` samples at one place and speed, with the signals that an effect feels."""
         n = len(a)
         places, speeds = np.tile(q, (n, 1)), np.tile(v, (n, 1))
-        signals = batch(self.memory.signals(effect), n)
+        signals = repeat_signals(self.memory.signals(effect), n)
         signals |= {
             name: COMPUTED[name](self.model.mechanism, places, speeds, a) for name in effect.needs if name in COMPUTED
         }

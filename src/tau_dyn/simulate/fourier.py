@@ -3,7 +3,7 @@
     q_j(t) = home_j + w(t) sum_h A_jh sin(2 pi f_jh t + phi_jh),
 
 with a smooth window `w` that starts and ends at rest. Low harmonics are as large as the range allows, high ones as fast as
-the speed allows. `exciting_motion` tries many and keeps the one whose base regressor, with columns of unit length, has the
+the speed allows. `build_exciting_motion` tries many and keeps the one whose base regressor, with columns of unit length, has the
 smallest condition number. Reference: Swevers et al. 1997; Gautier & Khalil 1992 (the criterion).
 """
 
@@ -16,15 +16,15 @@ import numpy as np
 from tau_dyn.estimate import find_base
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
-from tau_dyn.simulate.limits import scaled_to_limits
-from tau_dyn.simulate.profiles import Path, window, windowed
+from tau_dyn.simulate.limits import scale_to_limits
+from tau_dyn.simulate.profiles import MotionProfile, apply_window, build_window
 from tau_dyn.simulate.trajectory import Trajectory
 
 RATE_HZ = 1000.0
 """Sampling rate of generated motions [Hz]."""
 
 
-def reach(model: Model) -> np.ndarray:
+def compute_reach(model: Model) -> np.ndarray:
     """Return how far each joint may go from home to both sides (na,): 95 % of the room, 0.4 m or 1 rad without limits."""
     robot = model.robot
     room = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
@@ -37,25 +37,25 @@ def reach(model: Model) -> np.ndarray:
     return np.where(np.isfinite(room), 0.95 * room, default)
 
 
-def top_speed(model: Model) -> np.ndarray:
+def compute_top_speed(model: Model) -> np.ndarray:
     """Return the highest speed motions aim at (na,): 90 % of the limit, at most 1 m/s or 2 rad/s."""
     default = np.where([unit == "m" for unit in model.robot.position_units], 1.0, 2.0)
     return np.minimum(0.9 * model.robot.velocity_limit, default)
 
 
-def clock(duration: float, shortest: float, name: str) -> np.ndarray:
+def build_clock(duration: float, shortest: float, name: str) -> np.ndarray:
     """Return times (N,) [s] at 1 kHz; a motion shorter than `shortest` [s] is refused."""
     if not shortest <= duration <= 3600:
         raise InputError(f"a {name} motion takes between {shortest:g} s and an hour, not {duration:g} s")
     return np.arange(round(duration * RATE_HZ) + 1) / RATE_HZ
 
 
-def about_home(model: Model, t: np.ndarray, path: Path, name: str) -> Trajectory:
+def shift_to_home(model: Model, t: np.ndarray, path: MotionProfile, name: str) -> Trajectory:
     """Return home plus a path (N, na) as a trajectory."""
     return Trajectory(model.robot.actuated, t, model.robot.home + path.q, path.v, path.a, name)
 
 
-def fourier_motion(
+def build_fourier_motion(
     model: Model,
     duration: float = 20.0,
     seed: int = 0,
@@ -77,32 +77,35 @@ def fourier_motion(
     Raises:
         InputError: The motion is too short, or nothing around home is within the limits.
     """
-    t = clock(duration, 4.0, "fourier")
+    t = build_clock(duration, 4.0, "fourier")
     rng = np.random.default_rng(seed)
     na = model.robot.na
     f = np.linspace(slow_hz, fast_hz, harmonics) * (1 + 0.1 * np.arange(na)[:, None] / na)
-    widest, fastest = reach(model)[:, None], top_speed(model)[:, None]
+    widest, fastest = compute_reach(model)[:, None], compute_top_speed(model)[:, None]
     amplitude = rng.uniform(0.3, 1.0, f.shape) * np.minimum(widest, fastest / (2 * np.pi * f))
-    path = windowed(
-        sines(t, f, amplitude, rng.uniform(0, 2 * np.pi, f.shape)), window(t, duration, min(1.0, duration / 4))
+    path = apply_window(
+        sum_sines(t, f, amplitude, rng.uniform(0, 2 * np.pi, f.shape)),
+        build_window(t, duration, min(1.0, duration / 4)),
     )
-    full = _at_limits(path, reach(model), top_speed(model))
-    return scaled_to_limits(model, lambda x: about_home(model, t, Path(*(x * p for p in full)), "fourier"), "fourier")
+    full = _at_limits(path, compute_reach(model), compute_top_speed(model))
+    return scale_to_limits(
+        model, lambda x: shift_to_home(model, t, MotionProfile(*(x * p for p in full)), "fourier"), "fourier"
+    )
 
 
-def exciting_motion(
+def build_exciting_motion(
     model: Model, duration: float = 20.0, seed: int = 0, *, trials: int = 30, harmonics: int = 5
 ) -> Trajectory:
     """Return the best conditioned of `trials` random Fourier motions; its note says the condition number.
 
     Raises:
-        InputError: As `fourier_motion`; or fewer than one trial is asked for.
+        InputError: As `build_fourier_motion`; or fewer than one trial is asked for.
     """
     if trials < 1:
         raise InputError(f"a search needs at least one trial, not {trials}")
     seeds = np.random.default_rng(seed).integers(2**31, size=trials)  # neighbouring seeds must not share trials
-    motions = [fourier_motion(model, duration, int(k), harmonics=harmonics) for k in seeds]
-    conditions = [base_condition(model, motion) for motion in motions]
+    motions = [build_fourier_motion(model, duration, int(k), harmonics=harmonics) for k in seeds]
+    conditions = [compute_base_condition(model, motion) for motion in motions]
     best = motions[int(np.argmin(conditions))]
     note = (
         f"the best of {trials} Fourier motions: condition number {min(conditions):.3g} of the base regressor with unit "
@@ -111,7 +114,7 @@ def exciting_motion(
     return replace(best, name="exciting", notes=(*best.notes, note))
 
 
-def base_condition(model: Model, motion: Trajectory, samples: int = 400) -> float:
+def compute_base_condition(model: Model, motion: Trajectory, samples: int = 400) -> float:
     """Return the condition number of the base regressor along a motion, columns scaled to unit length.
 
     Columns are those of the free parameters that a single state shows, dependent ones regrouped (Gautier 1991).
@@ -127,15 +130,15 @@ def base_condition(model: Model, motion: Trajectory, samples: int = 400) -> floa
     return float(np.linalg.cond(kept / np.linalg.norm(kept, axis=0)))
 
 
-def sines(t: np.ndarray, f: np.ndarray, amplitude: np.ndarray, phase: np.ndarray) -> Path:
+def sum_sines(t: np.ndarray, f: np.ndarray, amplitude: np.ndarray, phase: np.ndarray) -> MotionProfile:
     """Return sums of sines (N, na); frequencies, amplitudes and phases are (na, n)."""
     w = 2 * np.pi * f
     angle = t[:, None, None] * w + phase
     sine, cosine = np.sin(angle), np.cos(angle)
-    return Path(*((amplitude * x).sum(axis=2) for x in (sine, w * cosine, -(w**2) * sine)))
+    return MotionProfile(*((amplitude * x).sum(axis=2) for x in (sine, w * cosine, -(w**2) * sine)))
 
 
-def _at_limits(path: Path, widest: np.ndarray, fastest: np.ndarray) -> Path:
+def _at_limits(path: MotionProfile, widest: np.ndarray, fastest: np.ndarray) -> MotionProfile:
     """Scale each joint (N, na) to its full range or full speed, whichever comes first."""
     gain = np.minimum(widest / np.max(np.abs(path.q), axis=0), fastest / np.max(np.abs(path.v), axis=0))
-    return Path(*(gain * x for x in path))
+    return MotionProfile(*(gain * x for x in path))

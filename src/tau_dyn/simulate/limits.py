@@ -20,12 +20,12 @@ CHECKED_SAMPLES = 400
 _SLACK = 1e-9
 
 
-def condition_bound(model: Model) -> float:
+def compute_condition_bound(model: Model) -> float:
     """Return the conditioning of the loops that a motion should not exceed: five times home's, at least 20."""
     return max(20.0, 5 * float(model.mechanism.condition(model.robot.home[None])[0]))
 
 
-def broken_limit(
+def describe_exceeded_limit(
     model: Model, motion: Trajectory, *, margin: float = 0.0, condition: float | None = None, forces: bool = True
 ) -> str | None:
     """Return what hinders the robot from following a motion, as half a sentence, or None.
@@ -34,7 +34,7 @@ def broken_limit(
         model: Robot and friction.
         motion: The motion.
         margin: Share of each limit that must stay unused.
-        condition: Largest conditioning of the loops; by default `condition_bound`.
+        condition: Largest conditioning of the loops; by default `compute_condition_bound`.
         forces: Whether to check forces.
     """
     robot, share = model.robot, 1 - margin
@@ -47,7 +47,7 @@ def broken_limit(
         if np.max(excess) > _SLACK:
             return _sentence(model, motion, excess, values, unit, limit)
     few = _telling(motion)
-    loops = _broken_loops(model, few, condition_bound(model) if condition is None else condition)
+    loops = _broken_loops(model, few, compute_condition_bound(model) if condition is None else condition)
     if loops or not forces:
         return loops
     tau = model.steady().torque(few.q, few.v, few.a)
@@ -55,16 +55,16 @@ def broken_limit(
     return _sentence(model, few, excess, tau, "force", robot.effort_limit) if np.max(excess) > _SLACK else None
 
 
-def scaled_to_limits(model: Model, build: Callable[[float], Trajectory], name: str) -> Trajectory:
+def scale_to_limits(model: Model, build: Callable[[float], Trajectory], name: str) -> Trajectory:
     """Return the largest motion that keeps 5 % from all limits: `build(share)` for share = 1, 0.9, 0.81, ...
 
     Raises:
         InputError: Even a motion of 1 % is outside; the message names the limit.
     """
-    bound, broken = condition_bound(model), None
+    bound, broken = compute_condition_bound(model), None
     for share in 0.9 ** np.arange(44):
         motion = build(float(share))
-        fault = broken_limit(model, motion, margin=0.05, condition=bound)
+        fault = describe_exceeded_limit(model, motion, margin=0.05, condition=bound)
         if fault is None:
             return motion if share == 1 else _noted(motion, float(share), str(broken))
         broken = broken or fault

@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.effects import Delay, DisplacementEffect, Motion
 from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
-from tau_dyn.effects.drive_lag import lowpass_first_order
+from tau_dyn.effects.drive_lag import apply_first_order_lowpass
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
 from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.effects.state import on_recording
@@ -23,7 +23,7 @@ from tau_dyn.effects.timing import TimingEffect
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.model import COMPUTED, Model
-from tau_dyn.simulate.memory import Memory, batch, warming_up
+from tau_dyn.simulate.memory import Memory, repeat_signals, warming_up
 from tau_dyn.simulate.plant import PlantRun
 
 _FOR_FORCES = frozenset(DisplacementEffect.needs)
@@ -52,13 +52,13 @@ class EncoderErrors:
         self._last = np.array(q)
         shown, none = np.array(q), np.zeros((1, self._na))
         for effect, values in self._effects:
-            signals = batch(self._memory.signals(effect), 1)
+            signals = repeat_signals(self._memory.signals(effect), 1)
             motion = Motion.of(self._joints, q[None], none, none, self._memory.heading[None], signals=signals)
             shown += effect.displacement(motion)[0] @ values
         return shown
 
 
-def recorded(run: PlantRun) -> PlantRun:
+def record_run(run: PlantRun) -> PlantRun:
     """Return a run with what perfect sensors show of it beside what happened; see `PlantRun`.
 
     Raises:
@@ -78,7 +78,7 @@ def recorded(run: PlantRun) -> PlantRun:
     return replace(run, q_shown=shown, q_read=read, tau_shown=_late(run), tool_shown=_shifted_tool(run))
 
 
-def temperatures(run: PlantRun) -> dict[str, np.ndarray]:
+def get_temperatures(run: PlantRun) -> dict[str, np.ndarray]:
     """Return the room's temperature (N,) as a log's channel, where an effect follows it."""
     feels = any("temperature" in effect.needs for effect in run.model.effects)
     return {ROOM_TEMPERATURE: warming_up(run.t - run.t[0])} if feels else {}
@@ -115,7 +115,7 @@ def _late(run: PlantRun) -> np.ndarray | None:
             total[index] += run.model.effect_parameters[effect.parameters.names[0]].value
     if not (late.any() or lag.any()):
         return None
-    shown = [lowpass_first_order(force, run.t, x) for x, force in zip(lag, run.tau.T, strict=True)]
+    shown = [apply_first_order_lowpass(force, run.t, x) for x, force in zip(lag, run.tau.T, strict=True)]
     return np.column_stack([np.interp(run.t - d, run.t, force) for d, force in zip(late, shown, strict=True)])
 
 

@@ -25,7 +25,7 @@ def warming_up(t: float | np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class EffectSurroundings:
     """Where the robot stands.
 
     Attributes:
@@ -40,9 +40,9 @@ class Surroundings:
 class Memory:
     """Signals that effects remember, advanced from sample to sample."""
 
-    def __init__(self, effects: Iterable[Effect], na: int, surroundings: Surroundings | None = None) -> None:
+    def __init__(self, effects: Iterable[Effect], na: int, surroundings: EffectSurroundings | None = None) -> None:
         """Start in equilibrium at time zero."""
-        self.surroundings, self._na, self._t = surroundings or Surroundings(), na, 0.0
+        self.surroundings, self._na, self._t = surroundings or EffectSurroundings(), na, 0.0
         effects = tuple(effects)
         start = self._temperature()
         self._warm = {id(e): start for e in effects if "temperature" in e.needs}
@@ -82,6 +82,6 @@ class Memory:
         return np.broadcast_to(np.asarray(self.surroundings.temperature(self._t), float), (self._na,))
 
 
-def batch(signals: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
+def repeat_signals(signals: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
     """Return signals (na,) of one sample repeated for `n` samples (n, na)."""
     return {key: np.tile(x, (n, 1)) for key, x in signals.items()}

@@ -19,9 +19,26 @@ import numpy as np
 
 from tau_dyn.exceptions import UnknownName
 from tau_dyn.model import Model
-from tau_dyn.simulate.fourier import about_home, clock, exciting_motion, fourier_motion, reach, sines, top_speed
-from tau_dyn.simulate.limits import scaled_to_limits
-from tau_dyn.simulate.profiles import TURNING, Path, Segment, ramp_time, speed_path, there_and_back, window, windowed
+from tau_dyn.simulate.fourier import (
+    build_clock,
+    build_exciting_motion,
+    build_fourier_motion,
+    compute_reach,
+    compute_top_speed,
+    shift_to_home,
+    sum_sines,
+)
+from tau_dyn.simulate.limits import scale_to_limits
+from tau_dyn.simulate.profiles import (
+    TURNING,
+    MotionProfile,
+    Segment,
+    apply_window,
+    build_speed_profile,
+    build_stroke_profile,
+    build_window,
+    compute_ramp_time,
+)
 from tau_dyn.simulate.trajectory import Trajectory
 
 ACCELERATION = 6.0
@@ -32,7 +49,7 @@ STROKE_SHARE = 0.3
 """Speed of the strokes under a multisine, as a share of the highest."""
 
 
-def slow_motion(model: Model, duration: float = 20.0, seed: int = 0, *, speed: float | None = None) -> Trajectory:
+def build_slow_motion(model: Model, duration: float = 20.0, seed: int = 0, *, speed: float | None = None) -> Trajectory:
     """Return a small slow circle: each joint the same sine, their phases spread over a turn.
 
     Args:
@@ -41,16 +58,18 @@ def slow_motion(model: Model, duration: float = 20.0, seed: int = 0, *, speed: f
         seed: Of the common phase.
         speed: Highest speed [m/s or rad/s]; by default 6 % of the fastest motions', at about one reversal a second.
     """
-    t = clock(duration, 4.0, "slow")
-    na, fastest = model.robot.na, top_speed(model)
+    t = build_clock(duration, 4.0, "slow")
+    na, fastest = model.robot.na, compute_top_speed(model)
     speeds = 0.06 * fastest if speed is None else np.full(na, float(speed))
     f = 0.5 * (1 + 0.05 * np.arange(na)[:, None])
     phase = np.random.default_rng(seed).uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(na)[:, None] / na
-    path = windowed(sines(t, f, speeds[:, None] / (2 * np.pi * f), phase), window(t, duration, 1.0))
-    return scaled_to_limits(model, lambda x: about_home(model, t, Path(*(x * p for p in path)), "slow"), "slow")
+    path = apply_window(sum_sines(t, f, speeds[:, None] / (2 * np.pi * f), phase), build_window(t, duration, 1.0))
+    return scale_to_limits(
+        model, lambda x: shift_to_home(model, t, MotionProfile(*(x * p for p in path)), "slow"), "slow"
+    )
 
 
-def stroke_motion(
+def build_stroke_motion(
     model: Model, duration: float = 40.0, seed: int = 0, *, speeds: Sequence[float] = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 ) -> Trajectory:
     """Return round trips at constant speeds, all joints together, then against each other, then each alone.
@@ -64,17 +83,17 @@ def stroke_motion(
     Where the way is too short for a speed it is lowered; where it is too long for a slow one the trip is shortened to
     about a second in each direction.
     """
-    t = clock(duration, 6.0, "strokes")
+    t = build_clock(duration, 6.0, "strokes")
     shares = np.random.default_rng(seed).permutation(np.asarray(speeds, float))
-    return scaled_to_limits(
-        model, lambda x: about_home(model, t, _strokes(model, t, shares, x, 0.6)[0], "strokes"), "strokes"
+    return scale_to_limits(
+        model, lambda x: shift_to_home(model, t, _strokes(model, t, shares, x, 0.6)[0], "strokes"), "strokes"
     )
 
 
-def multisine_on_stroke(
+def build_multisine_on_stroke(
     model: Model, duration: float = 30.0, seed: int = 0, *, band_hz: tuple[float, float] = (2.0, 14.0), lines: int = 24
 ) -> Trajectory:
-    """Return strokes at 30 % of the highest speed, in the patterns of `stroke_motion`, with a multisine riding on them.
+    """Return strokes at 30 % of the highest speed, in the patterns of `build_stroke_motion`, with a multisine riding on them.
 
     Args:
         model: The robot.
@@ -85,10 +104,10 @@ def multisine_on_stroke(
 
     Lines have equal acceleration. Together they stay below 60 % of the stroke's speed, so only the stroke reverses.
     """
-    t = clock(duration, 6.0, "multisine")
-    na, fastest, rng = model.robot.na, top_speed(model), np.random.default_rng(seed)
+    t = build_clock(duration, 6.0, "multisine")
+    na, fastest, rng = model.robot.na, compute_top_speed(model), np.random.default_rng(seed)
     f = band_hz[0] + (band_hz[1] - band_hz[0]) * (np.arange(lines) + np.arange(na)[:, None] / na) / lines
-    ripple = sines(t, f, 1 / (2 * np.pi * f) ** 2, rng.uniform(0, 2 * np.pi, f.shape))
+    ripple = sum_sines(t, f, 1 / (2 * np.pi * f) ** 2, rng.uniform(0, 2 * np.pi, f.shape))
     gain = 0.6 * STROKE_SHARE * fastest / np.max(np.abs(ripple.v), axis=0)
 
     def build(share: float) -> Trajectory:
@@ -96,13 +115,17 @@ def multisine_on_stroke(
             duration / (4 * np.ceil(duration / 6)) - 0.06 / share
         )  # of trips that fill the time; ramps take the rest
         stroke, end = _strokes(model, t, np.array([STROKE_SHARE]), share, max(longest, 0.2))
-        riding = windowed(Path(*(share * gain * x for x in ripple)), window(t, end, 1.0))
-        return about_home(model, t, Path(*(x + y for x, y in zip(stroke, riding, strict=True))), "multisine")
+        riding = apply_window(MotionProfile(*(share * gain * x for x in ripple)), build_window(t, end, 1.0))
+        return shift_to_home(
+            model, t, MotionProfile(*(x + y for x, y in zip(stroke, riding, strict=True))), "multisine"
+        )
 
-    return scaled_to_limits(model, build, "multisine")
+    return scale_to_limits(model, build, "multisine")
 
 
-def random_binary_motion(model: Model, duration: float = 20.0, seed: int = 0, *, share: float = 0.8) -> Trajectory:
+def build_random_binary_motion(
+    model: Model, duration: float = 20.0, seed: int = 0, *, share: float = 0.8
+) -> Trajectory:
     """Return speeds that jump at random between two values, one random sequence a joint, with ramps a drive can follow.
 
     Args:
@@ -111,8 +134,8 @@ def random_binary_motion(model: Model, duration: float = 20.0, seed: int = 0, *,
         seed: Of the sequences.
         share: The speed as a share of the highest; lowered where the range is short.
     """
-    t = clock(duration, 4.0, "prbs")
-    widest, fastest = reach(model), top_speed(model)
+    t = build_clock(duration, 4.0, "prbs")
+    widest, fastest = compute_reach(model), compute_top_speed(model)
 
     def build(scale: float) -> Trajectory:
         rng = np.random.default_rng(seed)
@@ -120,23 +143,23 @@ def random_binary_motion(model: Model, duration: float = 20.0, seed: int = 0, *,
             _binary(t, scale * w, share * v, scale * ACCELERATION * v, rng)
             for w, v in zip(widest, fastest, strict=True)
         ]
-        return about_home(model, t, Path(*(np.column_stack(x) for x in zip(*paths, strict=True))), "prbs")
+        return shift_to_home(model, t, MotionProfile(*(np.column_stack(x) for x in zip(*paths, strict=True))), "prbs")
 
-    return scaled_to_limits(model, build, "prbs")
+    return scale_to_limits(model, build, "prbs")
 
 
 MOTIONS: dict[str, Callable[[Model, float, int], Trajectory]] = {
-    "exciting": exciting_motion,
-    "fourier": fourier_motion,
-    "multisine": multisine_on_stroke,
-    "prbs": random_binary_motion,
-    "slow": slow_motion,
-    "strokes": stroke_motion,
+    "exciting": build_exciting_motion,
+    "fourier": build_fourier_motion,
+    "multisine": build_multisine_on_stroke,
+    "prbs": build_random_binary_motion,
+    "slow": build_slow_motion,
+    "strokes": build_stroke_motion,
 }
 """Every motion by the name that `simulate --motion` takes."""
 
 
-def named_motion(name: str, model: Model, duration: float = 20.0, seed: int = 0) -> Trajectory:
+def build_named_motion(name: str, model: Model, duration: float = 20.0, seed: int = 0) -> Trajectory:
     """Return the motion of that name, of a length [s], within the robot's limits.
 
     Raises:
@@ -148,48 +171,50 @@ def named_motion(name: str, model: Model, duration: float = 20.0, seed: int = 0)
     return MOTIONS[name](model, duration, seed)
 
 
-def _strokes(model: Model, t: np.ndarray, shares: np.ndarray, scale: float, longest: float) -> tuple[Path, float]:
+def _strokes(
+    model: Model, t: np.ndarray, shares: np.ndarray, scale: float, longest: float
+) -> tuple[MotionProfile, float]:
     """Return round trips (N, na) through all speeds and patterns, and when the last one ends [s].
 
     Joints move together, then neighbours against each other, then (with several speeds) each joint alone.
     Along each trip the coordinate is time at the highest speed; `scale` shortens ways and softens ramps, speeds stay; half a way
     takes at most `longest` [s].
     """
-    na, fastest = model.robot.na, top_speed(model)
+    na, fastest = model.robot.na, compute_top_speed(model)
     together, against = np.ones(na), (-1.0) ** np.arange(na)
     patterns = [together] if na == 1 else [together, against, *(np.eye(na) if len(shares) > 1 else [])]
-    room = scale * reach(model) / fastest
+    room = scale * compute_reach(model) / fastest
     q, v, a = np.zeros((3, len(t), na))
     start = 0.0
     for k in count():
         pattern, speed = patterns[(k // len(shares)) % len(patterns)], float(shares[k % len(shares)])
         half = float(np.min(room[pattern != 0])) * (1.0 if pattern is together else 0.5)
-        trip = there_and_back(speed, min(half, longest * speed), ACCELERATION * scale)
+        trip = build_stroke_profile(speed, min(half, longest * speed), ACCELERATION * scale)
         end = start + sum(s.duration for s in trip)
         if end > t[-1]:
             break
         now = (t >= start) & (t < end)
-        for out, x in zip((q, v, a), speed_path(t[now] - start, trip), strict=True):
+        for out, x in zip((q, v, a), build_speed_profile(t[now] - start, trip), strict=True):
             out[now] = x[:, None] * pattern * fastest
         start = end
-    return Path(q, v, a), start
+    return MotionProfile(q, v, a), start
 
 
-def _binary(t: np.ndarray, widest: float, speed: float, acceleration: float, rng: np.random.Generator) -> Path:
+def _binary(t: np.ndarray, widest: float, speed: float, acceleration: float, rng: np.random.Generator) -> MotionProfile:
     """Return a random binary speed (N,) that stays within `widest` of its start and is at rest at both ends."""
     speed = min(speed, float(np.sqrt(widest * acceleration / 8)))
-    stop = ramp_time(speed, acceleration)
+    stop = compute_ramp_time(speed, acceleration)
     segments, place, now = [Segment(0.1, 0.0, 0.0)], 0.0, 0.0
     overshoot = TURNING * stop  # time at full speed that a reversal still goes on for
     while True:
         hold = min(float(rng.uniform(*HOLD_S)), 0.5 * widest / speed)
         wish = float(rng.choice((-speed, speed)))
         for new in (wish, -wish):  # one of them always leads inwards
-            ramp = Segment(ramp_time(new - now, acceleration) or 0.5 * hold, now, new)
+            ramp = Segment(compute_ramp_time(new - now, acceleration) or 0.5 * hold, now, new)
             ends = place + ramp.distance + new * hold
             if abs(ends + new * overshoot) <= widest:
                 break
         if sum(s.duration for s in segments) + ramp.duration + hold + stop > t[-1]:
-            return speed_path(t, [*segments, Segment(stop, now, 0.0)])
+            return build_speed_profile(t, [*segments, Segment(stop, now, 0.0)])
         segments += [ramp, Segment(hold, new, new)]
         place, now = ends, new

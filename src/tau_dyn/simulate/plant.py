@@ -25,7 +25,7 @@ from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import Controller
 from tau_dyn.simulate.forces import SampledForces
-from tau_dyn.simulate.memory import Surroundings
+from tau_dyn.simulate.memory import EffectSurroundings
 from tau_dyn.simulate.slip import Slip, solve_slip
 from tau_dyn.simulate.trajectory import Trajectory
 
@@ -106,7 +106,7 @@ class Plant:
     """One robot with its effects, stepped in time."""
 
     def __init__(
-        self, model: Model, q0: np.ndarray, v0: np.ndarray, dt: float, surroundings: Surroundings | None = None
+        self, model: Model, q0: np.ndarray, v0: np.ndarray, dt: float, surroundings: EffectSurroundings | None = None
     ) -> None:
         """Start at positions and velocities (na,) with a step of `dt` [s], by default in a room that warms up."""
         self.mechanism, self.forces, self.dt = model.mechanism, SampledForces(model, surroundings), dt

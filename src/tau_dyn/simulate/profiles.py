@@ -19,7 +19,7 @@ TURNING = 0.5 + 2 / np.pi**2
 """Way from full speed to the turning point of a reversal, over speed and half the reversal's time."""
 
 
-class Path(NamedTuple):
+class MotionProfile(NamedTuple):
     """Position, speed and acceleration along one coordinate, each (N,)."""
 
     q: np.ndarray
@@ -40,7 +40,7 @@ class Segment(NamedTuple):
         return self.duration * (self.start + self.end) / 2
 
 
-def speed_path(t: np.ndarray, segments: Sequence[Segment]) -> Path:
+def build_speed_profile(t: np.ndarray, segments: Sequence[Segment]) -> MotionProfile:
     """Return the path through segments, from zero at time zero, at times (N,); the last speed goes on after the end."""
     duration, start, end = (
         np.array(x, float) for x in zip(*segments, (np.inf, segments[-1].end, segments[-1].end), strict=True)
@@ -54,21 +54,21 @@ def speed_path(t: np.ndarray, segments: Sequence[Segment]) -> Path:
     inside = s**2 / 2 + (np.cos(_TURN * s) - 1) / _TURN**2
     finite = np.where(np.isfinite(T), T, 1.0)
     q = places[k] + start[k] * since + change * finite * inside
-    return Path(q, start[k] + change * rise, change / finite * (1 - np.cos(_TURN * s)))
+    return MotionProfile(q, start[k] + change * rise, change / finite * (1 - np.cos(_TURN * s)))
 
 
-def ramp_time(change: float, acceleration: float) -> float:
+def compute_ramp_time(change: float, acceleration: float) -> float:
     """Return how long a ramp of the speed by `change` takes if its peak acceleration is `acceleration` [s]."""
     return 2 * abs(change) / acceleration
 
 
-def there_and_back(speed: float, half: float, acceleration: float) -> list[Segment]:
+def build_stroke_profile(speed: float, half: float, acceleration: float) -> list[Segment]:
     """Return a round trip at a speed: from the middle to `+half`, to `-half` and back, starting and ending at rest.
 
     Where the ramps do not leave 40 % of the way for the constant speed, the speed is lowered until they do.
     """
     speed = min(speed, float(np.sqrt(0.6 * half * acceleration / (1 + 2 * TURNING))))
-    ramp = ramp_time(speed, acceleration)
+    ramp = compute_ramp_time(speed, acceleration)
     first = half / speed - (0.5 + TURNING) * ramp
     long = 2 * first + ramp
     return [
@@ -82,17 +82,19 @@ def there_and_back(speed: float, half: float, acceleration: float) -> list[Segme
     ]
 
 
-def window(t: np.ndarray, duration: float, rise: float) -> Path:
+def build_window(t: np.ndarray, duration: float, rise: float) -> MotionProfile:
     """Return a weight (N,) that rises from 0 to 1 within `rise` [s] and falls to 0 before `duration`, with derivatives."""
-    up = speed_path(np.clip(t, 0, rise), [Segment(rise, 0.0, 1.0)])
-    down = speed_path(np.clip(duration - t, 0, rise), [Segment(rise, 0.0, 1.0)])
+    up = build_speed_profile(np.clip(t, 0, rise), [Segment(rise, 0.0, 1.0)])
+    down = build_speed_profile(np.clip(duration - t, 0, rise), [Segment(rise, 0.0, 1.0)])
     first = t < duration / 2
     # the ramp's speed is the weight; its acceleration the weight's slope, whose slope follows analytically
     slope = [_TURN / rise**2 * np.sin(_TURN * np.clip(x, 0, rise) / rise) for x in (t, duration - t)]
-    return Path(np.where(first, up.v, down.v), np.where(first, up.a, -down.a), np.where(first, slope[0], slope[1]))
+    return MotionProfile(
+        np.where(first, up.v, down.v), np.where(first, up.a, -down.a), np.where(first, slope[0], slope[1])
+    )
 
 
-def windowed(path: Path, weight: Path) -> Path:
+def apply_window(path: MotionProfile, weight: MotionProfile) -> MotionProfile:
     """Return the product of a path (N, ...) and a weight (N,), by the product rule."""
     w, dw, ddw = (x.reshape((-1,) + (1,) * (path.q.ndim - 1)) for x in weight)
-    return Path(w * path.q, w * path.v + dw * path.q, w * path.a + 2 * dw * path.v + ddw * path.q)
+    return MotionProfile(w * path.q, w * path.v + dw * path.q, w * path.a + 2 * dw * path.v + ddw * path.q)

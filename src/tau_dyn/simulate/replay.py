@@ -19,15 +19,15 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, differentiate, ensure_even, motion_band
+from tau_dyn.log import Log, differentiate, ensure_even, find_motion_band
 from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
 from tau_dyn.simulate.forces import SampledForces
-from tau_dyn.simulate.log_effects import EncoderErrors, recorded
-from tau_dyn.simulate.memory import Surroundings
+from tau_dyn.simulate.log_effects import EncoderErrors, record_run
+from tau_dyn.simulate.memory import EffectSurroundings
 from tau_dyn.simulate.plant import OFTEN_AT_LIMIT, Plant, PlantRun, Progress
-from tau_dyn.simulate.replay_result import Replay, signals
+from tau_dyn.simulate.replay_result import Replay, get_signals
 from tau_dyn.simulate.trajectory import Trajectory
 
 CONTROL_HZ = 1000.0
@@ -56,7 +56,8 @@ def replay(
         rate_hz: Rate of its loop [Hz], a whole multiple of the log's; by default the smallest that reaches 1 kHz.
         substeps: Steps of the plant in one period of the loop.
         cutoff_hz: Low-pass before speeds and accelerations are taken [Hz], inf for none; by default as high as the measured
-            encoders' noise allows (1e-4 of the acceleration's power, `motion_band`), and the same for later replays of the log.
+            encoders' noise allows (1e-4 of the acceleration's power, `find_motion_band`), and the same for later replays of
+            the log.
         progress: Is told the share that is done.
 
     Raises:
@@ -85,8 +86,8 @@ def replay(
         joints,
         tuple(zip(model.robot.position_units, model.robot.force_units, strict=True)),
         log.t,
-        signals(log.t, reference, log.joint("q", joints), log.joint("tau", joints), cutoff),
-        signals(log.t, reference, q, tau, cutoff),
+        get_signals(log.t, reference, log.joint("q", joints), log.joint("tau", joints), cutoff),
+        get_signals(log.t, reference, q, tau, cutoff),
         float(cutoff),
         often * _rate(log),
         at_limit,
@@ -153,16 +154,16 @@ def _drive(model: Model, log: Log, law: CascadeLaw, often: int, substeps: int, p
                 )
             if progress is not None:
                 progress(k / reference.n_samples)
-    return recorded(PlantRun(model, log.t, q, v, a, tau, stuck, reference.every(often), read))
+    return record_run(PlantRun(model, log.t, q, v, a, tau, stuck, reference.every(often), read))
 
 
-def _surroundings(log: Log, joints: tuple[str, ...]) -> Surroundings | None:
+def _surroundings(log: Log, joints: tuple[str, ...]) -> EffectSurroundings | None:
     """Return the temperatures that the log holds, of its joints or of the room, or None."""
     measured = log.temperatures(joints)
     if measured is None:
         return None
     t = log.t - log.t[0]
-    return Surroundings(lambda at: np.array([np.interp(at, t, column) for column in measured.T]))
+    return EffectSurroundings(lambda at: np.array([np.interp(at, t, column) for column in measured.T]))
 
 
 def _start(log: Log, joints: tuple[str, ...], period: float) -> _State:
@@ -193,7 +194,7 @@ def _reference(log: Log, joints: tuple[str, ...], often: int) -> Trajectory:
 
 def _cutoff(q: np.ndarray, rate_hz: float) -> float:
     """Return the highest low-pass [Hz] under which noise stays small in every moving joint's acceleration."""
-    band = motion_band(q, rate_hz)
+    band = find_motion_band(q, rate_hz)
     edges = np.maximum(band.noise_edge_hz, band.edge_hz)[band.edge_hz > 0]
     return float(min([0.4 * rate_hz, *edges]))
 

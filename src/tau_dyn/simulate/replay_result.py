@@ -67,7 +67,7 @@ class Replay:
         sides = []
         for side in (self.measured, self.simulated):
             q = side["position"]
-            sides.append(signals(self.t, side["following"] + q, q, side["force"], cutoff_hz))
+            sides.append(get_signals(self.t, side["following"] + q, q, side["force"], cutoff_hz))
         return replace(self, measured=sides[0], simulated=sides[1], cutoff_hz=cutoff_hz)
 
     def to_dict(self) -> dict[str, Any]:
@@ -95,7 +95,7 @@ class Replay:
         }
 
 
-def signals(
+def get_signals(
     t: np.ndarray, q_ref: np.ndarray, q: np.ndarray, tau: np.ndarray, cutoff_hz: float
 ) -> dict[str, np.ndarray]:
     """Return all signals of one side, in the order of `SIGNALS`.

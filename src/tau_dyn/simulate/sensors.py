@@ -18,7 +18,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot
 from tau_dyn.simulate.controllers import PerJoint
-from tau_dyn.simulate.log_effects import temperatures
+from tau_dyn.simulate.log_effects import get_temperatures
 from tau_dyn.simulate.plant import PlantRun
 
 
@@ -69,18 +69,18 @@ class Sensors:
 
     def read_positions(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return what encoders show of positions (N, na) [m or rad]."""
-        noise = per_joint(self.encoder_noise, q.shape[1], "encoder_noise") * rng.standard_normal(q.shape)
+        noise = broadcast_per_joint(self.encoder_noise, q.shape[1], "encoder_noise") * rng.standard_normal(q.shape)
         return self.rounded(q + noise)
 
     def rounded(self, q: np.ndarray) -> np.ndarray:
         """Return positions (..., na) rounded to the encoders' resolution."""
-        step = per_joint(self.encoder_resolution, q.shape[-1], "encoder_resolution")
+        step = broadcast_per_joint(self.encoder_resolution, q.shape[-1], "encoder_resolution")
         return np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
 
     def read_forces(self, tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return what the drives report of forces (N, na) [N or N m]."""
-        absolute = per_joint(self.force_noise, tau.shape[1], "force_noise")
-        relative = per_joint(self.force_noise_relative, tau.shape[1], "force_noise_relative")
+        absolute = broadcast_per_joint(self.force_noise, tau.shape[1], "force_noise")
+        relative = broadcast_per_joint(self.force_noise_relative, tau.shape[1], "force_noise_relative")
         sd = np.hypot(absolute, relative * np.sqrt(np.mean(tau**2, axis=0)))
         return tau + sd * self._coloured(tau.shape, rng)
 
@@ -125,7 +125,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
         signals["q_ref"] = run.reference.q
     joints = run.model.robot.actuated
     channels = {f"{key}_{j}": values[:, k] for key, values in signals.items() for k, j in enumerate(joints)}
-    channels |= temperatures(run)
+    channels |= get_temperatures(run)
     if sensors.tool and run.model.robot.tool == "tool":
         tool = (run.tool if run.tool_shown is None else run.tool_shown) + sensors.tool_noise * rng.standard_normal(
             run.tool.shape
@@ -134,7 +134,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
     return Log(run.t, channels, name, warnings=warnings)
 
 
-def per_joint(value: PerJoint, na: int, what: str) -> np.ndarray:
+def broadcast_per_joint(value: PerJoint, na: int, what: str) -> np.ndarray:
     """Return one number a joint (na,)."""
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (na,)):

@@ -11,10 +11,10 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import CascadeController, CascadeLaw, Controller
-from tau_dyn.simulate.limits import broken_limit
-from tau_dyn.simulate.log_effects import EncoderErrors, recorded
+from tau_dyn.simulate.limits import describe_exceeded_limit
+from tau_dyn.simulate.log_effects import EncoderErrors, record_run
 from tau_dyn.simulate.plant import PlantRun, Progress, run_plant
-from tau_dyn.simulate.sensors import Sensors, measure, per_joint
+from tau_dyn.simulate.sensors import Sensors, broadcast_per_joint, measure
 from tau_dyn.simulate.trajectory import Trajectory
 
 Feedback = Literal["encoder", "ideal"]
@@ -76,21 +76,23 @@ def drive(
         raise InputError(f"{motion.name} moves joints {got}; {model.robot.source} has {expected}, in this order")
     _refuse_impossible_bodies(model)
     reference = motion.resampled(rate_hz)
-    fault = broken_limit(model, reference, condition=np.inf)
+    fault = describe_exceeded_limit(model, reference, condition=np.inf)
     if fault:
         raise InputError(f"{motion.name}: {fault}")
     controller = controller or CascadeController(CascadeLaw.for_model(model), start=model.steady())
     if feedback == "ideal":
-        return recorded(run_plant(model, reference, controller, progress=progress))
+        return record_run(run_plant(model, reference, controller, progress=progress))
     if feedback != "encoder":
         raise InputError(f"feedback is 'encoder' or 'ideal', not '{feedback}'")
-    noise = per_joint(sensors.encoder_noise, model.robot.na, "encoder_noise") * rng.standard_normal(reference.q.shape)
+    noise = broadcast_per_joint(sensors.encoder_noise, model.robot.na, "encoder_noise") * rng.standard_normal(
+        reference.q.shape
+    )
     errors = EncoderErrors(model)
 
     def encoder(k: int, q: np.ndarray) -> np.ndarray:
         return sensors.rounded((errors.read(q) if errors.any else q) + noise[k])
 
-    return recorded(run_plant(model, reference, controller, encoder=encoder, progress=progress))
+    return record_run(run_plant(model, reference, controller, encoder=encoder, progress=progress))
 
 
 def _refuse_impossible_bodies(model: Model) -> None:

@@ -22,7 +22,7 @@ from tau_dyn.log import Log, lowpass, read_table
 MEASURED_CUTOFF_HZ = 20.0
 """Low-pass on measured positions before they serve as a reference [Hz]; a reference should not repeat encoder noise."""
 
-_MOST_SAMPLES = 10**8
+_MAX_SAMPLES = 10**8
 """Samples of a motion; more do not fit into memory, and come of times in another unit."""
 
 
@@ -125,7 +125,7 @@ class Trajectory:
     def resampled(self, rate_hz: float) -> Trajectory:
         """Return the motion on a clock of this rate [Hz] that starts at zero, untouched where it stands there already."""
         n = int(np.floor(self.duration * rate_hz * (1 + 1e-9) + 1e-6)) + 1
-        if n > _MOST_SAMPLES:
+        if n > _MAX_SAMPLES:
             raise InputError(
                 f"{self.name} lasts {self.duration:g} s, {n:.3g} samples at {rate_hz:g} Hz; are its times in s?"
             )

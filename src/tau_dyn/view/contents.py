@@ -10,7 +10,7 @@ from tau_dyn.modes.on_robot import ShapesOnRobot
 
 
 @dataclass(frozen=True)
-class Finding:
+class ViewedFinding:
     """What a result says of some parts.
 
     Attributes:
@@ -29,7 +29,7 @@ class Findings:
     """All findings of a result, and the sentence above them."""
 
     headline: str
-    rows: tuple[Finding, ...]
+    rows: tuple[ViewedFinding, ...]
 
 
 @dataclass(frozen=True, eq=False)

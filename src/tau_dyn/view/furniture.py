@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.robot import Robot
 from tau_dyn.view.palette import ROLES
-from tau_dyn.view.shapes import Shape, drawn_shapes, roles
+from tau_dyn.view.shapes import Shape, build_visual_shapes, list_body_roles
 
 STICK = 0.012
 """Radius of a stick, as a share of the robot's size."""
@@ -22,7 +22,7 @@ _ROUND = 8
 """Directions around a ball of a hull, and half as many layers."""
 _BALL, _BRACKET, _MOTOR = 1.5, 0.9, 1.5
 """Radii, in rods' (balls, brackets) and arms' radii (motors)."""
-_SAME = 1e-6
+_MAX_DUPLICATE_DISTANCE_M = 1e-6
 """Distance [m] below which two joints are one place."""
 _DRUM = (104, 112, 124)
 
@@ -36,9 +36,9 @@ class _Spot:
     ball: bool
 
 
-def shapes_of(robot: Robot) -> tuple[Shape, ...]:
+def build_furniture(robot: Robot) -> tuple[Shape, ...]:
     """Return everything that is drawn of a robot: the file's primitives, and its furniture."""
-    drawn, role = drawn_shapes(robot), roles(robot)
+    drawn, role = build_visual_shapes(robot), list_body_roles(robot)
     spots, thin = _spots(robot, role), _thickness(robot, drawn)
     bare = set(range(1, robot.model.njoints)) - {shape.joint for shape in drawn}
     kept = [shape for shape in drawn if not shape.envelope]
@@ -58,7 +58,7 @@ def _spots(robot: Robot, role: list[str]) -> list[_Spot]:
         slides = model.joints[joint].shortname().startswith("JointModelP")
         body, place = model.parents[joint], model.jointPlacements[joint].translation.copy()
         hangs = role[joint] == "plate" and role[body] in ("frame", "plate")  # the plate's own chain holds nothing
-        own = np.linalg.norm(place) < _SAME and body > 0  # the second axis of a universal joint
+        own = np.linalg.norm(place) < _MAX_DUPLICATE_DISTANCE_M and body > 0  # the second axis of a universal joint
         if not slides and not hangs and not own:
             found.append(_Spot(body, place, role[joint] == "rod" and joint not in driven))
     if robot.tool_frame is not None:

@@ -28,46 +28,46 @@ _VIRIDIS = np.array(
 )  # fmt: skip
 
 
-def coloured(value: np.ndarray | None, n: int) -> np.ndarray:
+def map_to_colours(value: np.ndarray | None, n: int) -> np.ndarray:
     """Return colours (n, 3) of values (n,) from violet (least) to yellow (most); one colour where there are none."""
     if value is None or not np.isfinite(value).any():
         return np.tile(np.array([90, 140, 200], np.uint8), (n, 1))
-    low, high = limits(value)
+    low, high = compute_scale_limits(value)
     share = np.nan_to_num((value - low) / (high - low if high > low else 1.0))
     at = np.clip(share, 0, 1) * (len(_VIRIDIS) - 1)
     steps = np.arange(len(_VIRIDIS))
     return np.column_stack([np.interp(at, steps, channel) for channel in _VIRIDIS.T]).round().astype(np.uint8)
 
 
-def limits(value: np.ndarray) -> tuple[float, float]:
+def compute_scale_limits(value: np.ndarray) -> tuple[float, float]:
     """Return where the scale begins and ends: all values but the outermost hundredth, which would flatten the rest."""
     low, high = np.nanquantile(value[np.isfinite(value)], [0.01, 0.99])
     return float(low), float(high)
 
 
-def legend(name: str, value: np.ndarray) -> str:
+def format_legend(name: str, value: np.ndarray) -> str:
     """Return the scale as HTML: name, bar, both ends. The name is escaped."""
-    low, high = limits(value)
+    low, high = compute_scale_limits(value)
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in _VIRIDIS)
     bar = f'<div style="height:10px;border-radius:5px;background:linear-gradient(90deg,{stops})"></div>'
     ends = (
         f'<div style="display:flex;justify-content:space-between"><span>{low:.4g}</span><span>{high:.4g}</span></div>'
     )
-    return panel(f"<b>{escape(name)}</b>{bar}{ends}")
+    return format_panel(f"<b>{escape(name)}</b>{bar}{ends}")
 
 
-def keys(rows: dict[str, Rgb]) -> str:
+def format_keys(rows: dict[str, Rgb]) -> str:
     """Return names beside their colours as HTML. The names are escaped."""
     style = "display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:6px"
     dot = f'<span style="{style};background:rgb({{}},{{}},{{}})"></span>'
-    return panel("".join(f"<div>{dot.format(*rgb)}{escape(name)}</div>" for name, rgb in rows.items()))
+    return format_panel("".join(f"<div>{dot.format(*rgb)}{escape(name)}</div>" for name, rgb in rows.items()))
 
 
-def plain(text: str) -> str:
+def escape_html(text: str) -> str:
     """Return one sentence from outside as HTML that is only text."""
-    return panel(escape(" ".join(text.split())))
+    return format_panel(escape(" ".join(text.split())))
 
 
-def panel(html: str) -> str:
+def format_panel(html: str) -> str:
     """Return HTML in the window's small type; whoever calls has escaped what came from outside."""
     return f'<div style="font-size:0.85em;line-height:1.45;padding:0.2em 0.9em 0.4em">{html}</div>'

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Findings, Uncertainty
-from tau_dyn.view.palette import coloured, legend, panel, plain
+from tau_dyn.view.palette import escape_html, format_legend, format_panel, map_to_colours
 from tau_dyn.view.swings import SwingPanel
 
 if TYPE_CHECKING:
@@ -49,7 +49,9 @@ class FindingsPanel:
         self._rows = dict(zip(titles, findings.rows, strict=True))
         self._name, self._label = _free_name(viewer, "finding"), None
         with gui.add_folder("findings"):
-            gui.add_html(plain(findings.headline or f"{len(titles)} findings" if titles else "Nothing was found."))
+            gui.add_html(
+                escape_html(findings.headline or f"{len(titles)} findings" if titles else "Nothing was found.")
+            )
             if titles:
                 self._choice = gui.add_dropdown("finding", (NONE, *titles), initial_value=titles[0])
                 self._said = gui.add_html("")
@@ -67,7 +69,7 @@ class FindingsPanel:
             self._said.content = ""
             return
         parts = ", ".join(row.parts) or "the whole robot"
-        self._said.content = panel(f"<b>{escape(parts)}</b><br>{escape(' '.join(row.sentence.split()))}")
+        self._said.content = format_panel(f"<b>{escape(parts)}</b><br>{escape(' '.join(row.sentence.split()))}")
         if lit:
             top = max((viewer.figure.handles[k].position for k in lit[:1]), key=lambda p: p[2])
             place = np.asarray(top) + np.array([0, 0, 0.06 * viewer.size])
@@ -85,7 +87,7 @@ class CloudPanel:
         gui, points = viewer.server.gui, cloud.points
         with gui.add_folder(" ".join(cloud.name.split())):
             if cloud.note:
-                gui.add_html(plain(cloud.note))
+                gui.add_html(escape_html(cloud.note))
             if len(points):
                 self._legend = gui.add_html("")
                 self._by = gui.add_dropdown("colour", (*cloud.values, NONE)) if cloud.values else None
@@ -112,9 +114,9 @@ class CloudPanel:
         """Draw the points as the panel says."""
         cloud, by = self._cloud, None if self._by is None else self._by.value
         value = cloud.values.get(by) if by is not None else None
-        colours = coloured(value, len(cloud.points))
+        colours = map_to_colours(value, len(cloud.points))
         keep = np.ones(len(cloud.points), bool) if self._cut is None else cloud.points[:, 1] >= self._cut.value - 1e-9
-        self._legend.content = "" if value is None else legend(str(by), value)
+        self._legend.content = "" if value is None else format_legend(str(by), value)
         self._viewer.server.scene.add_point_cloud(
             f"{self._name}/points", cloud.points[keep].astype(np.float32), colours[keep], point_size=self._size,
             point_shape="square" if cloud.flat else "circle", point_shading="flat" if cloud.flat else "gradient",
@@ -152,7 +154,7 @@ class ErrorsPanel:
         first = 1e3 * np.linalg.norm(next(iter(errors.models.values())), axis=1)
         ends = errors.points[good] + float(self._enlarged.value) * vectors[good]
         scale = np.concatenate([length, [0.0, float(np.nanmax(first, initial=0.0))]])  # one scale for all models
-        colours = coloured(scale, len(scale))[:-2]
+        colours = map_to_colours(scale, len(scale))[:-2]
         thick = 0.0035 * viewer.size
         viewer.server.scene.add_arrows(
             self._name, np.stack([errors.points[good], ends], axis=1).astype(np.float32), colours, shaft_radius=thick,
@@ -160,7 +162,7 @@ class ErrorsPanel:
         )  # fmt: skip
         rms, most = (f"{x:.3g} mm" for x in (np.sqrt(np.mean(length**2)), length.max(initial=0.0)))
         said = f"measured minus predicted at {int(good.sum())} poses: rms {rms}, largest {most}"
-        self._said.content = plain(said) + legend("error [mm]", scale)
+        self._said.content = escape_html(said) + format_legend("error [mm]", scale)
 
 
 class UncertaintyPanel:
@@ -171,15 +173,15 @@ class UncertaintyPanel:
         percent = {k: 100 * v for k, v in known.links.items()}
         finite = {k: v for k, v in percent.items() if np.isfinite(v)}
         value = np.array(list(finite.values()))
-        colours = coloured(np.log10(np.maximum(value, 1e-6)), len(value))
+        colours = map_to_colours(np.log10(np.maximum(value, 1e-6)), len(value))
         paints = {link: tuple(map(int, c)) for link, c in zip(finite, colours, strict=True)}
         shapes = {k: rgb for link, rgb in paints.items() for k in viewer.placer.carried_by(link)}
         viewer.figure.paint({k: (r, g, b) for k, (r, g, b) in shapes.items()})
         with viewer.server.gui.add_folder("how well masses are known"):
             if len(value):
-                viewer.server.gui.add_html(legend("standard error [%], logarithmic", value))
+                viewer.server.gui.add_html(format_legend("standard error [%], logarithmic", value))
             rows = "".join(f"<div>{escape(k)}: {_percent(v)}</div>" for k, v in percent.items())
-            viewer.server.gui.add_html(panel(rows))
+            viewer.server.gui.add_html(format_panel(rows))
 
 
 def _percent(value: float) -> str:

@@ -33,7 +33,7 @@ class Placer:
         model, data = self.robot.model, self._solver.data
         pin.forwardKinematics(model, data, self._solver.close(q))
         pin.updateFramePlacements(model, data)
-        return [pose(data.oMi[s.joint] * local) for s, local in zip(self.shapes, self._local, strict=True)]
+        return [convert_pose(data.oMi[s.joint] * local) for s, local in zip(self.shapes, self._local, strict=True)]
 
     @property
     def tool(self) -> pin.SE3 | None:
@@ -67,12 +67,12 @@ class Placer:
         return [k for k, s in enumerate(self.shapes) if s.joint == joint]
 
 
-def pose(place: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
+def convert_pose(place: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
     """Return a pose as position (3,) and quaternion (4,) w x y z."""
-    return place.translation.copy(), wxyz(pin.Quaternion(place.rotation))
+    return place.translation.copy(), convert_to_wxyz(pin.Quaternion(place.rotation))
 
 
-def wxyz(turn: pin.Quaternion) -> np.ndarray:
+def convert_to_wxyz(turn: pin.Quaternion) -> np.ndarray:
     """Return a quaternion's numbers (4,) w x y z, the order of viser."""
     x, y, z, w = turn.coeffs()
     return np.array([w, x, y, z])

@@ -41,7 +41,7 @@ class Playback:
         return None if self.ghost is None else np.nanmax(np.abs(self.ghost - self.q), axis=0)
 
 
-def playback_of(log: Log, robot: Robot, simulated: Log | None = None) -> Playback:
+def build_playback(log: Log, robot: Robot, simulated: Log | None = None) -> Playback:
     """Return a log as a playback of this robot.
 
     Args:
@@ -69,7 +69,7 @@ def _resampled(log: Log, robot: Robot, t: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(t, own, column, right=np.nan) for column in q.T])
 
 
-def trail(robot: Robot, q: np.ndarray) -> np.ndarray:
+def compute_trail(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Return the tool's path (m, 3) [m] along positions (n, na); empty without a tool or where it leaves its reach."""
     if robot.tool_frame is None or not len(q):
         return np.zeros((0, 3))

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.view.palette import GHOST, ROLES, keys, plain
+from tau_dyn.view.palette import GHOST, ROLES, escape_html, format_keys
 from tau_dyn.view.placement import Placer
-from tau_dyn.view.playback import Playback, trail
-from tau_dyn.view.scene import Figure
+from tau_dyn.view.playback import Playback, compute_trail
+from tau_dyn.view.scene import RobotFigure
 
 if TYPE_CHECKING:
     from tau_dyn.view.viewer import Viewer
@@ -38,7 +38,9 @@ class Player:
             self._path = gui.add_checkbox("tool's path", True)
             if playback.ghost is not None:
                 self._enlarged = gui.add_dropdown("ghost's distance ×", _ENLARGED, initial_value="1")
-                gui.add_html(keys({"measured": ROLES["driven"], playback.ghost_is: GHOST}) + _apart(viewer, playback))
+                gui.add_html(
+                    format_keys({"measured": ROLES["driven"], playback.ghost_is: GHOST}) + _apart(viewer, playback)
+                )
                 self._enlarged.on_update(lambda _: self._draw(again=True))
         self._ghost, self._place = self._add_ghost()
         self._add_path()
@@ -57,15 +59,17 @@ class Player:
         self._time.value = float(np.clip(t, 0.0, self._time.max))
         self._draw()
 
-    def _add_ghost(self) -> tuple[Figure | None, Placer | None]:
+    def _add_ghost(self) -> tuple[RobotFigure | None, Placer | None]:
         if self.playback.ghost is None:
             return None, None
         viewer = self._viewer
         moving = [s for s in viewer.placer.shapes if s.joint]
-        return Figure(viewer.server.scene, "ghost", moving, colour=GHOST, opacity=0.35), Placer(viewer.robot, moving)
+        return RobotFigure(viewer.server.scene, "ghost", moving, colour=GHOST, opacity=0.35), Placer(
+            viewer.robot, moving
+        )
 
     def _add_path(self) -> None:
-        path = trail(self._viewer.robot, self.playback.q)
+        path = compute_trail(self._viewer.robot, self.playback.q)
         if len(path) < 2:
             self._path.visible = False
             return
@@ -106,4 +110,4 @@ def _apart(viewer: Viewer, playback: Playback) -> str:
     units = viewer.robot.position_units
     k = int(np.nanargmax(np.where(np.isfinite(far), far, -1)))
     size = f"{1e3 * far[k]:.3g} mm" if units[k] == "m" else f"{np.rad2deg(far[k]):.3g} deg"
-    return plain(f"farthest apart: {viewer.robot.actuated[k]}, {size}")
+    return escape_html(f"farthest apart: {viewer.robot.actuated[k]}, {size}")

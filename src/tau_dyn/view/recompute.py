@@ -14,7 +14,7 @@ _ACROSS = 16
 """Points along the longest side of a coarse workspace."""
 
 
-def workspace(robot: Robot, resolution: float, box: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def recompute_workspace(robot: Robot, resolution: float, box: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return points (n, 3) [m] inside the workspace, and their condition number by name.
 
     Args:
@@ -32,7 +32,7 @@ def workspace(robot: Robot, resolution: float, box: np.ndarray) -> tuple[np.ndar
     return points, {"condition number": inside["condition"].to_numpy(float)}
 
 
-def calibration(content: dict[str, Any], robot: Robot, path: Path) -> dict[str, Any]:
+def recompute_calibration(content: dict[str, Any], robot: Robot, path: Path) -> dict[str, Any]:
     """Return the errors of the robot file's dimensions at the measured poses, its base where they are smallest.
 
     The poses are read from where the result says they lie, and must be the same file still.

@@ -14,13 +14,13 @@ from tau_dyn.files import read_bytes
 from tau_dyn.log.table import MAX_MAGNITUDE, read_table
 from tau_dyn.robot import Robot
 from tau_dyn.view import recompute
-from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Finding, Findings, Uncertainty
+from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Findings, Uncertainty, ViewedFinding
 
 _BEST = ("exact", "certified", "montecarlo", "ellipsoid", "parallelepiped", "linear")
-_MOST_POINTS = 100_000
-_LARGEST = 64 * 1024 * 1024
+_MAX_POINTS = 100_000
+_MAX_FILE_BYTES = 64 * 1024 * 1024
 """Largest file that is read [bytes]."""
-_LARGEST_CLOUD = 2**30
+_MAX_CLOUD_BYTES = 2**30
 
 
 def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Content]:
@@ -56,7 +56,7 @@ def read_cloud(path: Path) -> Cloud:
     Raises:
         InputError: The file is not such a table.
     """
-    table = read_table(path, most=_LARGEST_CLOUD)
+    table = read_table(path, most=_MAX_CLOUD_BYTES)
     sets = (("x_tool", "y_tool", "z_tool"), ("x", "y", "z"))
     names = next((n for n in sets if set(n) <= set(table.cells)), None)
     if names is None:
@@ -70,7 +70,7 @@ def read_cloud(path: Path) -> Cloud:
     shown = np.arange(len(table.places))
     if "inside" in numbers and set(numbers["inside"]) <= {0, 1}:
         shown = np.flatnonzero(numbers.pop("inside"))
-    shown = shown[:: max(1, len(shown) // _MOST_POINTS)]
+    shown = shown[:: max(1, len(shown) // _MAX_POINTS)]
     shown = shown[np.isfinite([numbers[name][shown] for name in names]).all(axis=0)]
     points = np.column_stack([numbers.pop(name)[shown] for name in names])
     coloured = sorted(numbers, key=lambda column: column.startswith("q_"))  # what is asked for first, then the pose
@@ -79,7 +79,7 @@ def read_cloud(path: Path) -> Cloud:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(read_bytes(path, _LARGEST).decode("utf-8"))
+        content = json.loads(read_bytes(path, _MAX_FILE_BYTES).decode("utf-8"))
     except InputError:
         raise
     except OSError as fault:
@@ -96,7 +96,7 @@ def _diagnose(content: dict[str, Any], robot: Robot, path: Path, compute: bool) 
     return [Findings(str(content.get("sentence") or ""), rows)]
 
 
-def _finding(row: dict[str, Any], robot: Robot) -> Finding:
+def _finding(row: dict[str, Any], robot: Robot) -> ViewedFinding:
     """Return a finding; one without joints is about the parts that its parameters belong to."""
     joints = tuple(map(str, row["joints"]))
     if not joints:
@@ -107,7 +107,7 @@ def _finding(row: dict[str, Any], robot: Robot) -> Finding:
     said = str(row.get("sentence") or row.get("equation") or "")
     if "sentence" not in row and gain.get("reduction_percent") is not None:
         said += f"; explains {float(gain['reduction_percent']):.0f} % of the error"
-    return Finding(title, said, joints)
+    return ViewedFinding(title, said, joints)
 
 
 def _parts(name: str, robot: Robot) -> list[str]:
@@ -132,7 +132,7 @@ def _workspace(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
         values = {str(k): np.array(v, float) for k, v in content["cloud"].get("values", {}).items()}
         return [Cloud("workspace", points, values, note, corners)]
     if compute:
-        points, values = recompute.workspace(robot, float(content["resolution_m"]), corners)
+        points, values = recompute.recompute_workspace(robot, float(content["resolution_m"]), corners)
         return [Cloud("workspace", points, values, note + "; points computed now, coarsely", corners)]
     return [Cloud("workspace", np.zeros((0, 3)), {}, note + "; its box. --compute adds points", corners)]
 
@@ -162,7 +162,7 @@ def _calibrate(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
     findings = _diagnose(content, robot, path, compute)
     at = content.get("errors_at_poses")
     if at is None and compute:
-        at = recompute.calibration(content, robot, path)
+        at = recompute.recompute_calibration(content, robot, path)
     if at is None:
         return findings
     points = np.array(at["points"], float).reshape(-1, 3)

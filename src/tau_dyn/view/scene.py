@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.view.palette import NAMED, QUIET, Rgb
-from tau_dyn.view.placement import Placed, wxyz
+from tau_dyn.view.placement import Placed, convert_to_wxyz
 from tau_dyn.view.shapes import Shape
 
 
-class Figure:
+class RobotFigure:
     """One robot in the scene.
 
     Attributes:
@@ -69,9 +69,9 @@ def _pale(colour: Rgb) -> Rgb:
     return r, g, b
 
 
-def between(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_link_pose(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and quaternion (4,) of what lies along z from one point to another."""
-    return (start + end) / 2, wxyz(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start))
+    return (start + end) / 2, convert_to_wxyz(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start))
 
 
 def light_scene(scene: Any, shadows: bool) -> None:
@@ -80,7 +80,7 @@ def light_scene(scene: Any, shadows: bool) -> None:
     scene.add_light_ambient("/daylight", intensity=0.55)
 
 
-def outline(shapes: Sequence[Shape], placed: Placed) -> np.ndarray:
+def compute_outline(shapes: Sequence[Shape], placed: Placed) -> np.ndarray:
     """Return the corners (n, 3) [m] of shapes where they are."""
     return np.concatenate([_corners(s, p, w) for s, (p, w) in zip(shapes, placed, strict=True)])
 

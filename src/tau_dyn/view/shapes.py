@@ -67,11 +67,11 @@ class Shape:
         return self.local.act(np.clip(self.local.actInv(point), -half, half))
 
 
-def drawn_shapes(robot: Robot) -> list[Shape]:
+def build_visual_shapes(robot: Robot) -> list[Shape]:
     """Return the file's primitives."""
     root = _without_meshes(robot.urdf)
     geometry = pin.buildGeomFromUrdfString(robot.model, _text(root), pin.GeometryType.VISUAL)
-    rooms, role = _envelopes(root), roles(robot)
+    rooms, role = _envelopes(root), list_body_roles(robot)
     found = []
     for item in geometry.geometryObjects.tolist():
         shape = _primitive(item)
@@ -82,7 +82,7 @@ def drawn_shapes(robot: Robot) -> list[Shape]:
     return found
 
 
-def roles(robot: Robot) -> list[str]:
+def list_body_roles(robot: Robot) -> list[str]:
     """Return what each joint's body does (njoints,): read from the tree, not from names."""
     model, driven = robot.model, {robot.model.getJointId(j) for j in robot.actuated}
     ends = [model.frames[f].parentJoint for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]

@@ -9,9 +9,9 @@ import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.modes.on_robot import ModeShape, ShapesOnRobot
-from tau_dyn.view.palette import NAMED, ROLES, plain
-from tau_dyn.view.placement import wxyz
-from tau_dyn.view.scene import between
+from tau_dyn.view.palette import NAMED, ROLES, escape_html
+from tau_dyn.view.placement import convert_to_wxyz
+from tau_dyn.view.scene import compute_link_pose
 
 if TYPE_CHECKING:
     from tau_dyn.view.viewer import Viewer
@@ -74,7 +74,7 @@ class SwingPanel:
             said += "; the robot file has no spring whose mode is like it"
         else:
             said += f"; measured and robot file agree in shape to MAC {pair.mac:.3f}"
-        self._said.content = plain(said)
+        self._said.content = escape_html(said)
         for body, moved in zip(self._bodies, swing.links, strict=True):
             body.seen(bool(np.abs(moved).max() > _MOVES))
         self._draw_arrows(swing)
@@ -119,7 +119,7 @@ class _Body:
         handle = self._rod or self._hull
         now = self._rest + moved
         if self._rod is not None:
-            handle.position, handle.wxyz = between(now[0], now[-1])
+            handle.position, handle.wxyz = compute_link_pose(now[0], now[-1])
             return
         middle = now.mean(axis=0)
         handle.position, handle.wxyz = middle, _turn(self._rest - self._middle, now - middle)
@@ -129,7 +129,7 @@ def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the turn that takes points (n, 3) nearest to others (Kabsch), as quaternion (4,) w x y z."""
     u, _, vt = np.linalg.svd(before.T @ after)
     sign = np.sign(np.linalg.det(u @ vt)) or 1.0
-    return wxyz(pin.Quaternion(vt.T @ np.diag([1.0, 1.0, sign]) @ u.T))
+    return convert_to_wxyz(pin.Quaternion(vt.T @ np.diag([1.0, 1.0, sign]) @ u.T))
 
 
 def _faces(points: np.ndarray) -> np.ndarray | None:

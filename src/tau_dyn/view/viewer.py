@@ -19,11 +19,11 @@ import numpy as np
 from tau_dyn.exceptions import InputError, TauDynError
 from tau_dyn.robot import Robot
 from tau_dyn.view.contents import Content
-from tau_dyn.view.furniture import shapes_of
-from tau_dyn.view.palette import panel
-from tau_dyn.view.placement import Placer, pose
+from tau_dyn.view.furniture import build_furniture
+from tau_dyn.view.palette import format_panel
+from tau_dyn.view.placement import Placer, convert_pose
 from tau_dyn.view.playback import Playback
-from tau_dyn.view.scene import Figure, add_floor, light_scene, outline
+from tau_dyn.view.scene import RobotFigure, add_floor, compute_outline, light_scene
 
 LOOPBACK = "127.0.0.1"
 FRAME = 1 / 30
@@ -62,7 +62,7 @@ class Viewer:
         viser = _viser()
         _refuse_address(host)
         self.robot, self.q, self.message = robot, np.array(robot.home, float), ""
-        self.placer = Placer(robot, shapes_of(robot))
+        self.placer = Placer(robot, build_furniture(robot))
         try:
             with redirect_stdout(StringIO()):  # stdout is ours: viser draws a banner there
                 self.server = viser.ViserServer(host=host, port=port, label=f"tau_dyn: {robot.name}", verbose=False)
@@ -75,7 +75,7 @@ class Viewer:
         self._tickers: list[Callable[[float], None]] = []
         self._show_nothing_of_viser()
         light_scene(self.server.scene, shadows)
-        self.figure = Figure(self.server.scene, "robot", self.placer.shapes)
+        self.figure = RobotFigure(self.server.scene, "robot", self.placer.shapes)
         self._tool = self._add_tool()
         self._sliders, self._told = self._add_sliders()
         self.show(self.q)
@@ -96,7 +96,7 @@ class Viewer:
             self._tell()
             tool = self.placer.tool
             if tool is not None and self._tool is not None:
-                self._tool.position, self._tool.wxyz = pose(tool)
+                self._tool.position, self._tool.wxyz = convert_pose(tool)
             self._note.content = _where(None if tool is None else tool.translation)
             return True
 
@@ -154,7 +154,7 @@ class Viewer:
         freedoms = (
             f"{robot.na} driven joint{'s' * (robot.na != 1)}, {len(robot.loops)} loop{'s' * (len(robot.loops) != 1)}"
         )
-        gui.add_html(panel(f'<b style="font-size:1.2em">{escape(robot.name)}</b><br>{freedoms}'))
+        gui.add_html(format_panel(f'<b style="font-size:1.2em">{escape(robot.name)}</b><br>{freedoms}'))
 
     def _add_tool(self) -> Any:
         """Add the tool's axes: x red, y green, z blue."""
@@ -204,7 +204,7 @@ class Viewer:
 
     def _look(self) -> float:
         """Set the first view and put the robot on a floor; return its size [m]."""
-        self._sight = outline(self.placer.shapes, self.placer(self.q))
+        self._sight = compute_outline(self.placer.shapes, self.placer(self.q))
         low, high = self._sight.min(axis=0), self._sight.max(axis=0)
         add_floor(self.server.scene, low, high)
         self._aim()
@@ -223,11 +223,11 @@ class Viewer:
 
 
 def _where(tool: np.ndarray | None) -> str:
-    return "" if tool is None else panel(f"tool at x {tool[0]:.4f}, y {tool[1]:.4f}, z {tool[2]:.4f} m")
+    return "" if tool is None else format_panel(f"tool at x {tool[0]:.4f}, y {tool[1]:.4f}, z {tool[2]:.4f} m")
 
 
 def _refusal(text: str) -> str:
-    return panel(f'<span style="color:#d62839">{escape(" ".join(text.split()))}</span>')
+    return format_panel(f'<span style="color:#d62839">{escape(" ".join(text.split()))}</span>')
 
 
 def _viser() -> Any:

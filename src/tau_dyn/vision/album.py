@@ -11,7 +11,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.vision.cameras import Cameras
 from tau_dyn.vision.detect import Detection, find_corners
-from tau_dyn.vision.images import find_images, matched, read_image
+from tau_dyn.vision.images import find_images, match_images, read_image
 from tau_dyn.vision.pattern import Pattern
 
 Images = str | Path | Sequence[str | Path]
@@ -51,7 +51,7 @@ def read_album(
     pattern: Pattern,
     progress: Callable[[str], None],
 ) -> Album:
-    """Read all images and find the pattern in each; arguments as of `poses_from_images`.
+    """Read all images and find the pattern in each; arguments as of `measure_poses_from_images`.
 
     Raises:
         InputError: Files that are no images, given twice, of mixed sizes, or that cannot be matched between cameras.
@@ -62,10 +62,10 @@ def read_album(
     main = [find_images(of) for of, _ in given]
     more = [find_images(of) if of is not None else [] for _, of in given]
     _once([*main, *more])
-    moments = matched(main)
+    moments = match_images(main)
     last = max(m for of in moments for m in of) + 1
     if any(more):
-        together = matched(more) if all(more) else [list(range(len(of))) for of in more]
+        together = match_images(more) if all(more) else [list(range(len(of))) for of in more]
         moments = [a + [last + m for m in b] for a, b in zip(moments, together, strict=True)]
     paths = [a + b for a, b in zip(main, more, strict=True)]
     found, sizes = [], []

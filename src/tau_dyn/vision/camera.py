@@ -22,26 +22,26 @@ def project(points: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Return pixels (..., 2) of points (..., 3) in the camera's frame [m]; `intrinsics` (..., 9) broadcast."""
     k = np.moveaxis(np.asarray(intrinsics, float), -1, 0)
     x, y = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
-    xd, yd = distort(x, y, k)
+    xd, yd = apply_distortion(x, y, k)
     return np.stack([k[0] * xd + k[2], k[1] * yd + k[3]], axis=-1)
 
 
-def distort(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def apply_distortion(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where the lens puts ideal image points; `k` are the nine numbers, first axis."""
     r2 = x * x + y * y
     g = 1 + r2 * (k[4] + r2 * (k[5] + r2 * k[8]))
     return x * g + 2 * k[6] * x * y + k[7] * (r2 + 2 * x * x), y * g + k[6] * (r2 + 2 * y * y) + 2 * k[7] * x * y
 
 
-def rays(pixels: np.ndarray, intrinsics: np.ndarray, iterations: int = 15) -> np.ndarray:
+def compute_rays(pixels: np.ndarray, intrinsics: np.ndarray, iterations: int = 15) -> np.ndarray:
     """Return the ideal image points `x y` (..., 2) behind pixels (..., 2), by fixed-point iteration; nan where it runs away."""
     k = np.asarray(intrinsics, float)
     target = (pixels - k[2:4]) / k[0:2]
     at = target.copy()
     with np.errstate(all="ignore"):
         for _ in range(iterations):
-            at = at + target - np.stack(distort(at[..., 0], at[..., 1], k), axis=-1)
-        off = np.abs(target - np.stack(distort(at[..., 0], at[..., 1], k), axis=-1)).max(axis=-1)
+            at = at + target - np.stack(apply_distortion(at[..., 0], at[..., 1], k), axis=-1)
+        off = np.abs(target - np.stack(apply_distortion(at[..., 0], at[..., 1], k), axis=-1)).max(axis=-1)
     return np.where((off < 1e-6)[..., None], at, np.nan)
 
 
@@ -49,7 +49,7 @@ def project_with_jacobians(points: np.ndarray, intrinsics: np.ndarray) -> tuple[
     """Return pixels (..., 2), their derivative by the point (..., 2, 3) and by the nine numbers (..., 2, 9)."""
     k = np.moveaxis(np.asarray(intrinsics, float), -1, 0)
     x, y, z = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2], points[..., 2]
-    xd, yd = distort(x, y, k)
+    xd, yd = apply_distortion(x, y, k)
     by_image = _by_image(x, y, k)
     by_point = np.empty((*points.shape[:-1], 2, 3))
     by_point[..., :, :2] = by_image / z[..., None, None]

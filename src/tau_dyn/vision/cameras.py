@@ -107,10 +107,10 @@ def check_lens(lens: str) -> None:
 
 def write_cameras(path: str | Path, cameras: Cameras) -> None:
     """Write cameras as YAML, whole or not at all."""
-    write_whole(path, cameras_text(cameras))
+    write_whole(path, format_cameras_text(cameras))
 
 
-def cameras_text(cameras: Cameras) -> str:
+def format_cameras_text(cameras: Cameras) -> str:
     """Return cameras as YAML text."""
     rows = []
     for c in range(cameras.n):

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.vision.homography import apply, homography
-from tau_dyn.vision.images import opencv
+from tau_dyn.vision.homography import apply, estimate_homography
+from tau_dyn.vision.images import import_opencv
 from tau_dyn.vision.pattern import Pattern
 from tau_dyn.vision.refine import refine
 
 _CONTRAST = 25.0  # grey values between dark and light below which an image is of no use
-_SMALLEST = 6.0  # [px] side of a square
+_MIN_SQUARE_PX = 6.0  # [px] side of a square
 _UNEVEN = 0.25  # of a square that corners may be off the plane's picture; a lens bends less
 
 
@@ -52,7 +52,7 @@ def find_corners(image: np.ndarray, pattern: Pattern) -> Detection:
 
 
 def _search(image: np.ndarray, pattern: Pattern) -> np.ndarray | None:
-    cv2 = opencv()
+    cv2 = import_opencv()
     size = (pattern.columns, pattern.rows)
     quick = cv2.CALIB_CB_NORMALIZE_IMAGE
     try:
@@ -114,14 +114,14 @@ def _trend(grey: np.ndarray) -> np.ndarray:
 def _checked(corners: np.ndarray, pattern: Pattern, image: np.ndarray) -> Detection:
     grid = corners.reshape(pattern.rows, pattern.columns, 2)
     side = min(np.linalg.norm(np.diff(grid, axis=a), axis=-1).min() for a in (0, 1))
-    if side < _SMALLEST:
+    if side < _MIN_SQUARE_PX:
         return Detection(
             None, f"the pattern is too small: a square is {side:.1f} px wide; come closer or use larger squares"
         )
     if np.any(corners < 1) or np.any(corners > np.array(image.shape[::-1]) - 2):
         return Detection(None, "the pattern is cut off by the image's border")
     flat = pattern.points[:, :2] / pattern.square
-    off = np.linalg.norm(apply(homography(flat, corners), flat) - corners, axis=1).max()
+    off = np.linalg.norm(apply(estimate_homography(flat, corners), flat) - corners, axis=1).max()
     if off > _UNEVEN * side:
         return Detection(None, f"the corners found are not those of one flat pattern (off by {off:.1f} px)")
     return Detection(corners)
@@ -143,7 +143,7 @@ def _why_not(image: np.ndarray, pattern: Pattern) -> Detection:
 
 def _other(image: np.ndarray) -> tuple[int, int]:
     """Return the size of whatever chessboard is in the image, the longer side first; zeros where there is none."""
-    cv2 = opencv()
+    cv2 = import_opencv()
     try:
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
         ok, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def homography(flat: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+def estimate_homography(flat: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Return `H` (3, 3) with pixels ~ H [flat; 1], least squares, from points (n, 2) and pixels (n, 2), n >= 4."""
     (a, ta), (b, tb) = _normalised(flat), _normalised(pixels)
     one, zero = np.ones(len(a)), np.zeros((len(a), 3))
@@ -21,7 +21,7 @@ def apply(h: np.ndarray, flat: np.ndarray) -> np.ndarray:
     return at[:, :2] / at[:, 2:]
 
 
-def focal_length(homographies: list[np.ndarray], middle: np.ndarray) -> float | None:
+def estimate_focal_length(homographies: list[np.ndarray], middle: np.ndarray) -> float | None:
     """Return the focal length [px] of square pixels with the principal point at `middle` (2,), None where planes do not tell it.
 
     Zhang 2000, (3) and (4): the plane's axes are orthogonal and of one length, two equations a picture in 1 / f^2.
@@ -39,7 +39,7 @@ def focal_length(homographies: list[np.ndarray], middle: np.ndarray) -> float | 
     return float(1 / np.sqrt(inverse)) if inverse > 0 else None
 
 
-def pose_of_plane(h: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_plane_pose(h: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation (3, 3) and position (3,) of a plane before a pinhole `k` (fx, fy, cx, cy), from its homography."""
     m = np.linalg.inv(np.array([[k[0], 0, k[2]], [0, k[1], k[3]], [0, 0, 1.0]])) @ h
     m = m / np.sqrt(np.linalg.norm(m[:, 0]) * np.linalg.norm(m[:, 1]))
@@ -48,7 +48,7 @@ def pose_of_plane(h: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, m[:, 2]
 
 
-def other_tilt(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+def compute_mirrored_tilt(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return the other rotation that looks alike from far: the plate's normal mirrored about the line of sight.
 
     Schweighofer & Pinz 2006: a small or far plane has two poses of almost one picture.

@@ -14,17 +14,17 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
-_LARGEST = 1 << 30  # bytes of one file
-_MOST_PIXELS = 1 << 28  # the largest cameras have 1.5e8
+_MAX_FILE_BYTES = 1 << 30  # bytes of one file
+_MAX_PIXELS = 1 << 28  # the largest cameras have 1.5e8
 
 
-def opencv() -> ModuleType:
+def import_opencv() -> ModuleType:
     """Return OpenCV, which only this room needs.
 
     Raises:
         InputError: It is not installed.
     """
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))  # a small PNG may declare gigabytes
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MAX_PIXELS))  # a small PNG may declare gigabytes
     try:
         import cv2
     except ImportError as fault:
@@ -42,7 +42,7 @@ def find_images(given: str | Path | Sequence[str | Path]) -> list[Path]:
     files: list[Path] = []
     for item in map(Path, items):
         if item.is_dir():
-            inside = sorted((p for p in item.iterdir() if p.suffix.lower() in SUFFIXES), key=natural)
+            inside = sorted((p for p in item.iterdir() if p.suffix.lower() in SUFFIXES), key=get_natural_sort_key)
             if not inside:
                 raise InputError(f"{item}: the folder has no images ({', '.join(SUFFIXES[:6])})")
             files += inside
@@ -55,7 +55,7 @@ def find_images(given: str | Path | Sequence[str | Path]) -> list[Path]:
     return files
 
 
-def natural(path: Path) -> list[tuple[int, int, str]]:
+def get_natural_sort_key(path: Path) -> list[tuple[int, int, str]]:
     """Return a key that sorts numbers in names by value."""
     return [
         (1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.findall(r"\d+|\D+", path.name.lower())
@@ -68,9 +68,9 @@ def read_image(path: Path) -> np.ndarray:
     Raises:
         InputError: Not readable, or not an image.
     """
-    cv2 = opencv()
+    cv2 = import_opencv()
     try:
-        data = np.frombuffer(read_bytes(path, _LARGEST), np.uint8)
+        data = np.frombuffer(read_bytes(path, _MAX_FILE_BYTES), np.uint8)
     except OSError as fault:
         raise InputError(f"{path}: cannot be read ({fault.strerror or fault})") from fault
     try:
@@ -83,7 +83,7 @@ def read_image(path: Path) -> np.ndarray:
         image = None
     if image is None:
         raise InputError(f"{path}: not an image that can be read; give PNG, JPEG, TIFF or BMP")
-    if image.size > _MOST_PIXELS:  # where OpenCV was there before us
+    if image.size > _MAX_PIXELS:  # where OpenCV was there before us
         raise InputError(f"{path}: {image.shape[1]}x{image.shape[0]} pixels; that is no photograph")
     if image.dtype != np.uint8:
         top = max(float(np.nanmax(image)), 1e-9)
@@ -91,7 +91,7 @@ def read_image(path: Path) -> np.ndarray:
     return image
 
 
-def matched(cameras: Sequence[Sequence[Path]]) -> list[list[int]]:
+def match_images(cameras: Sequence[Sequence[Path]]) -> list[list[int]]:
     """Return for each camera which moment each of its images shows.
 
     Images of two cameras belong together by the last number in their names, where these are unique in each camera and shared,

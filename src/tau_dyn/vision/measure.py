@@ -1,4 +1,4 @@
-"""Images in, measured poses out: `poses_from_images` reads, finds, adjusts, and matches robot positions."""
+"""Images in, measured poses out: `measure_poses_from_images` reads, finds, adjusts, and matches robot positions."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from tau_dyn.vision.album import Album, Images, check_cameras, check_some, read_
 from tau_dyn.vision.bundle import Views
 from tau_dyn.vision.cameras import Cameras, check_lens
 from tau_dyn.vision.pattern import Pattern
-from tau_dyn.vision.pose_table import PoseTable, Positions
-from tau_dyn.vision.solve import Solved, solve
+from tau_dyn.vision.pose_table import CameraPoseTable, Positions
+from tau_dyn.vision.solve import CameraSolution, solve
 
 
-def poses_from_images(
+def measure_poses_from_images(
     images: Images,
     pattern: Pattern,
     *,
@@ -27,7 +27,7 @@ def poses_from_images(
     positions: Positions | None = None,
     lens: str = "brown",
     progress: Callable[[str], None] = lambda step: None,
-) -> PoseTable:
+) -> CameraPoseTable:
     """Measure poses of a chessboard plate with one camera or two.
 
     Args:
@@ -64,7 +64,9 @@ def _views(seen: Album) -> tuple[Views, list[tuple[int, int]]]:
     return Views(corners, np.array([c for c, _ in labels]), np.unique(moment, return_inverse=True)[1]), labels
 
 
-def _table(seen: Album, solved: Solved, labels: list[tuple[int, int]], positions: Positions | None) -> PoseTable:
+def _table(
+    seen: Album, solved: CameraSolution, labels: list[tuple[int, int]], positions: Positions | None
+) -> CameraPoseTable:
     refused = {
         seen.name(c, k): d.reason for c, of in enumerate(seen.found) for k, d in enumerate(of) if d.corners is None
     }
@@ -81,7 +83,7 @@ def _table(seen: Album, solved: Solved, labels: list[tuple[int, int]], positions
     rms = np.array(
         [np.sqrt((bundle.residuals[solved.views.camera == c] ** 2).sum(-1).mean()) for c in range(bundle.cameras.n)]
     )
-    return PoseTable(
+    return CameraPoseTable(
         names=tuple(names[k] for k in keep),
         position=bundle.plates.position[keep],
         rotation=bundle.plates.rotation[keep],
@@ -99,7 +101,7 @@ def _table(seen: Album, solved: Solved, labels: list[tuple[int, int]], positions
 
 
 def _plates(
-    seen: Album, solved: Solved, kept: list[tuple[int, int]]
+    seen: Album, solved: CameraSolution, kept: list[tuple[int, int]]
 ) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
     """Return for each plate its first view, its image's name, whether it serves the cameras only, and how many saw it."""
     n = len(solved.bundle.plates.position)
@@ -135,7 +137,9 @@ def _robot(
     return q, positions.joints, [said] if lacking else []
 
 
-def _doubts(seen: Album, refused: dict[str, str], solved: Solved, names: list[str], keep: np.ndarray) -> list[str]:
+def _doubts(
+    seen: Album, refused: dict[str, str], solved: CameraSolution, names: list[str], keep: np.ndarray
+) -> list[str]:
     said = []
     total = sum(len(of) for of in seen.paths)
     if refused:

@@ -18,7 +18,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 
-_FEWEST = 3  # inner corners a side
+_MIN_CORNERS = 3  # inner corners a side
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Pattern:
 
     def __post_init__(self) -> None:
         """Refuse a pattern that cannot be told from itself upside down, or that has no size."""
-        if min(self.columns, self.rows) < _FEWEST:
+        if min(self.columns, self.rows) < _MIN_CORNERS:
             raise InputError(
                 f"a pattern of {self.name} inner corners is too small; it needs 3 a side, and 9x6 is usual"
             )

@@ -20,13 +20,13 @@ POSE = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool"
 STDERR = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr", "rx_tool_stderr", "ry_tool_stderr", "rz_tool_stderr")
 
 
-def plain_cell(text: str) -> str:
+def escape_formula(text: str) -> str:
     """Return text as a spreadsheet shows it: what begins like a formula gets an apostrophe before it."""
     return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
 @dataclass(frozen=True, eq=False)
-class PoseTable:
+class CameraPoseTable:
     """Poses of the pattern's middle in the first camera's frame.
 
     Attributes:
@@ -87,7 +87,7 @@ class PoseTable:
         write.writerow(["image", *(f"q_{j}" for j in self.joints), *POSE, *STDERR])
         rows = np.hstack([self.q, self.position, self.quaternion, self.stderr])
         for name, row in zip(self.names, rows, strict=True):
-            write.writerow([plain_cell(name), *(f"{v:.9g}" for v in row)])
+            write.writerow([escape_formula(name), *(f"{v:.9g}" for v in row)])
         return out.getvalue()
 
     def to_dict(self) -> dict:

@@ -15,7 +15,7 @@ from scipy.special import erf
 from tau_dyn.vision.pattern import Pattern
 
 _REACH = 0.38  # of a square's side that the window reaches, each way
-_LARGEST = 8  # [px]
+_MAX_WINDOW_PX = 8  # [px]
 _MOVED = 1.5  # [px] farther from the detector's guess, the fit went elsewhere
 _ROOT = np.sqrt(2 / np.pi)
 
@@ -23,7 +23,7 @@ _ROOT = np.sqrt(2 / np.pi)
 def refine(image: np.ndarray, corners: np.ndarray, pattern: Pattern) -> np.ndarray:
     """Return corners (n, 2) [px] fitted to an image, the given ones where the fit fails."""
     grid = corners.reshape(pattern.rows, pattern.columns, 2)
-    half = int(np.clip(_REACH * _side(grid), 2, _LARGEST))
+    half = int(np.clip(_REACH * _side(grid), 2, _MAX_WINDOW_PX))
     middle = corners.round().astype(int)
     inside = np.all((middle >= half) & (middle < np.array(image.shape[::-1]) - half), axis=1)
     out = corners.copy()

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, zoom
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.vision.camera import project, rays
+from tau_dyn.vision.camera import compute_rays, project
 from tau_dyn.vision.pattern import Pattern
 
 BLACK, WHITE = 35.0, 205.0  # grey values of the print
@@ -70,7 +70,7 @@ def render(
     return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
-def clutter(size: tuple[int, int], rng: np.random.Generator, *, things: int = 60) -> np.ndarray:
+def render_clutter(size: tuple[int, int], rng: np.random.Generator, *, things: int = 60) -> np.ndarray:
     """Return a room (height, width): soft shades, and boxes, black squares and bars of any grey value before them."""
     width, height = size
     coarse = rng.uniform(60, 160, (5, 7))
@@ -85,7 +85,7 @@ def clutter(size: tuple[int, int], rng: np.random.Generator, *, things: int = 60
     return image
 
 
-def facing(tilt: float, towards: float, roll: float) -> np.ndarray:
+def draw_facing_rotation(tilt: float, towards: float, roll: float) -> np.ndarray:
     """Return the rotation (3, 3) of a plate that faces the camera, then is tilted about an axis in it [rad]."""
     axis = np.array([np.cos(towards), np.sin(towards), 0.0])
     return (Rotation.from_rotvec(tilt * axis) * Rotation.from_rotvec([0, 0, roll])).as_matrix()
@@ -106,7 +106,7 @@ def _plate_into(
     high = np.clip(np.ceil(seen.max(axis=0) + 5), 0, [width, height]).astype(int)
     if np.any(high <= low):
         return
-    ray = rays(np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True))), axis=-1), k)
+    ray = compute_rays(np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True))), axis=-1), k)
     by_v, by_u = np.gradient(ray, axis=(0, 1))  # within a pixel rays are even
     steps = (np.arange(fine) + 0.5) / fine - 0.5
     share = grey = np.zeros(ray.shape[:2])

@@ -14,18 +14,23 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.vision.bundle import Bundle, Views, adjust
 from tau_dyn.vision.cameras import Cameras
 from tau_dyn.vision.pattern import Pattern
-from tau_dyn.vision.start import first_cameras, plates_of_rig, plates_of_views, side_by_side
+from tau_dyn.vision.start import (
+    estimate_initial_cameras,
+    estimate_relative_cameras,
+    estimate_rig_poses,
+    estimate_view_poses,
+)
 
-FEWEST = 4
+MIN_VIEWS = 4
 """Views a camera of unknown numbers needs."""
 
-_UNSURE = 0.02  # relative standard error of a focal length that makes poses worthless
+_MAX_RELATIVE_FOCAL_STDERR = 0.02  # relative standard error of a focal length that makes poses worthless
 _FAR_OFF = (4.0, 0.3)  # times the median residual, and [px], beyond which an image does not belong to the others
-_SURE = 25.0  # difference of squared residuals, in corner variances, at which one of two tilts is taken
+_MIN_CHI2_DIFFERENCE = 25.0  # difference of squared residuals, in corner variances, at which one of two tilts is taken
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class CameraSolution:
     """What the corners say.
 
     Attributes:
@@ -45,7 +50,7 @@ class Solved:
 
 def solve(
     views: Views, pattern: Pattern, sizes: np.ndarray, *, lens: str = "brown", known: Cameras | None = None
-) -> Solved:
+) -> CameraSolution:
     """Return cameras and plates from corners.
 
     Args:
@@ -73,16 +78,16 @@ def solve(
             )
         used = used[~off]
     _determined(bundle, known)
-    return Solved(bundle, now, used, left_out, _unsure(bundle, now, margin))
+    return CameraSolution(bundle, now, used, left_out, _unsure(bundle, now, margin))
 
 
 def _enough(views: Views, n_cameras: int, known: Cameras | None) -> None:
     for c in range(n_cameras):
         n = int((views.camera == c).sum())
-        if n < (1 if known is not None else FEWEST):
+        if n < (1 if known is not None else MIN_VIEWS):
             raise CannotAnswer(
                 f"{n} image{'' if n == 1 else 's'} of camera {c + 1} show{'s' if n == 1 else ''} the pattern; "
-                f"its focal length and lens need {FEWEST} or more",
+                f"its focal length and lens need {MIN_VIEWS} or more",
                 "take 15 images of the plate at tilts of 20 to 45 degrees that together fill the image, or give known cameras",
             )
 
@@ -91,18 +96,18 @@ def _solved(
     views: Views, pattern: Pattern, sizes: np.ndarray, lens: str, known: Cameras | None
 ) -> tuple[Bundle, np.ndarray]:
     points = pattern.points
-    start = known or first_cameras(views, pattern, sizes, lens)
-    each, margin = plates_of_views(views, pattern, start)
+    start = known or estimate_initial_cameras(views, pattern, sizes, lens)
+    each, margin = estimate_view_poses(views, pattern, start)
     if known is None:
-        start = side_by_side(views, each, start)
-    plates = plates_of_rig(views, each, start)
+        start = estimate_relative_cameras(views, each, start)
+    plates = estimate_rig_poses(views, each, start)
     noise = np.ones(len(sizes))
     bundle = adjust(views, points, start, plates, noise=noise, known=known)
     for _ in range(2):
         noise = _noise(bundle, views, known)
         bundle = adjust(views, points, bundle.cameras, bundle.plates, noise=noise, known=known)
     if known is None and np.bincount(views.plate).min() == 1:  # tilts were chosen with the first, rough cameras
-        margin = plates_of_views(views, pattern, bundle.cameras)[1]
+        margin = estimate_view_poses(views, pattern, bundle.cameras)[1]
     return bundle, margin
 
 
@@ -120,7 +125,7 @@ def _determined(bundle: Bundle, known: Cameras | None) -> None:
     for c, name in ((c, n) for c in range(bundle.cameras.n) for n in (0, 1)):
         f, stderr = bundle.cameras.intrinsics[c, name], bundle.cameras.stderr[9 * c + name]
         singular = known is None and np.linalg.eigvalsh(bundle.scaled)[0] < 1e-12
-        if singular or not stderr < _UNSURE * abs(f):
+        if singular or not stderr < _MAX_RELATIVE_FOCAL_STDERR * abs(f):
             raise CannotAnswer(
                 f"the images do not tell the focal length of camera {c + 1} from the distance of the plate "
                 f"(f = {f:.0f} px +- {1.96 * stderr:.0f} px): the plate has nearly the same tilt in all of them",
@@ -133,6 +138,6 @@ def _unsure(bundle: Bundle, views: Views, margin: np.ndarray) -> np.ndarray:
     """Return which plates (k,) are seen once and may be tilted the other way."""
     count = np.bincount(views.plate, minlength=len(bundle.plates.position))
     out = np.zeros(len(count), bool)
-    doubt = margin < _SURE * bundle.noise[views.camera] ** 2
+    doubt = margin < _MIN_CHI2_DIFFERENCE * bundle.noise[views.camera] ** 2
     out[views.plate[doubt]] = True
     return out & (count == 1)

@@ -10,25 +10,30 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.vision.bundle import Bundle, Plates, Views, adjust
 from tau_dyn.vision.cameras import Cameras
-from tau_dyn.vision.homography import focal_length, homography, other_tilt, pose_of_plane
+from tau_dyn.vision.homography import (
+    compute_mirrored_tilt,
+    compute_plane_pose,
+    estimate_focal_length,
+    estimate_homography,
+)
 from tau_dyn.vision.pattern import Pattern
 
 
-def first_cameras(views: Views, pattern: Pattern, sizes: np.ndarray, lens: str) -> Cameras:
+def estimate_initial_cameras(views: Views, pattern: Pattern, sizes: np.ndarray, lens: str) -> Cameras:
     """Return cameras in one place with focal lengths from the images (c, 2 sizes) and no distortion."""
     n = len(sizes)
     inner = np.zeros((n, 9))
     flat = pattern.points[:, :2]
     for c in range(n):
         middle = (sizes[c] - 1) / 2
-        pictures = [homography(flat, corners) for corners in views.corners[views.camera == c]]
-        f = focal_length(pictures, middle)
+        pictures = [estimate_homography(flat, corners) for corners in views.corners[views.camera == c]]
+        f = estimate_focal_length(pictures, middle)
         width = float(sizes[c].max())
         inner[c, :4] = [*[f if f is not None and 0.3 * width < f < 20 * width else 1.2 * width] * 2, *middle]
     return Cameras(inner, np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), sizes, lens)
 
 
-def plates_of_views(views: Views, pattern: Pattern, cameras: Cameras) -> tuple[Plates, np.ndarray]:
+def estimate_view_poses(views: Views, pattern: Pattern, cameras: Cameras) -> tuple[Plates, np.ndarray]:
     """Return a plate for each view in its own camera's frame (v), the better of two tilts, and by how much it is (v,).
 
     The margin is the difference in weighted squared residuals, with a noise of 1 px; small where both tilts explain the picture.
@@ -36,12 +41,14 @@ def plates_of_views(views: Views, pattern: Pattern, cameras: Cameras) -> tuple[P
     alone = replace(cameras, rotation=np.tile(np.eye(3), (cameras.n, 1, 1)), position=np.zeros((cameras.n, 3)))
     seen = Views(views.corners, views.camera, np.arange(len(views.camera)))
     starts = [
-        pose_of_plane(homography(pattern.points[:, :2], c), cameras.intrinsics[k])
+        compute_plane_pose(estimate_homography(pattern.points[:, :2], c), cameras.intrinsics[k])
         for c, k in zip(views.corners, views.camera, strict=True)
     ]
     one = Plates(np.array([r for r, _ in starts]), np.array([t for _, t in starts]))
     first = _alone(seen, pattern, alone, one)
-    other = Plates(np.array([other_tilt(r, t) for r, t in zip(*first.plates, strict=True)]), first.plates.position)
+    other = Plates(
+        np.array([compute_mirrored_tilt(r, t) for r, t in zip(*first.plates, strict=True)]), first.plates.position
+    )
     second = _alone(seen, pattern, alone, other)
     costs = np.array([(b.residuals**2).sum(axis=(1, 2)) for b in (first, second)])
     better = costs[1] < costs[0]
@@ -59,7 +66,7 @@ def _alone(views: Views, pattern: Pattern, cameras: Cameras, plates: Plates) -> 
     )
 
 
-def side_by_side(views: Views, plates: Plates, cameras: Cameras) -> Cameras:
+def estimate_relative_cameras(views: Views, plates: Plates, cameras: Cameras) -> Cameras:
     """Return cameras at their places to the first, the medians over plates that both see; `plates` one a view.
 
     Raises:
@@ -89,7 +96,7 @@ def _median_rotation(rotations: np.ndarray) -> np.ndarray:
     return rotations[int(np.argmin(angle.sum(axis=1)))]
 
 
-def plates_of_rig(views: Views, plates: Plates, cameras: Cameras) -> Plates:
+def estimate_rig_poses(views: Views, plates: Plates, cameras: Cameras) -> Plates:
     """Return one plate a moment in the first camera's frame, from the view of the first camera that saw it."""
     n = int(views.plate.max()) + 1
     rotation, position = np.zeros((n, 3, 3)), np.zeros((n, 3))

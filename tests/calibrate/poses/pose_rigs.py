@@ -8,13 +8,13 @@ import numpy as np
 
 from tau_dyn.calibrate.frames import Frame
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.poses.automation import geometry_of
-from tau_dyn.calibrate.poses.camera import Camera, Pattern, facing, looking
+from tau_dyn.calibrate.poses.automation import build_geometry
+from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
 from tau_dyn.calibrate.poses.tracker import Tracker
 from tau_dyn.kinematics.inverse import inverse_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import build_rods
-from tau_dyn.robot import Robot, load_robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 UP = np.array([0.0, 0.0, 1.0])
 MIDDLE = np.array([1.75, -0.6, 0.7])
@@ -29,7 +29,7 @@ def l1() -> Robot:
 @lru_cache(maxsize=1)
 def l1_geometry() -> Geometry:
     """Return its 21 dimensions."""
-    return geometry_of(l1())
+    return build_geometry(l1())
 
 
 @lru_cache(maxsize=1)
@@ -49,9 +49,9 @@ def at(*places: tuple[float, float, float]) -> Poses:
 def camera(place: tuple[float, float, float] = (5.5, -0.6, 0.7), **changes) -> Camera:
     """Return a camera in front of L1 that looks at the workspace's middle; the pattern looks along +x."""
     given = {
-        "pose": looking(np.array(place), MIDDLE, UP),
-        "on_tool": facing(np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), UP),
-        "pattern": Pattern(8, 6, 0.04),
+        "pose": build_camera_frame(np.array(place), MIDDLE, UP),
+        "on_tool": build_target_frame(np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), UP),
+        "pattern": CameraPattern(8, 6, 0.04),
         "focal": (1400.0, 1400.0),
         "image": (1280, 960),
         "centre": (639.5, 479.5),
@@ -61,7 +61,7 @@ def camera(place: tuple[float, float, float] = (5.5, -0.6, 0.7), **changes) -> C
 
 def tracker(place: tuple[float, float, float] = (6.0, -0.6, 0.7), **changes) -> Tracker:
     """Return a tracker in front of L1; the reflector looks along +x."""
-    on_tool = facing(np.zeros(3), np.array([1.0, 0.0, 0.0]), UP)
+    on_tool = build_target_frame(np.zeros(3), np.array([1.0, 0.0, 0.0]), UP)
     return Tracker(**({"pose": Frame(np.eye(3), np.array(place)), "on_tool": on_tool} | changes))
 
 
@@ -77,4 +77,4 @@ def six_axes() -> Robot:
             '<limit lower="-2.5" upper="2.5" velocity="2" effort="50"/></joint>'
         )
     rows.append('<link name="tool"/><joint name="flange" type="fixed"><origin xyz="0 0 0.12"/>')
-    return robot_from_urdf("".join(rows) + '<parent link="l6_link"/><child link="tool"/></joint></robot>', "six")
+    return load_robot_from_urdf("".join(rows) + '<parent link="l6_link"/><child link="tool"/></joint></robot>', "six")

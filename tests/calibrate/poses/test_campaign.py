@@ -14,10 +14,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from pose_rigs import at, camera, candidates, l1, six_axes
 
-from tau_dyn.calibrate.poses import Plan, plan_campaign
+from tau_dyn.calibrate.poses import CalibrationCampaign, plan_campaign
 from tau_dyn.calibrate.poses.path_check import PathCheck
-from tau_dyn.calibrate.poses.progress_file import new_progress, read_progress, run_campaign
-from tau_dyn.calibrate.poses.rapid import rapid_module, tour_csv
+from tau_dyn.calibrate.poses.progress_file import build_new_progress, read_progress, run_campaign
+from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
 from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
 from tau_dyn.calibrate.poses.tour import plan_tour
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -32,12 +32,12 @@ LAB = surroundings_from(
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
+def plan() -> CalibrationCampaign:
     """A plan for L1 with a camera and a table."""
     return plan_campaign(l1(), camera(), 20, demands=PoseRequirements(surroundings=LAB), candidates=250, runs=2)
 
 
-def test_plan_has_what_was_asked_for(plan: Plan) -> None:
+def test_plan_has_what_was_asked_for(plan: CalibrationCampaign) -> None:
     """Twenty poses are visited once each, all in sight, and rehearsals are about as accurate as predicted."""
     assert sorted(plan.tour.pose[plan.tour.pose >= 0]) == list(range(20))
     assert (plan.device.reasons(plan.tool(plan.choice.q)) == "").all()
@@ -45,7 +45,7 @@ def test_plan_has_what_was_asked_for(plan: Plan) -> None:
     assert plan.rehearsal.achieved < 0.5 * np.sqrt(np.mean(plan.rehearsal.before**2))
 
 
-def test_the_tour_is_shorter_and_free(plan: Plan) -> None:
+def test_the_tour_is_shorter_and_free(plan: CalibrationCampaign) -> None:
     """The tour is shorter than the poses as listed, and no place on it, looked at more finely, is forbidden."""
     assert plan.tour.length < 0.8 * plan.tour.as_given
     track = np.vstack([l1().home, plan.tour.q])
@@ -131,24 +131,26 @@ def test_two_opt_undoes_crossings() -> None:
 def test_rapid_holds_targets_in_mm_and_degrees() -> None:
     """Slides are written in mm, turning joints in degrees, quaternions with the scalar first, unused axes as 9E9."""
     q = np.array([[0.1234, np.pi / 2], [0.2, 0.0]])
-    text = rapid_module(q, np.array([0, -1]), at((1, 2, 3), (0, 0, 0)), ["prismatic", "revolute"], actuated=["a", "b"])
+    text = format_rapid_module(
+        q, np.array([0, -1]), at((1, 2, 3), (0, 0, 0)), ["prismatic", "revolute"], actuated=["a", "b"]
+    )
     assert "[[123.4000,90.0000,0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]" in text
     assert "[[1000.0000,2000.0000,3000.0000],[1.00000000,0.00000000" in text
     assert "pose_number{2} := [1, 0]" in text and text.count("MODULE") == 2
     assert len(re.findall(r"\bPROC\b", text)) == len(re.findall("ENDPROC", text))
     assert all(len(line) < 400 for line in text.splitlines())
     with pytest.raises(InputError, match="no pose"):
-        rapid_module(q[:0], np.zeros(0, int), at(), ["prismatic", "revolute"])
+        format_rapid_module(q[:0], np.zeros(0, int), at(), ["prismatic", "revolute"])
     with pytest.raises(InputError, match="12 axes"):
-        rapid_module(np.zeros((1, 13)), np.zeros(1, int), at((0, 0, 0)), ["revolute"] * 13)
+        format_rapid_module(np.zeros((1, 13)), np.zeros(1, int), at((0, 0, 0)), ["revolute"] * 13)
     with pytest.raises(InputError, match="no name"):
-        rapid_module(q, np.array([0, 1]), at((1, 2, 3), (0, 0, 0)), ["prismatic", "revolute"], name="1 poses")
+        format_rapid_module(q, np.array([0, 1]), at((1, 2, 3), (0, 0, 0)), ["prismatic", "revolute"], name="1 poses")
 
 
 def test_csv_repeats_the_numbers() -> None:
     """The CSV holds each place's positions and the pose measured there, 0 on the way."""
     q = candidates()[:3]
-    rows = tour_csv(q, np.array([1, -1, 0]), l1().actuated).splitlines()
+    rows = format_tour_csv(q, np.array([1, -1, 0]), l1().actuated).splitlines()
     assert rows[0] == "pose,q_cart1,q_cart2,q_cart3"
     table = np.array([[float(x) for x in row.split(",")] for row in rows[1:]])
     assert table[:, 0].tolist() == [2, 0, 1] and np.allclose(table[:, 1:], q, atol=1e-8)
@@ -161,7 +163,7 @@ class _Interrupted(Exception):
 def test_a_campaign_killed_at_any_place_goes_on(tmp_path: Path) -> None:
     """Stopped during any place, the next call measures that place again and no other twice; the result is the same."""
     q, pose = candidates()[:6], np.array([0, -1, 2, 1, -1, 3])
-    told = new_progress(l1().actuated, q, pose)
+    told = build_new_progress(l1().actuated, q, pose)
 
     def measured(k: int) -> tuple[np.ndarray, np.ndarray]:
         return np.full(3, float(k)), np.eye(3)
@@ -189,7 +191,7 @@ def test_a_campaign_killed_at_any_place_goes_on(tmp_path: Path) -> None:
 
 def test_a_progress_file_of_something_else_is_refused(tmp_path: Path) -> None:
     """Another plan, another robot, or no progress file at all: each is a sentence, and nothing is overwritten."""
-    told = new_progress(l1().actuated, candidates()[:4], np.arange(4))
+    told = build_new_progress(l1().actuated, candidates()[:4], np.arange(4))
     path = tmp_path / "p.json"
     told.save(path)
     before = path.read_text()
@@ -207,7 +209,7 @@ def test_a_progress_file_of_something_else_is_refused(tmp_path: Path) -> None:
         run_campaign(told, lambda k, where: None, tmp_path / "q.json")
 
 
-def test_the_gate_refuses_with_what_would_help(plan: Plan) -> None:
+def test_the_gate_refuses_with_what_would_help(plan: CalibrationCampaign) -> None:
     """An accuracy beyond so many poses is refused with the number that would do; an impossible one asks for a better device."""
     few = {"demands": PoseRequirements(collisions=False), "candidates": 250, "runs": 1}
     with pytest.raises(CannotAnswer, match="asked for") as fault:
@@ -240,7 +242,7 @@ def test_a_serial_arm_is_planned_too() -> None:
     assert plan.choice.predicted.turn > 0 and plan.choice.predicted.rms < plan.choice.at_random
 
 
-def test_what_the_terminal_says(plan: Plan) -> None:
+def test_what_the_terminal_says(plan: CalibrationCampaign) -> None:
     """The headline has the number of poses and the accuracy, the summary what was seen and the fewest poses."""
     assert headline(plan).startswith("20 poses will bring the tool to")
     assert summary(plan).endswith("at least 8 poses") and "camera" in summary(plan)

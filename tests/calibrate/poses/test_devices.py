@@ -11,9 +11,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from pose_rigs import MIDDLE, at, camera, candidates, l1, tracker
 
-from tau_dyn.calibrate.poses.camera import Pattern, looking
+from tau_dyn.calibrate.poses.camera import CameraPattern, build_camera_frame
 from tau_dyn.calibrate.poses.device_file import read_camera, read_tracker
-from tau_dyn.calibrate.poses.devices import seen
+from tau_dyn.calibrate.poses.devices import transform_to_device
 from tau_dyn.calibrate.poses.line_of_sight import find_occlusions
 from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.calibrate.poses.reachable import Reachable
@@ -44,7 +44,7 @@ def test_a_camera_looks_along_z_with_the_picture_upright() -> None:
 def test_slope_of_the_picture_is_its_derivative() -> None:
     """Moving and turning the pattern a little moves its corners as the slope says."""
     eye, step = camera(), 1e-7
-    start = seen(eye.frames, SPREAD)
+    start = transform_to_device(eye.frames, SPREAD)
     slope = eye._slope(start)
     for k in range(6):
         twist = np.zeros((len(start.position), 6))
@@ -71,7 +71,7 @@ def test_measured_poses_scatter_as_the_covariance_says(steady: bool) -> None:
     """Poses located in noisy pictures scatter with the predicted standard deviations, depth most of all."""
     eye = camera(steady=steady, pixel_noise=0.05)
     many = SPREAD.take(np.tile(np.arange(4), 8))
-    truth = seen(eye.frames, many)
+    truth = transform_to_device(eye.frames, many)
     off = np.array([eye.measure(many, rng).position - truth.position for rng in np.random.default_rng(3).spawn(40)])
     predicted = np.sqrt(np.diagonal(eye.covariance(SPREAD), axis1=1, axis2=2))[:, :3]
     assert predicted[:, 2].min() > 3 * predicted[:, :2].max()
@@ -85,7 +85,7 @@ def test_one_orientation_for_all_pictures_takes_the_bias_out_of_depth() -> None:
     many = at(*[(1.7 + 0.05 * k, -0.6, 0.7) for k in range(8)] * 5)
     bias = []
     for eye in (turning, steady):
-        truth = seen(eye.frames, many).position
+        truth = transform_to_device(eye.frames, many).position
         off = np.array([eye.measure(many, rng).position - truth for rng in np.random.default_rng(1).spawn(20)])
         bias.append(abs(off[..., 2].mean()))
     assert bias[1] < 0.4 * bias[0]
@@ -100,12 +100,12 @@ def test_one_orientation_for_all_pictures_takes_the_bias_out_of_depth() -> None:
         ({}, (1.75, 3.0, 0.7), "picture"),
         ({}, (9.0, -0.6, 0.7), "behind the camera"),
         (
-            {"pose": looking(np.array([-2.0, -0.6, 0.7]), MIDDLE, np.array([0.0, 0.0, 1.0]))},
+            {"pose": build_camera_frame(np.array([-2.0, -0.6, 0.7]), MIDDLE, np.array([0.0, 0.0, 1.0]))},
             (1.75, -0.6, 0.7),
             "from behind",
         ),
         ({"incidence": 0.02}, (1.75, -0.9, 0.7), "degrees"),
-        ({"pattern": Pattern(8, 6, 0.6)}, (1.75, -0.6, 0.7), "picture"),
+        ({"pattern": CameraPattern(8, 6, 0.6)}, (1.75, -0.6, 0.7), "picture"),
     ],
 )
 def test_why_a_camera_does_not_see(change: dict, place: tuple[float, float, float], reason: str) -> None:
@@ -137,7 +137,9 @@ def test_a_tracker_measures_along_better_than_across_from_afar() -> None:
     full = tracker(turn=5e-5)
     assert full.turned and full.covariance(SPREAD).shape == (4, 6, 6)
     rng = np.random.default_rng(0)
-    off = np.array([full.measure(SPREAD, rng).position - seen(full.frames, SPREAD).position for _ in range(200)])
+    off = np.array(
+        [full.measure(SPREAD, rng).position - transform_to_device(full.frames, SPREAD).position for _ in range(200)]
+    )
     assert np.allclose(off.std(axis=0) ** 2, np.diagonal(full.covariance(SPREAD), axis1=1, axis2=2)[:, :3], rtol=0.5)
 
 
@@ -174,7 +176,9 @@ def test_a_camera_inside_an_obstacle_is_refused_and_none_in_sight_says_why() -> 
     box = around(box={"centre": [5.5, -0.6, 0.7], "size": [0.3, 0.3, 0.3]})
     with pytest.raises(InputError, match="inside the obstacle 'post'"):
         find_visible(camera(), reach, box, None)
-    away = camera(pose=looking(np.array([5.5, -0.6, 0.7]), np.array([9.0, -0.6, 0.7]), np.array([0.0, 0.0, 1.0])))
+    away = camera(
+        pose=build_camera_frame(np.array([5.5, -0.6, 0.7]), np.array([9.0, -0.6, 0.7]), np.array([0.0, 0.0, 1.0]))
+    )
     with pytest.raises(CannotAnswer, match="sees none") as fault:
         find_visible(away, reach, Surroundings(), None)
     assert "looks at the robot" in fault.value.experiment
@@ -197,7 +201,9 @@ def test_files_give_what_they_say(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(CAMERA)
     (tmp_path / "t.yaml").write_text(TRACKER)
     eye, beam = read_camera(tmp_path / "c.yaml"), read_tracker(tmp_path / "t.yaml")
-    assert np.allclose(seen(eye.frames, SPREAD).position, seen(camera().frames, SPREAD).position)
+    assert np.allclose(
+        transform_to_device(eye.frames, SPREAD).position, transform_to_device(camera().frames, SPREAD).position
+    )
     assert eye.centre == (639.5, 479.5) and beam.turned and beam.along == pytest.approx(1e-5)
     assert beam.elevation[1] == pytest.approx(np.pi / 6)
 

@@ -16,12 +16,12 @@ from tau_dyn.control import (
     TimeShift,
     apply_correction,
     build_correction,
+    build_reference,
     controlled_actuators,
+    design_low_pass,
     learn,
-    low_pass,
     read_correction,
     read_reference,
-    reference_of,
     write_correction,
     write_reference,
 )
@@ -65,7 +65,7 @@ def test_another_period_is_refused_or_resampled_on_demand(rate_hz, tmp_path) -> 
     with pytest.raises(InputError, match=f"a sample every {1e3 / rate_hz:.6g} ms, the controller takes one every 4 ms"):
         write_reference(tmp_path / "r.csv", MODEL, motion)
     assert not (tmp_path / "r.csv").exists()
-    found = reference_of(MODEL, motion, resample=True)
+    found = build_reference(MODEL, motion, resample=True)
     np.testing.assert_allclose(np.diff(found.t), 0.004, rtol=1e-9)
     s = np.clip(found.t / 0.6, 0, 1)[:, None]
     true = ROBOT.home + STROKE * (10 * s**3 - 15 * s**4 + 6 * s**5)
@@ -88,7 +88,7 @@ def test_a_motion_too_fast_for_the_period_is_not_resampled() -> None:
     shake = 1e-3 * np.sin(2 * np.pi * 30 * t) * np.sin(np.pi * t / 0.599) ** 2
     motion = Trajectory.through(ROBOT.actuated, t, ROBOT.home + shake[:, None])
     with pytest.raises(InputError, match="would miss joint cart1 by up to .*too fast for this period"):
-        reference_of(MODEL, motion, period=0.02, resample=True)
+        build_reference(MODEL, motion, period=0.02, resample=True)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_learned_correction_comes_back_from_its_file(tmp_path) -> None:
     motion = there(250.0, 1.6)
     model = controlled_actuators([Actuator.from_discrete(0.4, 0.6, 2, 0.004)] * 3, 0.004)
     repeated = Repeated(0.004, motion.q, np.zeros((motion.n_samples, 3)), 100, 300, 50)
-    law = LearningLaw(MotorSide(model), (low_pass(10, 0.004),) * 3, TimeShift(0.9, 2, 0.004))
+    law = LearningLaw(MotorSide(model), (design_low_pass(10, 0.004),) * 3, TimeShift(0.9, 2, 0.004))
     done = learn(_Lagging(), repeated, law, iterations=3)
     correction = build_correction(done, law, ROBOT.actuated)
     write_correction(tmp_path / "c.csv", MODEL, motion, correction)

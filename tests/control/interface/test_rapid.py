@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from tau_dyn.control import rapid_motion
+from tau_dyn.control import format_rapid_motion
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import forward_kinematics, quaternions
 from tau_dyn.robot import load_robot
@@ -167,7 +167,7 @@ def test_joint_moves_follow_the_motion(name) -> None:
     """Straight lines between the places, each in its time, leave the motion by less than the tolerance; mm and deg."""
     robot = load_robot(name)
     motion = motion_of(robot)
-    program = Rapid(rapid_motion(robot, motion, tolerance=2e-4))
+    program = Rapid(format_rapid_motion(robot, motion, tolerance=2e-4))
     unit = np.where(np.array(robot.joint_kinds) == "prismatic", 1e3, np.rad2deg(1.0))
     places = np.array([row[0][: robot.na] for row in program.constants["places"]]) / unit
     assert all(
@@ -187,7 +187,7 @@ def test_tool_moves_follow_the_tool() -> None:
     """By MoveL the tool's places are the forward kinematics', mm, quaternions with the scalar first, in the work object."""
     robot = load_robot("gantry_tau_f1")
     motion = motion_of(robot)
-    program = Rapid(rapid_motion(robot, motion, by="tool", tolerance=2e-4, tool="gripper", wobj="bench"))
+    program = Rapid(format_rapid_motion(robot, motion, by="tool", tolerance=2e-4, tool="gripper", wobj="bench"))
     targets, t = program.constants["places"], np.cumsum(program.constants["seconds"])
     poses = forward_kinematics(robot, motion.q).poses
     place = np.array([row[0] for row in targets]) / 1e3
@@ -204,7 +204,7 @@ def test_hostile_names_stay_in_comments() -> None:
     robot = load_robot("gantry_tau")
     motion = motion_of(robot)
     named = Trajectory(motion.joints, motion.t, motion.q, motion.v, motion.a, "x\nENDMODULE\nMODULE evil")
-    assert Rapid(rapid_motion(robot, named)).name == "TauDynMotion"
+    assert Rapid(format_rapid_motion(robot, named)).name == "TauDynMotion"
 
 
 @pytest.mark.parametrize(
@@ -221,4 +221,4 @@ def test_bad_requests_are_refused(options, said) -> None:
     """A sentence, and no program."""
     robot = load_robot("gantry_tau")
     with pytest.raises(InputError, match=said):
-        rapid_motion(robot, motion_of(robot), **options)
+        format_rapid_motion(robot, motion_of(robot), **options)

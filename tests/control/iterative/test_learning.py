@@ -14,10 +14,10 @@ from tau_dyn.control.iterative import (
     TimeShift,
     ToolSide,
     analyse_convergence,
-    iteration_operator,
+    build_iteration_operator,
+    design_low_pass,
+    design_robust_filter,
     learn,
-    low_pass,
-    robust_filter,
 )
 from tau_dyn.control.observers import ComplementaryToolObserver
 from tau_dyn.exceptions import InputError
@@ -29,7 +29,7 @@ from plants import DT, Carts, actuators, motion  # noqa: E402
 
 
 def law(cutoff: float = 10.0, gain: float = 0.9, shift: int = 5) -> LearningLaw:
-    return LearningLaw(MotorSide(actuators()), (low_pass(cutoff, DT),) * 2, TimeShift(gain, shift, DT))
+    return LearningLaw(MotorSide(actuators()), (design_low_pass(cutoff, DT),) * 2, TimeShift(gain, shift, DT))
 
 
 def resonant() -> StateSpace:
@@ -80,7 +80,7 @@ def test_operator_is_the_printed_matrix() -> None:
     T = one.side.operator(m.n) @ np.eye(2 * m.n)
     H = Q @ (np.eye(m.n) - L @ T[: m.n, : m.n])
     on = m.weights() > 0
-    ours = iteration_operator(one, m) @ np.eye(2 * m.n)
+    ours = build_iteration_operator(one, m) @ np.eye(2 * m.n)
     assert_allclose(ours[: m.n, : m.n][:, on], H[:, on], atol=1e-12)
     found = analyse_convergence(one, m)
     assert_allclose(found.singular[0], np.linalg.svd(H[:, on], compute_uv=False)[0], rtol=1e-5)
@@ -91,7 +91,7 @@ def test_an_unstable_law_is_refused_at_its_frequency_and_nothing_moves() -> None
     plant, model = Carts(), resonant()
     side = ToolSide(model, lambda tool: tool[:, :2])
     with pytest.raises(InputError, match=r"an error at 9\.[0-2] Hz grows"):
-        learn(plant, motion(), LearningLaw(side, (low_pass(12, DT),) * 2, TimeShift(0.9, 5, DT)), 3)
+        learn(plant, motion(), LearningLaw(side, (design_low_pass(12, DT),) * 2, TimeShift(0.9, 5, DT)), 3)
     assert plant.runs == 0
 
 
@@ -109,9 +109,9 @@ def test_refused_law_would_have_grown() -> None:
 
 
 def test_dips_let_a_resonance_be_passed() -> None:
-    """Q from `robust_filter` forgets at 9 Hz, learns at 2 Hz, and the law converges with the growth that was asked for."""
+    """Q from `design_robust_filter` forgets at 9 Hz, learns at 2 Hz, and the law converges with the growth that was asked for."""
     side, L = ToolSide(resonant(), lambda tool: tool[:, :2]), TimeShift(0.9, 5, DT)
-    Q = robust_filter(side, L, 30.0, growth=0.8)
+    Q = design_robust_filter(side, L, 30.0, growth=0.8)
     low, at, above = Q.response(np.array([2.0, 9.0, 22.0]))
     assert low > 0.9 and at < 0.2 and above > 2 * at
     found = analyse_convergence(LearningLaw(side, (Q, Q), L), motion())
@@ -122,7 +122,7 @@ def test_norm_optimal_is_monotone_and_learns() -> None:
     """Its H = change (S + effort + change)^-1: no singular value above change / (effort + change), and the error goes."""
     optimal = NormOptimalLaw(MotorSide(actuators()), effort=1e-4, change=0.05)
     done = learn(Carts(), motion(), optimal, 8)
-    H = iteration_operator(optimal, motion()) @ np.eye(800)
+    H = build_iteration_operator(optimal, motion()) @ np.eye(800)
     assert np.linalg.norm(H, 2) <= done.convergence.singular[0] + 1e-9
     assert_allclose(done.convergence.singular[0], 0.05 / 0.0501)
     assert np.all(done.relative()[-1] < 3)
@@ -157,7 +157,7 @@ def test_unsafe_settings_are_refused() -> None:
     with pytest.raises(InputError, match="takes references every 2 ms"):
         learn(Carts(dt=0.002), motion(), law(), 2)
     with pytest.raises(InputError, match="same sampling step"):
-        LearningLaw(MotorSide(actuators()), (low_pass(10, 0.002),) * 2, TimeShift(0.9, 5, DT))
+        LearningLaw(MotorSide(actuators()), (design_low_pass(10, 0.002),) * 2, TimeShift(0.9, 5, DT))
     with pytest.raises(InputError, match="more than the 1e-05 allowed"):
         learn(Carts(), motion(), law(), 2, limit=1e-5)
     with pytest.raises(InputError, match="does not fit"):

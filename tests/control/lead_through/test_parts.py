@@ -8,7 +8,7 @@ from tau_dyn.control.lead_through import ForceSensor
 from tau_dyn.control.lead_through.contact_state import ContactState
 from tau_dyn.control.lead_through.impedance import HandleImpedance
 from tau_dyn.control.lead_through.normal import NormalEstimator
-from tau_dyn.control.lead_through.projections import handle_part, saturation, tool_part
+from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, saturation
 from tau_dyn.control.lead_through.stiffness import StiffnessWatch
 from tau_dyn.exceptions import InputError
 
@@ -88,7 +88,7 @@ def test_the_projections_share_the_space_without_overlap_or_gap(rng):
     for _ in range(20):
         n = rng.standard_normal(3)
         n, twist = n / np.linalg.norm(n), rng.standard_normal(6)
-        by_hand, by_force = handle_part(twist, n, True), tool_part(twist, n, True, False)
+        by_hand, by_force = handle_part(twist, n, True), compute_tool_part(twist, n, True, False)
         assert abs(n @ by_hand[:3]) < 1e-15
         assert np.allclose(np.cross(n, by_force[:3]), 0, atol=1e-15)
         assert np.allclose(by_hand[:3] + by_force[:3], twist[:3])
@@ -101,14 +101,14 @@ def test_without_contact_the_hand_has_all_directions_and_the_tool_force_none(rng
     """(8.8), (8.9), free space."""
     twist = rng.standard_normal(6)
     assert np.array_equal(handle_part(twist, UP, False), np.r_[twist[:3], np.zeros(3)])
-    assert not tool_part(twist, UP, False, True).any()
+    assert not compute_tool_part(twist, UP, False, True).any()
 
 
 def test_torques_turn_a_peg_but_not_about_a_locked_axis(rng):
     """(8.11); the peg's own axis, which the hole does not determine, can be locked."""
     twist = rng.standard_normal(6)
-    assert np.array_equal(tool_part(twist, UP, True, True)[3:], twist[3:])
-    locked = tool_part(twist, UP, True, True, UP)[3:]
+    assert np.array_equal(compute_tool_part(twist, UP, True, True)[3:], twist[3:])
+    locked = compute_tool_part(twist, UP, True, True, UP)[3:]
     assert locked[2] == 0 and np.array_equal(locked[:2], twist[3:5])
 
 

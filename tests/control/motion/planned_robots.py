@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from tau_dyn.effects import friction_model
+from tau_dyn.effects import build_friction_model
 from tau_dyn.model import Model
-from tau_dyn.robot import load_robot, robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 START, END = np.array([1.3, -0.75, 0.65]), np.array([2.2, -0.45, 0.85])
 """Tool positions [m] in L1's workspace, 0.97 m apart."""
@@ -16,7 +16,7 @@ START, END = np.array([1.3, -0.75, 0.65]), np.array([2.2, -0.45, 0.85])
 def block(mass: float = 95.0, effort: float = 400.0) -> Model:
     """Return a block on a level guideway: a double integrator."""
     return Model.of(
-        robot_from_urdf(
+        load_robot_from_urdf(
             f"""<robot name="block" xmlns:tau_dyn="urn:tau_dyn"><link name="base_link"/><link name="carriage_link">
             <inertial><origin xyz="0 0 0"/><mass value="{mass}"/>
             <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
@@ -31,7 +31,7 @@ def block(mass: float = 95.0, effort: float = 400.0) -> Model:
 def l1(coulomb: float = 0.0, viscous: float = 0.0) -> Model:
     """Return the simplified L1 with friction [N, N s/m]."""
     robot = load_robot("gantry_tau", prototype="l1")
-    model = Model.of(robot, friction_model("symmetric", robot.actuated, robot.force_units))
+    model = Model.of(robot, build_friction_model("symmetric", robot.actuated, robot.force_units))
     values = {"coulomb": coulomb, "viscous": viscous}
     return model.with_values({f"{j}.{k}": x for j in robot.actuated for k, x in values.items()})
 

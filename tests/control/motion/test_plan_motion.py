@@ -14,7 +14,7 @@ from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
 from tau_dyn.control.motion.coordinates import Free
 from tau_dyn.control.motion.limit_check import tighten_limits
 from tau_dyn.control.motion.nodes import Nodes
-from tau_dyn.control.motion.path import joint_line
+from tau_dyn.control.motion.path import build_joint_line
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.simulate import Trajectory
 
@@ -153,7 +153,7 @@ def test_what_a_limit_is_left_by_between_the_nodes_is_tightened():
     """A force 5 % beyond its limit at one look of the fine clock lowers the limit of the places beside it by as much."""
     model = block()
     limits = MotionLimits.of(model)
-    coordinates = Free(joint_line(np.array([-0.4]), np.array([0.4])), np.array([-0.5]), np.array([0.5]))
+    coordinates = Free(build_joint_line(np.array([-0.4]), np.array([0.4])), np.array([-0.5]), np.array([0.5]))
     ddx = np.zeros((11, 1))
     ddx[4] = 1.05 * 400.0 / 95.0
     none = np.zeros((21, 0))

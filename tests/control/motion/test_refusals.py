@@ -10,7 +10,7 @@ import pytest
 
 from tau_dyn.control.motion import MotionLimits, plan_motion
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.robot import robot_from_urdf
+from tau_dyn.robot import load_robot_from_urdf
 
 sys.path.insert(0, str(Path(__file__).parent))
 from planned_robots import END, START, block, l1
@@ -26,7 +26,7 @@ PENDULUM = """<robot name="pendulum"><link name="base_link"/><link name="rod"><i
 
 def pendulum(effort: float):
     """Return a rod that hangs from a pivot and weighs 9.81 N m when level."""
-    return robot_from_urdf(PENDULUM.format(effort=effort), "pendulum")
+    return load_robot_from_urdf(PENDULUM.format(effort=effort), "pendulum")
 
 
 @pytest.mark.parametrize(

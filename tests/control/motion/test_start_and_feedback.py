@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.control.motion import MotionLimits, feedback_noise, margin_for
+from tau_dyn.control.motion import MotionLimits, compute_feedback_margin, estimate_feedback_noise
 from tau_dyn.control.motion.profile import trapezoid
 from tau_dyn.exceptions import InputError
 from tau_dyn.simulate import CascadeController, CascadeLaw, Trajectory
@@ -39,18 +39,18 @@ def test_encoder_noise_becomes_the_force_noise_that_a_cascade_makes(with_inertia
     controller, rng, zero = CascadeController(law), np.random.default_rng(5), np.zeros(3)
     controller.reset(still)
     tau = [controller.force(k, k * dt, q, zero, zero, q + sigma * rng.standard_normal(3)) for k in range(4000)]
-    assert_allclose(np.std(tau[5:], axis=0), feedback_noise(law, q[None], sigma, dt), rtol=0.06)
+    assert_allclose(np.std(tau[5:], axis=0), estimate_feedback_noise(law, q[None], sigma, dt), rtol=0.06)
 
 
 def test_the_margin_leaves_room_for_noise_and_for_what_is_unknown():
     """Planned force with its unknown share, plus four standard deviations of noise, fills the limit exactly."""
     model, q = block(effort=400.0), np.zeros((1, 1))
     law, limits = CascadeLaw.of(50.0, 5e3, na=1), MotionLimits.of(model)
-    noise = feedback_noise(law, q, 5e-6)[0]
-    margin = margin_for(limits, law, q, 5e-6, unknown=0.1)
+    noise = estimate_feedback_noise(law, q, 5e-6)[0]
+    margin = compute_feedback_margin(limits, law, q, 5e-6, unknown=0.1)
     assert_allclose((1 - margin) * 400.0 * 1.1 + 4 * noise, 400.0)
-    assert_allclose(margin_for(limits, law, q, 0.0, unknown=0.0), 0.0, atol=1e-15)
+    assert_allclose(compute_feedback_margin(limits, law, q, 0.0, unknown=0.0), 0.0, atol=1e-15)
     with pytest.raises(InputError, match="lower its gains"):
-        margin_for(limits, law, q, 1e-3)
+        compute_feedback_margin(limits, law, q, 1e-3)
     with pytest.raises(InputError, match="unknown"):
-        margin_for(limits, law, q, 0.0, unknown=1.5)
+        compute_feedback_margin(limits, law, q, 0.0, unknown=1.5)

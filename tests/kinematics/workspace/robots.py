@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.robot import Robot, robot_from_urdf
+from tau_dyn.robot import Robot, load_robot_from_urdf
 
 _SPACES = 'xmlns:drake="http://drake.mit.edu" xmlns:tau_dyn="urn:tau_dyn"'
 
@@ -35,7 +35,9 @@ def tool(parent: str, xyz: str = "0 0 0") -> str:
 
 def robot(name: str, *parts: str) -> Robot:
     """Return the robot around the parts."""
-    return robot_from_urdf(f'<robot name="{name}" {_SPACES}><link name="base_link"/>{"".join(parts)}</robot>', name)
+    return load_robot_from_urdf(
+        f'<robot name="{name}" {_SPACES}><link name="base_link"/>{"".join(parts)}</robot>', name
+    )
 
 
 def cartesian(

@@ -12,18 +12,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tau_dyn.calibrate.families import family_of
+from tau_dyn.calibrate.families import get_family
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses.camera import Camera
 from tau_dyn.calibrate.poses.choice import PoseChoice, choose_from
 from tau_dyn.calibrate.poses.design import build_design
-from tau_dyn.calibrate.poses.devices import Device, UniformDevice
+from tau_dyn.calibrate.poses.devices import MeasuringDevice, UniformDevice
 from tau_dyn.calibrate.poses.monte_carlo import MonteCarloCalibration, require_accuracy, simulate_calibrations
 from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.calibrate.poses.prediction import predict
-from tau_dyn.calibrate.poses.progress_file import Progress, new_progress
-from tau_dyn.calibrate.poses.rapid import rapid_module, tour_csv
+from tau_dyn.calibrate.poses.progress_file import CampaignProgress, build_new_progress
+from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
 from tau_dyn.calibrate.poses.reachable import WANTED, Reachable, Safety, find_reachable
 from tau_dyn.calibrate.poses.tour import Tour, plan_tour
 from tau_dyn.calibrate.poses.visible import Visible, find_visible
@@ -34,14 +34,14 @@ from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.robot import Robot
 
 _NOISE = (1e-4, 1e-4)
-_WORTH = 0.8
+_MAX_ERROR_RATIO = 0.8
 """Share of the predicted error below which another way to fit is worth a sentence."""
 _PLACES = 400
 """Places of the workspace at which accuracy is judged."""
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class CalibrationCampaign:
     """A campaign ready to run.
 
     Attributes:
@@ -57,7 +57,7 @@ class Plan:
     """
 
     robot: Robot
-    device: Device
+    device: MeasuringDevice
     reachable: Reachable
     visible: Visible
     choice: PoseChoice
@@ -66,9 +66,9 @@ class Plan:
     check: PathCheck
     warnings: tuple[str, ...]
 
-    def progress(self) -> Progress:
+    def progress(self) -> CampaignProgress:
         """Return the plan as a progress file of which nothing is done."""
-        return new_progress(self.robot.actuated, self.tour.q, self.tour.pose)
+        return build_new_progress(self.robot.actuated, self.tour.q, self.tour.pose)
 
     def tool(self, q: np.ndarray) -> Poses:
         """Return where the nominal robot's tool is at positions (k, na)."""
@@ -76,12 +76,12 @@ class Plan:
 
     def csv(self) -> str:
         """Return the tour as CSV."""
-        return tour_csv(self.tour.q, self.tour.pose, self.robot.actuated)
+        return format_tour_csv(self.tour.q, self.tour.pose, self.robot.actuated)
 
     def rapid(self) -> str:
         """Return the tour as a RAPID module."""
         robot = self.robot
-        return rapid_module(
+        return format_rapid_module(
             self.tour.q, self.tour.pose, self.tool(self.tour.q), robot.joint_kinds, actuated=robot.actuated
         )
 
@@ -110,7 +110,7 @@ class Plan:
 
 def plan_campaign(
     robot: Robot,
-    device: Device | None = None,
+    device: MeasuringDevice | None = None,
     n: int | Literal["auto"] = "auto",
     *,
     model: str | None = None,
@@ -126,7 +126,7 @@ def plan_campaign(
     runs: int = 3,
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
-) -> Plan:
+) -> CalibrationCampaign:
     """Plan a calibration: which poses, in which order, and how accurate it will be.
 
     Args:
@@ -155,7 +155,7 @@ def plan_campaign(
     """
     demands = demands if demands is not None else PoseRequirements()
     machine = machine_of(robot)
-    geometry = geometry_of(robot, model)
+    geometry = build_geometry(robot, model)
     device = _device_for(geometry, device)
     reach = find_reachable(machine, demands, safety, wanted=candidates, seed=seed, progress=progress)
     reach = _predictable(reach, geometry)
@@ -184,22 +184,22 @@ def plan_campaign(
     progress("ordering poses")
     tour = _tour(choice, robot, reach)
     warnings = (*reach.warnings, *choice.warnings, *said, *_left_out(tour))
-    return Plan(robot, device, reach, visible, choice, rehearsal, tour, reach.check, warnings)
+    return CalibrationCampaign(robot, device, reach, visible, choice, rehearsal, tour, reach.check, warnings)
 
 
-def geometry_of(robot: Robot, model: str | None = None) -> Geometry:
+def build_geometry(robot: Robot, model: str | None = None) -> Geometry:
     """Return what is to be calibrated of a robot: a named model, or all its dimensions.
 
     Raises:
         UnknownName: No such model.
     """
     home = PoseSet(robot.home[None], np.zeros((1, 3)))
-    family = family_of(robot, home)
+    family = get_family(robot, home)
     largest = "complete" if "complete" in family.structures else family.structures[-1]
     return family.build(family.spec(model if model is not None else largest))
 
 
-def _device_for(geometry: Geometry, device: Device | None) -> Device:
+def _device_for(geometry: Geometry, device: MeasuringDevice | None) -> MeasuringDevice:
     """Return the device given, or one that sees everything; a camera that sees one orientation alone is told so."""
     if device is None:
         return UniformDevice(_NOISE if geometry.orients else _NOISE[:1])
@@ -246,7 +246,7 @@ def _weighing(choice: PoseChoice) -> tuple[str, ...]:
     if choice.design.weighted:
         return ()
     better = predict(replace(choice.design, weighted=True), choice.index).rms
-    if better > _WORTH * choice.predicted.rms:
+    if better > _MAX_ERROR_RATIO * choice.predicted.rms:
         return ()
     return (
         f"the device measures unevenly: a fit that weighs poses by its covariance (`--weighted`, `refine`) would bring "

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import Frame, Frames, mean_rotation
-from tau_dyn.calibrate.poses.devices import SEEN, seen, target
+from tau_dyn.calibrate.frames import DeviceFrames, Frame, mean_rotation
+from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_to_device
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
 
@@ -26,7 +26,7 @@ _AT_REST = 1e-10
 
 
 @dataclass(frozen=True)
-class Pattern:
+class CameraPattern:
     """A chessboard: a grid of corners in its frame's plane, z towards who looks at it.
 
     Attributes:
@@ -78,7 +78,7 @@ class Camera:
 
     pose: Frame
     on_tool: Frame
-    pattern: Pattern
+    pattern: CameraPattern
     focal: tuple[float, float]
     image: tuple[int, int]
     centre: tuple[float, float]
@@ -90,9 +90,9 @@ class Camera:
     name: str = "camera"
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> DeviceFrames:
         """The base in the camera's frame, the pattern on the tool."""
-        return Frames((self.pose.inverse,), (self.on_tool,))
+        return DeviceFrames((self.pose.inverse,), (self.on_tool,))
 
     @property
     def turned(self) -> bool:
@@ -106,7 +106,7 @@ class Camera:
 
     def reasons(self, tool: Poses) -> np.ndarray:
         """Return why it does not see the whole pattern (N,), '' where it does."""
-        at = seen(self.frames, tool)
+        at = transform_to_device(self.frames, tool)
         out = np.full(len(at.position), SEEN, dtype=object)
         points = _points(at, self.pattern.outline)
         away = np.linalg.norm(at.position, axis=1)
@@ -128,17 +128,17 @@ class Camera:
 
     def marks(self, tool: Poses) -> np.ndarray:
         """Return the pattern's middle and its four corners (N, 5, 3) [m] in the robot's base frame."""
-        return _points(target(self.frames, tool), np.vstack([np.zeros((1, 3)), self.pattern.outline]))
+        return _points(transform_to_base(self.frames, tool), np.vstack([np.zeros((1, 3)), self.pattern.outline]))
 
     def covariance(self, tool: Poses) -> np.ndarray:
         """Return the covariance of the pattern's measured pose (N, 6, 6), of a steady one's position (N, 3, 3)."""
-        slope = self._slope(seen(self.frames, tool))
+        slope = self._slope(transform_to_device(self.frames, tool))
         slope = slope[:, :, :3] if self.steady else slope
         return self.pixel_noise**2 * np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope)
 
     def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
         """Return the pattern's pose as located in noisy pictures."""
-        at = seen(self.frames, tool)
+        at = transform_to_device(self.frames, tool)
         pixels = self.project(_points(at, self.pattern.corners))
         pixels = pixels + self.pixel_noise * rng.standard_normal(pixels.shape)
         found = self.locate(pixels, at)
@@ -192,7 +192,7 @@ class Camera:
         return np.concatenate([by_point, by_turn], axis=3).reshape(len(points), -1, 6)
 
 
-def looking(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Frame:
+def build_camera_frame(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Frame:
     """Return the frame of a camera at a place that looks at a point, `up` upwards in the picture.
 
     Raises:
@@ -208,13 +208,13 @@ def looking(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Frame:
     return Frame(np.stack([x, np.cross(z, x), z], axis=1), place)
 
 
-def facing(place: np.ndarray, normal: np.ndarray, up: np.ndarray) -> Frame:
+def build_target_frame(place: np.ndarray, normal: np.ndarray, up: np.ndarray) -> Frame:
     """Return a target's frame: z along `normal`, `up` against its y (so that it stands upright in a picture).
 
     Raises:
         InputError: `normal` has no length or lies along `up`.
     """
-    frame = looking(place, place - normal, up)
+    frame = build_camera_frame(place, place - normal, up)
     return Frame(frame.rotation @ np.diag([1.0, -1.0, -1.0]), place)
 
 

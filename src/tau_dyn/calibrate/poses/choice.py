@@ -8,21 +8,21 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.poses.criteria import SMOOTH, criterion_of, indices
-from tau_dyn.calibrate.poses.design import Design, build_design
+from tau_dyn.calibrate.poses.criteria import SMOOTH, build_criterion, compute_observability_indices
+from tau_dyn.calibrate.poses.design import PoseDesign, build_design
 from tau_dyn.calibrate.poses.exchange import PoseExchange
 from tau_dyn.calibrate.poses.pose_count import (
     MIN_DOUBLING_GAIN,
     add_poses_until_enough,
+    compute_doubling_gain,
     compute_min_poses,
-    doubling_gain,
 )
-from tau_dyn.calibrate.poses.prediction import Prediction, predict
+from tau_dyn.calibrate.poses.prediction import CalibrationPrediction, predict
 from tau_dyn.exceptions import InputError
 
-MOST = 400
+MAX_POSES = 400
 """Poses that `auto` takes at most: a day's work with a tracker."""
 _STARTS = 2
 
@@ -42,12 +42,12 @@ class PoseChoice:
         warnings: Sentences.
     """
 
-    design: Design
+    design: PoseDesign
     index: np.ndarray
     criterion: str
     trace: tuple[float, ...]
-    curve: tuple[Prediction, ...]
-    predicted: Prediction
+    curve: tuple[CalibrationPrediction, ...]
+    predicted: CalibrationPrediction
     at_random: float
     warnings: tuple[str, ...]
 
@@ -79,10 +79,14 @@ class PoseChoice:
             "candidates": self.design.n,
             "chosen": self.n,
             "fewest": compute_min_poses(self.design),
-            "criterion": {"name": self.criterion, "trace": list(self.trace), **indices(self.information())},
+            "criterion": {
+                "name": self.criterion,
+                "trace": list(self.trace),
+                **compute_observability_indices(self.information()),
+            },
             "predicted": self.predicted.to_dict(self.design.names),
             "predicted_at_random": self.at_random,
-            "doubling_gain": doubling_gain(self.predicted),
+            "doubling_gain": compute_doubling_gain(self.predicted),
             "curve": [{"poses": p.poses, "rms": p.rms, "held_out": p.held_out} for p in self.curve],
             "identifiability": {"rank": self.design.found.rank, "not_identifiable": rows},
         }
@@ -95,7 +99,7 @@ def choose_poses(
     *,
     criterion: str = "tool",
     noise: tuple[float, ...] | np.ndarray = (1e-4, 1e-4),
-    frames: Frames | None = None,
+    frames: DeviceFrames | None = None,
     workspace: np.ndarray | None = None,
     fix: Sequence[str] = (),
     free: Sequence[str] = (),
@@ -146,7 +150,7 @@ def choose_poses(
 
 
 def choose_from(
-    design: Design,
+    design: PoseDesign,
     n: int | Literal["auto"] = "auto",
     *,
     criterion: str = "tool",
@@ -157,11 +161,11 @@ def choose_from(
     """Choose among candidates whose information is known already; arguments as in `choose_poses`."""
     _check_numbers(design, n, gain, target)
     blocks = design.whitened()
-    search = PoseExchange(blocks, criterion_of(criterion, design))
-    first = search if criterion in SMOOTH else PoseExchange(blocks, criterion_of("determinant", design))
+    search = PoseExchange(blocks, build_criterion(criterion, design))
+    first = search if criterion in SMOOTH else PoseExchange(blocks, build_criterion("determinant", design))
     rng = np.random.default_rng(seed)
     if n == "auto":
-        picked, curve = add_poses_until_enough(design, first, gain=gain, target=target, most=min(MOST, design.n))
+        picked, curve = add_poses_until_enough(design, first, gain=gain, target=target, most=min(MAX_POSES, design.n))
     else:
         picked = np.array([k for k, _ in zip(first.pick(), range(n), strict=False)])
         marks = sorted({*np.unique(np.geomspace(compute_min_poses(design), n, 12).astype(int)).tolist(), n})
@@ -179,7 +183,7 @@ def choose_from(
     return PoseChoice(design, best, criterion, (*trace, search.value(best)), tuple(curve), made, at_random, said)
 
 
-def _check_numbers(design: Design, n: int | Literal["auto"], gain: float, target: float | None) -> None:
+def _check_numbers(design: PoseDesign, n: int | Literal["auto"], gain: float, target: float | None) -> None:
     least = compute_min_poses(design)
     if design.n < least:
         have = "1 candidate pose is" if design.n == 1 else f"{design.n} candidate poses are"
@@ -199,7 +203,7 @@ def _check_numbers(design: Design, n: int | Literal["auto"], gain: float, target
 
 
 def _warnings(
-    design: Design, made: Prediction, n: int | Literal["auto"], gain: float, target: float | None
+    design: PoseDesign, made: CalibrationPrediction, n: int | Literal["auto"], gain: float, target: float | None
 ) -> tuple[str, ...]:
     said = []
     weak = [name for name, e, s in zip(design.names, made.stderr, design.scales, strict=True) if e > s]
@@ -219,9 +223,9 @@ def _warnings(
             f"{made.poses} poses bring {1e3 * made.rms:.3g} mm, not the {1e3 * target:.3g} mm asked "
             "for; there are no more to take"
         )
-    elif n == "auto" and target is None and doubling_gain(made) > 1.5 * gain:
+    elif n == "auto" and target is None and compute_doubling_gain(made) > 1.5 * gain:
         said.append(
             f"{made.poses} poses are not enough yet: twice as many would make the held-out error "
-            f"{100 * doubling_gain(made):.0f} % smaller"
+            f"{100 * compute_doubling_gain(made):.0f} % smaller"
         )
     return tuple(said)

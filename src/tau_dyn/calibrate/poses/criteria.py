@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.poses.design import Design
+from tau_dyn.calibrate.poses.design import PoseDesign
 from tau_dyn.exceptions import UnknownName
 
 NAMES = ("tool", "worst", "determinant", "condition", "smallest", "amplification")
@@ -46,7 +46,7 @@ class Criterion(NamedTuple):
     gradient: Callable[[np.ndarray], np.ndarray]
 
 
-def criterion_of(name: str, design: Design) -> Criterion:
+def build_criterion(name: str, design: PoseDesign) -> Criterion:
     """Return a criterion by name.
 
     Raises:
@@ -115,7 +115,7 @@ def _singular(name: str, low: float, high: float) -> Criterion:
     return Criterion(name, value, gradient)
 
 
-def indices(information: np.ndarray) -> dict[str, float]:
+def compute_observability_indices(information: np.ndarray) -> dict[str, float]:
     """Return the classical numbers of an information matrix (r, r): of `J`, condition, amplification."""
     s = np.sqrt(np.maximum(np.linalg.eigvalsh(information), 0.0))
     low, high = float(s[0]), float(s[-1])

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.identifiability import STRUCTURAL, Identifiability, find_identifiable
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.residuals import Problem, State
+from tau_dyn.calibrate.residuals import FitState, Problem
 from tau_dyn.calibrate.unknowns import Unknowns, collect
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
@@ -31,7 +31,7 @@ _SEEN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class PoseDesign:
     """Candidates and what each tells.
 
     Attributes:
@@ -52,7 +52,7 @@ class Design:
     """
 
     geometry: Geometry
-    frames: Frames
+    frames: DeviceFrames
     q: np.ndarray
     workspace: np.ndarray
     tool: Poses
@@ -113,14 +113,14 @@ def build_design(
     q: np.ndarray,
     noise: tuple[float, ...] | np.ndarray,
     *,
-    frames: Frames | None = None,
+    frames: DeviceFrames | None = None,
     workspace: np.ndarray | None = None,
     fix: Sequence[str] = (),
     free: Sequence[str] = (),
     device: bool = True,
     tool: bool = True,
     weighted: bool = False,
-) -> Design:
+) -> PoseDesign:
     """Return what candidates would tell about a mechanism.
 
     Args:
@@ -143,7 +143,7 @@ def build_design(
     cov = _covariances(noise, len(q))
     turned = geometry.orients and cov.shape[1] == 6
     cov = cov if turned else cov[:, :3, :3]
-    frames = frames if frames is not None else Frames()
+    frames = frames if frames is not None else DeviceFrames()
     unknowns = collect(geometry, frames, fix=fix, free=free, device=device, tool=tool, turned=turned)
     if not unknowns.free.any():
         raise InputError("no parameter is free that poses could tell; free some, or leave `fix` out")
@@ -167,20 +167,20 @@ def build_design(
     kept = slopes[:, :, found.kept] * scales[found.kept]
     told = shifts[:, :, found.kept]
     untold = _untold(shifts, found, scales)
-    return Design(
+    return PoseDesign(
         geometry, frames, q, there[good], base, unknowns, found, kept, cov, told[:, :3], told[:, 3:], untold, weighted
     )
 
 
 def _slopes(
-    geometry: Geometry, frames: Frames, unknowns: Unknowns, q: np.ndarray, turned: bool
+    geometry: Geometry, frames: DeviceFrames, unknowns: Unknowns, q: np.ndarray, turned: bool
 ) -> tuple[np.ndarray, Poses, np.ndarray]:
     """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and where they exist."""
     theta, campaign = geometry.parameters.values, np.zeros(len(q), int)
     predicted = geometry.forward(theta, q)
     seen = frames.measured(predicted.poses, campaign)
     poses = PoseSet(q, seen.position, seen.rotation if turned else None)
-    state = State(theta, frames, predicted.poses, predicted.ok, np.zeros(q.shape[1]))
+    state = FitState(theta, frames, predicted.poses, predicted.ok, np.zeros(q.shape[1]))
     columns = Problem(geometry, poses, unknowns, "forward", turned).columns(state)
     return columns[:, :, unknowns.free], predicted.poses, predicted.ok
 

@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from tau_dyn.calibrate.frames import Frame
-from tau_dyn.calibrate.poses.camera import Camera, Pattern, facing, looking
+from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
 from tau_dyn.calibrate.poses.tracker import Tracker
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml
@@ -42,9 +42,9 @@ def read_camera(path: str | Path) -> Camera:
     focal = camera.numbers("focal", 2, low=1e-6, alone=True)
     centre = camera.numbers("centre", 2, default=tuple((image - 1) / 2))
     return Camera(
-        pose=camera.framed(looking, "look_at"),
-        on_tool=pattern.framed(facing, "normal"),
-        pattern=Pattern(
+        pose=camera.framed(build_camera_frame, "look_at"),
+        on_tool=pattern.framed(build_target_frame, "normal"),
+        pattern=CameraPattern(
             int(pattern.whole("columns", 8)),
             int(pattern.whole("rows", 6)),
             pattern.number("square", 0.04, low=1e-6),
@@ -74,7 +74,7 @@ def read_tracker(path: str | Path) -> Tracker:
     turn = reflector.number("orientation_noise", 0.0, low=0.0)
     return Tracker(
         pose=Frame(np.eye(3), tracker.numbers("position", 3)),
-        on_tool=reflector.framed(facing, "normal"),
+        on_tool=reflector.framed(build_target_frame, "normal"),
         along=tracker.number("noise", 10e-6, low=1e-12),
         across=tracker.number("noise_per_metre", 5e-6, low=1e-12),
         turn=turn if turn > 0 else None,

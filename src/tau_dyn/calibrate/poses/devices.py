@@ -8,13 +8,13 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import Frames
+from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.kinematics.poses import Poses
 
 SEEN = ""
 
 
-class Device(Protocol):
+class MeasuringDevice(Protocol):
     """A measuring device that stands at a known place (about: a fit finds it anew)."""
 
     @property
@@ -23,7 +23,7 @@ class Device(Protocol):
         ...
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> DeviceFrames:
         """Device and target as far as they are known."""
         ...
 
@@ -65,7 +65,7 @@ class UniformDevice:
     """
 
     noise: tuple[float, ...] = (1e-4,)
-    frames: Frames = field(default_factory=Frames)
+    frames: DeviceFrames = field(default_factory=DeviceFrames)
     name: str = "device"
 
     @property
@@ -84,7 +84,7 @@ class UniformDevice:
 
     def marks(self, tool: Poses) -> np.ndarray:
         """Return the target (N, 1, 3)."""
-        return target(self.frames, tool).position[:, None]
+        return transform_to_base(self.frames, tool).position[:, None]
 
     def covariance(self, tool: Poses) -> np.ndarray:
         """Return one covariance for all (N, m, m)."""
@@ -92,22 +92,22 @@ class UniformDevice:
 
     def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
         """Return the target's pose with noise."""
-        return noisy(seen(self.frames, tool), self.covariance(tool), rng)
+        return add_noise(transform_to_device(self.frames, tool), self.covariance(tool), rng)
 
 
-def seen(frames: Frames, tool: Poses) -> Poses:
+def transform_to_device(frames: DeviceFrames, tool: Poses) -> Poses:
     """Return the target in the device's frame at tool poses in the robot's base frame."""
     return frames.measured(tool, np.zeros(len(tool.position), int))
 
 
-def target(frames: Frames, tool: Poses) -> Poses:
+def transform_to_base(frames: DeviceFrames, tool: Poses) -> Poses:
     """Return the target in the robot's base frame."""
     back = frames.device[0].inverse
-    at = seen(frames, tool)
+    at = transform_to_device(frames, tool)
     return Poses(at.position @ back.rotation.T + back.translation, back.rotation @ at.rotation)
 
 
-def noisy(poses: Poses, covariance: np.ndarray, rng: np.random.Generator) -> Poses:
+def add_noise(poses: Poses, covariance: np.ndarray, rng: np.random.Generator) -> Poses:
     """Return poses with Gaussian noise; orientations stay where only positions are measured."""
     root = np.linalg.cholesky(covariance)
     error = np.einsum("nij,nj->ni", root, rng.standard_normal(root.shape[:2]))

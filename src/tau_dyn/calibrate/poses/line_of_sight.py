@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.calibrate.poses.devices import SEEN, Device
+from tau_dyn.calibrate.poses.devices import SEEN, MeasuringDevice
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, find_collisions, standing
 from tau_dyn.kinematics.obstacles import Surroundings
@@ -15,7 +15,7 @@ _BEAM = 1e-4  # [m] radius of a line of sight
 _FREE = 0.02  # [m] before the mark that may be hidden: the target's own mount
 
 
-def check_place(device: Device, around: Surroundings) -> None:
+def check_place(device: MeasuringDevice, around: Surroundings) -> None:
     """Refuse a device that stands inside an obstacle.
 
     Raises:
@@ -32,7 +32,7 @@ def check_place(device: Device, around: Surroundings) -> None:
 
 
 def find_occlusions(
-    device: Device, tool: Poses, q: np.ndarray, around: Surroundings, machine: WorkspaceModel | None
+    device: MeasuringDevice, tool: Poses, q: np.ndarray, around: Surroundings, machine: WorkspaceModel | None
 ) -> np.ndarray:
     """Return what hides the target at each pose (N,), '' where nothing does.
 

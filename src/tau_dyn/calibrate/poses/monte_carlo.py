@@ -17,15 +17,15 @@ from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses.choice import PoseChoice
-from tau_dyn.calibrate.poses.devices import Device, seen
-from tau_dyn.calibrate.poses.pose_count import doubling_gain
+from tau_dyn.calibrate.poses.devices import MeasuringDevice, transform_to_device
+from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain
 from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 
 _MAX_ERROR_RATIO = 2.0
 """By how much simulated calibrations may be worse than predicted."""
-_TRIES = 20
+_N_TRIALS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def draw_robot(geometry: Geometry, q: np.ndarray, scales: np.ndarray, rng: np.ra
         CannotAnswer: None of many does.
     """
     nominal, free = geometry.parameters.values, np.array(geometry.parameters.free, bool)
-    for _ in range(_TRIES):
+    for _ in range(_N_TRIALS):
         theta = nominal + scales * free * rng.standard_normal(len(nominal))
         if geometry.forward(theta, q).ok.all():
             return theta
@@ -79,8 +79,8 @@ def draw_robot(geometry: Geometry, q: np.ndarray, scales: np.ndarray, rng: np.ra
     )
 
 
-def measured_by(
-    device: Device, geometry: Geometry, theta: np.ndarray, q: np.ndarray, rng: np.random.Generator
+def simulate_measurement(
+    device: MeasuringDevice, geometry: Geometry, theta: np.ndarray, q: np.ndarray, rng: np.random.Generator
 ) -> PoseSet:
     """Return what a device measures of a robot with parameters `theta` at positions (N, na)."""
     tool = geometry.forward(theta, q).poses
@@ -90,7 +90,7 @@ def measured_by(
 
 def simulate_calibrations(
     choice: PoseChoice,
-    device: Device,
+    device: MeasuringDevice,
     *,
     runs: int = 5,
     seed: int = 0,
@@ -120,8 +120,8 @@ def simulate_calibrations(
     before, after, failures = [], [], []
     for rng in np.random.default_rng(seed).spawn(runs):
         theta = draw_robot(geometry, np.vstack([choice.q, design.workspace]), design.unknowns.scales[:p], rng)
-        poses = measured_by(device, geometry, theta, choice.q, rng)
-        places = seen(device.frames, geometry.forward(theta, design.workspace).poses)
+        poses = simulate_measurement(device, geometry, theta, choice.q, rng)
+        places = transform_to_device(device.frames, geometry.forward(theta, design.workspace).poses)
         truth = PoseSet(design.workspace, places.position)
         start = None if device_free else device.frames
         try:
@@ -201,7 +201,9 @@ def _remedy(choice: PoseChoice, required: float) -> str:
     share = f"all {design.n} candidates bring {1e3 * every:.3g} mm"
     nearer = every / required
     more = (
-        f"; twice as many poses make it {100 * doubling_gain(made):.0f} % better" if doubling_gain(made) > 0.05 else ""
+        f"; twice as many poses make it {100 * compute_doubling_gain(made):.0f} % better"
+        if compute_doubling_gain(made) > 0.05
+        else ""
     )
     return (
         f"a device {nearer:.2g} times as exact where the tool is (nearer, a larger target, less noise; {share}){more}"

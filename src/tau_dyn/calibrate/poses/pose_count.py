@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.calibrate.poses.design import Design
+from tau_dyn.calibrate.poses.design import PoseDesign
 from tau_dyn.calibrate.poses.exchange import PoseExchange
-from tau_dyn.calibrate.poses.prediction import Prediction, predict
-from tau_dyn.calibrate.start import poses_needed
+from tau_dyn.calibrate.poses.prediction import CalibrationPrediction, predict
+from tau_dyn.calibrate.start import count_required_poses
 
 MIN_DOUBLING_GAIN = 0.03
 """Share by which twice as many poses must make the held-out error smaller to be worth it."""
@@ -20,29 +20,29 @@ _UNKNOWN = 1.0
 """Standard error, in scales, from which a parameter is as good as unknown."""
 
 
-def compute_min_poses(design: Design) -> int:
+def compute_min_poses(design: PoseDesign) -> int:
     """Return the fewest poses with which the model can be fitted and its noise judged."""
     rank = design.found.rank
     if rank >= design.n * design.per_pose:  # the candidates are too few to show what more of them would tell
         rank = len(design.found.names)
-    return poses_needed(rank, design.per_pose)
+    return count_required_poses(rank, design.per_pose)
 
 
-def doubling_gain(made: Prediction) -> float:
+def compute_doubling_gain(made: CalibrationPrediction) -> float:
     """Return the share by which twice as many poses would make the held-out error smaller."""
     noise = made.held_out**2 - made.rms**2
     return 1.0 - float(np.sqrt((0.5 * made.rms**2 + noise) / made.held_out**2))
 
 
 def add_poses_until_enough(
-    design: Design, search: PoseExchange, *, gain: float, target: float | None, most: int
-) -> tuple[np.ndarray, list[Prediction]]:
+    design: PoseDesign, search: PoseExchange, *, gain: float, target: float | None, most: int
+) -> tuple[np.ndarray, list[CalibrationPrediction]]:
     """Pick poses until they are enough, and return them with the accuracy predicted on the way.
 
     Args:
         design: Candidates.
         search: Picks them.
-        gain: Threshold of `doubling_gain`.
+        gain: Threshold of `compute_doubling_gain`.
         target: Accuracy asked for [m]; replaces the threshold.
         most: Most poses.
     """
@@ -57,7 +57,7 @@ def add_poses_until_enough(
     return np.array(chosen), curve
 
 
-def _enough(design: Design, made: Prediction, gain: float, target: float | None) -> bool:
+def _enough(design: PoseDesign, made: CalibrationPrediction, gain: float, target: float | None) -> bool:
     if target is not None:
         return made.rms <= target
-    return doubling_gain(made) < gain and bool((made.stderr < _UNKNOWN * design.scales).all())
+    return compute_doubling_gain(made) < gain and bool((made.stderr < _UNKNOWN * design.scales).all())

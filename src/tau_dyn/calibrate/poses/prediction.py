@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.poses.design import Design
+from tau_dyn.calibrate.poses.design import PoseDesign
 
 
-class Prediction(NamedTuple):
+class CalibrationPrediction(NamedTuple):
     """What a set of poses will give.
 
     Attributes:
@@ -49,7 +49,7 @@ class Prediction(NamedTuple):
         }
 
 
-def predict(design: Design, index: np.ndarray) -> Prediction:
+def predict(design: PoseDesign, index: np.ndarray) -> CalibrationPrediction:
     """Return what a fit to some of the candidates will give.
 
     Args:
@@ -68,7 +68,7 @@ def predict(design: Design, index: np.ndarray) -> Prediction:
         turned = np.einsum("nir,rs,nis->n", design.turns, p, design.turns, optimize=True)
         turn = float(np.sqrt(turned.mean()))
     rms = float(np.sqrt(max(square, 0.0)))
-    return Prediction(
+    return CalibrationPrediction(
         len(index),
         rms,
         scatter / max(2 * rms, 1e-300),

@@ -20,14 +20,14 @@ from tau_dyn.files import read_bytes, write_whole
 from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
 
 _VERSION = 1
-_LARGEST = 64 * 2**20  # [bytes]
+_MAX_FILE_BYTES = 64 * 2**20  # [bytes]
 Measure = Callable[[int, np.ndarray], "tuple[np.ndarray, np.ndarray | None] | None"]
 """From a pose's number and positions (na,) to the measured position (3,) and orientation (3, 3) or None; None where
 nothing was seen."""
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
+class CampaignProgress:
     """A plan and how far it has come.
 
     Attributes:
@@ -64,7 +64,7 @@ class Progress:
         rotation = self.rotation[index] if turned else None
         return PoseSet(self.q[index], self.position[index], rotation, names, source="measured so far")
 
-    def with_result(self, place: int, found: tuple[np.ndarray, np.ndarray | None] | None) -> Progress:
+    def with_result(self, place: int, found: tuple[np.ndarray, np.ndarray | None] | None) -> CampaignProgress:
         """Return the progress after a place was visited; `found` is None where nothing was seen."""
         state = list(self.state)
         if self.pose[place] >= 0:
@@ -96,20 +96,20 @@ class Progress:
         return row
 
 
-def new_progress(actuated: tuple[str, ...], q: np.ndarray, pose: np.ndarray) -> Progress:
+def build_new_progress(actuated: tuple[str, ...], q: np.ndarray, pose: np.ndarray) -> CampaignProgress:
     """Return a plan of which nothing is done yet."""
     k = len(q)
-    return Progress(actuated, q, pose, ("open",) * k, np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan))
+    return CampaignProgress(actuated, q, pose, ("open",) * k, np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan))
 
 
-def read_progress(path: str | Path, actuated: tuple[str, ...]) -> Progress:
+def read_progress(path: str | Path, actuated: tuple[str, ...]) -> CampaignProgress:
     """Read a progress file.
 
     Raises:
         InputError: It is not one, or belongs to another robot.
     """
     try:
-        content = json.loads(read_bytes(path, _LARGEST).decode("utf-8"))
+        content = json.loads(read_bytes(path, _MAX_FILE_BYTES).decode("utf-8"))
         joints = tuple(map(str, content["actuated"]))
         rows = content["places"]
         if content["version"] != _VERSION:
@@ -130,7 +130,7 @@ def read_progress(path: str | Path, actuated: tuple[str, ...]) -> Progress:
     return found
 
 
-def _read(joints: tuple[str, ...], rows: list[dict[str, Any]]) -> Progress:
+def _read(joints: tuple[str, ...], rows: list[dict[str, Any]]) -> CampaignProgress:
     q = np.array([row["q"] for row in rows], float).reshape(len(rows), -1)
     pose = np.array([int(row["pose"]) - 1 for row in rows], int)
     state = tuple(str(row["state"]) for row in rows)
@@ -140,7 +140,7 @@ def _read(joints: tuple[str, ...], rows: list[dict[str, Any]]) -> Progress:
         or not set(state) <= {"open", "measured", "missed", "passed"}
     ):
         raise ValueError
-    found = replace(new_progress(joints, q, pose), state=state)
+    found = replace(build_new_progress(joints, q, pose), state=state)
     for k, row in enumerate(rows):
         if state[k] == "measured":
             found.position[k] = row["position"]
@@ -151,7 +151,7 @@ def _read(joints: tuple[str, ...], rows: list[dict[str, Any]]) -> Progress:
     return found
 
 
-def run_campaign(plan: Progress, measure: Measure, path: str | Path) -> PoseSet:
+def run_campaign(plan: CampaignProgress, measure: Measure, path: str | Path) -> PoseSet:
     """Drive through a plan, or go on where an earlier call stopped.
 
     Args:

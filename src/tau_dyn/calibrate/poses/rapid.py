@@ -16,7 +16,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses, quaternions
 
 
-def rapid_module(
+def format_rapid_module(
     q: np.ndarray,
     pose: np.ndarray,
     tool: Poses,
@@ -81,7 +81,7 @@ def rapid_module(
     return "\n".join(lines) + "\n"
 
 
-def tour_csv(q: np.ndarray, pose: np.ndarray, actuated: Sequence[str]) -> str:
+def format_tour_csv(q: np.ndarray, pose: np.ndarray, actuated: Sequence[str]) -> str:
     """Return a tour as CSV: `pose` (from 1; 0 on the way) and `q_J` [m or rad] of every joint."""
     head = ",".join(["pose", *(f"q_{joint}" for joint in actuated)])
     rows = [",".join([str(int(p) + 1), *(f"{x:.9g}" for x in row)]) for p, row in zip(pose, q, strict=True)]

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.residuals import Problem, State
+from tau_dyn.calibrate.residuals import FitState, Problem
 from tau_dyn.exceptions import InputError
 
 _STEPS = 20
@@ -52,7 +52,7 @@ def refine(fitted: GeometryFit, covariance: np.ndarray) -> GeometryFit:
     return _result(fitted, problem, state, root, kept, converged)
 
 
-def _whitened(problem: Problem, state: State, root: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _whitened(problem: Problem, state: FitState, root: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ok = state.ok
     columns = np.linalg.solve(root[ok], problem.columns(state)[ok][:, :, kept])
     r = np.linalg.solve(root[ok], problem.residuals(state)[ok][:, :, None])
@@ -60,7 +60,7 @@ def _whitened(problem: Problem, state: State, root: np.ndarray, kept: np.ndarray
 
 
 def _result(
-    fitted: GeometryFit, problem: Problem, state: State, root: np.ndarray, kept: np.ndarray, converged: bool
+    fitted: GeometryFit, problem: Problem, state: FitState, root: np.ndarray, kept: np.ndarray, converged: bool
 ) -> GeometryFit:
     flat, r = _whitened(problem, state, root, kept)
     own = np.linalg.pinv(flat.T @ flat, rcond=1e-14, hermitian=True) * float(r @ r) / max(len(r) - len(kept), 1)

@@ -15,7 +15,7 @@ import numpy as np
 from tau_dyn.calibrate.poses.path_check import PathCheck
 
 _BLOCKED = 1e3
-_ROUNDS = 12
+_MAX_ITERATIONS = 12
 _BETWEEN = 40
 """Places that are tried for a way round."""
 
@@ -53,7 +53,7 @@ def plan_tour(q: np.ndarray, start: np.ndarray, check: PathCheck, ways: np.ndarr
     plain = cost.copy()
     known: dict[tuple[int, int], str] = {}
     order = _short(cost)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         blocked = _look(points, order, check, known)
         if not blocked:
             break

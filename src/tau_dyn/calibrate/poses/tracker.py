@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import Frame, Frames
-from tau_dyn.calibrate.poses.devices import SEEN, noisy, seen, target
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
+from tau_dyn.calibrate.poses.devices import SEEN, add_noise, transform_to_base, transform_to_device
 from tau_dyn.kinematics.poses import Poses
 
 
@@ -42,9 +42,9 @@ class Tracker:
     name: str = "tracker"
 
     @property
-    def frames(self) -> Frames:
+    def frames(self) -> DeviceFrames:
         """The base in the tracker's frame, the reflector on the tool."""
-        return Frames((self.pose.inverse,), (self.on_tool,))
+        return DeviceFrames((self.pose.inverse,), (self.on_tool,))
 
     @property
     def turned(self) -> bool:
@@ -58,7 +58,7 @@ class Tracker:
 
     def reasons(self, tool: Poses) -> np.ndarray:
         """Return why the beam does not come back (N,), '' where it does."""
-        at = seen(self.frames, tool)
+        at = transform_to_device(self.frames, tool)
         out = np.full(len(at.position), SEEN, dtype=object)
         away = np.maximum(np.linalg.norm(at.position, axis=1), 1e-9)
         cosine = -np.einsum("ni,ni->n", at.rotation[:, :, 2], at.position) / away
@@ -77,11 +77,11 @@ class Tracker:
 
     def marks(self, tool: Poses) -> np.ndarray:
         """Return the reflector (N, 1, 3) [m] in the robot's base frame."""
-        return target(self.frames, tool).position[:, None]
+        return transform_to_base(self.frames, tool).position[:, None]
 
     def covariance(self, tool: Poses) -> np.ndarray:
         """Return the covariance of what it measures (N, 3, 3) or (N, 6, 6)."""
-        at = seen(self.frames, tool).position
+        at = transform_to_device(self.frames, tool).position
         away = np.linalg.norm(at, axis=1)
         beam = at / np.maximum(away, 1e-9)[:, None]
         outer = beam[:, :, None] * beam[:, None]
@@ -94,4 +94,4 @@ class Tracker:
 
     def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
         """Return the reflector's pose with noise."""
-        return noisy(seen(self.frames, tool), self.covariance(tool), rng)
+        return add_noise(transform_to_device(self.frames, tool), self.covariance(tool), rng)

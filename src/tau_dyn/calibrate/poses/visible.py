@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.calibrate.poses.devices import SEEN, Device
+from tau_dyn.calibrate.poses.devices import SEEN, MeasuringDevice
 from tau_dyn.calibrate.poses.line_of_sight import check_place, find_occlusions
 from tau_dyn.calibrate.poses.reachable import Reachable
 from tau_dyn.exceptions import CannotAnswer
@@ -41,7 +41,9 @@ class Visible:
     reasons: dict[str, int]
 
 
-def find_visible(device: Device, poses: Reachable, around: Surroundings, machine: WorkspaceModel | None) -> Visible:
+def find_visible(
+    device: MeasuringDevice, poses: Reachable, around: Surroundings, machine: WorkspaceModel | None
+) -> Visible:
     """Return which poses a device sees.
 
     Args:

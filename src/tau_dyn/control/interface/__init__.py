@@ -1,6 +1,6 @@
 """What a robot controller takes: references and corrections at its sample period, RAPID programs; checked before."""
 
-from tau_dyn.control.interface.check import broken_limits, check_motion
+from tau_dyn.control.interface.check import check_motion, list_exceeded_limits
 from tau_dyn.control.interface.correction import (
     Correction,
     apply_correction,
@@ -10,8 +10,8 @@ from tau_dyn.control.interface.correction import (
 )
 from tau_dyn.control.interface.limits import CommandLimits
 from tau_dyn.control.interface.period import DEFAULT_PERIOD_S
-from tau_dyn.control.interface.rapid import rapid_motion
-from tau_dyn.control.interface.reference import read_reference, reference_of, write_reference
+from tau_dyn.control.interface.rapid import format_rapid_motion
+from tau_dyn.control.interface.reference import build_reference, read_reference, write_reference
 from tau_dyn.deprecated_names import get_deprecated
 
 __all__ = [
@@ -19,13 +19,13 @@ __all__ = [
     "CommandLimits",
     "Correction",
     "apply_correction",
-    "broken_limits",
     "build_correction",
+    "build_reference",
     "check_motion",
-    "rapid_motion",
+    "format_rapid_motion",
+    "list_exceeded_limits",
     "read_correction",
     "read_reference",
-    "reference_of",
     "write_correction",
     "write_reference",
 ]

@@ -10,24 +10,24 @@ import numpy as np
 from tau_dyn.control.interface.limits import CommandLimits
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
-from tau_dyn.simulate import Trajectory, broken_limit
+from tau_dyn.simulate import Trajectory, describe_exceeded_limit
 
 _SLACK = 1e-9
 _REST = 0.02  # share of the largest speed that a motion may begin or end with
 
 
 def check_motion(model: Model, motion: Trajectory, limits: CommandLimits | None = None) -> None:
-    """Refuse a motion that leaves a limit; see `broken_limits`.
+    """Refuse a motion that leaves a limit; see `list_exceeded_limits`.
 
     Raises:
         InputError: One sentence that names every broken limit with the joint and the time where it is broken most.
     """
-    broken = broken_limits(model, motion, CommandLimits.of(model.robot) if limits is None else limits)
+    broken = list_exceeded_limits(model, motion, CommandLimits.of(model.robot) if limits is None else limits)
     if broken:
         raise InputError(f"{motion.name} is not written: {'; '.join(broken)}")
 
 
-def broken_limits(model: Model, motion: Trajectory, limits: CommandLimits) -> list[str]:
+def list_exceeded_limits(model: Model, motion: Trajectory, limits: CommandLimits) -> list[str]:
     """Return what hinders the robot from following a motion, a clause a limit; empty where nothing does.
 
     Args:
@@ -48,7 +48,7 @@ def broken_limits(model: Model, motion: Trajectory, limits: CommandLimits) -> li
         _unrest(motion, units),
     ]  # fmt: skip
     found = [c for c in clauses if c]
-    loops = broken_limit(model, motion, forces=False) if not found else None
+    loops = describe_exceeded_limit(model, motion, forces=False) if not found else None
     if found or loops:
         return [*found, *([loops] if loops else [])]
     tau = model.steady().torque(motion.q, motion.v, motion.a)

@@ -19,7 +19,7 @@ from tau_dyn.control.interface.limits import CommandLimits
 from tau_dyn.control.interface.period import DEFAULT_PERIOD_S, require_period
 from tau_dyn.control.interface.reference import digest
 from tau_dyn.control.iterative import LearningHistory
-from tau_dyn.control.iterative.law import Law
+from tau_dyn.control.iterative.law import UpdateLaw
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes, write_whole
 from tau_dyn.log import read_table
@@ -66,7 +66,7 @@ class Correction:
         return (wide[2:] - wide[:-2]) / (2 * self.dt)
 
 
-def build_correction(done: LearningHistory, law: Law, joints: Sequence[str], *, trial: int = -1) -> Correction:
+def build_correction(done: LearningHistory, law: UpdateLaw, joints: Sequence[str], *, trial: int = -1) -> Correction:
     """Return what a learning has learnt, for the drives.
 
     Args:
@@ -144,10 +144,10 @@ def write_correction(
     """
     require_period(reference.t, period, reference.name)
     apply_correction(model, reference, correction, limits)
-    write_whole(path, correction_text(correction))
+    write_whole(path, format_correction_text(correction))
 
 
-def correction_text(correction: Correction) -> str:
+def format_correction_text(correction: Correction) -> str:
     """Return a correction file's text."""
     columns = {"t": np.arange(len(correction.dq)) * correction.dt}
     for signal, values in (("dq", correction.dq), ("dv", correction.dv)):

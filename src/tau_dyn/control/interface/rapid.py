@@ -19,7 +19,7 @@ MAX_WAYPOINTS = 4000
 """Most places of a module."""
 
 
-def rapid_motion(
+def format_rapid_motion(
     robot: Robot,
     motion: Trajectory,
     *,

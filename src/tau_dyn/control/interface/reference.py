@@ -17,7 +17,7 @@ from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory
 
 
-def reference_of(
+def build_reference(
     model: Model,
     motion: Trajectory,
     *,
@@ -51,8 +51,8 @@ def write_reference(
     resample: bool = False,
     limits: CommandLimits | None = None,
 ) -> None:
-    """Write a reference file, the whole of it or none; see `reference_of` for arguments and refusals."""
-    reference_of(model, motion, period=period, resample=resample, limits=limits).to_csv(path)
+    """Write a reference file, the whole of it or none; see `build_reference` for arguments and refusals."""
+    build_reference(model, motion, period=period, resample=resample, limits=limits).to_csv(path)
 
 
 def read_reference(path: str | Path, joints: Sequence[str], *, period: float = DEFAULT_PERIOD_S) -> Trajectory:

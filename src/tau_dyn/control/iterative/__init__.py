@@ -4,20 +4,20 @@ from tau_dyn.control.iterative.convergence_analysis import (
     Convergence,
     FrequencyCondition,
     analyse_convergence,
+    build_iteration_operator,
     compute_frequency_condition,
-    iteration_operator,
     require_convergence,
 )
 from tau_dyn.control.iterative.law import LearningLaw
 from tau_dyn.control.iterative.learn import TrialPlant, learn
 from tau_dyn.control.iterative.learned_outputs import MotorSide, ToolSide
 from tau_dyn.control.iterative.learning import LearningHistory
-from tau_dyn.control.iterative.lifted_system import build_lifted_matrix, controlled_actuators, pulse_response
+from tau_dyn.control.iterative.lifted_system import build_lifted_matrix, compute_pulse_response, controlled_actuators
 from tau_dyn.control.iterative.norm_optimal import NormOptimalLaw
 from tau_dyn.control.iterative.reference import Reference
-from tau_dyn.control.iterative.robust_filter import robust_filter
+from tau_dyn.control.iterative.robust_filter_design import design_robust_filter
 from tau_dyn.control.iterative.shift import TimeShift
-from tau_dyn.control.iterative.zero_phase import ZeroPhase, band_stop, dip, low_pass, product
+from tau_dyn.control.iterative.zero_phase import ZeroPhase, design_band_stop, design_low_pass, dip, product
 from tau_dyn.deprecated_names import get_deprecated
 
 __all__ = [
@@ -33,18 +33,18 @@ __all__ = [
     "TrialPlant",
     "ZeroPhase",
     "analyse_convergence",
-    "band_stop",
+    "build_iteration_operator",
     "build_lifted_matrix",
     "compute_frequency_condition",
+    "compute_pulse_response",
     "controlled_actuators",
+    "design_band_stop",
+    "design_low_pass",
+    "design_robust_filter",
     "dip",
-    "iteration_operator",
     "learn",
-    "low_pass",
     "product",
-    "pulse_response",
     "require_convergence",
-    "robust_filter",
 ]
 
 

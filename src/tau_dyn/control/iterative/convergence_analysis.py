@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 from scipy.sparse.linalg import svds
 
-from tau_dyn.control.iterative.law import Law
+from tau_dyn.control.iterative.law import UpdateLaw
 from tau_dyn.control.iterative.lifted_system import Operator, make_operator
 from tau_dyn.control.iterative.reference import Reference
 from tau_dyn.exceptions import InputError
@@ -76,7 +76,7 @@ class Convergence:
         return self.radius < 1
 
 
-def analyse_convergence(law: Law, motion: Reference, frequency: np.ndarray | None = None) -> Convergence:
+def analyse_convergence(law: UpdateLaw, motion: Reference, frequency: np.ndarray | None = None) -> Convergence:
     """Return what (7.15), (7.16) and the frequency picture say of a law on a motion.
 
     Raises:
@@ -88,14 +88,14 @@ def analyse_convergence(law: Law, motion: Reference, frequency: np.ndarray | Non
         )
     if law.bound is not None:
         return Convergence((law.bound,), law.bound, compute_frequency_condition(law, frequency))
-    H, m = iteration_operator(law, motion), law.side.reference(motion).shape[1]
+    H, m = build_iteration_operator(law, motion), law.side.reference(motion).shape[1]
     blocks = [H] if law.side.coupled else [_block(H, k, motion.n) for k in range(m)]
-    singular = tuple(largest_singular_value(b) for b in blocks)
+    singular = tuple(compute_largest_singular_value(b) for b in blocks)
     radius = max(singular) if max(singular) < 1 else max(_radius(b, motion.weights() > 0) for b in blocks)
     return Convergence(singular, radius, compute_frequency_condition(law, frequency))
 
 
-def iteration_operator(law: Law, motion: Reference) -> Operator:
+def build_iteration_operator(law: UpdateLaw, motion: Reference) -> Operator:
     """Return H (m N, m N), on corrections as they are: zero where they are weighted with zero."""
     Q, QL = law.operators(motion)
     T = law.side.operator(motion.n)
@@ -104,7 +104,7 @@ def iteration_operator(law: Law, motion: Reference) -> Operator:
     return (Q - QL @ T) @ kept
 
 
-def compute_frequency_condition(law: Law, frequency: np.ndarray | None = None) -> FrequencyCondition | None:
+def compute_frequency_condition(law: UpdateLaw, frequency: np.ndarray | None = None) -> FrequencyCondition | None:
     """Return the frequency picture, by default from 0.1 Hz to half the sampling rate."""
     dt = law.side.dt
     f = (
@@ -150,7 +150,7 @@ def require_convergence(found: Convergence, *, monotone: bool = True) -> None:
     )
 
 
-def largest_singular_value(H: Operator) -> float:
+def compute_largest_singular_value(H: Operator) -> float:
     """Return the largest singular value of an operator."""
     start = np.random.default_rng(0).standard_normal(H.shape[0])
     return float(cast(Any, svds)(H, k=1, return_singular_vectors=False, v0=start, tol=1e-4)[0])

@@ -15,7 +15,7 @@ from tau_dyn.control.iterative.zero_phase import ZeroPhase
 from tau_dyn.exceptions import InputError
 
 
-class Law(Protocol):
+class UpdateLaw(Protocol):
     """How one trial's error changes the next trial's correction."""
 
     @property

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from tau_dyn.control.iterative.convergence_analysis import analyse_convergence, require_convergence
-from tau_dyn.control.iterative.law import Law
+from tau_dyn.control.iterative.law import UpdateLaw
 from tau_dyn.control.iterative.learned_outputs import TrialMeasurement
 from tau_dyn.control.iterative.learning import LearningHistory
 from tau_dyn.control.iterative.reference import Reference
@@ -30,7 +30,7 @@ class TrialPlant(Protocol):
 def learn(
     plant: TrialPlant,
     motion: Reference,
-    law: Law,
+    law: UpdateLaw,
     iterations: int = 10,
     *,
     monotone: bool = True,

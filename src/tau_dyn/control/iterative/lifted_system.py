@@ -29,7 +29,7 @@ def make_operator(
     return cast(Any, LinearOperator)(shape, matvec=forth, rmatvec=back, dtype=np.float64)
 
 
-def pulse_response(model: StateSpace, n: int) -> np.ndarray:
+def compute_pulse_response(model: StateSpace, n: int) -> np.ndarray:
     """Return the first `n` pulse response coefficients (n, p, m), the delay included."""
     late = model.markov(max(n - model.delay, 1))
     return np.concatenate([np.zeros((model.delay, *model.D.shape)), late])[:n]

@@ -63,7 +63,7 @@ class ZeroPhase:
         return ZeroPhase(np.vstack([self.sections, other.sections]), self.dt)
 
 
-def low_pass(cutoff_hz: float, dt: float, order: int = 2) -> ZeroPhase:
+def design_low_pass(cutoff_hz: float, dt: float, order: int = 2) -> ZeroPhase:
     """Return a Butterworth low-pass, in both directions.
 
     Raises:
@@ -72,7 +72,7 @@ def low_pass(cutoff_hz: float, dt: float, order: int = 2) -> ZeroPhase:
     return ZeroPhase(_butter(order, cutoff_hz, "lowpass", dt), dt)
 
 
-def band_stop(low_hz: float, high_hz: float, dt: float, order: int = 1) -> ZeroPhase:
+def design_band_stop(low_hz: float, high_hz: float, dt: float, order: int = 1) -> ZeroPhase:
     """Return a Butterworth band-stop, in both directions: nothing is learnt in the middle of the band."""
     if not low_hz < high_hz:
         raise InputError(f"a band goes from a lower to a higher frequency, not from {low_hz:g} to {high_hz:g} Hz")

@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.control.lead_through.contact_state import ContactState
 from tau_dyn.control.lead_through.impedance import HandleImpedance
 from tau_dyn.control.lead_through.normal import NormalEstimator
-from tau_dyn.control.lead_through.projections import handle_part, saturation, tool_part
+from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, saturation
 from tau_dyn.control.lead_through.settings import LeadThroughSettings
 from tau_dyn.control.lead_through.stiffness import StiffnessWatch
 from tau_dyn.exceptions import InputError
@@ -26,7 +26,7 @@ _LATE = 0.25  # of a sample time that a reading may be early or late
 _CALM = 0.4  # of the stability limit that the gain is lowered to where the contact proves stiffer than stated
 
 
-class Pose(Protocol):
+class ToolPose(Protocol):
     """Where the tool is: anything that holds a place and a rotation."""
 
     @property
@@ -79,7 +79,7 @@ class LeadThrough:
         self._last: float | None = None
 
     def __call__(
-        self, handle_wrench: np.ndarray, tool_wrench: np.ndarray, pose: Pose, time: float | None = None
+        self, handle_wrench: np.ndarray, tool_wrench: np.ndarray, pose: ToolPose, time: float | None = None
     ) -> np.ndarray:
         """Return the tool velocity to command until the next call (6,), linear first, world axes at the tool point.
 
@@ -137,7 +137,7 @@ class LeadThrough:
         by_hand = handle_part(self._handle.step(hand, self.velocity), n, self.in_contact)
         wish = s.gain @ (self.tool_force - target)
         wish[:3] *= self._borne()
-        by_force = tool_part(wish, n, self.in_contact, s.turns, locked)
+        by_force = compute_tool_part(wish, n, self.in_contact, s.turns, locked)
         by_hand = self._relieved(by_hand)
         share = saturation(by_hand + by_force, s.speed_limit, s.turning_limit)
         self._handle.hold(share * by_hand)

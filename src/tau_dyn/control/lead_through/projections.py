@@ -23,7 +23,7 @@ def handle_part(twist: np.ndarray, normal: np.ndarray, contact: bool) -> np.ndar
     return out
 
 
-def tool_part(
+def compute_tool_part(
     twist: np.ndarray, normal: np.ndarray, contact: bool, turns: bool, locked_axis: np.ndarray | None = None
 ) -> np.ndarray:
     """Return P_t: the force along the normal (8.9) and, where the tool may turn, all torques (8.11); nothing without contact.

@@ -29,7 +29,7 @@ from tau_dyn.exceptions import InputError
 _GRID = 2000
 
 
-class Limit(NamedTuple):
+class StabilityLimit(NamedTuple):
     """Where a loop loses its stability.
 
     Attributes:
@@ -100,11 +100,11 @@ class ForceLoop:
         smooth = self.smoothing * z / (z - 1 + self.smoothing)
         return (stiffness * position + damping * speed) * smooth * z ** (-float(self.delay))
 
-    def limit(self, stiffness: float, damping: float = 0.0) -> Limit:
+    def limit(self, stiffness: float, damping: float = 0.0) -> StabilityLimit:
         """Return the gain at which a contact of this stiffness [N/m] and damping [N s/m] begins to oscillate."""
         return _crossing(lambda hz: self.response(hz, stiffness, damping), self.sample_time)
 
-    def hand_limit(self, mass: float, damping: float) -> Limit:
+    def hand_limit(self, mass: float, damping: float) -> StabilityLimit:
         """Return the stiffest hand [N/m] that may hold a handle of this mass [kg] and damping [N s/m], as `gain`.
 
         The hand is a spring, the handle the sampled impedance (8.6); the rest of the loop is the same, without the filter.
@@ -136,7 +136,7 @@ class ForceLoop:
         return rows
 
 
-def _crossing(response, sample_time: float) -> Limit:
+def _crossing(response, sample_time: float) -> StabilityLimit:
     """Return the smallest gain at which the response, times it, is -1."""
     nyquist = 0.5 / sample_time
     hz = nyquist * np.geomspace(1e-4, 1, _GRID)
@@ -146,4 +146,4 @@ def _crossing(response, sample_time: float) -> Limit:
         imaginary = root_scalar(lambda f: float(response(np.array([f]))[0].imag), bracket=(hz[k], hz[k + 1]), xtol=1e-9)
         at = float(imaginary.root)
         found.append((1 / abs(complex(response(np.array([at]))[0])), at))
-    return Limit(*map(float, min(found))) if found else Limit(np.inf, np.nan)
+    return StabilityLimit(*map(float, min(found))) if found else StabilityLimit(np.inf, np.nan)

@@ -20,7 +20,7 @@ _SMALL = 1e-4
 the robot back; without any preference the solver wanders there. It cannot lengthen a motion by more than this share."""
 
 
-def one_place(law: ForceLaw, coordinates: Coordinates, limits: MotionLimits, weight: float) -> Any:
+def build_point_constraint(law: ForceLaw, coordinates: Coordinates, limits: MotionLimits, weight: float) -> Any:
     """Return the casadi function of one place `u = (x, x', x'', p, y, T)`: what is limited, residuals, cost by the time."""
     ca = casadi()
     n, n_p, n_y = coordinates.n, law.n_passive, law.n_inner
@@ -73,7 +73,7 @@ def simpson(N: int) -> np.ndarray:
 
 
 def with_middles(x: Any, dx: Any, ddx: Any, N: int) -> list[Any]:
-    """Return coordinates and derivatives (n, 2 N + 1) at the nodes and half-way between them, by `node_motion`'s cubic."""
+    """Return coordinates and derivatives (n, 2 N + 1) at the nodes and half-way between them, by `build_node_motion`'s cubic."""
     ca, h = casadi(), 0.5 / N
     left, right = ddx[:, :-1], ddx[:, 1:]
     middles = (

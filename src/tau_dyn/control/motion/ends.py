@@ -14,7 +14,7 @@ from tau_dyn.robot import Robot
 _SLACK = 1e-9
 
 
-def end_positions(
+def compute_end_positions(
     model: Model, place: np.ndarray, name: str, limits: MotionLimits, *, joints: bool, near: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the actuated positions (na,) of one end, where the robot can stand still.

@@ -18,7 +18,7 @@ PEAK = 4.0
 """Standard deviations that a second's samples of white noise hardly leave."""
 
 
-def feedback_noise(law: CascadeLaw, q: np.ndarray, encoder_noise: PerJoint, dt: float = 1e-3) -> np.ndarray:
+def estimate_feedback_noise(law: CascadeLaw, q: np.ndarray, encoder_noise: PerJoint, dt: float = 1e-3) -> np.ndarray:
     """Return the standard deviation (na,) of the feedback's forces [N or N m] at rest at one of the positions, the largest.
 
     Args:
@@ -37,7 +37,7 @@ def feedback_noise(law: CascadeLaw, q: np.ndarray, encoder_noise: PerJoint, dt: 
     return law.force_per_unit * np.max(forces, axis=0)
 
 
-def margin_for(
+def compute_feedback_margin(
     limits: MotionLimits,
     law: CascadeLaw,
     q: np.ndarray,
@@ -63,7 +63,7 @@ def margin_for(
     """
     if not 0 <= unknown < 1:
         raise InputError(f"the unknown share of the forces must be from 0 to below 1, not {unknown:g}")
-    share = PEAK * feedback_noise(law, q, encoder_noise, dt) / limits.force
+    share = PEAK * estimate_feedback_noise(law, q, encoder_noise, dt) / limits.force
     if not np.all(share < 1):
         raise InputError(
             f"the feedback makes of the encoders' noise {100 * share.max():.0f} % of a drive's limit; lower its gains"

@@ -11,7 +11,7 @@ import numpy as np
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.motion.coordinates import Actuated, Coordinates
 from tau_dyn.control.motion.limits import MotionLimits
-from tau_dyn.control.motion.nodes import Nodes, node_motion
+from tau_dyn.control.motion.nodes import Nodes, build_node_motion
 
 MAX_LIMIT_EXCESS = 1e-3
 """Share of a limit that the solver leaves unused, and by which a plan may leave the rest between the places it looks at."""
@@ -36,7 +36,7 @@ def tighten_limits(
 ) -> np.ndarray | None:
     """Return the shares of the limits (2 N + 1, m) for the next round, or None where this one keeps everything."""
     looks = np.linspace(0, 1, _FINE * (len(nodes.x) - 1) + 1)
-    used = compute_limit_usage(feedforward, node_motion(coordinates, nodes, looks, nodes.T), limits, which)
+    used = compute_limit_usage(feedforward, build_node_motion(coordinates, nodes, looks, nodes.T), limits, which)
     if used.max(initial=0.0) <= 1 + MAX_LIMIT_EXCESS:
         return None
     step = _FINE // 2

@@ -10,7 +10,7 @@ from tau_dyn.control.per_joint import PerJoint, broadcast_limit
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.simulate.limits import condition_bound
+from tau_dyn.simulate.limits import compute_condition_bound
 
 _NONE = 1e8  # acceleration [m/s^2 or rad/s^2] above which a drive is as good as unlimited
 
@@ -74,7 +74,7 @@ class MotionLimits:
             _limit(robot, "jerk", jerk, np.inf),
             robot.lower,
             robot.upper,
-            condition_bound(model) if condition is None else float(condition),
+            compute_condition_bound(model) if condition is None else float(condition),
         )
         for joint, force_, most in zip(robot.actuated, found.force, found.acceleration, strict=True):
             if not np.isfinite(min(force_, most)):

@@ -62,7 +62,7 @@ def start_nodes(law: ForceLaw, coordinates: Coordinates, profile: tuple[np.ndarr
     x, dx, ddx = (z[::2] for z in coordinates.along(*profile))
     ddx[[0, -1]] = 0.0
     rough = Nodes(x, dx, ddx, np.zeros((len(profile[0]), 0)), np.zeros((len(profile[0]), 0)), T)
-    q, v, a = node_motion(coordinates, rough, np.linspace(0, 1, len(profile[0])), T)
+    q, v, a = build_node_motion(coordinates, rough, np.linspace(0, 1, len(profile[0])), T)
     p = law.passive(q)
     return replace(rough, p=p, y=law.inner(q, v, a, p))
 
@@ -78,7 +78,7 @@ def in_own_size(law: ForceLaw, start: Nodes) -> tuple[ForceLaw, Nodes]:
     return law.in_units(size), replace(start, y=start.y / size)
 
 
-def node_motion(coordinates: Coordinates, nodes: Nodes, share: np.ndarray, T: float) -> Actuated:
+def build_node_motion(coordinates: Coordinates, nodes: Nodes, share: np.ndarray, T: float) -> Actuated:
     """Return the joints' motion (M, na) at shares (M,) of the duration, exactly as the nodes say, over a duration T [s]."""
     N = len(nodes.x) - 1
     k = np.minimum((share * N).astype(int), N - 1)

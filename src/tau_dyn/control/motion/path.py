@@ -26,7 +26,7 @@ PathShape = Literal["line"] | np.ndarray
 SAMPLES = 241
 _FINE = 20  # samples of a spline between two points, to measure its way
 _OFF = 1e-6  # [m or rad] error of the spline between samples beyond which it is not the path
-_FAR = 1e6  # [m] nothing that a robot reaches is as far
+_MAX_COORDINATE_M = 1e6  # [m] nothing that a robot reaches is as far
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +42,16 @@ class JointPath:
     length: float
 
 
-def joint_line(start: np.ndarray, end: np.ndarray) -> JointPath:
+def build_joint_line(start: np.ndarray, end: np.ndarray) -> JointPath:
     """Return the straight path between actuated positions (na,)."""
     s = np.linspace(0, 1, 7)[:, None]
     spline = make_interp_spline(s[:, 0], start + s * (end - start), k=5)
     return JointPath(spline, float(np.linalg.norm(end - start)))
 
 
-def tool_path(model: Model, start: np.ndarray, end: np.ndarray, shape: PathShape, limits: MotionLimits) -> JointPath:
+def build_tool_path(
+    model: Model, start: np.ndarray, end: np.ndarray, shape: PathShape, limits: MotionLimits
+) -> JointPath:
     """Return a path of the tool between actuated positions (na,).
 
     Args:
@@ -95,8 +97,8 @@ def _points(shape: PathShape, ends: np.ndarray) -> np.ndarray:
         between = np.asarray(shape, float)
         if between.ndim != 2 or between.shape[1] != 3:
             raise InputError(f"the points of a path are numbers (n, 3) [m], not an array of {between.shape}")
-        if not (np.abs(between) < _FAR).all():
-            raise InputError(f"the points of a path are finite numbers of less than {_FAR:g} m")
+        if not (np.abs(between) < _MAX_COORDINATE_M).all():
+            raise InputError(f"the points of a path are finite numbers of less than {_MAX_COORDINATE_M:g} m")
         points = np.concatenate([ends[:1], between, ends[1:]])
     new = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
     points = points[np.concatenate([[True], new])]

@@ -9,22 +9,22 @@ import numpy as np
 
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.motion.coordinates import Along, Coordinates, Free
-from tau_dyn.control.motion.ends import end_positions
+from tau_dyn.control.motion.ends import compute_end_positions
 from tau_dyn.control.motion.expressions import ForceLaw, build_force_law, casadi
 from tau_dyn.control.motion.limit_check import MAX_LIMIT_EXCESS, compute_limit_usage, tighten_limits
 from tau_dyn.control.motion.limits import MotionLimits
-from tau_dyn.control.motion.nodes import in_own_size, node_motion, start_nodes
-from tau_dyn.control.motion.path import JointPath, PathShape, joint_line, tool_path
-from tau_dyn.control.motion.profile import duration_within, smoothing_width, trapezoid
+from tau_dyn.control.motion.nodes import build_node_motion, in_own_size, start_nodes
+from tau_dyn.control.motion.path import JointPath, PathShape, build_joint_line, build_tool_path
+from tau_dyn.control.motion.profile import compute_min_duration, compute_smoothing_width, trapezoid
 from tau_dyn.control.motion.result import AT_LIMIT, Binding, MotionPlan
-from tau_dyn.control.motion.transcription import Solution, Transcription
+from tau_dyn.control.motion.transcription import Transcription, TranscriptionSolution
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
-_ROUNDS = 6
+_MAX_ITERATIONS = 6
 _FIRST_WIDTH = 0.02  # [m/s or rad/s] of friction's sign, until the motion's speeds are known
-_NEAR = 1e-9
+_MIN_DISTANCE = 1e-9
 _STROKE = 1e-5  # share of a joint's range that is kept at its ends
 _TOLD = 1e-3  # share of a limit from which on leaving it is told
 _WORST = 0.02  # share of a limit by which no plan may leave it
@@ -63,9 +63,9 @@ def plan_motion(
     model = model if isinstance(model, Model) else Model.of(model)
     limits = MotionLimits.of(model) if limits is None else limits
     _check_settings(energy_weight, dt, nodes)
-    first = end_positions(model, start, "start", limits, joints=joints)
-    last = end_positions(model, end, "end", limits, joints=joints, near=first)
-    if np.abs(last - first).max() < _NEAR:
+    first = compute_end_positions(model, start, "start", limits, joints=joints)
+    last = compute_end_positions(model, end, "end", limits, joints=joints, near=first)
+    if np.abs(last - first).max() < _MIN_DISTANCE:
         raise InputError("start and end are one place; there is nothing to move")
     coordinates = _coordinates(model, first, last, path, limits)
     search = _search(model, coordinates, limits.inside(MAX_LIMIT_EXCESS), energy_weight, nodes)
@@ -76,7 +76,7 @@ def plan_motion(
 @dataclass(frozen=True, eq=False)
 class _Search:
     law: ForceLaw
-    solution: Solution
+    solution: TranscriptionSolution
     start_duration: float
     width: np.ndarray
     iterations: int
@@ -97,7 +97,7 @@ def _coordinates(
     model: Model, first: np.ndarray, last: np.ndarray, path: PathShape | None, limits: MotionLimits
 ) -> Coordinates:
     if path is not None:
-        return Along(tool_path(model, first, last, path, limits))
+        return Along(build_tool_path(model, first, last, path, limits))
     room = np.where(np.isfinite(limits.upper - limits.lower), _STROKE * (limits.upper - limits.lower), 0.0)
     lower, upper = np.minimum(limits.lower + room, np.minimum(first, last)), np.maximum(first, last)
     return Free(_starting_path(model, first, last, limits), lower, np.maximum(limits.upper - room, upper))
@@ -107,10 +107,10 @@ def _starting_path(model: Model, first: np.ndarray, last: np.ndarray, limits: Mo
     """Return the tool's straight line, or the actuated joints' where the tool cannot take its own."""
     if model.robot.tool_frame is not None:
         try:
-            return tool_path(model, first, last, "line", limits)
+            return build_tool_path(model, first, last, "line", limits)
         except InputError:
             pass
-    straight = joint_line(first, last)
+    straight = build_joint_line(first, last)
     model.mechanism.condition(straight.q(np.linspace(0, 1, 50)))  # raises where the loops do not close
     return straight
 
@@ -119,15 +119,15 @@ def _search(model: Model, coordinates: Coordinates, limits: MotionLimits, weight
     """Solve from a trapezoidal profile, and again while the fine clock finds something to tighten."""
     profile = trapezoid(nodes)
     rough = Feedforward(model.steady(), width=_FIRST_WIDTH, shape="tanh")
-    T = duration_within(coordinates, rough, limits, profile)
-    width = smoothing_width(coordinates, profile, T, nodes)
+    T = compute_min_duration(coordinates, rough, limits, profile)
+    width = compute_smoothing_width(coordinates, profile, T, nodes)
     law = build_force_law(model, width)
     law, start = in_own_size(law, start_nodes(law, coordinates, profile, T))
     program = Transcription(law, coordinates, limits, nodes, weight)
     found = program.solve(start)
     best, share = found, program.loose()
     iterations, seconds = found.iterations, found.seconds
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         if not found.ok:
             break
         best = found
@@ -141,7 +141,7 @@ def _search(model: Model, coordinates: Coordinates, limits: MotionLimits, weight
     return _Search(law, best, T, width, iterations, seconds, program.limited)
 
 
-def _refuse(found: Solution, coordinates: Coordinates) -> NoReturn:
+def _refuse(found: TranscriptionSolution, coordinates: Coordinates) -> NoReturn:
     where = "along this path" if coordinates.forward else "between these ends"
     raise CannotAnswer(
         f"no motion {where} was found within the limits (IPOPT: {found.status.replace('_', ' ').lower()} after "
@@ -163,7 +163,7 @@ def _sampled(
     nodes, feedforward = search.solution.nodes, search.law.feedforward
     steps = max(2, int(np.ceil(nodes.T / dt - 1e-9)))
     t = np.arange(steps + 1) * dt
-    q, v, a = motion = node_motion(coordinates, nodes, np.arange(steps + 1) / steps, float(t[-1]))
+    q, v, a = motion = build_node_motion(coordinates, nodes, np.arange(steps + 1) / steps, float(t[-1]))
     tau = feedforward(q, v, a)
     used = compute_limit_usage(feedforward, motion, limits, search.which)
     _refuse_between_nodes(used)

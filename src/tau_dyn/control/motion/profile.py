@@ -12,7 +12,7 @@ _THIRD = 1 / 3
 _FIRST, _LAST = 0.02, 300.0  # [s] shortest and longest duration that is tried
 _GROWTH = 1.15
 _FALLBACK = 2.0  # [s] where weight alone is beyond a limit on the way
-_NARROWEST = 1e-3  # [m/s or rad/s]
+_MIN_SPEED = 1e-3  # [m/s or rad/s]
 
 
 def trapezoid(intervals: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -29,7 +29,7 @@ def trapezoid(intervals: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return s / s[-1], v / s[-1], a / s[-1]
 
 
-def duration_within(
+def compute_min_duration(
     coordinates: Coordinates, feedforward: Feedforward, limits: MotionLimits, profile: tuple[np.ndarray, ...]
 ) -> float:
     """Return nearly the shortest duration [s] at which a profile along the starting path keeps all limits."""
@@ -44,8 +44,10 @@ def duration_within(
     return _FALLBACK
 
 
-def smoothing_width(coordinates: Coordinates, profile: tuple[np.ndarray, ...], T: float, intervals: int) -> np.ndarray:
+def compute_smoothing_width(
+    coordinates: Coordinates, profile: tuple[np.ndarray, ...], T: float, intervals: int
+) -> np.ndarray:
     """Return the speed (na,) within which friction changes its sign: what the profile gains in half an interval."""
     x, dx, ddx = coordinates.along(*profile)
     _, v, _ = coordinates.motion(x, dx, ddx, T)
-    return np.maximum(np.abs(v).max(axis=0) / (2 * _THIRD * intervals), _NARROWEST)
+    return np.maximum(np.abs(v).max(axis=0) / (2 * _THIRD * intervals), _MIN_SPEED)

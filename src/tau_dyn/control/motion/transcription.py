@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.control.motion.constraints import (
+    build_point_constraint,
     integration,
     jerks,
     list_limited_quantities,
-    one_place,
     simpson,
     slope,
     with_middles,
@@ -30,7 +30,7 @@ from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.control.motion.nodes import Nodes
 from tau_dyn.control.motion.pointwise import Pointwise
 
-_SHORTEST = 1e-3  # [s]
+_MIN_STEP_S = 1e-3  # [s]
 _WARM = {
     "ipopt.warm_start_init_point": "yes",
     "ipopt.mu_init": 1e-5,
@@ -41,7 +41,7 @@ _WARM = {
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class TranscriptionSolution:
     """What the solver found.
 
     Attributes:
@@ -89,7 +89,9 @@ class Transcription:
         x, dx, ddx, p, y = parts
         w = ca.vertcat(*(ca.vec(part) for part in parts), ca.SX.sym("T"))
         places = ca.vertcat(*with_middles(x, dx, ddx, nodes), p, y, ca.repmat(w[-1], 1, 2 * nodes + 1))
-        pointwise = Pointwise(one_place(law, coordinates, limits, weight), slope(places, w), simpson(nodes))
+        pointwise = Pointwise(
+            build_point_constraint(law, coordinates, limits, weight), slope(places, w), simpson(nodes)
+        )
         steps = slope(integration(x, dx, ddx, nodes), w)
         W = ca.MX.sym("w", w.numel())
         jerk = jerks(coordinates, limits, pointwise, W, nodes)
@@ -106,23 +108,23 @@ class Transcription:
         """Return the share of its limit (2 N + 1, m) that each limited quantity may use at each place: all."""
         return np.ones((2 * self.N + 1, len(self.limited)))
 
-    def solve(self, start: Nodes) -> Solution:
+    def solve(self, start: Nodes) -> TranscriptionSolution:
         """Return the motion that IPOPT finds from a start."""
         return self._solved(self._cold, start, self.loose())
 
-    def again(self, found: Solution, share: np.ndarray) -> Solution:
+    def again(self, found: TranscriptionSolution, share: np.ndarray) -> TranscriptionSolution:
         """Return the motion within shares (2 N + 1, m) of the limits, from the one found before."""
         lam_x, lam_g = found.multipliers
         return self._solved(self._warm, found.nodes, share, lam_x0=lam_x, lam_g0=lam_g)
 
-    def _solved(self, solver: Any, start: Nodes, share: np.ndarray, **more: Any) -> Solution:
+    def _solved(self, solver: Any, start: Nodes, share: np.ndarray, **more: Any) -> TranscriptionSolution:
         rest, jerk = np.zeros(sum(self._sizes[1:3])), np.ones(self._sizes[3])
         high = np.concatenate([share.ravel(), rest, jerk])
         below, above = self._bounds(start)
         began = time.perf_counter()
         found = solver(x0=start.flat(), lbx=below, ubx=above, lbg=-high, ubg=high, **more)
         stats = solver.stats()
-        return Solution(
+        return TranscriptionSolution(
             start.like(np.array(found["x"]).ravel()),
             str(stats["return_status"]),
             bool(stats["success"]),
@@ -142,7 +144,7 @@ class Transcription:
                 free.dx[:] = 0.0
             for k, end in ((0, c.start), (-1, c.end)):
                 free.x[k], free.dx[k], free.ddx[k] = end, 0.0, 0.0
-            found.append(replace(free, T=_SHORTEST if sign < 0 else np.inf).flat())
+            found.append(replace(free, T=_MIN_STEP_S if sign < 0 else np.inf).flat())
         return found[0], found[1]
 
 

@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import null_space, solve_discrete_are, solve_discrete_lyapunov
 
-from tau_dyn.control.iterative.lifted_system import Operator, convolution, pulse_response
+from tau_dyn.control.iterative.lifted_system import Operator, compute_pulse_response, convolution
 from tau_dyn.control.observers.extended_model import ExtendedModel, extend_model
 from tau_dyn.control.observers.signals import checked_signals
 from tau_dyn.exceptions import InputError
@@ -78,7 +78,7 @@ class KalmanToolObserver:
         n = len(self.extended.A)
         given = np.asarray(self.process, float)
         if given.ndim == 0:
-            return float(given) * disturbance_shape(self.extended)
+            return float(given) * compute_disturbance_shape(self.extended)
         if given.shape != (n, n):
             raise InputError(f"the process noise is a number or a matrix ({n}, {n}), not {given.shape}")
         return given
@@ -156,7 +156,7 @@ class KalmanToolObserver:
 
     def operators(self, n: int) -> tuple[Operator, Operator]:
         """Return the estimate's (m n, m n) from positions and from accelerations, channel after channel: F_y in (7.7)."""
-        slow, fast = (convolution(pulse_response(f, n)) for f in self.filters())
+        slow, fast = (convolution(compute_pulse_response(f, n)) for f in self.filters())
         return slow, fast
 
     def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +170,7 @@ class KalmanToolObserver:
         return kinematic - kinematic[0], y, kinematic[0]
 
 
-def disturbance_shape(model: ExtendedModel) -> np.ndarray:
+def compute_disturbance_shape(model: ExtendedModel) -> np.ndarray:
     """Return E G G' E' (n, n): what unknown forces of size 1 do to the extended states in a step."""
     n0 = model.disturbed.shape[1]
     A, B, C = model.A[:n0, :n0], model.B[:n0], model.position[:, :n0]

@@ -18,14 +18,14 @@ _TOLERANCE = 1e-6
 """Relative part of a weight that may be off: base combinations are known to about 1e-9, published ones are often rounded."""
 
 
-class Combination(NamedTuple):
+class ParameterSum(NamedTuple):
     """The value of a sum of parameters and its standard error."""
 
     value: float
     stderr: float
 
 
-def combination(estimate: Estimate, weights: Mapping[str, float]) -> Combination:
+def combine_parameters(estimate: Estimate, weights: Mapping[str, float]) -> ParameterSum:
     """Return `sum of weight * parameter` as plain least squares sees it, before bounds and physics, which the error is for.
 
     Args:
@@ -52,4 +52,4 @@ def combination(estimate: Estimate, weights: Mapping[str, float]) -> Combination
             "ask for a base parameter's expression, or record a motion that tells these apart",
         )
     fixed = sum(x * parameters[name].value for name, x in weights.items() if name not in base.names)
-    return Combination(float(kept @ estimate.beta_plain) + fixed, estimate.stderr_of(kept))
+    return ParameterSum(float(kept @ estimate.beta_plain) + fixed, estimate.stderr_of(kept))

@@ -12,14 +12,14 @@ import numpy as np
 
 from tau_dyn.control.iterative.learned_outputs import LearnedOutput
 from tau_dyn.control.iterative.shift import TimeShift
-from tau_dyn.control.iterative.zero_phase import ZeroPhase, dip, low_pass, product
+from tau_dyn.control.iterative.zero_phase import ZeroPhase, design_low_pass, dip, product
 from tau_dyn.exceptions import InputError
 
-_LOWEST = 1e-3  # no dip is deeper
+_MIN_DIP = 1e-3  # no dip is deeper
 _TURNS = 300
 
 
-def robust_filter(
+def design_robust_filter(
     side: LearnedOutput, learning: TimeShift, cutoff_hz: float, *, growth: float = 0.9, tolerance: float = 0.03
 ) -> ZeroPhase:
     """Return Q.
@@ -36,7 +36,7 @@ def robust_filter(
     """
     if not 0 < growth < 1 or not 0 <= tolerance < 0.5:
         raise InputError("a growth between 0 and 1 and a tolerance between 0 and 0.5 are needed")
-    base, dips = low_pass(cutoff_hz, side.dt), {}
+    base, dips = design_low_pass(cutoff_hz, side.dt), {}
     f = np.geomspace(0.2, 0.499 / side.dt, 1500)
     left = _worst_nearby(f, side, learning, tolerance)
     for _ in range(_TURNS):
@@ -71,6 +71,6 @@ def _deepen(dips: dict[float, tuple[float, float]], f: float, factor: float) -> 
     c = min(near, key=lambda c: abs(f - c))
     width, floor = dips[c]
     if abs(f - c) < 0.15 * width:
-        dips[c] = (width, max(floor * max(factor, 0.7), _LOWEST))
+        dips[c] = (width, max(floor * max(factor, 0.7), _MIN_DIP))
     else:
-        dips[c] = (width * 1.1, max(floor * 0.97, _LOWEST))
+        dips[c] = (width * 1.1, max(floor * 0.97, _MIN_DIP))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.estimate import Regression, Run, combination, solve_least_squares
+from tau_dyn.estimate import Regression, RegressionRun, combine_parameters, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer, UnknownName
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -24,20 +24,20 @@ def estimate():
         Parameter(name, x, "kg", free=name != "known") for name, x in zip(names, TRUTH, strict=True)
     )
     start = parameters.with_values({"m1": 1.0, "m2": 1.0, "c": 0.0})
-    run = Run("made", np.arange(n) / 100, W, y, np.ones((n, 1), bool), W, y)
+    run = RegressionRun("made", np.arange(n) / 100, W, y, np.ones((n, 1), bool), W, y)
     return solve_least_squares(Regression(start, ("axis",), ("N",), (run,)))
 
 
 def test_a_seen_sum_of_unseen_terms_has_value_and_error(estimate):
     """`m1 + 0.25 m2 = 2.75` with the standard error of a mean of white noise, 0.1 / sqrt(4000)."""
-    value, stderr = combination(estimate, {"m1": 1.0, "m2": 0.25})
+    value, stderr = combine_parameters(estimate, {"m1": 1.0, "m2": 0.25})
     assert abs(value - 2.75) < 4 * stderr
     assert_allclose(stderr, 0.1 / np.sqrt(4000), rtol=0.35)  # the noise model is estimated, and its error rounds up
 
 
 def test_a_sum_of_two_seen_numbers_uses_their_covariance(estimate):
     """Twice the first minus the second has variance `4 s1^2 + s2^2 - 4 s12`."""
-    value, stderr = combination(estimate, {"m1": 2.0, "m2": 0.5, "c": -1.0})
+    value, stderr = combine_parameters(estimate, {"m1": 2.0, "m2": 0.5, "c": -1.0})
     w = np.array([2.0, -1.0])
     assert_allclose(stderr, np.sqrt(w @ estimate.cov @ w), rtol=1e-9)
     assert_allclose(value, w @ estimate.beta_plain, rtol=1e-9)
@@ -45,7 +45,7 @@ def test_a_sum_of_two_seen_numbers_uses_their_covariance(estimate):
 
 def test_a_fixed_parameter_counts_as_exact(estimate):
     """Adding what is fixed moves the value, not its error."""
-    alone, both = combination(estimate, {"c": 1.0}), combination(estimate, {"c": 1.0, "known": 2.0})
+    alone, both = combine_parameters(estimate, {"c": 1.0}), combine_parameters(estimate, {"c": 1.0, "known": 2.0})
     assert_allclose(both.value - alone.value, 14.0, rtol=1e-9)
     assert both.stderr == alone.stderr
 
@@ -54,10 +54,10 @@ def test_what_the_data_do_not_tell_is_refused(estimate):
     """`m1` alone, or the two masses in other proportions, is not in the data."""
     for weights in ({"m1": 1.0}, {"m1": 1.0, "m2": 0.3}, {"m2": 1.0}):
         with pytest.raises(CannotAnswer, match="do not identify"):
-            combination(estimate, weights)
+            combine_parameters(estimate, weights)
 
 
 def test_an_unknown_name_is_refused(estimate):
     """A misspelt parameter must not count as zero."""
     with pytest.raises(UnknownName, match="m3"):
-        combination(estimate, {"m3": 1.0})
+        combine_parameters(estimate, {"m3": 1.0})
