@@ -97,8 +97,7 @@ class NullModel:
         return C - self.Q @ (self.Q.T @ C)
 
     def explained(self, C: np.ndarray, both: np.ndarray, nonnegative: np.ndarray) -> np.ndarray:
-        """Return `T` (g, d) of white rows (R, g, k) of g settings at once for residuals (R, d); see
-        `compute_score_statistics`."""
+        """Return score statistics (g, d) of white rows (R, g, k), g settings at once, for residuals (R, d)."""
         R, g, k = C.shape
         flat = C.reshape(R, g * k)
         s, A = (flat.T @ both).reshape(g, k, -1), (self.Q.T @ flat).reshape(-1, g, k)

@@ -165,8 +165,7 @@ def _tried(channel: Channel, ground: NullModel, draws: np.ndarray) -> tuple[list
 def compute_structure_p_value(
     noise: NoiseOnlyBootstrap, ground: NullModel, structure: Structure, others: Sequence[Effect]
 ) -> float:
-    """Return a structure's chance when encoder noise does to it what it does to noise-only logs (see
-    `noise_only_bootstrap.py`)."""
+    """Return a structure's p-value by the parametric bootstrap of `noise_only_bootstrap.py`."""
     columns = []
     for clean in noise.channels:
         bases = structure.on.bases(clean.variables())

@@ -28,8 +28,7 @@ def compute_bisquare_weights(x: np.ndarray) -> np.ndarray:
 
 
 def compute_robust_covariance_factor(x: np.ndarray) -> float:
-    """Return `mean w / mean psi'`, by which a fit repeated with `compute_bisquare_weights` weights is less certain than one
-    with fixed weights.
+    """Return `mean w / mean psi'`: the covariance factor of a fit with bisquare weights over fixed ones (Huber 1981).
 
     Args:
         x: Residuals in units of their deviation.
