@@ -19,8 +19,8 @@ from tau_dyn.calibrate.residuals import compute_actuated_positions
 
 _MIN_PERIOD_M = 0.004  # [m]: finer than any rack's teeth
 _MAX_RELATIVE_PERIOD = 1.5  # of the range travelled
-_OVERSAMPLED = 4
-SIGNIFICANCE_LEVEL = 1e-3
+_OVERSAMPLED = 4  # frequencies per resolution cell of the range travelled, so that no peak falls between two
+SIGNIFICANCE_LEVEL = 1e-3  # per addition, before a fit and its cross-validation decide
 
 
 class AdditionTest(NamedTuple):

@@ -29,11 +29,11 @@ from tau_dyn.calibrate.start import check_spread, drop_duplicate_poses
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.robot import Robot
 
-_ENOUGH_TO_SPLIT = 40
-_HELD_OUT = 0.25
+_ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an rms error
+_HELD_OUT = 0.25  # share of the poses
 _MAX_RELATIVE_MISFIT = 0.05
 """What a fit misses, over how far the poses spread, above which the two do not belong together."""
-_LOOKS_FOR_OUTLIERS = 3
+_LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
 
 
 def calibrate(

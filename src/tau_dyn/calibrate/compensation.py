@@ -33,11 +33,11 @@ from tau_dyn.kinematics.positions import checked_positions
 from tau_dyn.robot import Robot
 
 METHODS = ("exact", "linear")
-_MAX_ITERATIONS = 30
+_MAX_ITERATIONS = 30  # of Newton's method
 _DONE = 1e-11  # [m or rad] Newton's last step
 _STEP = 0.3  # [m or rad] longest step at once
 _TURN = 2 * np.pi
-_SINGULAR = 1e-9
+_SINGULAR = 1e-9  # ratio of singular values; rounding alone gives less than 1e-12
 
 
 class Corrected(NamedTuple):

@@ -26,7 +26,7 @@ from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.kinematics.rods import build_rods
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
-_FORMAT = 1
+_FORMAT = 1  # version of the file format
 
 
 def _tree(robot: Robot, options: Mapping[str, Any]) -> Geometry:

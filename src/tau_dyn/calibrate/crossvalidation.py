@@ -13,11 +13,11 @@ from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.residuals import FitState, Problem
 
-FOLDS = 5
+FOLDS = 5  # a common choice between bias and variance (Hastie et al. 2009, section 7.10)
 ORIENTATION_LEVER_M = 0.3
 """Length [m] at which an orientation error counts beside a position error when models are compared."""
-_DRAWS = 1000
-_SIGNIFICANCE_LEVEL = 0.01
+_DRAWS = 1000  # bootstrap draws of an interval; its ends vary by a few per cent of its width
+_SIGNIFICANCE_LEVEL = 0.01  # of the paired comparison by which a larger model is chosen
 _MIN_RELATIVE_GAIN = 0.02  # share of the rms error that a larger model must take away
 
 

@@ -18,14 +18,14 @@ from tau_dyn.calibrate.identifiability import Identifiability, find_identifiable
 from tau_dyn.calibrate.residuals import FitState, Problem
 from tau_dyn.calibrate.weights import compute_robust_weights, estimate_robust_scale
 
-_MAX_ITERATIONS = 15
+_MAX_ITERATIONS = 15  # bounds the time of a fit that does not converge
 _STEPS = 15  # of Gauss-Newton in one round
 _RELATIVE_CHANGE_TOL = 1e-2  # of the noise: what a round may still change
 _SMALL = 1e-3  # a step whose predictions move by less than this share of the noise (rms) is the last,
 _GAIN = 0.02  # and so is one that lowers the sum by less: a seventh of a standard error at most
 _FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
 _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
-_FULL_STEPS = 4
+_FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
 
 
 class LevenbergMarquardt:

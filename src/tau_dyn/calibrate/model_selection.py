@@ -16,8 +16,8 @@ from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 
-_MAX_ADDITIONS = 12
-_MAX_CONSECUTIVE_FAILURES = 3
+_MAX_ADDITIONS = 12  # steps of the forward selection; bounds its time
+_MAX_CONSECUTIVE_FAILURES = 3  # additions tried at a step before the selection ends
 
 
 def select_model(

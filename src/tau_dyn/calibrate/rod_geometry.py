@@ -27,7 +27,7 @@ from tau_dyn.kinematics.rod_dimensions import RodDimensions
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.parameters import Parameter, Parameters
 
-_STEPS = 12
+_STEPS = 12  # Newton steps to a pose
 _AT_REST = 1e-9  # [m or rad]: after a step this small the next one, a quadratic one, would be rounding
 _CLOSED = 1e-9  # [m]
 

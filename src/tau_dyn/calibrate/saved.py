@@ -30,7 +30,7 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
-FORMAT = 1
+FORMAT = 1  # version of the file format
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from tau_dyn.kinematics.loops import LoopSolver
 from tau_dyn.kinematics.pseudo_inverse import lengths_of
 from tau_dyn.kinematics.tree_arrays import frames
 
-_MAX_ITERATIONS = 40
+_MAX_ITERATIONS = 40  # Newton steps to closed loops
 _DONE = 1e-12  # [m or rad] Newton's last step
 _STEP = 0.3  # [m or rad] longest step at once
 _MAX_PASSIVE_MOTION = (

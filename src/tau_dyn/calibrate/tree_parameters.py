@@ -17,7 +17,7 @@ from tau_dyn.calibrate.tree_shape import AXES, Knob, TreeShape
 from tau_dyn.kinematics.tree_arrays import Joint
 from tau_dyn.parameters import Parameter
 
-_ALIGNED = 1 - 1e-9
+_ALIGNED = 1 - 1e-9  # cosine from which two directions are one
 PRIORITY = {"length": 0, "offset": 0, "origin": 1, "rotation": 1, "anchor": 1, "gain": 2, "tool": 3}
 """Of parameters that depend on each other, kinds with smaller numbers are kept; among equals those that poses show best.
 Placements are equals: an order among them would keep combinations that are told apart only by how far the axes of this

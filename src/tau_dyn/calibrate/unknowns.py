@@ -14,7 +14,7 @@ from tau_dyn.calibrate.identifiability import SCALES
 from tau_dyn.exceptions import UnknownName
 from tau_dyn.parameters import Parameter
 
-_FRAMES_FIRST = -1
+_FRAMES_FIRST = -1  # priority of device and target: below that of any parameter of the robot
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from scipy import integrate, optimize, stats
 from tau_dyn.exceptions import UnknownName
 
 KINDS = ("none", "huber", "biweight")
-EFFICIENCY = 0.95
+EFFICIENCY = 0.95  # of robust weights where the noise is Gaussian, the usual choice (Huber 1981)
 
 
 def compute_robust_weights(kind: str, distance: np.ndarray, m: int) -> np.ndarray:

@@ -24,14 +24,14 @@ from tau_dyn.effects import Effect
 N_NULL_DRAWS = 60
 DENSE_DRAWS = 24
 """Of a scan of thousands of periods, whose largest value hardly varies."""
-_CHUNK = 64
+_CHUNK = 64  # settings computed at once; bounds memory
 PRIOR_WEIGHT_BLOCKS = 10.0
 """Weight of 'the noise model is right' against the scatter of blocks, in blocks."""
 _WORTH_MATCHING = 30.0
 """What a setting must explain for it to be fitted before it is chosen; the best of chance is some 20."""
 _PROPOSAL_MARGIN = 0.03
 """Share of what the best setting explains that a proposed one may lack."""
-_MATCHES = 12
+_MATCHES = 12  # evaluations of the search for a setting between two of the grid
 _MATCHED = 2e-3
 """Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
 

@@ -29,7 +29,7 @@ from tau_dyn.diagnose.data_split import TRAIN, VALIDATION
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel, compute_score_test
 from tau_dyn.estimate import Autoregression, Whitener, scale_columns
 
-SIGNIFICANCE_LEVEL = 0.02
+SIGNIFICANCE_LEVEL = 0.02  # of a confirmation, one test on data not used by the selection
 _MIN_EXPECTED_Z = 4.0
 """Standard errors that the whole of an effect has to amount to for its absence to count against it."""
 _LEFT = 0.01

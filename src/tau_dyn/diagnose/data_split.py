@@ -18,7 +18,7 @@ TRAIN, VALIDATION, TEST = EVERY = (0, 1, 2)
 _SHARED = (TRAIN, VALIDATION, TRAIN, TEST, TRAIN)
 _HELD_OUT = (VALIDATION, TEST)
 _WITHIN = (TRAIN, VALIDATION, TRAIN, TRAIN)
-_MAX_BLOCK_S = 6.0
+_MAX_BLOCK_S = 6.0  # [s] of the longest block
 _MIN_BLOCKS = 15
 """Blocks that a log is cut into, where they stay long enough; of fewer none would see all parts of the motion."""
 _MIN_GAPS = (6.0, 4.0, 3.0)

@@ -39,7 +39,7 @@ _MIN_RATE_HZ = 80.0
 """A residual kept at a lower rate than this gives the noise's density only."""
 _IN_BAND = 0.28
 """Share of the rate up to which neither low-pass weakens a residual."""
-_MAX_ORDER = 8
+_MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 _OF_PLACE = ("inertia", "weight_gradient", "passive")
 
 Thing = Callable[[Motion], np.ndarray]

@@ -21,8 +21,8 @@ from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
 from tau_dyn.effects import Effect
 from tau_dyn.effects.words import quantity
 
-POWER = 0.95
-OWNED = 1e-9
+POWER = 0.95  # of the test at the detection limit, by convention
+OWNED = 1e-9  # share of a column's power left beside the null model; less is rounding
 _WHOLE = 0.5
 """Share of an output's rms above which a limit says that the data show nothing of the cause."""
 

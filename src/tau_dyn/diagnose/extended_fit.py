@@ -18,9 +18,9 @@ from tau_dyn.estimate.covariance import BLOCK_S, ROUNDING
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
-_DRAWS = 1000
+_DRAWS = 1000  # bootstrap draws of an interval; its ends vary by a few per cent of its width
 _INTERVAL = (2.5, 97.5)
-_Z95 = 1.959964
+_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)

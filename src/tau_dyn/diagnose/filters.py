@@ -30,7 +30,7 @@ from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0
 """Highest frequency looked at, in edges of the motion's own band; a tooth passes many times in one stroke."""
-SLOW_SHARE = 0.01
+SLOW_SHARE = 0.01  # speed at which a joint's direction has to be known, as a share of its fast speed
 MIN_DIRECTION_SNR = 5.0
 """Speeds whose direction is sure, in the velocity's noise."""
 REVERSAL_GAP_PERIODS = 1.0

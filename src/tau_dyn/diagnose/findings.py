@@ -19,7 +19,7 @@ from tau_dyn.effects.words import spelled
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
 
-_POINTS = 2000
+_POINTS = 2000  # of a plot; more cannot be seen
 _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
 _BLIND = 0.01

@@ -11,8 +11,8 @@ from tau_dyn.log import Log, estimate_encoder_noise
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
-_LOOKED_AT = 400
-_ENCODERS = 3.0
+_LOOKED_AT = 400  # samples of a log for which forward kinematics is computed; bounds time
+_ENCODERS = 3.0  # standard deviations of the encoders' noise
 
 
 def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:

@@ -18,8 +18,8 @@ from tau_dyn.log import find_true_runs
 
 WHOLE_TIME = "t_whole"
 """Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
-_DEGREE = 4
-_MAX_ORDER = 8
+_DEGREE = 4  # of the smooth functions of a variable
+_MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 
 
 def fit_noise_models(

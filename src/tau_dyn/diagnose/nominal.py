@@ -35,7 +35,7 @@ PARAMETER_CAUSES = {
     "force_scale": "tau_log = force_scale tau, of one joint",
 }
 """Causes that only a trusted nominal value shows, with their equations; `drive_gain` is an effect, too."""
-SIGNIFICANCE_LEVEL = 0.01
+SIGNIFICANCE_LEVEL = 0.01  # over all parameters together (Bonferroni)
 MAX_GAIN_RANGE = (0.5, 2.0)
 """Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
 MAX_MASS_SHARE = 2.0

@@ -18,9 +18,9 @@ from scipy import fft, ndimage, sparse
 from tau_dyn.estimate import Whitener
 from tau_dyn.log import compute_attenuation
 
-_CLASSES = 8
-_PER_PERIOD = 12
-_SMOOTHED = 9
+_CLASSES = 8  # of speed, each with as many samples
+_PER_PERIOD = 12  # position bins a period of the shortest wave
+_SMOOTHED = 9  # lines of the spectrum averaged for the noise beside a peak
 OVERSAMPLING = 4
 """Steps of the scan per 1 / range; `effects/periodic.py` lays its grid out alike."""
 LONG = 8.0

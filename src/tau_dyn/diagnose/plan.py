@@ -21,11 +21,11 @@ from tau_dyn.diagnose.rivals import AlternativeCause, SchurComplement, compute_i
 from tau_dyn.diagnose.scenes import build_scene
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
 
-_MAX_SETTINGS = 60
+_MAX_SETTINGS = 60  # of an alternative cause that are tried; bounds time
 _MAX_SETTING_DISTANCE = 0.3
 """Settings of a fine grid that lie this near the true cause's own are tried as a rival's."""
-_WEAK = 1e-12
-_IMITATED = 0.5
+_WEAK = 1e-12  # smallest norm that a column is divided by
+_IMITATED = 0.5  # share of a column's power left beside an alternative, below which it imitates the cause
 
 
 @dataclass(frozen=True, eq=False)

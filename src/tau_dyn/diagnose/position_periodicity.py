@@ -17,8 +17,8 @@ from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_stati
 from tau_dyn.effects import TransmissionError
 from tau_dyn.log import decimate, lowpass
 
-_DRAWS = 8
-_ROOM = 1.25
+_DRAWS = 8  # of white noise, by which the level of a peak is set
+_ROOM = 1.25  # least ratio of the upper to the lower end of the band
 _SIGNIFICANCE_LEVEL = 1e-6
 """Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
 

@@ -12,7 +12,7 @@ from tau_dyn.diagnose.question import DesignGoal, find_other_experiment
 
 TRAINED = 0.6
 """Share of a log that is searched for causes; the rest confirms and measures."""
-_N_TRIALS = 300
+_N_TRIALS = 300  # random outcomes; a probability is known to 3 %
 _FRESH = 20.0
 """Times smaller that an effect is seen, above which the measured motion hardly showed it."""
 

@@ -44,11 +44,11 @@ from tau_dyn.simulate import Trajectory, concatenate
 
 PIECE_S = 14.0
 """Length of a piece, about [s]."""
-_MIN_DURATION_S = 6.0
-_REST_S = 0.5
+_MIN_DURATION_S = 6.0  # [s] of the shortest motion that is proposed
+_REST_S = 0.5  # [s] of rest between two motions
 _STILL_S = 0.1  # the move between two pieces that end and start at home
-_LOOKED_AT_S = 120.0
-_SWEEPS = 5
+_LOOKED_AT_S = 120.0  # [s] of the logs by which motions are judged; bounds time
+_SWEEPS = 5  # of the exchange over all motions; bounds the time
 
 
 def propose_motion(

@@ -44,14 +44,14 @@ KNOWN = (0.02, 0.5)
 """Largest standard errors of frequency and damping, as shares of them, of a mode that is proposed."""
 MIN_SEGMENT_S = 2.0
 """Stretches without a reversal that are long enough to show a mode ring [s]."""
-MAX_SAMPLES = 20_000
+MAX_SAMPLES = 20_000  # of the records that resonances are fitted to; bounds time
 ALONE = 0.95
 """Share of what a whole matrix explains, from which on a single joint's compliance is the simpler answer."""
 _REACH = 1.25
 """Frequency up to which modes are proposed, in those up to which the motion is clear; noise rings there in the fit only."""
-_MAX_ITERATIONS = 15
+_MAX_ITERATIONS = 15  # of the refinement of a proposed resonance
 _CAUSE = "structural_compliance"
-_SPREAD = 2.0
+_SPREAD = 2.0  # standard errors of a frequency
 _BEYOND = " That is above the {band} up to which the encoders show the motion, so it is what the response below lets one guess."
 _WANTED = (
     "record an accelerometer at the tool, or motion with a multisine around {frequency} that stands above the encoders' noise, "

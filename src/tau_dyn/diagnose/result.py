@@ -18,7 +18,7 @@ from tau_dyn.shown import Shown
 Verdict = Literal["named", "nothing_found", "cannot_tell", "unexplained"]
 Choice = Literal["extended", "refitted", "neither"]
 Status = Literal["confirmed", "suspected", "parameter"]
-_Z95 = 1.959964
+_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)

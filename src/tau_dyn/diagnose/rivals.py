@@ -12,7 +12,7 @@ from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, compute_score_stat
 from tau_dyn.effects import Effect
 from tau_dyn.parameters import Parameters
 
-_RANK = 1e-10
+_RANK = 1e-10  # ratio of eigenvalues; less is rounding
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tau_dyn.effects import Motion, Scene
 
-_FASTEST = 0.98
+_FASTEST = 0.98  # quantile of the speed that counts as fast
 _RARE = 0.01
 """Share of the training beyond either end of the range that a joint visits often."""
 

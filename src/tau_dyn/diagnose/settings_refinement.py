@@ -14,10 +14,10 @@ from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import scale_columns
 
-_STEPS = 3
+_STEPS = 3  # Gauss-Newton steps of the settings
 _TERM_LEVEL = 1e-4
 """Chance at which noise alone adds a term to a law."""
-_WIDE = 2.0
+_WIDE = 2.0  # factor by which a range of settings is widened
 
 
 def refine_settings(candidate: CandidateCause, library: ColumnCache, ground: NullModel) -> CandidateCause:

@@ -39,8 +39,8 @@ from tau_dyn.log import Log, compute_attenuation
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 
-_DEPENDENT = 1e-6
-_CHUNK = 32
+_DEPENDENT = 1e-6  # relative norm that is left of a dependent column by rounding
+_CHUNK = 32  # effects computed at once; bounds memory
 
 
 @dataclass(frozen=True, eq=False)

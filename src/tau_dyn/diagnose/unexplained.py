@@ -17,7 +17,7 @@ from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, 
 
 MIN_GAINING_SHARE = 0.5
 """Share of a predicted force that must be true for its prediction to lower the error."""
-Z95 = 1.959964
+Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)

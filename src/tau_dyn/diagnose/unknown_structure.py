@@ -28,7 +28,7 @@ from tau_dyn.effects import Effect
 
 MIN_2LOGL_DIFFERENCE = 8.0
 """Difference of merit (twice the log-likelihood) below which two sets of variables are not told apart."""
-_MAX_INDISTINGUISHABLE = 6
+_MAX_INDISTINGUISHABLE = 6  # structures that a result names; more do not help
 _PAIR_PRICE = 4.0
 """What a second variable, or another joint's direction, has to explain more, in twice the log-likelihood, beside its freedom."""
 _LEFT = 0.01

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from tau_dyn.diagnose.result import Finding, OutputErrors, Unexplained, Verdict
 
-_MAX_LISTED = 3
+_MAX_LISTED = 3  # causes that a sentence names
 
 
 def describe_verdict(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-MAX_ORDER = 12
+MAX_ORDER = 12  # from which the order is selected by an information criterion
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ RANK_TOLERANCE = 1e-6
 
 _CLEAR = 10.0
 """Tolerances by which a column that was left out must be unexplained before the choice of the others is doubted."""
-_COARSEST = 1e-2
+_COARSEST = 1e-2  # relative tolerance of the rank, at most
 _NEGLIGIBLE = 1e-6
 """Part of a dropped unit column below which a kept one has no share in it."""
 _FACTOR = re.compile(r"[0-9]+(\.[0-9]+)?(e[+-][0-9]+)?")

@@ -20,7 +20,7 @@ from scipy import linalg, signal
 from tau_dyn.estimate.autoregression import Autoregression, Lags
 from tau_dyn.estimate.regression import RegressionRows
 
-BLOCK_S = 2.0
+BLOCK_S = 2.0  # [s] of the blocks of the cluster-robust covariance
 ROUNDING = 1e-6  # of a block: a clock's last digit must not move a sample from one to the next
 
 

@@ -27,7 +27,7 @@ from tau_dyn.estimate.regression import Regression, RegressionRows
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
-_MAX_ITERATIONS = 20
+_MAX_ITERATIONS = 20  # of reweighting; bounds the time
 
 
 def solve_least_squares(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-BISQUARE = 4.685
+BISQUARE = 4.685  # efficiency 95 % where the noise is Gaussian (Beaton & Tukey 1974)
 NORMAL_MAD = 0.6745
 """Median absolute deviation of a normal variable of unit variance."""
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from tau_dyn.estimate.covariance import BLOCK_S, assign_blocks
 
-SHORT_S = 0.1
-LAGS = 5
+SHORT_S = 0.1  # [s] of the short blocks
+LAGS = 5  # samples; lags whose correlation is tested
 MAX_CORRELATION_Z = 4.0
 """Standard errors that each of the first correlations may be off zero."""
 

@@ -11,8 +11,8 @@ from tau_dyn.identify.errors import ForceErrors
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
 
-_ILL_CONDITIONED = 200.0
-_CORRELATED = 0.99
+_ILL_CONDITIONED = 200.0  # condition number; beyond, errors of the columns show in the estimates
+_CORRELATED = 0.99  # correlation from which two estimates are named together
 _OBJECTS = 3.0
 """Standard errors outside of what is physical from which the data object; nearer is noise."""
 

@@ -16,7 +16,7 @@ from tau_dyn.model import Model
 PARAMETER_DEPENDENT_SIGNALS = frozenset({"force", "rigid_force", "load", "inertia", "damping", "weight_gradient"})
 """Signals that follow from the parameters' values, so that a fit changes the columns it was made with."""
 
-MAX_ITERATIONS = 8
+MAX_ITERATIONS = 8  # bounds the time of a fit that does not converge
 RELATIVE_CHANGE_TOL = 0.01
 """A fit is repeated until the predicted force moves by less than this share of what it leaves unexplained."""
 

@@ -37,14 +37,14 @@ from tau_dyn.identify.reference_instruments import predict_tracked_motion
 from tau_dyn.log import Log, differentiate, estimate_encoder_noise
 from tau_dyn.model import Model
 
-MAX_ITERATIONS = 6
+MAX_ITERATIONS = 6  # of instruments and noise model
 MAX_CHANGE_STDERRS = 0.02
 """Rounds end when no base parameter moves by more than this part of its standard error."""
 
 NOISE_SAMPLES = 20_000
 """Samples of a stretch from which the force noise is found; it is a weight, and known to 1 % from these."""
 
-NOISE_ROUNDS = 12
+NOISE_ROUNDS = 12  # iterations of the noise model alone
 MIN_ROBUST_WEIGHT = 1e-3
 """Smallest weight; a sample with it has 30 times the force noise."""
 

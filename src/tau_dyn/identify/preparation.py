@@ -28,10 +28,10 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, compute_noise_gain, estimate_encoder_noise, find_motion_band
 from tau_dyn.robot import Robot
 
-BAND_FACTOR = 5.0
-POSITION_FACTOR = 8.0
-RATE_FACTOR = 2.5
-NOISE_FACTOR = 10.0
+BAND_FACTOR = 5.0  # low-pass of forces over the motion's band edge
+POSITION_FACTOR = 8.0  # low-pass of positions over that of forces
+RATE_FACTOR = 2.5  # rate kept after decimation over the low-pass; 2 is the sampling theorem
+NOISE_FACTOR = 10.0  # speed in standard deviations of its noise, from which its sign is known
 MIN_RATE_HZ = 5.0
 """A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
 

@@ -16,7 +16,7 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 from tau_dyn.shown import Shown
 
-_Z95 = 1.959964
+_Z95 = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from tau_dyn.identify.signals import compute_travel
 from tau_dyn.log import differentiate
 from tau_dyn.model import Model
 
-_STATES = 60
-_SAMPLES = 2000
+_STATES = 60  # random states; several times the rows that a rank needs
+_SAMPLES = 2000  # of the random motion
 
 
 def find_structural_base(model: Model, seed: int = 0) -> BaseParameters:

@@ -24,7 +24,7 @@ MAX_DEFINITION_BYTES = 2**20
 MAX_UNROLLED_ENTRIES = 10_000
 """Entries of fixed arrays of texts or messages in all definitions together; each becomes lines of code."""
 
-MAX_TOPICS = 10_000
+MAX_TOPICS = 10_000  # bounds the time on a hostile file
 
 _FILLER = "structure_needs_at_least_one_member"
 """What the library puts into an empty message; in ROS 1 it takes no bytes."""

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-_WINDOW_S = 8.0
-_SMOOTHING_HZ = 2.0
-_MIN_SNR = 10.0
-_CLEAR_SNR = 300.0
-_POWER_SHARE = 0.999
-_NOISE_SHARE = 1e-4
+_WINDOW_S = 8.0  # [s] of Welch's method
+_SMOOTHING_HZ = 2.0  # [Hz] over which the spectrum is averaged
+_MIN_SNR = 10.0  # power over that of the noise, at the band's edge
+_CLEAR_SNR = 300.0  # power over that of the noise, where the motion is beyond doubt
+_POWER_SHARE = 0.999  # of the motion's power lies below the band's edge
+_NOISE_SHARE = 1e-4  # of the motion's power that noise within the band may have
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class Opaque:
 _HEADER, _MATRIX, _COMPRESSED, _DEEPEST = 128, 14, 15, 32
 _CELL, _STRUCT, _OBJECT, _OPAQUE, _NUMBERS = 1, 2, 3, 17, range(6, 16)
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_COMPLEX = 0x0800
+_COMPLEX = 0x0800  # flag of complex numbers (MAT-file format, level 5)
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 

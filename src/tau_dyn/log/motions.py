@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from tau_dyn.log.log import Log
 from tau_dyn.log.noise_estimation import estimate_encoder_noise
 
-_SIGMA = 6.0
-_LOOK_S = 0.1
+_SIGMA = 6.0  # standard deviations of the noise; none of 1e8 samples exceeds them
+_LOOK_S = 0.1  # [s] over which travel is measured
 
 
 def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> list[Log]:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 WINDOW_SAMPLES = 128
 """Samples of one window: a spectral resolution of 1/128 of the sampling rate."""
 
-_DIFFERENCES = 4
+_DIFFERENCES = 4  # order of differences, which remove a smooth motion
 
 
 def estimate_quantisation_step(q: ArrayLike) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from tau_dyn.log.resample import MIN_GAP_STEPS
 MAX_INTERPOLATION_ERROR = 0.5
 """Share of a signal's spread that its neighbours may miss of it at twice the step."""
 
-MIN_CLOCK_SAMPLES = 10
+MIN_CLOCK_SAMPLES = 10  # fewer give no rate
 
 
 def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, str]:

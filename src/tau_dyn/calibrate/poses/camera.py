@@ -21,8 +21,8 @@ from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_t
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
 
-_STEPS = 8
-_AT_REST = 1e-10
+_STEPS = 8  # iterations of the pose of a view
+_AT_REST = 1e-10  # largest part of a step at which the iteration ends
 
 
 @dataclass(frozen=True)

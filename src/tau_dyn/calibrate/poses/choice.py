@@ -24,7 +24,7 @@ from tau_dyn.exceptions import InputError
 
 MAX_POSES = 400
 """Poses that `auto` takes at most: a day's work with a tracker."""
-_STARTS = 2
+_STARTS = 2  # starts of the exchange; the best result is taken
 
 
 @dataclass(frozen=True, eq=False)

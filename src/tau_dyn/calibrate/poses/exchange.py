@@ -17,8 +17,8 @@ PRIOR = 0.1
 """Singular value that every parameter has before any pose: known to ten times its scale; keeps few poses comparable."""
 _LOOKED_AT = 24
 """Poses that are tried exactly in every step."""
-_EXCURSION = 3
-_BETTER = 1e-7
+_EXCURSION = 3  # poses that an exchange may add before it removes as many
+_BETTER = 1e-7  # gain of the criterion that is more than rounding
 
 
 class PoseExchange:

@@ -25,7 +25,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 
 _MAX_ERROR_RATIO = 2.0
 """By how much simulated calibrations may be worse than predicted."""
-_N_TRIALS = 20
+_N_TRIALS = 20  # simulated calibrations; their rms error is known to 16 %
 
 
 @dataclass(frozen=True, eq=False)

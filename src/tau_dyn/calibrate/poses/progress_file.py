@@ -19,7 +19,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.files import read_bytes, write_whole
 from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
 
-_VERSION = 1
+_VERSION = 1  # version of the file format
 _MAX_FILE_BYTES = 64 * 2**20  # [bytes]
 Measure = Callable[[int, np.ndarray], "tuple[np.ndarray, np.ndarray | None] | None"]
 """From a pose's number and positions (na,) to the measured position (3,) and orientation (3, 3) or None; None where

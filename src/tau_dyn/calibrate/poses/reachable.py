@@ -29,7 +29,7 @@ from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 WANTED = 1000
 """Candidates that are enough to choose a hundred poses from."""
 TILT = float(np.deg2rad(10.0))
-_CELLS = 24
+_CELLS = 24  # coarse cells along the longest side of the workspace
 _DRAWN = 4
 """Positions drawn for each candidate wanted."""
 

@@ -15,7 +15,7 @@ from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.residuals import FitState, Problem
 from tau_dyn.exceptions import InputError
 
-_STEPS = 20
+_STEPS = 20  # Gauss-Newton steps; bounds the time
 _AT_REST = 1e-6
 """Longest last step, in standard errors."""
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from tau_dyn.calibrate.poses.path_check import PathCheck
 
-_BLOCKED = 1e3
-_MAX_ITERATIONS = 12
+_BLOCKED = 1e3  # added to the cost of a move that is not free, far above that of free ones
+_MAX_ITERATIONS = 12  # of improvement by exchange; bounds its time
 _BETWEEN = 40
 """Places that are tried for a way round."""
 
