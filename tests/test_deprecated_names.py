@@ -1,0 +1,17 @@
+"""Former public names: each gives what it is called today, and says so."""
+
+from importlib import import_module
+
+import pytest
+
+from tau_dyn.deprecated_names import DEPRECATED
+
+NAMES = [(package, old, new) for package, names in DEPRECATED.items() for old, new in names.items()]
+
+
+@pytest.mark.parametrize(("package", "old", "new"), NAMES)
+def test_a_former_name_gives_what_it_is_called_today(package, old, new):
+    """Scripts of the last release run for one release more."""
+    room = import_module(package)
+    with pytest.warns(DeprecationWarning, match=f"{package}.{old} is deprecated"):
+        assert getattr(room, old) is getattr(room, new)
