@@ -66,9 +66,9 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
         frames=[_frame(row) for row in build_frame_rows(found.fit)],
         blind=found.fit.identifiability.to_dict()["not_identifiable"],
         pairs=[
-            (c["parameters"], number(float(c["correlation"]), 3))
+            (c["parameters"], number(float(c["correlation"]), 3))  # type: ignore[arg-type]
             for c in list_correlated_pairs(found.fit)[:_CORRELATED]
-        ],  # type: ignore[arg-type]
+        ],
         left=charts.along_joints(found),
         sensitive=_sensitive(found),
         change=f"{1e6 * CHANGE:.0f}",
