@@ -24,7 +24,7 @@ def calls(page: str) -> list[str]:
     """Return the `tau-dyn` lines of a page that can be typed as they are."""
     shell = [line for b in blocks(page) if b.language in ("", "bash", "sh") for line in commands(b.text)]
     indented = [line for text in _INDENTED.findall(page) for line in commands(text)]
-    lines = (line.split(" && ")[-1] for line in (*shell, *indented))
+    lines = (line.split(" && ")[-1].split(" > ")[0] for line in (*shell, *indented))
     return [line for line in lines if re.match(r"tau-dyn [a-z]", line) and not _PLACEHOLDER.search(line)]
 
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.dynamics import TreeMechanism, build_mechanism
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot import load_robot
+from tau_dyn.robot import load_robot, robot_from_urdf
 
 SERIAL = ["two_link", "turning", "block", "tx40", "ur5", "panda"]
 LOOPED = ["four_bar", "l1 simplified uniform", "d1 simplified point", "l1 complete uniform", "l1 complete point"]
@@ -171,7 +171,10 @@ def test_too_few_or_too_many_drives_are_refused() -> None:
         build_mechanism(load_robot("gantry_tau", actuated=["cart1", "cart2", "cart3", "plate_x"]))
 
 
-def test_a_robot_without_a_tool_has_no_tool_position(pendulum) -> None:
-    """Where the file names no frame `tool`, asking for its position is an error, not some other frame's position."""
+def test_a_robot_without_a_tool_has_no_tool_position(write) -> None:
+    """Where no frame is named as the tool and the tree has two ends, asking for its position is an error."""
+    ends = [write.rod(f"{name}_link", 1, 0.2) for name in "ab"]
+    joints = [write.joint(name, "revolute", "base_link", f"{name}_link", "0 1 0") for name in "ab"]
+    fork = robot_from_urdf(write.text("fork", *ends, *joints, write.drive("a"), write.drive("b")), "fork")
     with pytest.raises(InputError, match="tool"):
-        build_mechanism(pendulum).tool_position(np.zeros((1, 1)))
+        build_mechanism(fork).tool_position(np.zeros((1, 2)))

@@ -81,7 +81,7 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
         help="actuated joints, if not those with a <transmission>",
     )
     parser.add_argument(
-        "--tool", metavar="FRAME", help="tool frame, if not tool, tool0, flange, ee_link or the tree's only leaf"
+        "--tool", metavar="FRAME", help="tool frame, if not tool, tool0, tcp, ee_link or the tree's only leaf"
     )
     parser.add_argument(
         "--no-xacro",

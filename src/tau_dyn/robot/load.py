@@ -22,7 +22,7 @@ from tau_dyn.robot.annotations import Annotations, BallConstraint, read_annotati
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.robot import NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 
-TOOL_NAMES = ("tool", "tool0", "flange", "tcp", "ee_link", "end_effector")
+TOOL_NAMES = ("tool", "tool0", "tcp", "ee_link", "end_effector")
 """Usual names of a tool frame, the first that exists counts: our own files', ROS-Industrial's, and those of common arms."""
 MAX_DEGREES_OF_FREEDOM = 300
 """Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
