@@ -20,7 +20,7 @@ from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import SufficientStatistics, find_base
 from tau_dyn.identify import choose_preparation
 from tau_dyn.identify.regression import compute_columns, prepare_segment
-from tau_dyn.log import even_segments, read_log
+from tau_dyn.log import read_log, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 
@@ -100,7 +100,7 @@ def synthetic(model: Model, samples: int) -> tuple[np.ndarray, ...]:
 def measured(model: Model) -> tuple[np.ndarray, ...]:
     """Return the TX40 log as our filters prepare it."""
     log = read_log(DATA, HERE.parents[1] / "identification" / "columns" / "tx40.yaml")
-    (piece,) = even_segments(log)
+    (piece,) = resample_segments(log)
     ready = prepare_segment(model, piece, choose_preparation(model.robot, [piece]))
     return ready.motion.q, ready.motion.v, ready.motion.a, ready.force
 

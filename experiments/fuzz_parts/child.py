@@ -38,7 +38,7 @@ _MODULES = (
     "report.comparison",
     "kinematics.workspace.study",
     "scale.journal",
-    "kinematics.accuracy.errors",
+    "kinematics.accuracy.error_bounds",
     "modes.model_file",
     "modes.record",
     "simulate.effects_file",

@@ -28,8 +28,13 @@ def _as_if_large() -> Iterator[None]:
     """Let small files be read as recordings larger than memory are: copied in pieces, read in windows."""
     from tau_dyn.log import copies, log_opening, text_chunks
 
-    new = {(log_opening, "LARGE"): 12, (log_opening, "TEXT_BYTES"): 64, (log_opening, "GROUP_ROWS"): 16, (copies, "_ROWS"): 16,
-           (text_chunks, "CHUNK_BYTES"): 300}  # fmt: skip
+    new = {
+        (log_opening, "MAX_IN_MEMORY_SAMPLES"): 12,
+        (log_opening, "MAX_IN_MEMORY_BYTES"): 64,
+        (log_opening, "GROUP_ROWS"): 16,
+        (copies, "_ROWS"): 16,
+        (text_chunks, "CHUNK_BYTES"): 300,
+    }
     kept = {(module, name): getattr(module, name) for module, name in new}
     try:
         for (module, name), value in new.items():

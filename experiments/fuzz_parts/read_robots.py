@@ -105,7 +105,7 @@ ROBOTS = (
     Reader("camera", ".yaml", of(seeds.CAMERA), YAML, by_name("calibrate.poses.device_file", "read_camera")),
     Reader("tracker", ".yaml", of(seeds.TRACKER), YAML, by_name("calibrate.poses.device_file", "read_tracker")),
     Reader("errors", ".yaml", of(seeds.ERRORS), YAML,
-           by_name("kinematics.accuracy.errors", "read_errors_file", ("axis",), ("rod1", "rod2"))),
+           by_name("kinematics.accuracy.error_bounds", "read_errors_file", ("axis",), ("rod1", "rod2"))),
     Reader("cameras", ".yaml", of(seeds.CAMERAS), YAML, by_name("vision.cameras", "read_cameras")),
     Reader("state_space", ".yaml", of(seeds.STATE_SPACE), YAML, by_name("modes.model_file", "load_state_space")),
     Reader("compensation", ".yaml", lambda f: [seeds.compensation_file(f)], YAML,

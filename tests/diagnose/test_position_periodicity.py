@@ -66,7 +66,7 @@ def test_a_true_motion_with_waves_is_no_error(kind):
 def test_a_sharper_held_out_log_hides_no_wave(monkeypatch):
     """Each piece is looked through above its own smoothed band; one whose band is as wide as the forces' is passed over."""
     module, seen = importlib.import_module("tau_dyn.diagnose.force_diagnosis"), []
-    monkeypatch.setattr(module, "shows_waves", lambda *given: seen.append(given) or False)
+    monkeypatch.setattr(module, "detect_position_periodicity", lambda *given: seen.append(given) or False)
     diagnose(load_robot("linear_axis"), shown(1.0, "encoder"))
     ((channel, (smooth,)),) = seen
     twice = replace(channel, prepared=channel.prepared * 2, thinned=channel.thinned * 2)

@@ -37,7 +37,7 @@ def test_what_is_done_is_not_done_again_until_the_code_is_another(one, monkeypat
     assert campaigns.main(["one"], 1, one) == 7 and rounds(one) == 1
     assert campaigns.main(["one"], 1, one) == 7 and rounds(one) == 1
     assert "one: done, status 7" in capsys.readouterr().out
-    monkeypatch.setattr(campaigns, "code_hash", lambda: "another")
+    monkeypatch.setattr(campaigns, "compute_code_hash", lambda: "another")
     assert campaigns.main(["one"], 1, one) == 7 and rounds(one) == 1
 
 

@@ -110,7 +110,7 @@ def test_an_interruption_in_executed_text_leaves_with_its_status(tmp_path: Path)
         "import sys\n"
         "from tau_dyn.cli.ending import unwind_on_signal\n"
         "try:\n"
-        "    with unwinding():\n"
+        "    with unwind_on_signal():\n"
         "        exec('import os; os.kill(os.getpid(), 2); import time; time.sleep(10)')\n"
         "except KeyboardInterrupt:\n"
         "    sys.exit(130)\n"

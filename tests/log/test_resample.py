@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, ensure_even, even_segments, examine_clock, split_at_gaps
+from tau_dyn.log import Log, ensure_even, examine_clock, resample_segments, split_at_gaps
 
 RATE = 250.0
 
@@ -78,7 +78,7 @@ def test_a_part_whose_own_step_is_shorter_is_not_cut_again():
     """Steps of 2 ms, then of 1.6 ms: a hole of 5.7 ms is short of a gap beside the whole log's step, so it is interpolated."""
     steps = np.concatenate([np.full(2000, 0.002), [0.02], np.full(300, 0.0016), [0.0057], np.full(300, 0.0016)])
     t = np.concatenate([[0.0], np.cumsum(steps)])
-    parts = even_segments(Log(t, {"q_axis": np.sin(t)}, name="tuesday.csv"))
+    parts = resample_segments(Log(t, {"q_axis": np.sin(t)}, name="tuesday.csv"))
     assert len(parts) == 2 and examine_clock(parts[1]).even
     with pytest.raises(InputError, match="gap"):
         ensure_even(split_at_gaps(Log(t, {"q_axis": np.sin(t)}))[1])

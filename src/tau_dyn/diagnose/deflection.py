@@ -30,7 +30,7 @@ from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.log_inputs import drop_duplicate_logs, drop_trained_logs
 from tau_dyn.identify.preparation import Preparation
-from tau_dyn.log import Log, decimate, even_segments
+from tau_dyn.log import Log, decimate, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
@@ -96,7 +96,9 @@ def build_deflection_channel(
         InputError: No joint has two encoders, or a log lacks one of them.
         CannotAnswer: Too few measurements for three parts.
     """
-    stretches = [(p, out) for logs, out in ((train, False), (held, True)) for log in logs for p in even_segments(log)]
+    stretches = [
+        (p, out) for logs, out in ((train, False), (held, True)) for log in logs for p in resample_segments(log)
+    ]
     joints = list_encoder_pairs(robot, [log for log, _ in stretches])
     preparation = choose_diagnosis_preparation(robot, [log for log, out in stretches if not out], ())
     where = [robot.actuated.index(j) for j in joints]

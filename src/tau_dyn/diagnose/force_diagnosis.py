@@ -62,7 +62,7 @@ from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.resting import list_resting_warnings
 from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, list_crumbs, list_information_warnings
 from tau_dyn.identify.structural_identifiability import build_physical_constraints
-from tau_dyn.log import Log, even_segments, find_motion_band, mend_log
+from tau_dyn.log import Log, find_motion_band, mend_log, resample_segments
 from tau_dyn.model import Model
 
 Progress = Callable[[str], None]
@@ -133,7 +133,8 @@ def fit_baseline(
     """
     joints = model.robot.actuated
     train, held = (
-        [piece for log in logs for piece in even_segments(mend_log(log, joints))] for logs in (train_logs, held_logs)
+        [piece for log in logs for piece in resample_segments(mend_log(log, joints))]
+        for logs in (train_logs, held_logs)
     )
     warnings += check_integrity(model.robot, [*train_logs, *held_logs], exclude)
     warnings += [*model.robot.warnings, *log_warnings(model.robot, [*train, *held])]

@@ -38,7 +38,7 @@ from tau_dyn.diagnose.proposal_words import list_motion_notes
 from tau_dyn.diagnose.question import DesignGoal, build_refusal, find_design_goal, find_other_experiment
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, even_segments
+from tau_dyn.log import Log, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory, concatenate
 
@@ -146,7 +146,7 @@ def _prepared(setting: Setting, trajectory: Trajectory, needs: frozenset[str]) -
 
 def _measured(setting: Setting, logs: Iterable[Log], needs: frozenset[str]) -> list[DesignMotion]:
     """Return the measured motions, at most two minutes of them."""
-    stretches = [piece for log in logs for piece in even_segments(log)]
+    stretches = [piece for log in logs for piece in resample_segments(log)]
     if not stretches:
         return []
     smooth_hz, found = smooth_cutoff(setting.model.robot, stretches), []

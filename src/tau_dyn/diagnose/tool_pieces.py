@@ -19,7 +19,7 @@ from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.preparation import MIN_RATE_HZ, Preparation
 from tau_dyn.identify.regression import get_measured_signals
-from tau_dyn.log import Log, decimate, differentiate, even_segments, lowpass
+from tau_dyn.log import Log, decimate, differentiate, lowpass, resample_segments
 from tau_dyn.model import Model
 
 OUTPUTS = ("x_tool", "y_tool", "z_tool")
@@ -88,7 +88,7 @@ def cut(log: Log) -> list[Log]:
         return [replace(log, t=log.t[seen], channels={key: x[seen] for key, x in log.channels.items()})]
     if not seen.all():
         raise InputError(f"{log.name}: the tool is missing in {np.sum(~seen)} samples; cut the log there")
-    return even_segments(log)
+    return resample_segments(log)
 
 
 def is_static(log: Log) -> bool:

@@ -26,7 +26,7 @@ from tau_dyn.identify.streaming import (
     refuse_missing,
     split_recording_evenly,
 )
-from tau_dyn.log import Log, Recording, even_segments, mend_log
+from tau_dyn.log import Log, Recording, mend_log, resample_segments
 from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.model import Model
 
@@ -70,7 +70,7 @@ class Data:
 
     def _mended(self, log: Log | Recording) -> list[Log]:
         """Return a log's even pieces, its few lost samples being gaps in the clock."""
-        return even_segments(mend_log(log, self.model.robot.actuated)) if isinstance(log, Log) else []
+        return resample_segments(mend_log(log, self.model.robot.actuated)) if isinstance(log, Log) else []
 
     def warnings(self) -> list[str]:
         """Return what is doubtful about the logs, what spoils them first; of a large one, about a stretch in its middle."""
@@ -87,7 +87,7 @@ class Data:
                     found.append(part.with_warnings(*log.warnings, *stretch.warnings))
                     whole.append(part)
             else:
-                found += even_segments(log)
+                found += resample_segments(log)
         spoilt = check_integrity(self.model.robot, whole, self.exclude)
         return [*spoilt, *log_warnings(self.model.robot, [*self.pieces, *found])]
 

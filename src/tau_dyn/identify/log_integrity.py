@@ -13,7 +13,7 @@ from tau_dyn.coded_warning import CodedWarning, get_code
 from tau_dyn.identify.excerpt import make_excerpt
 from tau_dyn.identify.force_timing import check_timing
 from tau_dyn.identify.wiring import check_wiring
-from tau_dyn.log import Log, even_segments, list_data_warnings, mend_log
+from tau_dyn.log import Log, list_data_warnings, mend_log, resample_segments
 from tau_dyn.robot import Robot
 
 SPOILING = frozenset(
@@ -56,7 +56,7 @@ def _against_robot(
             sound = mend_log(log, robot.actuated)
             if sound is log or is_diagnosis_invalid(list_data_warnings(sound, robot.actuated)):
                 continue
-        excerpt = make_excerpt(robot, even_segments(sound), exclude)
+        excerpt = make_excerpt(robot, resample_segments(sound), exclude)
         if excerpt is not None:
             found += check_wiring(robot, excerpt, log.name) or check_timing(robot, excerpt, log.name)
     return list(dict.fromkeys(found))

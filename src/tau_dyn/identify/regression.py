@@ -26,7 +26,7 @@ from tau_dyn.identify.gate import compute_gate, find_excluded_samples, refuse_ju
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
 from tau_dyn.identify.signals import get_measured_signals, refuse_missing_campaign, refuse_missing_temperature
-from tau_dyn.log import Log, compute_edge_samples, decimate, differentiate, even_segments, lowpass
+from tau_dyn.log import Log, compute_edge_samples, decimate, differentiate, lowpass, resample_segments
 from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.model import Model
 
@@ -58,7 +58,7 @@ def build_regression(
         CannotAnswer: No piece is long enough for the filters, or the masks leave nothing.
     """
     logs = list(logs)
-    pieces = [piece for log in logs for piece in even_segments(log)]
+    pieces = [piece for log in logs for piece in resample_segments(log)]
     if not logs:
         raise InputError("no log was given")
     if not pieces:

@@ -25,7 +25,7 @@ from tau_dyn.identify.blocks import Block, BlockRows, BlockWork, list_channels, 
 from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
-from tau_dyn.log import Log, Recording, even_segments
+from tau_dyn.log import Log, Recording, resample_segments
 from tau_dyn.log.even_segments import EvenSegment, InMemorySegment, split_even_segments
 from tau_dyn.model import Model
 from tau_dyn.scale.run_many import iterate_in_order, run_on_workers
@@ -193,7 +193,7 @@ def _pieces(log: Log | Recording) -> Sequence[EvenSegment | InMemorySegment]:
     return (
         split_recording_evenly(log)
         if isinstance(log, Recording)
-        else [InMemorySegment(piece) for piece in even_segments(log)]
+        else [InMemorySegment(piece) for piece in resample_segments(log)]
     )
 
 

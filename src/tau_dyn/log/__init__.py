@@ -27,7 +27,7 @@ from tau_dyn.log.noise_estimation import (
 )
 from tau_dyn.log.read import read_log
 from tau_dyn.log.recording import Recording
-from tau_dyn.log.resample import count_short_segments, ensure_even, even_segments, examine_clock, split_at_gaps
+from tau_dyn.log.resample import count_short_segments, ensure_even, examine_clock, resample_segments, split_at_gaps
 from tau_dyn.log.table import Table, read_table
 from tau_dyn.log.units import list_unit_warnings
 
@@ -51,7 +51,7 @@ __all__ = [
     "ensure_even",
     "estimate_encoder_noise",
     "estimate_quantisation_step",
-    "even_segments",
+    "resample_segments",
     "examine_clock",
     "find_motion_band",
     "find_reversals",

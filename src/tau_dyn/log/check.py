@@ -18,7 +18,7 @@ from tau_dyn.log.column_names import format_names
 from tau_dyn.log.data_integrity import list_data_warnings
 from tau_dyn.log.jumps import check_jumps
 from tau_dyn.log.log import Log
-from tau_dyn.log.resample import even_segments, split_at_gaps
+from tau_dyn.log.resample import resample_segments, split_at_gaps
 from tau_dyn.log.units import JointLimits, list_unit_warnings
 
 
@@ -43,7 +43,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         lost = f"{log.name}: no stretch of it is without a gap."
         return LogCheck(log.name, (*findings, CheckFinding("fault", "gaps", lost, "Record it again.")), numbers)
     longest = int(np.argmax([part.n_samples for part in parts]))
-    raw, part = parts[longest], even_segments(log)[longest]
+    raw, part = parts[longest], resample_segments(log)[longest]
     moving = (
         {joint: find_moving_samples(part, joint) for joint in log.joints("q")}
         if part.n_samples == raw.n_samples

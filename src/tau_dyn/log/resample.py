@@ -71,7 +71,7 @@ def split_at_gaps(log: Log) -> list[Log]:
     return [log.window(a, b).with_warnings(describe_gaps(log, clock)) for a, b in spans]
 
 
-def even_segments(log: Log) -> list[Log]:
+def resample_segments(log: Log) -> list[Log]:
     """Return a log's parts between gaps, each on an even clock.
 
     What is a gap is decided by the whole log's step: a part's own may be a little shorter.
