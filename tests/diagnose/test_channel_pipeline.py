@@ -81,15 +81,20 @@ def test_a_setting_at_the_edge_of_its_grid_is_not_confirmed(make, rng, monkeypat
 
 
 def test_one_recording_has_one_delay():
-    """Delays of 1.5 and 7 ms on two joints of one log are not a clock's; 8.0 and 7.9 +- 0.1 ms may be."""
+    """Delays of 1.5 and 7 ms on two joints of one log are not a clock's; 8.0 and 7.9 +- 0.1 ms may be.
+
+    Two that are read in turn differ by up to a sample: 8.0 and 9.0 ms are one delay at 4 ms a sample, and two at 0.1 ms.
+    """
     effects = [Delay((joint,), ("N m",)) for joint in ("one", "two")]
 
-    def inconsistent(*values: float) -> str:
+    def inconsistent(*values: float, step_s: float = 1e-4) -> str:
         rows = zip(("one", "two"), values, strict=True)
-        return find_inconsistent(effects, Parameters(Parameter(f"{j}.delay", x, "s", stderr=1e-4) for j, x in rows))
+        found = Parameters(Parameter(f"{j}.delay", x, "s", stderr=1e-4) for j, x in rows)
+        return find_inconsistent(effects, found, step_s)
 
     assert "one 1.5 ms" in inconsistent(1.5e-3, 7e-3) and not inconsistent(8.0e-3, 7.9e-3)
-    assert not find_inconsistent(effects[:1], Parameters([Parameter("one.delay", 7e-3, "s", stderr=1e-4)]))
+    assert inconsistent(8e-3, 9e-3) and not inconsistent(8e-3, 9e-3, step_s=4e-3)
+    assert not find_inconsistent(effects[:1], Parameters([Parameter("one.delay", 7e-3, "s", stderr=1e-4)]), 1e-4)
 
 
 def test_a_gain_that_may_be_zero_confirms_nothing(make, rng, monkeypatch):

@@ -63,6 +63,30 @@ def test_a_true_motion_with_waves_is_no_error(kind):
     assert [f.cause for f in answer(kind).findings if f.status == "confirmed"] == []
 
 
+def test_a_quick_motion_read_finely_shows_no_wave(monkeypatch):
+    """Sines up to 1.6 Hz and an encoder of 1 um: no wave, though half of the band's lower edge moves 300,000 times as far."""
+
+    class Stop(Exception):
+        pass
+
+    def look(channel, smooth_hz):
+        assert not detect_position_periodicity(channel, smooth_hz)
+        raise Stop
+
+    monkeypatch.setattr(
+        importlib.import_module("tau_dyn.diagnose.force_diagnosis"), "detect_position_periodicity", look
+    )
+    axis, rng, t = load_robot("linear_axis"), np.random.default_rng(5), np.arange(10000) / RATE_HZ
+    q, a = np.zeros((2, len(t)))
+    for f, size in ((0.4, 0.1), (0.9, 0.1), (1.6, 0.1)):
+        wave = size * np.sin(2 * np.pi * f * t + 1)
+        q, a = q + wave, a - (2 * np.pi * f) ** 2 * wave
+    force = 20 * a + 0.5 * rng.standard_normal(len(t))
+    channels = {f"q_{axis.actuated[0]}": q + 1e-6 * rng.standard_normal(len(t)), f"tau_{axis.actuated[0]}": force}
+    with pytest.raises(Stop):
+        diagnose(axis, Log(t, channels, "quick.csv"))
+
+
 def test_a_sharper_held_out_log_hides_no_wave(monkeypatch):
     """Each piece is looked through above its own smoothed band; one whose band is as wide as the forces' is passed over."""
     module, seen = importlib.import_module("tau_dyn.diagnose.force_diagnosis"), []

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tau_dyn.effects import EFFECTS, Motion
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Preparation, choose_preparation
-from tau_dyn.identify.gate import compute_gate, find_excluded_samples
+from tau_dyn.identify.gate import compute_gate, find_excluded_samples, hold_closed
 from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES
 from tau_dyn.log import Log, compute_noise_gain, estimate_encoder_noise, find_motion_band
 from tau_dyn.model import Model
@@ -159,3 +159,13 @@ def test_decimation_is_a_whole_number_that_keeps_the_rate(rate_hz: float, factor
     """150 Hz at least, of a clock's rounding no less."""
     assert FILTERS.factor(rate_hz) == factor
     assert FILTERS.to_dict()["speed_threshold"] == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(("n", "first", "last"), [(0, 7, 7), (1, 7, 8), (4, 7, 11), (-1, 6, 7), (-4, 3, 7)])
+def test_a_late_force_keeps_the_gate_shut_for_longer(n: int, first: int, last: int) -> None:
+    """A force n samples late has its reversal up to n samples after the motion's; an early one before it."""
+    wide = np.ones(15)
+    wide[7] = 0.0
+    expected = np.ones(15)
+    expected[first : last + 1] = 0.0
+    assert_array_equal(hold_closed(wide, n), expected)

@@ -228,7 +228,7 @@ def _reject_by_amplitude(channel: Channel, hunt: StepwiseSelection, claims: Clai
         effects = one.candidate.effects
         why = "" if is_distinct_from_zero(effects, values, MIN_AMPLITUDE_Z) else _ZERO
         why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
-        why = why or find_inconsistent(effects, values)
+        why = why or find_inconsistent(effects, values, scene.step_s)
         if not why and not _borne_out(channel, hunt, claims.tests[k], kept, one):
             why = _VETO
         claims = claims.judge(k, why) if why else claims

@@ -155,8 +155,7 @@ def build_force_channel(
         CannotAnswer: Too little is left of the data for three parts.
     """
     needs = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
-    trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
-    timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
+    prepared, regression, timing = _with_timing(model, prepared, held, preparation, regression)
     turns = _gravity_turns(model, regression.parameters.values, prepared, regression.runs, [not out for out in held])
     prepared = [
         _with_signals(piece, model, {GRAVITY_TURN: turn}, needs, clear_hz, timing)
@@ -190,6 +189,27 @@ def build_force_channel(
         "record a minute or more of motion in both directions, over several speeds",
     )
     return channel
+
+
+def _with_timing(
+    model: Model,
+    prepared: Sequence[PreparedSegment],
+    held: Sequence[bool],
+    preparation: Preparation,
+    regression: Regression,
+) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
+    """Return the pieces and their regression without the samples into which late forces bring a reversal, and the timing."""
+
+    def find(one: Regression) -> ForceTiming | None:
+        trained = [run for run, out in zip(one.runs, held, strict=True) if not out]
+        return find_timing(trained, model.parameters.values, np.asarray(one.parameters.free))
+
+    timing = find(regression)
+    if timing is None:
+        return prepared, regression, None
+    late = timing.delays + timing.lags
+    closed = [piece.close_after(late) for piece in prepared]
+    return closed, replace(regression, runs=tuple(piece.run(model) for piece in closed)), timing
 
 
 def compute_determined_rank(regression: Regression, parts: Sequence[np.ndarray]) -> int:

@@ -198,7 +198,8 @@ def _fitted(
     estimate = solve_least_squares(first, physics=physics)
     fit = model.with_parameters(estimate.parameters)
     channel = build_force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
-    channel = replace(channel, parameters=model.parameters)
+    scene = replace(channel.scene, step_s=1 / pieces[0].rate_hz)
+    channel = replace(channel, parameters=model.parameters, scene=scene)
     return FittedBaseline(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces, how)
 
 

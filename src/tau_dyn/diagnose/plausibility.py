@@ -88,13 +88,22 @@ def find_implausible(effects: Sequence[Effect], values: Parameters, scales: Join
     return next((text for effect in effects if (text := effect.find_implausible(values, scales))), "")
 
 
-def find_inconsistent(effects: Sequence[Effect], values: Parameters) -> str:
-    """Return that a quantity which all joints share differs from joint to joint, as a phrase; empty where it does not."""
+def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: float) -> str:
+    """Return that a time which all joints share differs from joint to joint, as a phrase; empty where it does not.
+
+    Channels that one controller reads in turn stand anywhere within one sample, so times that differ by less are one.
+
+    Args:
+        effects: The cause's effects on its joints.
+        values: Fitted values with their standard errors.
+        step_s: Time between samples of the log [s].
+    """
     if not effects[0].shared_by_joints or len(effects) < 2:
         return ""
     own = [values[name] for effect in effects for name in effect.parameters.names]
     own = [p for p in own if p.stderr]
-    weight = np.array([1 / float(p.stderr or 1.0) ** 2 for p in own])
+    uniform = step_s / np.sqrt(12)
+    weight = np.array([1 / (float(p.stderr or 1.0) ** 2 + uniform**2) for p in own])
     x = np.array([p.value for p in own])
     mean = float(x @ weight / weight.sum()) if len(own) else 0.0
     scatter = float(np.sum(weight * (x - mean) ** 2))

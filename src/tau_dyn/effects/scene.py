@@ -31,6 +31,7 @@ class Scene:
         scales: Each joint's own forces, of which plausible amplitudes are shares.
         coupled: Pairs of joints that a shared motor may drive: neighbours in the chain, or declared by the robot file.
         timing: Joint -> delay and time constant [s] of its logged force that fit the baseline best; empty where none is long.
+        step_s: Time between samples of the logs, as they were recorded [s].
         often: Positions below and above which the joints are rarely trained on (2, na); None where all of it counts.
     """
 
@@ -51,6 +52,7 @@ class Scene:
     scales: JointScales = field(default_factory=dict)
     coupled: tuple[tuple[str, str], ...] = ()
     timing: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    step_s: float = 0.0
 
     def index(self, joint: str) -> int:
         """Return a joint's place."""

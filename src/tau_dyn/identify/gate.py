@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import convolve1d
+from scipy.ndimage import convolve1d, minimum_filter1d
 
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.exceptions import InputError
@@ -47,6 +47,12 @@ def _widened(shut: np.ndarray, half: int) -> np.ndarray:
     count = np.concatenate([np.zeros((1, shut.shape[1]), int), np.cumsum(shut, axis=0)])
     i = np.arange(n)
     return count[np.minimum(i + half + 1, n)] > count[np.maximum(i - half, 0)]
+
+
+def hold_closed(gate: np.ndarray, n: int) -> np.ndarray:
+    """Return the least of a gate (N,) over each sample and the n before it; the -n after it for n < 0."""
+    origin = n // 2 if n > 0 else -((1 - n) // 2)
+    return gate if n == 0 else minimum_filter1d(gate, abs(n) + 1, mode="nearest", origin=origin)
 
 
 def _unsure(speed: np.ndarray, threshold: float) -> np.ndarray:

@@ -14,7 +14,7 @@ itself stands in `gate.py`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion
 from tau_dyn.effects.effect import naming
 from tau_dyn.estimate import Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.gate import compute_gate, find_excluded_samples, refuse_jumps
+from tau_dyn.identify.gate import compute_gate, find_excluded_samples, hold_closed, refuse_jumps
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
 from tau_dyn.identify.signals import get_measured_signals, refuse_missing_campaign, refuse_missing_temperature
@@ -108,6 +108,20 @@ class PreparedSegment:
     def factor(self) -> int:
         """Decimation."""
         return self.preparation.factor(self.rate_hz)
+
+    def close_after(self, late: np.ndarray) -> PreparedSegment:
+        """Return it with every closed stretch of the gate held closed for longer.
+
+        A reversal reaches a force that is logged late by `late` only then, and its step would leak into the samples that follow.
+
+        Args:
+            late: Of each joint's force (na,) [s]; of a force logged early, negative, stretches begin so much sooner.
+        """
+        samples = np.round(late * self.rate_hz).astype(int)
+        gate = np.column_stack([hold_closed(x, int(n)) for x, n in zip(self.gate.T, samples, strict=True)])
+        share = decimate(lowpass(gate, self.preparation.force_cutoff_hz, self.rate_hz), self.factor)
+        usable = self.usable & (share > MIN_SHARE)
+        return replace(self, gate=gate, usable=usable, weight=np.where(usable, share, 1.0))
 
     def passed(self, x: np.ndarray) -> np.ndarray:
         """Return an array (N, ...) through the low-pass that both sides share, decimated (n, ...)."""
