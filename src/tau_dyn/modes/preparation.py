@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, ensure_even, split_at_gaps
+from tau_dyn.log import Log, resample_segments
 from tau_dyn.modes.record import Record, records_of, truncate_records
 
 TRAIN_SHARE = 0.7
@@ -207,7 +207,7 @@ def _refuse_short(records: Sequence[Record], channels: int) -> None:
 
 
 def _warnings(logs: Sequence[Log]) -> list[str]:
-    pieces = [ensure_even(p) for log in logs for p in split_at_gaps(log)]
+    pieces = [piece for log in logs for piece in resample_segments(log)]
     return list(dict.fromkeys(w for p in pieces for w in p.warnings))
 
 

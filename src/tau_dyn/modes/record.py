@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, ensure_even, split_at_gaps
+from tau_dyn.log import Log, resample_segments
 from tau_dyn.log.read_errors import describe_missing_column
 
 
@@ -150,5 +150,5 @@ def records_of(log: Log, inputs: Sequence[str], outputs: Sequence[str], referenc
             piece.name,
             stacked(piece, references) if references else None,
         )
-        for piece in map(ensure_even, split_at_gaps(log))
+        for piece in resample_segments(log)
     ]
