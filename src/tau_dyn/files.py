@@ -42,8 +42,8 @@ MAX_YAML_BYTES = 4 * 2**20
 _MAX_NODES = 10**6
 """Nodes of a YAML file with its aliases written out."""
 
-_MAX_LEVELS = 100
-_MAX_NUMBER_CHARACTERS = 400
+_MAX_LEVELS = 100  # brackets inside each other; Python's own parser gives up at about 1000
+_MAX_NUMBER_CHARACTERS = 400  # of a number in YAML; converting longer ones takes time that grows with the square
 
 _PATIENCE = 10.0
 """[s] How long a pipe may keep silent before anything came through it."""

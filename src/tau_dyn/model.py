@@ -26,7 +26,7 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL, Robot, load_robot_from_urdf
 from tau_dyn.shown import Shown
 
-_FORMAT = 1
+_FORMAT = 1  # version of the model file's layout
 
 COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
     "load": lambda mechanism, q, v, a: mechanism.guide_load(q, v, a),

@@ -27,9 +27,8 @@ from tau_dyn.kinematics.tree_arrays import frames
 _MAX_ITERATIONS = 40  # Newton steps to closed loops
 _DONE = 1e-12  # [m or rad] Newton's last step
 _STEP = 0.3  # [m or rad] longest step at once
-_MAX_PASSIVE_MOTION = (
-    0.8  # [m or rad] what passive joints may move away from the nominal closure; more is another assembly mode
-)
+_MAX_PASSIVE_MOTION = 0.8
+"""[m or rad] what passive joints may move away from the nominal closure; more is another assembly mode."""
 _SINGULAR = 1e-7  # smallest kept singular value relative to the largest, columns scaled to unit length at home
 _OPEN = 1e-8  # [m] what a loop that can close may leave
 

@@ -37,7 +37,7 @@ RIPPLE = 2.0
 PEAK = {"cart1": 18.0, "cart2": 20.0, "cart3": 22.0}
 """What friction at standstill has above Coulomb's [N], about a tenth of it, gone at a few times 25 mm/s."""
 
-PAYLOAD_KG = 2.0
+PAYLOAD_KG = 2.0  # kg, two fifths of a UR5's rated payload
 PAYLOAD_CENTRE = (0.02, 0.05, 0.04)
 """Centre of the arm's payload in the last joint's frame [m]."""
 PAYLOAD_GYRATION_M = 0.05
@@ -49,7 +49,7 @@ _PEAK_SPEED = 0.08
 """Speed over which the peak falls to a third [rad/s]."""
 _MASS_ERROR = 0.01
 """Largest relative error of a mass in the arm's file; makers state masses to about that."""
-_ENCODER_RAD = 2e-5
+_ENCODER_RAD = 2e-5  # rad, standard deviation; an encoder of 17 bits
 
 
 @dataclass(frozen=True)

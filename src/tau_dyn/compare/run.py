@@ -16,7 +16,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 
 RUN, RESULT, REPORT = "run.json", "result.json", "report.html"
-FORMAT = 1
+FORMAT = 1  # version of the run folder's layout
 _MAX_FILE_BYTES = 2**20  # [bytes] a run.json is a few kB
 
 

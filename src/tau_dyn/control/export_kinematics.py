@@ -24,8 +24,8 @@ from tau_dyn.kinematics import Rods, forward_kinematics, jacobian
 from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
 from tau_dyn.robot import Robot
 
-_SEED = 3
-_RANK = 1e-6
+_SEED = 3  # any; states that are drawn once decide about ranks only
+_RANK = 1e-6  # singular values relative to the Jacobian's size; less counts as zero
 
 
 @dataclass(frozen=True, eq=False)

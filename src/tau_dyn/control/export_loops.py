@@ -21,7 +21,7 @@ from tau_dyn.control.expression_arrays import cross
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.robot import Robot
 
-_RANK = 1e-8
+_RANK = 1e-8  # pivots relative to the largest; less counts as zero
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest, combine_grou
 from tau_dyn.diagnose.null_model import NullModel, compute_score_test
 from tau_dyn.effects import Effect
 
-N_NULL_DRAWS = 60
+N_NULL_DRAWS = 60  # draws of noise; their mean and scatter fix the level of a scan over many settings to 13 %
 DENSE_DRAWS = 24
 """Of a scan of thousands of periods, whose largest value hardly varies."""
 _CHUNK = 64  # settings computed at once; bounds memory

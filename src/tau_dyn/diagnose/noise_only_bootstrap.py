@@ -30,7 +30,7 @@ from tau_dyn.model import Model
 
 N_BOOTSTRAP_DRAWS = 4
 """Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
-NONCENTRALITY_SAFETY_FACTOR = 2.0
+NONCENTRALITY_SAFETY_FACTOR = 2.0  # on an estimate from few draws, which is off by up to a factor of two
 _MAX_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
 

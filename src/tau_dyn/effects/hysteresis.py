@@ -27,8 +27,8 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
 _SHARES = (1e-3, 0.1)
-_N_TRIALS = 8
-_PIECE = 30.0
+_N_TRIALS = 8  # distances tried, a factor of about two apart; refinement does the rest
+_PIECE = 30.0  # exponents of a stretch that is integrated at once; exp(30) leaves half of the digits
 STATE = "presliding"
 """Signal (N, na) that replaces z where somebody follows it from sample to sample, as the simulator does."""
 

@@ -19,8 +19,8 @@ from tau_dyn.parameters import Parameter
 
 MIN_PERIODS = 4.0
 """Of a force of the position alone: fewer of them are any smooth dependence on the place."""
-MAX_PERIODS = 500.0
-_STEPS = 4.0
+MAX_PERIODS = 500.0  # periods within the range; finer ones are below an encoder's resolution
+_STEPS = 4.0  # frequencies per resolution cell, so that no peak falls between two
 
 
 class PeriodicEffect(JointwiseEffect):

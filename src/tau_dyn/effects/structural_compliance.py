@@ -32,10 +32,10 @@ from tau_dyn.parameters import Parameter, Parameters
 _ENDS = ("", "_2", "_3")
 """What the names of each mode's settings and parameters end in."""
 MAX_MODES = len(_ENDS)
-_MIN_FREQUENCY_HZ = 3.0
+_MIN_FREQUENCY_HZ = 3.0  # Hz; a slower structure moves with the robot like a body
 _REACH = 2.5
 """Frequency of the stiffest spring tried, in those that can be seen: above it, it cannot be told from one without a mode."""
-_STEP = 1.15
+_STEP = 1.15  # ratio of neighbouring frequencies tried; the peaks of a damping of 0.1 overlap at it
 _DAMPING = (0.03, 0.1)
 _FREQUENCY_FACTORS = (0.97, 1.0, 1.03)
 """Settings beside a proposed frequency; a refinement goes on from the best of them."""

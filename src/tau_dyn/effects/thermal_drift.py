@@ -21,8 +21,8 @@ from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.words import amount, quantity
 from tau_dyn.parameters import Parameter
 
-_MIN_TIME_CONSTANT_S = 3.0
-_STEP = 2.0
+_MIN_TIME_CONSTANT_S = 3.0  # s; a quicker drift is no matter of temperature
+_STEP = 2.0  # ratio of neighbouring time constants tried; refinement does the rest
 
 
 class ThermalDrift(JointwiseEffect):

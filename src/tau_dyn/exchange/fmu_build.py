@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tau_dyn.exceptions import InputError
 
-SECONDS = 300
+SECONDS = 300  # s; a compiler that takes longer hangs
 _FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
 
 

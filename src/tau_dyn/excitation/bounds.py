@@ -23,7 +23,7 @@ from tau_dyn.simulate.profiles import MotionProfile
 
 MARGIN = 0.05
 """Share of every limit that stays unused, as of all motions (`simulate/limits.py`)."""
-_STEP = 1e-6
+_STEP = 1e-6  # m or rad, of forward differences; places are known to 1e-15 of their size
 
 
 class Excess(NamedTuple):

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-_POWER = 12.0
+_POWER = 12.0  # of the p-norm that stands for the largest singular value, smooth where two are equal
 
 Criterion = Callable[[np.ndarray, np.ndarray], tuple[float, np.ndarray]]
 """From M (r, r) and the parameters' scales (r,) to a value and its derivative (r, r)."""

@@ -24,7 +24,7 @@ from tau_dyn.simulate.profiles import MotionProfile
 
 STEP = 1e-6
 """Of the finite differences [m or rad, a second, a second squared]."""
-_UNKNOWN = 0.05
+_UNKNOWN = 0.05  # share of the force that a parameter may take and still count as unknown
 
 
 @dataclass(frozen=True, eq=False)

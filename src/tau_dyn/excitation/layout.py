@@ -18,8 +18,8 @@ from tau_dyn.simulate.profiles import MotionProfile
 
 PERIOD_S = 10.0
 """Length of a period, about [s]."""
-_STROKES_S = 6.0
-_MIN_HARMONICS = 3
+_STROKES_S = 6.0  # s per stroke; a joint that moves slower shows mostly friction
+_MIN_HARMONICS = 3  # of a Fourier series: position, velocity and acceleration apart from each other
 
 
 class MotionLayout(NamedTuple):

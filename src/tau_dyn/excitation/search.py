@@ -23,12 +23,12 @@ from tau_dyn.excitation.information import Information, compute_information_matr
 from tau_dyn.excitation.series import Series
 from tau_dyn.simulate.profiles import MotionProfile
 
-MAX_ITERATIONS = 6
-ITERATIONS = 40
-_SLACK = 0.01
+MAX_ITERATIONS = 6  # rounds of the augmented Lagrangian; bounds hold to 1 % after three to five
+ITERATIONS = 40  # of L-BFGS within a round; a round need not converge
+_SLACK = 0.01  # share by which a bound may be exceeded between rounds; the last step scales the motion
 _FIRST_MU, _GROWTH = 10.0, 5.0
-_UNREACHABLE = 1e6
-_FINE = 4
+_UNREACHABLE = 1e6  # a cost above any that a motion within reach has
+_FINE = 4  # times finer than the samples bounds are checked at
 _STARTING = 0.2
 """Share of the time that random motions may take."""
 

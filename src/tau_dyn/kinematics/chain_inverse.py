@@ -22,8 +22,8 @@ from tau_dyn.kinematics.chains import Carried, ChainJoint
 from tau_dyn.kinematics.rod_dimensions import RodDimensions
 from tau_dyn.kinematics.rods import Rods
 
-_ROUNDS = 30
-_DONE = 1e-13
+_ROUNDS = 30  # Newton steps; quadratic convergence needs five to eight
+_DONE = 1e-13  # m, relative to the robot's size: rounding
 _REACHED = 1e-10  # relative to the rod: what `(|d|^2 - L^2) / 2 L^2` may be
 _TURNS = 6  # starting angles a turn when all solutions of a chain are looked for
 _SAME = 1e-6  # [m or rad] closer solutions are one

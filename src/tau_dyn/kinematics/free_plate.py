@@ -21,10 +21,10 @@ from tau_dyn.kinematics.plate_arrays import Plate, SixRods, dense, lapack, resid
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
-BLOCK = 8192
+BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
 _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad for turns
 _FROZEN = 1e-5  # after a step this small (relative to the rods) one with the same factors is the last
-_ROUNDS = 8
+_ROUNDS = 8  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
 _FAR = 1000  # cells from home beyond which positions are taken for a mistake of units
 _TOLERANCE = 1e-9  # [m] what the last step may be; of the rods' length where that is above one metre
 _SINGULAR = 1e-7  # of home's determinant

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tau_dyn.kinematics.rods import Rods
 
 _CLOSED = 1e-12  # relative to the rods
-_ROUNDS = 30
+_ROUNDS = 30  # Newton steps from the file's pose
 _STEP = 0.2  # of the rods' length or rad
 
 

@@ -24,7 +24,7 @@ from tau_dyn.kinematics.plate_arrays import Plate, log_of, rows, turned_by
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
-_ROUNDS = 60
+_ROUNDS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 5  # rounds without progress after which a sample is given up
 _DONE, _NEAR = 1e-13, 1e-8
 _CLOSED = 1e-11  # [m]
@@ -33,8 +33,8 @@ _WAY = 0.15  # steps on the way from home, of the rods' length or rad
 _STEPS = 40  # at most on that way
 _ROUGH = 1e-3  # of the rods' length: what may stay open on the way
 _DAMPING = 1e-6  # what an actuator's motion costs beside a turn of the tool
-_SOFT = 1e-7
-_RANK = 1e-9
+_SOFT = 1e-7  # relative damping of the least-squares step, so that a singular one stays bounded
+_RANK = 1e-9  # singular values relative to the matrix; less counts as zero
 
 
 class ManifoldInverse:

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.kinematics.elimination import Elimination, Factor
 from tau_dyn.kinematics.tree_arrays import combined, cross
 
-_TRUSTED = 1e-10
+_TRUSTED = 1e-10  # relative residual of a solution by LU; worse ones are solved again by SVD
 
 
 class Plate(NamedTuple):

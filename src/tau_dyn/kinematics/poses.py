@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 
-_ROTATION = 1e-6
+_ROTATION = 1e-6  # largest departure of R'R from identity; numbers written with seven digits pass
 _GIANT = 1e100
 """What `R'R` may differ from one, entry by entry, in a rotation that a user gives."""
 

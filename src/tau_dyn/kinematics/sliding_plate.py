@@ -18,10 +18,9 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.trilateration import intersect_spheres, side_of
 
-BLOCK = 8192
-_FLAT = (
-    1e-12  # squared height over the centres' plane, by the squared longest rod, below which a pose counts as singular
-)
+BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
+_FLAT = 1e-12
+"""Squared height over the centres' plane, by the squared longest rod, below which a pose counts as singular."""
 _AGREE = 1e-9  # [m] by how much more than three rods may contradict each other
 
 

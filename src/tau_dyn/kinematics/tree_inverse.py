@@ -13,7 +13,7 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_newton import TreeNewton
 from tau_dyn.robot import Robot
 
-_STARTS = 24
+_STARTS = 24  # starts drawn within the limits; a 6R arm has up to 16 solutions
 _STARTS_LOOPS = 2  # closing loops from far away takes its time
 _SAME = 1e-6  # [m or rad] closer solutions are one
 _MODE = 1e-6  # [m or 1] by how much forward kinematics may lead elsewhere

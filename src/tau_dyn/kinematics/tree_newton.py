@@ -20,8 +20,8 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_arrays import Frames, cross, frames, point
 from tau_dyn.kinematics.tree_pose import TreePose
 
-_BLOCK = 512
-_ROUNDS = 60
+_BLOCK = 512  # samples at a time; arrays stay in the processor's cache
+_ROUNDS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 6  # rounds without progress after which a sample is given up
 _STEP = 0.4  # [m or rad] largest step of a joint
 _DONE, _NEAR = 1e-13, 1e-8  # [m or rad]
@@ -31,7 +31,7 @@ _STEPS = 12  # on the way from home
 _DAMPING = 1e-4  # most that a joint's motion costs beside a turn of the tool
 _LEAST = 1e-10  # of the same, so that idle motions stay defined
 _SOFT = 1e-6  # its square times what the orientation pulls with is what the closure is off by
-_IDLE = 1e-7
+_IDLE = 1e-7  # singular values relative to the largest; less moves no joint
 _NEARBY = 0.05  # [m or rad] from home, where what idles is looked for
 
 

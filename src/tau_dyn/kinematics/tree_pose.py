@@ -16,7 +16,7 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_arrays import Frames, cross, frames, joints_of, motion, point, times
 from tau_dyn.robot import Robot
 
-_BLOCK = 1024
+_BLOCK = 1024  # samples at a time; arrays stay in the processor's cache
 
 
 class TreePose:

@@ -9,7 +9,7 @@ from tau_dyn.exceptions import InputError
 MAX_INFLATION_RATIO = 200
 """How many times its size a file may become, beside `FREE_BYTES` bytes; recorders reach about ten times."""
 
-FREE_BYTES = 2**26
+FREE_BYTES = 2**26  # bytes; small files may inflate as they like
 
 
 class DecompressionLimit:

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from tau_dyn.modes.modal_form import ModalForm, layout_of
 from tau_dyn.modes.record import Record
 
-CHUNK = 8192
+CHUNK = 8192  # samples at a time; arrays stay in the processor's cache
 DUST = 1e-60  # of a free response below this nothing is kept: products of such numbers make processors crawl
 
 

@@ -39,8 +39,8 @@ COARSE = 4
 """Step of the first look."""
 CLOSE_BIC_DIFFERENCE = 100.0
 """BIC within which two delays are compared by refined models."""
-RIVALS = 3
-MAX_ITERATIONS = 8
+RIVALS = 3  # delays refined at most; a scan over first models tells the others apart
+MAX_ITERATIONS = 8  # Gauss-Newton steps for a rival; enough to rank it
 DECISIVE_BIC_DIFFERENCE = 10.0
 """BIC beyond which a rival is out of the question (Kass & Raftery 1995)."""
 

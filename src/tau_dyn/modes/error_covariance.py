@@ -20,7 +20,7 @@ from tau_dyn.modes.hankel import compress
 from tau_dyn.modes.modal_form import layout_of
 from tau_dyn.modes.record import Record
 
-MAX_AR_ORDER = 40
+MAX_AR_ORDER = 40  # of the autoregression of residuals; BIC chooses below it
 CHUNK = 16384  # errors further apart than a chunk count as independent
 
 

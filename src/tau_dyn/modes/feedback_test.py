@@ -28,11 +28,12 @@ LAGS = (10, 20)
 """Lengths of the ARX model to choose from."""
 MAX_SAMPLES = 10_000
 """Samples looked at: more add power to see what would not matter."""
-SIGNIFICANCE_LEVEL = 1e-3
+SIGNIFICANCE_LEVEL = 1e-3  # of feedback that is not there; one record in a thousand
 MIN_VARIANCE_SHARE = 1e-3
 """Share of an input's variance that answers to innovations, from which on a loop counts."""
 NEW = 0.01
 """The same as a share of what is new in the input."""
+# squared difference of an input from itself a period later, relative to its power, below which it counts as periodic
 REPEATS = 1e-4
 
 

@@ -29,7 +29,7 @@ from tau_dyn.modes.response_onset import find_response_onset
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.widen import widen_modes
 
-MAX_REQUESTED_ORDER = 200
+MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
 PULSE_GAIN = 0.1
 """Share by which a delay must lower what pulse tests leave, to be believed."""
 MAX_LARGE_MODEL_ITERATIONS = 15

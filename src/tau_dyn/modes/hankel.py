@@ -22,10 +22,9 @@ from scipy.linalg import lapack, qr
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.record import Record
 
-WORST_CONDITION = (
-    1e12  # of the Gram matrix of scaled rows: above it fewer than four digits of the weakest direction are left
-)
-CHUNK = 4096
+WORST_CONDITION = 1e12
+"""Of the Gram matrix of scaled rows: above it fewer than four digits of the weakest direction are left."""
+CHUNK = 4096  # columns compressed at a time; arrays stay in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 
 from tau_dyn.modes.second_order import SecondOrder, pack, symmetric_basis, unpack
 
-_MAX_ITERATIONS = 8
+_MAX_ITERATIONS = 8  # convex programmes one after the other; each starts from the last one's weights
 _MARGIN = 1e-6
 """Least eigenvalue of M and K, as a part of their largest, that counts as positive."""
 _MIN_EIGENVALUE = 1e-4

@@ -13,7 +13,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.modes.state_space import StateSpace
 
-_FORMAT = 1
+_FORMAT = 1  # version of the model file's layout
 _MATRICES = ("A", "B", "C", "D", "K")
 
 

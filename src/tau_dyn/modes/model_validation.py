@@ -28,7 +28,7 @@ from tau_dyn.modes.stabilisation import stabilisation
 from tau_dyn.modes.state_space import StateSpace
 
 PREDICTION_HORIZONS = (1, 10)
-GRID = 400
+GRID = 400  # frequencies in a geometric row, beside those near resonances
 TRACES = 6
 """Records kept for drawing."""
 

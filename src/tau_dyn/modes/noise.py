@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MAX_NOISE_ORDER = 30
-MAX_SAMPLES = 50_000
+MAX_NOISE_ORDER = 30  # of the noise's autoregression; BIC chooses below it
+MAX_SAMPLES = 50_000  # samples used; coefficients of thirty lags are known to a per cent by then
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ from tau_dyn.modes.residuals import (
 )
 from tau_dyn.modes.state_space import StateSpace
 
-SELECT_SHARE = 0.25
+SELECT_SHARE = 0.25  # of the training data on which orders are compared
 MAX_SAMPLES = 6_000
 """Samples that the orders are compared on."""
 PULSE = 500
@@ -53,8 +53,8 @@ MAX_REFINED_MODELS = 14
 """Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
 MANY_NUMBERS = 100
 """Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
-MAX_ITERATIONS = 4
-TOLERANCE = 2.0
+MAX_ITERATIONS = 4  # Gauss-Newton steps for a candidate order; enough to rank it
+TOLERANCE = 2.0  # standard errors of the paired difference within which the smaller order is as good
 PATIENCE = 16
 """Orders without any gain after which the scan stops, once it has explained most of what moves."""
 GOOD_FIT_PERCENT = 80.0

@@ -18,7 +18,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, resample_segments
 from tau_dyn.modes.record import Record, records_of, truncate_records
 
-TRAIN_SHARE = 0.7
+TRAIN_SHARE = 0.7  # of each record; the rest is held out
 STEADY_STATE_SHARE = 0.2
 """Last share of an impulse record whose mean is the level that it decays to."""
 PULSE_SHARE = 0.03
@@ -31,8 +31,8 @@ SAMPLES_PER_CHANNEL = 40
 """Training samples for each input and output, at least; with fewer there is nothing to choose from."""
 PULSES = 10_000
 """Samples of all pulses together that are fitted to: the ends of long decays say little more."""
-MAX_REST_SAMPLES = 20_000
-STEP_TOLERANCE = 1e-3
+MAX_REST_SAMPLES = 20_000  # samples in which rest is looked for at a record's begin
+STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
 
 
 @dataclass(frozen=True, eq=False)

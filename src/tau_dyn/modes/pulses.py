@@ -29,7 +29,7 @@ TIME_CONSTANTS = 2.5
 """Of the slowest decaying mode, as many as are shown."""
 PERIODS = 12
 """Of the lowest mode, as many as are shown at most."""
-MAX_SAMPLES = 200_000
+MAX_SAMPLES = 200_000  # samples used; a response of some hundred lags is known by then
 
 
 def impulse_responses(

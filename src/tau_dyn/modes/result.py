@@ -23,7 +23,7 @@ from tau_dyn.modes.state_space import StateSpace
 from tau_dyn.shown import Shown
 from tau_dyn.version import __version__
 
-Z95 = 1.959964
+Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)

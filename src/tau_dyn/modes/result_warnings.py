@@ -9,11 +9,11 @@ import numpy as np
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.modes.result import Modes
 
-POOR_FIT = 50.0
+POOR_FIT = 50.0  # per cent of an output's standard deviation
 MAX_RELATIVE_DAMPING_STDERR = 0.3
 """Standard error of a damping ratio over the ratio itself, beyond which it is hardly known."""
-MAX_FIT_DROP_PERCENT = 10.0
-MIN_RECORD_PERIODS = 10
+MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more is overfitting or another machine
+MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
 
 
 def add_warnings(found: Modes) -> Modes:

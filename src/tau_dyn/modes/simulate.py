@@ -14,7 +14,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace
 
-CHUNK = 16384
+CHUNK = 16384  # samples at a time; arrays stay in the processor's cache
 MAX_DECAY_SAMPLES = 50_000  # samples of free response that an initial state is sought in
 
 

@@ -20,7 +20,7 @@ from tau_dyn.modes.record import Record
 
 STRETCHES = 5
 """Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
-MAX_WINDOW_SAMPLES = 32_768
+MAX_WINDOW_SAMPLES = 32_768  # of a window; finer lines than its are not drawn
 RESOLUTION = 6.0
 """Lines within the width of the narrowest resonance."""
 

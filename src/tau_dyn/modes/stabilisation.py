@@ -17,9 +17,10 @@ import numpy as np
 
 from tau_dyn.modes.modal import Mode
 
+# relative difference of a stable mode's frequency from order to order (Peeters & De Roeck 1999)
 FREQUENCY_TOLERANCE = 0.01
-DAMPING_TOLERANCE = 0.20
-SIGMAS = 2.0
+DAMPING_TOLERANCE = 0.20  # relative difference of a stable mode's damping from order to order (Peeters & De Roeck 1999)
+SIGMAS = 2.0  # joint standard errors within which two orders' modes agree
 OVERDAMPED = 0.7
 """Modes with more damping ring less than one period; the diagram leaves them out."""
 

@@ -25,8 +25,8 @@ from tau_dyn.report.identification_charts import interval_bar
 from tau_dyn.report.quantities import shown_unit
 from tau_dyn.report.waterfall import WaterfallSeries, WaterfallStep
 
-_CORRELATED = 12
-_SENSITIVE = 12
+_CORRELATED = 12  # pairs listed at most
+_SENSITIVE = 12  # parameters listed at most
 
 
 def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:

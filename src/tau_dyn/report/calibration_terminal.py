@@ -12,7 +12,7 @@ from tau_dyn.report.calibration_words import angle, finding_words, headline, len
 from tau_dyn.report.formatting import format_list
 from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
 
-BAR = 10
+BAR = 10  # columns of a bar
 
 
 def print_calibration(console: Console, found: Calibration, written: Mapping[str, str] | None = None) -> None:

@@ -18,7 +18,7 @@ from tau_dyn.robot import Robot
 
 LONGEST_STEPS = 5.0
 """Steps longer than so many usual ones stand in the histogram's last bar."""
-STEP_DOTS = 1500
+STEP_DOTS = 1500  # time steps drawn at most, half of them the worst
 
 
 def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, command_line: str = "") -> str:

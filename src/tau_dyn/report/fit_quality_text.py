@@ -18,7 +18,7 @@ from tau_dyn.report.parameter_rows import ParameterRow
 from tau_dyn.report.residuals import ResidualSummary
 
 WELL, FAIR = 30.0, 200.0
-MIN_REPORTED_CORRELATION = 0.9
+MIN_REPORTED_CORRELATION = 0.9  # between two parameters; less leaves both readable
 
 
 def preparation_words(found: Identification) -> list[str]:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from math import floor, isfinite, log10
 from typing import Literal, NamedTuple
 
-Z95 = 1.959964
+Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 _MOST_STDERR = 1e300
 """A standard error beyond this has no decimals that a float could say."""
 Level = Literal["good", "care", "poor"]

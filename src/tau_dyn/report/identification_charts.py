@@ -15,8 +15,8 @@ from tau_dyn.report.parameter_rows import ParameterRow
 from tau_dyn.report.residuals import ResidualSummary
 from tau_dyn.report.svg import THIRD, Chart, pad_limits, tag
 
-DOTS = 1200
-BINS = 24
+DOTS = 1200  # samples of a friction curve drawn at most
+BINS = 24  # of speed; a curve of 24 points reads as one line
 SMALL = (THIRD, 240)
 
 

@@ -12,8 +12,8 @@ from tau_dyn.kinematics.pose_table import PoseTable
 from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.terminal import MARGIN, bare_table, plain, put, room, say, say_written
 
-_ROWS_SHOWN = 200
-_ROWS_PRINTED = 12
+_ROWS_SHOWN = 200  # rows of a table on a page at most
+_ROWS_PRINTED = 12  # rows of a table on a terminal at most
 
 
 def kinematics_page(table: PoseTable, *, command_line: str = "") -> str:

@@ -16,7 +16,7 @@ from tau_dyn.report.modes_svg import across, between
 from tau_dyn.report.modes_text import resonances
 from tau_dyn.report.svg import HALF, THIRD, WHOLE, Chart, pad_limits
 
-DOTS = 700
+DOTS = 700  # frequencies drawn at most
 WIDTHS = {1: WHOLE, 2: HALF}
 MOST_PAIRS = 9
 FLOOR_DB = 70.0

@@ -21,7 +21,7 @@ from tau_dyn.report.modes_text import (
 )
 from tau_dyn.report.terminal import bare_table, meter, plain, put, room, say, say_opening, say_written
 
-BAR = 12
+BAR = 12  # columns of a bar
 
 
 def print_modes(console: Console, found: Modes, written: Mapping[str, str] | None = None) -> None:

@@ -30,7 +30,7 @@ from tau_dyn.simulate import Sensors, Trajectory
 
 FORCE_NEAR = 0.999
 """Share of a force limit at which a drive counts as saturated."""
-PHASE_POINTS = 1500
+PHASE_POINTS = 1500  # points of a phase plot at most
 
 
 def simulation_page(

@@ -14,7 +14,7 @@ from tau_dyn.report.motion_plan_words import headline, judgement, path_words, sq
 from tau_dyn.report.svg import THIRD, WHOLE, Chart, pad_limits
 from tau_dyn.report.time_view import Curve, View, strip
 
-_POINTS = 1200
+_POINTS = 1200  # points of a chart at most
 _PLANES = ((0, 1), (0, 2), (1, 2))
 
 

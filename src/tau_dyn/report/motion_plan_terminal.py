@@ -11,7 +11,7 @@ from tau_dyn.report.formatting import limit_words, number, percent
 from tau_dyn.report.motion_plan_words import headline, judgement, path_words, squares_unit
 from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
 
-_WIDTH = 16
+_WIDTH = 16  # columns of a bar
 
 
 def print_motion_plan(console: Console, plan: MotionPlan, written: Mapping[str, str] | None = None) -> None:

@@ -47,7 +47,7 @@ from tau_dyn.report.waterfall import build_total_series
 from tau_dyn.report.workspace_charts import section_chart
 from tau_dyn.robot import Robot
 
-_PICTURES = 4
+_PICTURES = 4  # drawings shown at most
 
 
 @singledispatch

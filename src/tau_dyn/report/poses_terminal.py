@@ -14,7 +14,7 @@ from tau_dyn.report.calibration_words import angle, length
 from tau_dyn.report.formatting import format_list
 from tau_dyn.report.terminal import bare_table, plain, put, say, say_written
 
-_ROWS = 8
+_ROWS = 8  # rows printed at most
 
 
 def print_pose_plan(console: Console, plan: CalibrationCampaign, written: Mapping[str, str] | None = None) -> None:

@@ -17,11 +17,11 @@ from tau_dyn.report.force_series import ForcePanel, decimate_min_max, encode_int
 from tau_dyn.report.formatting import pretty_unit
 from tau_dyn.report.svg import Chart, pad_limits
 
-TOTAL_POINTS = 120_000
-VIEW_POINTS = 8_000
-PAPER_POINTS = 1_200
-PRINTED_VIEWS = 12
-WIDE = 1000
+TOTAL_POINTS = 120_000  # points in a page at most, which keeps it below some MB
+VIEW_POINTS = 8_000  # points of one view at most, several a pixel
+PAPER_POINTS = 1_200  # points of a printed view at most, what paper resolves
+PRINTED_VIEWS = 12  # views printed at most
+WIDE = 1000  # width of a drawing in its own units
 THICKNESS = {"measured": 3.0, "predicted": 1.2, "residual": 1.0}
 """Line widths by the colour's name in the style sheet: the reference lies thick and pale under what follows it."""
 

@@ -26,7 +26,7 @@ from tau_dyn.report.svg import path_of, tag
 
 WIDTH, HEIGHT, MARGIN = 700, 520, 30
 _FINE = 2  # picture points per drawing unit
-_SPLATS = 60_000
+_SPLATS = 60_000  # points of the cloud drawn at most
 _INK = np.array([46.0, 124.0, 214.0])
 
 

@@ -13,7 +13,7 @@ from tau_dyn.report.formatting import format_list, number, percent
 from tau_dyn.report.terminal import bare_table, meter, plain, put, say, say_opening, say_written
 from tau_dyn.report.workspace_words import headline, shown, summary, verdict
 
-_BAR = 16
+_BAR = 16  # columns of a bar
 
 
 def print_workspace(console: Console, found: Study, written: Mapping[str, str] | None = None) -> None:

@@ -22,7 +22,7 @@ _FORBIDDEN = frozenset({"vars", "type", "format", "format_map", "mro"})
 _INSIDES = ("_", "gi_", "ag_", "cr_", "tb_", "f_", "co_", "func_")
 """How attributes begin that lead into objects, generators, frames, code and functions."""
 
-_MAX_EXPONENT = 100
+_MAX_EXPONENT = 100  # of a constant power; larger ones only cost time and memory
 
 MAX_CHARACTERS = 10_000
 """Characters of an expression; the parser of longer ones may use up the stack."""

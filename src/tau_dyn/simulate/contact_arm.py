@@ -16,7 +16,7 @@ import pinocchio as pin
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import Robot
 
-_SINGULAR = 0.02
+_SINGULAR = 0.02  # smallest singular value of the Jacobian relative to the largest; less is too near a singularity
 _TOOLS = ("tool", "tool0")
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 
-_TREMOR_HZ = 9.0
-_WAVES = 12
+_TREMOR_HZ = 9.0  # Hz, physiological tremor of the hand (8 to 12 Hz)
+_WAVES = 12  # sines that make a hand's wander
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
 from tau_dyn.simulate.trajectory import Trajectory
 
-CHECKED_SAMPLES = 400
-_SLACK = 1e-9
+CHECKED_SAMPLES = 400  # samples checked, spread over the motion, beside its peaks
+_SLACK = 1e-9  # relative; values that equal a limit but for rounding are within it
 
 
 def compute_condition_bound(model: Model) -> float:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-_SWEEPS = 500
+_SWEEPS = 500  # Gauss-Seidel sweeps over the contacts at most; tens are usual
 _TOLERANCE = 1e-11  # of the largest friction force
 
 

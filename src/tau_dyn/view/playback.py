@@ -11,7 +11,7 @@ from tau_dyn.kinematics import forward_kinematics
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot
 
-FRAMES_HZ = 30.0
+FRAMES_HZ = 30.0  # Hz, as screens and films
 _TRAIL = 2000
 """Most points of the tool's path."""
 

@@ -17,10 +17,10 @@ from tau_dyn.view import recompute
 from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Findings, Uncertainty, ViewedFinding
 
 _BEST = ("exact", "certified", "montecarlo", "ellipsoid", "parallelepiped", "linear")
-_MAX_POINTS = 100_000
+_MAX_POINTS = 100_000  # points of a cloud drawn at most
 _MAX_FILE_BYTES = 64 * 1024 * 1024
 """Largest file that is read [bytes]."""
-_MAX_CLOUD_BYTES = 2**30
+_MAX_CLOUD_BYTES = 2**30  # bytes of a point file read at most
 
 
 def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Content]:

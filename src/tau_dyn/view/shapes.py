@@ -18,7 +18,7 @@ from tau_dyn.robot import Robot
 from tau_dyn.view.palette import ROLES, Rgb
 
 ENVELOPE = "envelope"
-_MIN = 1e-6
+_MIN = 1e-6  # m; a body smaller than this is not drawn
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.vision.camera import project_with_jacobians
 from tau_dyn.vision.cameras import Cameras
 
-_ITERATIONS = 60
+_ITERATIONS = 60  # Levenberg-Marquardt steps; sound starts need ten to twenty
 
 
 class Views(NamedTuple):

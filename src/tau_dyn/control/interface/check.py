@@ -12,7 +12,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory, describe_exceeded_limit
 
-_SLACK = 1e-9
+_SLACK = 1e-9  # relative; values that equal a limit but for rounding are within it
 _REST = 0.02  # share of the largest speed that a motion may begin or end with
 
 

@@ -15,8 +15,8 @@ from tau_dyn.simulate import Trajectory
 DEFAULT_PERIOD_S = 0.004
 """Sample period of the thesis' controller [s]."""
 
-_JITTER = 1e-3
-_KEPT = 1e-3
+_JITTER = 1e-3  # share of the period; clocks written with four digits pass
+_KEPT = 1e-3  # share of each joint's travel that resampling may change
 
 
 def require_period(t: np.ndarray, period: float, name: str) -> None:

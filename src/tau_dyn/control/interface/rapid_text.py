@@ -10,7 +10,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 
 UNUSED = "9E9"
-AXES = 6
+AXES = 6  # of a robtarget's robot axes and of its external axes alike (RAPID reference manual)
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 _RESERVED = frozenset(
     "alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc endrecord "

@@ -16,7 +16,7 @@ from tau_dyn.control.iterative.zero_phase import ZeroPhase, design_low_pass, dip
 from tau_dyn.exceptions import InputError
 
 _MIN_DIP = 1e-3  # no dip is deeper
-_TURNS = 300
+_TURNS = 300  # notches placed or deepened at most; designs that converge need tens
 
 
 def design_robust_filter(

@@ -26,7 +26,7 @@ from scipy.optimize import root_scalar
 
 from tau_dyn.exceptions import InputError
 
-_GRID = 2000
+_GRID = 2000  # frequencies over four decades, 500 a decade
 
 
 class StabilityLimit(NamedTuple):

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 _SAMPLES = 6  # memory of the regression
-_COHERENT = 0.5
+_COHERENT = 0.5  # least squared coherence of force and motion for a stiffness to be read
 _BACK = 5.0  # [s] in which the estimate falls back
 
 

@@ -11,7 +11,7 @@ from tau_dyn.kinematics.pose_table import poses_at
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
-_SLACK = 1e-9
+_SLACK = 1e-9  # m or rad; ends that equal a limit but for rounding are within it
 
 
 def compute_end_positions(

@@ -23,7 +23,7 @@ from tau_dyn.model import Model
 PathShape = Literal["line"] | np.ndarray
 """'line', or tool positions (n, 3) [m] that the path goes through."""
 
-SAMPLES = 241
+SAMPLES = 241  # points on a path, an odd number so that one is its middle
 _FINE = 20  # samples of a spline between two points, to measure its way
 _OFF = 1e-6  # [m or rad] error of the spline between samples beyond which it is not the path
 _MAX_COORDINATE_M = 1e6  # [m] nothing that a robot reaches is as far

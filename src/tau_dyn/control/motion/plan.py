@@ -22,9 +22,9 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
-_MAX_ITERATIONS = 6
+_MAX_ITERATIONS = 6  # rounds of solving with enforced limits; each tightens what the last exceeded
 _FIRST_WIDTH = 0.02  # [m/s or rad/s] of friction's sign, until the motion's speeds are known
-_MIN_DISTANCE = 1e-9
+_MIN_DISTANCE = 1e-9  # m or rad; ends closer together are one place
 _STROKE = 1e-5  # share of a joint's range that is kept at its ends
 _TOLD = 1e-3  # share of a limit from which on leaving it is told
 _WORST = 0.02  # share of a limit by which no plan may leave it

@@ -8,9 +8,9 @@ from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.motion.coordinates import Coordinates
 from tau_dyn.control.motion.limits import MotionLimits
 
-_THIRD = 1 / 3
+_THIRD = 1 / 3  # of the time each for speeding up, cruising and slowing down: least peak power
 _FIRST, _LAST = 0.02, 300.0  # [s] shortest and longest duration that is tried
-_GROWTH = 1.15
+_GROWTH = 1.15  # factor on the duration of a first guess until limits hold
 _FALLBACK = 2.0  # [s] where weight alone is beyond a limit on the way
 _MIN_SPEED = 1e-3  # [m/s or rad/s]
 

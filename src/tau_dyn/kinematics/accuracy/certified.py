@@ -20,10 +20,10 @@ import numpy as np
 from tau_dyn.kinematics.accuracy.parallelepiped import half_heights
 from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State, solve
 
-_STEPS = 200
+_STEPS = 200  # of the fixed-point iteration; it converges linearly or not at all
 _FAR = 0.25
 """Share of the shortest rod beyond which a bound is no longer sought."""
-_SAFE = 1 + 1e-9
+_SAFE = 1 + 1e-9  # factor that outweighs rounding, so that the bound stays one
 
 
 def applies(device: RodDevice) -> str:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State, solve
 from tau_dyn.kinematics.poses import Poses
 
-_STEPS = 60
+_STEPS = 60  # Newton steps; corners that need more do not exist
 _TOLERANCE = 1e-12
 """[m] Distance of the projections from the planes' intersection at which the iteration stops."""
 

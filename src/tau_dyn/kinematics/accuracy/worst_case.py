@@ -24,7 +24,7 @@ from tau_dyn.kinematics.poses import Poses
 
 MAX_ITERATIONS = 12
 """Steps to first order; each doubles the digits of a direction that is not a corner already."""
-CLOSED_CLIMBS = 4
+CLOSED_CLIMBS = 4  # fixed-point steps from each corner; the first two do nearly all
 MOST_ROD_SIGNS = 6
 """Rods up to which every combination of signs is tried."""
 MAX_CORNERS = 8

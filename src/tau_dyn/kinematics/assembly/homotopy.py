@@ -14,7 +14,7 @@ import numpy as np
 
 from tau_dyn.kinematics.assembly.equations import Hexapod, quadrics
 
-_ORDER = 12
+_ORDER = 12  # of the power series of a path step (Telen, Van Barel & Verschelde 2020)
 _SMALLEST = 1e-13
 """A path that is still under way this near to the end, ends in a singular point."""
 _NULL, _SMALLEST_NULL = 1e-2, 1e-11

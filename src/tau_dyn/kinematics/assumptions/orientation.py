@@ -21,7 +21,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assumptions.guideway import SIGNIFICANCE_LEVEL
 from tau_dyn.kinematics.poses import Poses
 
-FEWEST = 6
+FEWEST = 6  # poses; three angles have a mean and a scatter each
 NEAR_POLE = np.radians(2.0)
 """Second Euler angle this close to 0 or 180 degrees leaves the first and third free to trade."""
 

@@ -12,7 +12,7 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.result import Workspace
 
-_SIDES = 24
+_SIDES = 24  # directions of leaning, 15 degrees apart
 _MOST = np.deg2rad(120.0)
 _STEP = np.deg2rad(1.0)
 

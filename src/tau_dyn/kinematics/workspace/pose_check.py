@@ -16,7 +16,7 @@ from tau_dyn.kinematics.workspace.machine import WorkspaceModel, travel
 from tau_dyn.kinematics.workspace.pairs import pairs_of
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements, Reasons
 
-_BATCH = 20000
+_BATCH = 20000  # poses at a time, tens of MB
 
 
 class PoseCheck(NamedTuple):
