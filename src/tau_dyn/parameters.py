@@ -34,6 +34,8 @@ class Parameter:
             for a value taken as exact (fixed).
         stderr: Standard error of an estimate [unit], None if it was not estimated.
         origin: Where the value came from, in words.
+        split: Whether only a combination with other parameters was identified: the value is one of many that give the
+            same forces, and no estimate.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Parameter:
     prior_stderr: float | None = None
     stderr: float | None = None
     origin: str = "robot file"
+    split: bool = False
 
     def __post_init__(self) -> None:
         """Refuse numbers no solver could start from."""
@@ -141,7 +144,7 @@ class Parameters(Shown):
         """Return plain dictionaries for YAML or JSON; infinite bounds are left out."""
         rows = []
         for p in self:
-            row = {k: v for k, v in asdict(p).items() if v is not None}
+            row = {k: v for k, v in asdict(p).items() if v is not None and not (k == "split" and not v)}
             row = {k: v for k, v in row.items() if not (isinstance(v, float) and not isfinite(v))}
             rows.append(row)
         return rows
@@ -165,7 +168,7 @@ class Parameters(Shown):
             odd = [
                 key
                 for key, v in row.items()
-                if key not in numbers and not isinstance(v, bool if key == "free" else str)
+                if key not in numbers and not isinstance(v, bool if key in ("free", "split") else str)
             ]
             if odd:
                 raise InputError(f"{where}: entry {k + 1}: {odd[0]} must not be {row[odd[0]]!r}")

@@ -209,7 +209,7 @@ def _same_campaigns(poses: PoseSet, holdout: PoseSet) -> PoseSet:
 def _doubts(fitted: GeometryFit) -> tuple[str, ...]:
     said = []
     if not fitted.converged:
-        said.append("the fit did not come to rest; its last values are given")
+        said.append("the fit did not converge; its last values are given")
     missed = int((~fitted.state.ok).sum())
     if missed:
         said.append(f"{missed} poses are out of the fitted model's reach and were not used")

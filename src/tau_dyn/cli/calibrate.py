@@ -45,7 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "+periodic, +piecewise, +compliant, +backlash, each perhaps with joints: nonparallel+periodic:cart2",
     )
     parser.add_argument(
-        "--residual", default="forward", choices=("forward", "closure", "inverse"), help="what is made small"
+        "--residual", default="forward", choices=("forward", "closure", "inverse"), help="residual to minimise"
     )
     parser.add_argument(
         "--robust",

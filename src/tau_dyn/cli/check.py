@@ -1,4 +1,4 @@
-"""Is this log fit for use: sampling, gaps, quantisation, saturation, synchronisation, excitation; and what to mend."""
+"""Check whether a log is usable: sampling, gaps, quantisation, saturation, synchronisation, excitation; problems and fixes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tau_dyn.cli.common import (
 )
 from tau_dyn.coded_warning import UNCODED, get_code
 
-HELP = "is a log fit for use, and what to mend"
+HELP = "check whether a log is usable: problems and fixes"
 
 
 def add(parser: argparse.ArgumentParser) -> None:

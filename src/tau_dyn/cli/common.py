@@ -86,7 +86,7 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-xacro",
         action="store_true",
-        help="take plain URDF only: a xacro is code, and is refused (those that come along, too)",
+        help="take plain URDF only: a xacro is code, and is refused (built-in ones, too)",
     )
 
 

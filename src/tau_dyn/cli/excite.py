@@ -102,9 +102,9 @@ def run(args: argparse.Namespace) -> Outcome:
     """Find an exciting motion."""
     given = [name for name in _DESIGN_ONLY if getattr(args, name) is not None]
     if args.method == "random" and given:
-        raise InputError(f"--{given[0]} belongs to --method optimal; random motions do not know it")
+        raise InputError(f"--{given[0]} is not available with --method random; use --method optimal")
     if args.noise_from is not None and (args.force_noise or args.encoder_noise):
-        raise InputError("--noise-from takes the noise from a log; leave --force-noise and --encoder-noise out, or it")
+        raise InputError("--noise-from excludes --force-noise and --encoder-noise; give one or the others")
     with _told(args.quiet) as step:
         step("loading")
         from tau_dyn.identify import build_model
@@ -163,10 +163,11 @@ def _optimal(args: argparse.Namespace, model, noise, step: Callable[[str], None]
 
 def _outcome(args: argparse.Namespace, model, motion, condition: float, result, said: str, prediction) -> Outcome:
     def show(console) -> None:
+        from tau_dyn.report.motion_plan_terminal import print_predicted_errors
+
         console.print(f"{motion.duration:.4g} s, condition number {condition:.3g} {said} -> {args.out}", markup=False)
-        for row in () if prediction is None else prediction.rows():
-            shown = f"  {row['expression']:44s} {row['value']:10.4g} +- {row['stderr']:.2g} {row['unit']}"
-            console.print(shown, markup=False, highlight=False)
+        if prediction is not None:
+            print_predicted_errors(console, prediction.rows())
 
     return Outcome(
         result=result,
@@ -187,7 +188,7 @@ def _noise(args: argparse.Namespace, model):
         return estimate_log_noise(model, read_log(args.noise_from), args.rate)
     if args.force_noise is None:
         if args.encoder_noise is not None:
-            raise InputError("--encoder-noise alone says nothing of the forces; give --force-noise as well")
+            raise InputError("--encoder-noise needs --force-noise as well")
         return None
     return Noise.given(model.robot, args.force_noise, args.encoder_noise or [0.0], args.rate)
 

@@ -139,8 +139,9 @@ def _exchanged(args: argparse.Namespace, out: Path) -> Made:
     model = Model.load(args.model)
     made = build_urdf(model) if args.to == "urdf" else build_mjcf(model)
     links = len(model.robot.links)
-    leaning = f"; nominal, since no data determined them: {', '.join(made.nominal)}" if made.nominal else ""
-    said = f"{model.robot.name} with {links} {'link that carries' if links == 1 else 'links that carry'} mass -> {out}{leaning}"
+    kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal else ""
+    shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
+    said = f"{model.robot.name} with {links} {'link that carries' if links == 1 else 'links that carry'} mass -> {out}{kept}{shared}"
     return Made(
         {out: made.text}, said, {"left_out": list(made.left_out), "nominal": list(made.nominal)}, tuple(made.left_out)
     )

@@ -25,7 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_fitting(
         parser,
         model="rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg; default), or a model file",
-        holdout="logs to judge on, used for nothing else",
+        holdout="held-out logs, for evaluation only",
         out="write the identified model here",
     )
     parser.add_argument(

@@ -35,7 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="logs to judge on, used for nothing else (without any, the last 30 %% of each log)",
+        help="held-out logs, for evaluation only (without any, the last 30 %% of each log)",
     )
     parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")
     _add_model(parser)
@@ -67,7 +67,7 @@ def _add_model(parser: argparse.ArgumentParser) -> None:
         "--method",
         default="auto",
         metavar="METHOD",
-        help="auto (default), n4sid, pbsid (bears feedback), arx or era (impulse tests)",
+        help="auto (default), n4sid, pbsid (valid under feedback), arx or era (impulse tests)",
     )
     parser.add_argument("--order", default="auto", metavar="N", help="number of states; auto (default) chooses")
     parser.add_argument("--delay", default="auto", metavar="N", help="delay of the inputs in samples; auto (default)")

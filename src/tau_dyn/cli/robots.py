@@ -6,7 +6,7 @@ import argparse
 
 from tau_dyn.cli.common import Outcome, add_common
 
-HELP = "the robots that come along or are installed, by name"
+HELP = "list built-in and installed robots by name"
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -101,7 +101,8 @@ def _show(console, table, args: argparse.Namespace) -> None:
         f, stderr = table.cameras.intrinsics[c, 0], table.cameras.stderr[9 * c]
         k1 = table.cameras.intrinsics[c, 4]
         console.print(
-            f"camera {c + 1}: f = {f:.1f} +- {1.96 * stderr:.1f} px, k1 = {k1:.3f}, corners off by {table.rms[c]:.3f} px rms",
+            f"camera {c + 1}: f = {f:.1f} ± {stderr:.1f} px (± standard error), k1 = {k1:.3f}, corner residual "
+            f"{table.rms[c]:.3f} px rms",
             markup=False,
         )
     for what, path in (("poses", args.out), ("cameras", args.save_cameras), ("result", args.json)):

@@ -199,7 +199,12 @@ def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuant
         *(p for x in _dicts(content.get("findings")) for p in x["parameters"]),
     ]:
         known = {"prior": row.get("nominal_stderr"), "nominal": row.get("nominal")}
-        yield str(row["name"]), build_measured_quantity(row["value"], row.get("stderr"), row.get("unit", ""), **known)
+        yield (
+            str(row["name"]),
+            build_measured_quantity(
+                row.get("split_value", row["value"]), row.get("stderr"), row.get("unit", ""), **known
+            ),
+        )
 
 
 def _modes(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:

@@ -24,9 +24,9 @@ _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
 _BLIND = 0.01
 """Share of an amplitude that may lie in what dependent columns leave open."""
-_WITHIN = " The held-out logs hardly show it; blocks of the training logs, set aside for it, confirmed it."
+_WITHIN = " The held-out logs hardly excite it; validation blocks of the training logs confirmed it."
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
-_EQUIVALENT = "no log of this kind separates it from {twins}, which is the same force by another name"
+_EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
 
 
 def build_finding(
@@ -124,20 +124,20 @@ def _variances(gram: np.ndarray) -> np.ndarray:
 
 
 def format_sentence(effects: Sequence[Effect], parameters: Parameters, gain: Gain | None) -> str:
-    """Return what a colleague would say."""
+    """Return the finding in a sentence."""
     said = []
     for effect in effects:
         where = ", ".join(effect.joints)
         said.append(f"{where}: {effect.describe(parameters)}")
     text = "; ".join(said)
     if gain is not None:
-        text += f"; with it the model predicts held-out data {format_reduction(gain.reduction_percent)}"
+        text += f"; held-out error {format_reduction(gain.reduction_percent)}"
     return text[0].upper() + text[1:] + "."
 
 
 def format_reduction(percent: float) -> str:
     """Return a gain in words; a weak cause may be sure by other frequencies than those that make up the raw error."""
-    return f"{percent:.{0 if percent >= 1 else 1}f} % better" if percent >= 0.05 else "no better"
+    return f"{percent:.{0 if percent >= 1 else 1}f} % smaller" if percent >= 0.05 else "not smaller"
 
 
 def build_signature(

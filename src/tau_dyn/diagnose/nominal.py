@@ -146,7 +146,7 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
         if centre:
             place = ", ".join(f"{c.value:.3f}" for c in centre)
             errors = [c.stderr for c in centre if c.stderr is not None]
-            sentence += f" at ({place}) m" + (f", each ± {max(errors):.2g} m," if errors else "")
+            sentence += f" at ({place}) m" + (f", standard error of each {max(errors):.2g} m," if errors else "")
             sentence += f" in the frame of {joint}"
         where = (found.place,)
         experiment = "record the same motion without the payload"

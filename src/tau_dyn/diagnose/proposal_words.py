@@ -44,30 +44,30 @@ def list_motion_notes(
         return _sight(plan, new, old)
     notes = []
     for k, line in enumerate(plan.lines):
-        against = f"from {line.rival}" if line.rival else "from chance"
-        text = f"if {line.cause} is the cause, this motion tells it {against} with lambda = {_sure(new[k], line)}"
-        notes.append(text if old is None else f"{text}; the measured one, in the same time, with {_sure(old[k], line)}")
+        against = f"from {line.rival}" if line.rival else "from noise"
+        text = f"if {line.cause} is the cause, this motion separates it {against}: noncentrality {_sure(new[k], line)}"
+        notes.append(text if old is None else f"{text}; the measured motion, in the same time: {_sure(old[k], line)}")
     told = {name for line in plan.lines for name in (line.cause, line.rival)}
     cause = question.pairs[0][0].cause
     lost = [(r, find_other_experiment(cause, r)) for _, r in question.pairs if r and r not in told]
-    return [*notes, *(f"no motion tells {cause} from {twin}: {how}" for twin, how in (*lost, *question.beyond))]
+    return [*notes, *(f"no motion separates {cause} from {twin}: {how}" for twin, how in (*lost, *question.beyond))]
 
 
 def _sight(plan: DiscriminationDesign, new: np.ndarray, old: np.ndarray | None) -> list[str]:
     """Return how much smaller effects show than along the measured motion; of each cause the joint that gains least counts."""
     causes = dict.fromkeys(line.cause for line in plan.lines)
     if old is None:
-        return [f"this motion shows {', '.join(causes)}"]
+        return [f"this motion excites {', '.join(causes)}"]
     left = np.sqrt(np.maximum(old, 0.0) / np.maximum(new, 1e-300))
     ratio = {c: max(x for x, line in zip(left, plan.lines, strict=True) if line.cause == c) for c in causes}
     fresh = [c for c in causes if ratio[c] < 1 / _FRESH]
     before = sorted((x, c) for c, x in ratio.items() if c not in fresh)
-    notes = [f"this motion shows what the measured one hardly does: {', '.join(fresh)}"] if fresh else []
+    notes = [f"this motion excites causes that the measured one hardly excites: {', '.join(fresh)}"] if fresh else []
     if before:
         (low, best), (high, worst) = before[0], before[-1]
         middle = float(np.median([x for x, _ in before]))
         notes.append(
-            f"smallest effects seen, over those of the measured motion in the same time: {middle:.2g} in the median of "
+            f"detection limits, relative to those of the measured motion in the same time: {middle:.2g} in the median of "
             f"{len(before)} cause(s), from {low:.2g} ({best}) to {high:.2g} ({worst})"
         )
     return notes
@@ -76,4 +76,4 @@ def _sight(plan: DiscriminationDesign, new: np.ndarray, old: np.ndarray | None) 
 def _sure(strength: float, line: Contrast) -> str:
     chance = 100 * estimate_identification_probability(strength, bool(line.rival))
     size = "over 99 %" if chance > 99 else "under 1 %" if chance < 1 else f"{chance:.0f} %"
-    return f"{strength:.3g} (a diagnosis names it with a chance of {size})"
+    return f"{strength:.3g} (probability of correct identification {size})"

@@ -50,13 +50,15 @@ def recommend(
         listed = ", ".join(f"{joint} ({ratio:.1f} times)" for joint, ratio in odd)
         return Recommendation(
             "neither",
-            f"the held-out error is many times the training error at {listed}: the held-out log is of another machine or tool",
+            f"the held-out error is many times the training error at {listed}; the held-out log probably belongs to "
+            f"another machine or tool",
         )
     if bars.nominal is not None and is_worse(loss := _whole_gain(channel, bars.nominal, before, rng)):
-        why = f"the refitted model predicts held-out data {-loss.reduction_percent:.2g} % worse than the file's values"
+        more = -loss.reduction_percent
+        why = f"the held-out error of the refitted model is {more:.2g} % larger than with the robot file's values"
         return Recommendation("neither", why)
     if not claims.kept:
-        return Recommendation("refitted", "no cause is confirmed; the refitted model is all that the data support")
+        return Recommendation("refitted", "no cause is confirmed")
     worse = [
         (joint, -gain.reduction_percent)
         for joint in channel.outputs
@@ -64,7 +66,7 @@ def recommend(
     ]
     if worse:
         listed = ", ".join(f"{joint} by {loss:.2g} %" for joint, loss in worse)
-        return Recommendation("refitted", f"with the confirmed causes held-out data are predicted worse at {listed}")
+        return Recommendation("refitted", f"the confirmed causes increase the held-out error at {listed}")
     effects = build_effects(claims.kept)
     joints = {joint for effect in effects for joint in effect.joints}
     shown = confirm(channel, hunt.noise, get_columns(hunt.library, effects), (), TEST, fitted_on=(TRAIN, VALIDATION))
@@ -72,10 +74,10 @@ def recommend(
     low, high = gain.ci95
     if low <= 0:
         return Recommendation(
-            "refitted", f"the held-out error does not fall for sure (95 % interval {low:.2g} to {high:.2g} %)"
+            "refitted", f"the held-out error does not fall significantly (95 % interval [{low:.2g}, {high:.2g}] %)"
         )
     why = f"the held-out error of the causes' joints falls by {gain.reduction_percent:.2g} %"
-    return Recommendation("extended", f"{why} (95 % interval {low:.2g} to {high:.2g} %), and no joint becomes worse")
+    return Recommendation("extended", f"{why} (95 % interval [{low:.2g}, {high:.2g}] %), and no joint becomes worse")
 
 
 def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, float]]:

@@ -16,26 +16,26 @@ def describe_verdict(
     before: OutputErrors,
     after: OutputErrors,
 ) -> str:
-    """Return what a colleague would say first."""
-    missed = f"The refitted model misses {before.relative_error_percent:.2g} % of the measured force"
+    """Return the answer in one or two sentences."""
+    missed = f"The residual of the refitted model is {before.relative_error_percent:.2g} % of the measured force"
     confirmed = [f for f in findings if f.status == "confirmed"]
     if confirmed:
-        text = f"{missed}; with {_listed(confirmed)} it misses {after.relative_error_percent:.2g} %."
+        text = f"{missed}; with {_listed(confirmed)} it is {after.relative_error_percent:.2g} %."
         text += "".join(f" {f.sentence}" for f in findings if f.status == "parameter" and f.cause == "payload")
     elif verdict in ("named", "cannot_tell"):
         f = next(f for f in findings if f.status == "parameter")
         text = f"{missed}. {f.sentence}"
         if verdict == "cannot_tell":
-            text += f" These data cannot tell {f.cause} from {', '.join(f.indistinguishable_from)}."
+            text += f" Indistinguishable with these data: {f.cause} and {', '.join(f.indistinguishable_from)}."
     elif verdict == "nothing_found":
-        text = f"{missed}, and no cause that we know explains any of it."
+        text = f"{missed}. No model error was detected."
     else:
         text = f"{missed}."
     if any(u.status == "confirmed" for u in unexplained):
         u = unexplained[0]
         what = ", ".join(u.depends_on)
         share = f"{100 * u.share_of_residual_variance:.0f} % of its residual"
-        text += f" A force at {u.joint} that depends on {what} has no name ({share})."
+        text += f" Significant unexplained structure at {u.joint} depends on {what} ({share})."
     return text
 
 

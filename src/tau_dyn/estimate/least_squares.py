@@ -179,7 +179,10 @@ def _with_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarra
     """Attach standard errors to the parameters that are base parameters by themselves, and say where each value came from."""
     known = base.by_name(stderr)
     shared = {name for k, name in enumerate(base.names) if name not in known and base.depends_on(k)}
-    origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one choice of many that fit")
+    origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one of many splits with the same forces")
     return parameters.update(
-        {p.name: {"stderr": known.get(p.name), "origin": origin.get(p.name, p.origin)} for p in parameters}
+        {
+            p.name: {"stderr": known.get(p.name), "origin": origin.get(p.name, p.origin), "split": p.name in shared}
+            for p in parameters
+        }
     )

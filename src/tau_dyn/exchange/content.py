@@ -2,7 +2,7 @@
 
 Neither URDF nor MJCF knows friction that differs by direction, and neither knows our other effects: friction is written as the
 mean of both directions, the rest is left out, and both are said. Base parameters alone are what data determine
-(Khalil & Dombre 2002, ch. 9): the inertia of a single link leans on nominal values wherever it was not determined.
+(Khalil & Dombre 2002, ch. 9). Where only a combination is identified, the file holds one of many splits with the same forces.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from tau_dyn.effects import AsymmetricFriction, SymmetricFriction
 from tau_dyn.model import Model
+from tau_dyn.parameters import Parameter
 from tau_dyn.robot import LinkInertia
 from tau_dyn.version import __version__
 
@@ -28,12 +29,15 @@ class Exported:
     Attributes:
         text: The file.
         left_out: What of the model the format cannot carry, a sentence each.
-        nominal: Inertial parameters that no data determined and that stand at their nominal values.
+        nominal: Inertial parameters that no data excited; they have their nominal values.
+        split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
+            combinations that give the same forces.
     """
 
     text: str
     left_out: tuple[str, ...]
     nominal: tuple[str, ...]
+    split: tuple[str, ...] = ()
 
 
 class BodyInertia(NamedTuple):
@@ -87,18 +91,30 @@ def list_omitted_effects(model: Model) -> tuple[str, ...]:
 
 
 def list_nominal_parameters(model: Model) -> tuple[str, ...]:
-    """Return the inertial parameters that stand at nominal values, none estimated."""
-    return tuple(
-        p.name for link in model.robot.links for p in model.robot.parameters.select(link.names) if p.stderr is None
-    )
+    """Return the inertial parameters that have their nominal values: no data excited them."""
+    return tuple(p.name for p in _inertial(model) if p.stderr is None and not p.split)
+
+
+def split(model: Model) -> tuple[str, ...]:
+    """Return the inertial parameters whose values are an arbitrary split of identified combinations."""
+    return tuple(p.name for p in _inertial(model) if p.split)
+
+
+def _inertial(model: Model) -> list[Parameter]:
+    names = dict.fromkeys(name for link in model.robot.links for name in link.names)
+    return list(model.robot.parameters.select(list(names)))
 
 
 def format_header(model: Model) -> str:
     """Return what a file says about itself: no two hyphens in a row, which XML comments cannot hold, no control characters."""
     lines = [f"Written by tau_dyn {__version__} from {model.robot.source}."]
-    leaning = list_nominal_parameters(model)
-    if leaning:
-        lines.append(f"Not determined by data, so nominal: {', '.join(leaning)}.")
+    if kept := list_nominal_parameters(model):
+        lines.append(f"Nominal values, not identified: {', '.join(kept)}.")
+    if shared := split(model):
+        lines.append(
+            "Identified only in combination; these values are one of many splits with the same forces, and no estimates: "
+            f"{', '.join(shared)}."
+        )
     lines += [f"{sentence}." for sentence in list_omitted_effects(model)]
     text = "".join(c if c.isprintable() else "?" for c in " ".join(lines))
     return re.sub("-(?=-)", "- ", text)

@@ -23,6 +23,7 @@ from tau_dyn.exchange.content import (
     format_header,
     list_nominal_parameters,
     list_omitted_effects,
+    split,
 )
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.kinematics.tree_arrays import Joint, joints_of
@@ -63,7 +64,7 @@ def build_mjcf(model: Model) -> Exported:
         for name in robot.parameters.names
         if name.endswith(".gravity_mass") and robot.parameters[name].value
     )
-    return Exported(text, (*list_omitted_effects(model), *extra, *shapes), list_nominal_parameters(model))
+    return Exported(text, (*list_omitted_effects(model), *extra, *shapes), list_nominal_parameters(model), split(model))
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint]) -> list[Element]:

@@ -20,6 +20,7 @@ from tau_dyn.exchange.content import (
     format_header,
     list_nominal_parameters,
     list_omitted_effects,
+    split,
 )
 from tau_dyn.model import Model
 
@@ -47,7 +48,7 @@ def build_urdf(model: Model) -> Exported:
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
     text = f'<?xml version="1.0"?>\n<!-- {format_header(model)} -->\n{body}\n'
-    return Exported(text, list_omitted_effects(model), list_nominal_parameters(model))
+    return Exported(text, list_omitted_effects(model), list_nominal_parameters(model), split(model))
 
 
 def _fixed_to(root: Element, link: str) -> list[str]:

@@ -37,7 +37,7 @@ def list_unjudged_joint_warnings(train: ForceErrors, holdout: ForceErrors | None
     found = []
     if train.unjudged:
         found.append(
-            f"no sample of {', '.join(train.unjudged)} can be fitted ({why}); what is said of it comes from the others"
+            f"no sample of {', '.join(train.unjudged)} can be fitted ({why}); its parameters follow from the other joints"
         )
     if holdout is not None and (rest := [joint for joint in holdout.unjudged if joint not in train.unjudged]):
         found.append(
@@ -84,9 +84,9 @@ def list_equivalent_models(estimate: Estimate, joints: tuple[str, ...]) -> tuple
         mean, half = (fc_pos.value + fc_neg.value) / 2, (fc_pos.value - fc_neg.value) / 2
         unit = fc_pos.unit
         text = f"{joint}: Coulomb friction {fc_pos.value:.4g} / {fc_neg.value:.4g} {unit} is the same as {mean:.4g} {unit} in "
-        text += f"both directions with a constant offset of {half:+.3g} {unit}; no force log can tell which it is"
+        text += f"both directions with a constant offset of {half:+.3g} {unit}; force logs cannot separate the two"
         if one_viscous:
-            text += "; one viscous coefficient would do"
+            text += "; one viscous coefficient is sufficient"
         found.append(text)
     return tuple(found)
 
@@ -103,9 +103,9 @@ def _moved(estimate: Estimate) -> list[str]:
         if _excess(estimate, name, plain) < _OBJECTS:
             continue
         sentence = (
-            f"{name}: plain least squares gives {plain:.4g} {p.unit}, more than {_OBJECTS:g} standard errors outside what is "
-            f"admissible; the nearest admissible estimate has {p.value:.4g} {p.unit} and moves others along "
-            "(some force is not in the model, or the motion is dull)"
+            f"{name}: the unconstrained estimate {plain:.4g} {p.unit} lies more than {_OBJECTS:g} standard errors outside its "
+            f"bounds; the nearest consistent estimate is {p.value:.4g} {p.unit} and changes other values "
+            "(the model lacks a force, or the excitation is poor)"
         )
         found.append(CodedWarning("not_physical", sentence))
     return found
@@ -121,7 +121,7 @@ def _excess(estimate: Estimate, name: str, plain: float) -> float:
 
 
 def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
-    """Return a sentence for each joint whose friction comes out as if it pushed.
+    """Return a sentence for each joint whose estimated friction is negative.
 
     So it does where a force or a position has its sign turned, or is another joint's.
     """
@@ -131,7 +131,7 @@ def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
         pushing = [n for n in friction if n in estimate.moved and _excess(estimate, n, estimate.moved[n]) > _OBJECTS]
         if len(pushing) >= max(2, len(friction) / 2):
             sentence = (
-                f"{joint}: friction comes out negative, as if it pushed; check the sign of tau_{joint} (what the actuator "
+                f"{joint}: estimated friction is negative; check the sign of tau_{joint} (what the actuator "
                 f"applies along q_{joint}) and that q_{joint} and tau_{joint} are this joint's columns"
             )
             found.append(CodedWarning("sign_reversed", sentence))
@@ -153,9 +153,9 @@ def _held_by_physics(estimate: Estimate, bodies: list[str]) -> list[str]:
     if shift[worst] < _OBJECTS or distance < chi2.ppf(0.999, len(moved)):
         return []
     sentence = (
-        f"no mass distribution has the plain least-squares inertia of {', '.join(bodies)}; the estimate is the nearest that "
-        f"exists, which moves {estimate.base.names[estimate.base.kept[worst]]} most, by {shift[worst]:.2g} standard errors "
-        "(some force is not in the model, or the noise is underrated)"
+        f"the unconstrained estimate is not physically consistent at {', '.join(bodies)}; the reported estimate is the nearest "
+        f"consistent one. {estimate.base.names[estimate.base.kept[worst]]} changes most, by {shift[worst]:.2g} standard errors "
+        "(the model lacks a force, or the noise is underestimated)"
     )
     return [CodedWarning("not_physical", sentence)]
 
@@ -179,7 +179,7 @@ def _unseen(estimate: Estimate) -> list[str]:
         return []
     joints = sorted({n.rsplit(".", 1)[0] for n in lost if n.rsplit(".", 1)[0] in estimate.regression.outputs})
     remedy = f"move {', '.join(joints)}" if joints else "accelerate all joints independently of each other"
-    return [f"this motion does not show {', '.join(lost)} at all; to see them, {remedy}"]
+    return [f"not excited, nominal value kept: {', '.join(lost)}; to identify them, {remedy}"]
 
 
 def _undetermined(estimate: Estimate) -> list[str]:
@@ -191,19 +191,17 @@ def _undetermined(estimate: Estimate) -> list[str]:
         for n in weak[:8]
     )
     more = f" and {len(weak) - 8} more" if len(weak) > 8 else ""
-    return [f"not determined by these data (standard error above 30 %): {listed}{more}"]
+    return [f"poorly determined (standard error above 30 %): {listed}{more}"]
 
 
 def _conditioning(estimate: Estimate) -> list[str]:
     found = []
     if estimate.cond > _ILL_CONDITIONED:
         found.append(
-            f"the regression is ill-conditioned (condition number {estimate.cond:.3g}); single values lean on small differences"
+            f"the regression is ill-conditioned (condition number {estimate.cond:.3g}); estimates are sensitive to noise"
         )
     correlation = np.abs(np.triu(estimate.correlation, 1))
     for i, j in np.argwhere(correlation > _CORRELATED)[:5]:
         a, b = estimate.base.expression(int(i)), estimate.base.expression(int(j))
-        found.append(
-            f"{a} and {b} are correlated by {estimate.correlation[i, j]:+.3f}; trust their combination, not each"
-        )
+        found.append(f"{a} and {b} are correlated by {estimate.correlation[i, j]:+.3f}; use only their combination")
     return found

@@ -49,8 +49,8 @@ def iterate_to_fixed_point(
         if moved <= RELATIVE_CHANGE_TOL * left:
             return training, estimate
     warnings.append(
-        f"the fit did not settle in {MAX_ITERATIONS} passes: effect {feeling[0]} feels a force or load that moves "
-        f"with the estimate"
+        f"no convergence in {MAX_ITERATIONS} iterations: effect {feeling[0]} depends on a force or load that "
+        f"changes with the estimate"
     )
     return training, estimate
 

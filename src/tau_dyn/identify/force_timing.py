@@ -265,7 +265,9 @@ def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: flo
     weight = found.stderr_s[late] ** -2.0
     mean = float(weight @ found.delay_s[late] / weight.sum())
     of = ", ".join(robot.actuated[k] for k in chosen)
-    size = f"{1e3 * abs(mean):.3g} ms ({abs(mean) / dt:.2g} samples, +- {1e3 * weight.sum() ** -0.5:.1g} ms)"
+    size = (
+        f"{1e3 * abs(mean):.3g} ms ({abs(mean) / dt:.2g} samples, standard error {1e3 * weight.sum() ** -0.5:.1g} ms)"
+    )
     removed = (
         f"taking that into account removes {100 * float(np.max(found.removed[late])):.0f} % of the residual's power"
     )

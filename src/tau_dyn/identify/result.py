@@ -59,7 +59,11 @@ class Identification(Shown):
         return self.estimate.parameters
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the parameter table in the contract's form; what cannot be identified alone shows its nominal value."""
+        """Return the parameter table in the contract's form.
+
+        What cannot be identified alone has its nominal value as `value` and no standard error; `split_value` is what the
+        model holds: one of many splits of the identified combinations that give the same forces.
+        """
         return [self._row(p) for p in self.estimate.parameters if p.free]
 
     def base_rows(self) -> list[dict[str, Any]]:
@@ -124,6 +128,7 @@ class Identification(Shown):
         }
         if not seen:
             row["depends_on"] = list(self._depends_on(p.name))
+            row["split_value"] = p.value
         return row
 
     def _depends_on(self, name: str) -> tuple[str, ...]:

@@ -46,23 +46,23 @@ def _rate(log: Log, clock: Clock) -> CheckFinding:
     if clock.dt >= 0.5:
         unit, scale = next((name, scale) for least, name, scale in _UNITS if clock.dt >= least)
         remedy = f"Give t in s: `t: {{column: t, scale: {scale}}}` in a column map (--columns)."
-        return CheckFinding("fault", "sampling", f"{what} Such a step reads like {unit}.", remedy)
+        return CheckFinding("fault", "sampling", f"{what} The time step suggests {unit}.", remedy)
     if rate < MIN_RATE_HZ:
-        return CheckFinding("warning", "sampling", f"{what} That is slow for accelerations.", "Log at 250 Hz or more.")
+        return CheckFinding(
+            "warning", "sampling", f"{what} The sampling rate is too low for accelerations.", "Log at 250 Hz or more."
+        )
     if log.duration < MIN_DURATION_S:
-        return CheckFinding("warning", "sampling", f"{what} That is short.", "Record 10 s or more of varied motion.")
+        return CheckFinding("warning", "sampling", f"{what} The log is short.", "Record 10 s or more of varied motion.")
     return CheckFinding("ok", "sampling", what)
 
 
 def _evenness(log: Log, clock: Clock) -> CheckFinding:
     if clock.rounded:
-        sentence = f"{log.name}: its times are an even clock written with too few digits."
-        return CheckFinding("warning", "jitter", sentence, "Write more digits; an even clock will be used.")
+        sentence = f"{log.name}: uniform clock, rounded stamps."
+        return CheckFinding("warning", "jitter", sentence, "Write more digits; a uniform clock is used.")
     sentence = f"{log.name}: steps differ from {clock.dt:.6g} s by up to {100 * clock.jitter:.2g} %."
     if clock.jitter > MAX_RELATIVE_JITTER:
-        return CheckFinding(
-            "warning", "jitter", sentence, "Stamp samples in the real-time loop; the log will be resampled."
-        )
+        return CheckFinding("warning", "jitter", sentence, "Stamp samples in the real-time loop; the log is resampled.")
     return CheckFinding("ok", "jitter", sentence)
 
 
@@ -79,5 +79,9 @@ def _gaps(log: Log, clock: Clock) -> list[CheckFinding]:
     if clock.n_missing:
         lost = f"{count(clock.n_missing, 'sample')} {'is' if clock.n_missing == 1 else 'are'}"
         sentence = f"{log.name}: {lost} missing, never three in a row."
-        return [CheckFinding("warning", "gaps", sentence, "Give the logger more priority; they will be interpolated.")]
+        return [
+            CheckFinding(
+                "warning", "gaps", sentence, "Give the logger more priority; missing samples are interpolated."
+            )
+        ]
     return [CheckFinding("ok", "gaps", f"{log.name}: no sample is missing.")]

@@ -132,7 +132,10 @@ def _encoder(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
     )
     if f["moves"] and f["velocity_noise"] > 0.05 * f["speed"][0]:
         return CheckFinding(
-            "warning", "encoder", sentence + " That is much for this motion.", "Move faster, or use a finer encoder."
+            "warning",
+            "encoder",
+            sentence + " The noise is large for this motion.",
+            "Move faster, or use a finer encoder.",
         )
     return CheckFinding("ok", "encoder", sentence)
 
@@ -144,26 +147,29 @@ def _excitation(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
             "warning",
             "excitation",
             f"{what} does not move.",
-            "Its friction and what it alone moves stay unknown; move it.",
+            "Move it, else its friction and the masses that it alone moves are not identifiable.",
         )
     share, ratio = f["forward_share"], f["acceleration_rms"] / max(f["acceleration_noise"], 1e-300)
     low, high = f["range"]
-    moved = f"{what} covers {low:.4g} to {high:.4g} at up to {f['speed'][1]:.3g} a second, {count(f['n_reversals'], 'reversal')}"
+    moved = f"{what}: range {low:.4g} … {high:.4g}, up to {f['speed'][1]:.3g} a second, {count(f['n_reversals'], 'reversal')}"
     if not 0.02 < share < 0.98:
         way = "forwards" if share > 0.5 else "backwards"
         return CheckFinding(
-            "warning", "excitation", f"{moved}, but only {way}.", "Move both ways, else friction is a torque offset."
+            "warning",
+            "excitation",
+            f"{moved}, only {way}.",
+            "Move both ways, else Coulomb friction and offset are not separable.",
         )
     if f["n_reversals"] < MIN_REVERSALS:
         return CheckFinding(
             "warning",
             "excitation",
-            f"{moved}, which {'is' if f['n_reversals'] == 1 else 'are'} few.",
+            f"{moved}, at least {MIN_REVERSALS} needed.",
             "Reverse more often, at several speeds.",
         )
     if ratio < 3.0:
-        sentence = f"{moved}, but its acceleration is only {ratio:.2g} times its noise."
-        return CheckFinding("warning", "excitation", sentence, "Accelerate harder, else masses stay uncertain.")
+        sentence = f"{moved}, acceleration only {ratio:.2g} times its noise."
+        return CheckFinding("warning", "excitation", sentence, "Accelerate harder, else masses are poorly determined.")
     return CheckFinding("ok", "excitation", f"{moved}, acceleration {ratio:.3g} times its noise.")
 
 
@@ -186,13 +192,13 @@ def _lag(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
     if f["lag"] is None:
         why = "does not move" if log.has("q_ref", [joint]) else f"has no q_ref_{joint}"
         return CheckFinding("ok", "synchronisation", f"{log.name}: {joint} {why}, so its lag was not tested.")
-    sentence = f"{log.name}: q_{joint} follows its reference after {1e3 * f['lag']:.3g} ms."
+    sentence = f"{log.name}: q_{joint} lags its reference by {1e3 * f['lag']:.3g} ms."
     if f["lag"] < -1.5 * log.dt:
         return CheckFinding(
-            "warning", "synchronisation", f"{sentence} It cannot run ahead.", "Give both channels the same clock."
+            "warning", "synchronisation", f"{sentence} A lag cannot be negative.", "Give both channels the same clock."
         )
     if f["lag"] > 0.1:
         return CheckFinding(
-            "warning", "synchronisation", f"{sentence} That is long.", "Check for a delay in one channel."
+            "warning", "synchronisation", f"{sentence} The lag is long.", "Check for a delay in one channel."
         )
     return CheckFinding("ok", "synchronisation", sentence)

@@ -61,7 +61,8 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
                 judges.append(lambda c=column, r=runs, m=moves: _check_sample_hold(log, c, r, m))
             findings += [
                 next(
-                    (f for f in (judge() for judge in judges) if f), CheckFinding("ok", "signal", f"{column} is alive.")
+                    (f for f in (judge() for judge in judges) if f),
+                    CheckFinding("ok", "signal", f"{column}: no fault found."),
                 )
             ]
     return findings, {"clipped": clipped}
@@ -127,6 +128,6 @@ def _check_sample_hold(log: Log, column: str, runs: ConstantRuns, moves: NDArray
     if usual < 2 or np.mean(lengths == usual) < 0.8:
         return None
     late = (usual - 1) / 2 * log.dt
-    sentence = f"{log.name}: {column} changes only every {usual} samples; it is on average {late:.2g} s late."
+    sentence = f"{log.name}: {column} is updated every {usual} samples; it is {late:.2g} s late on average."
     remedy = f"Log it at the full rate, or the others at {log.rate_hz / usual:.6g} Hz."
     return CheckFinding("warning", "held", sentence, remedy, "held_channel")

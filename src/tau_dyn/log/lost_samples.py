@@ -249,9 +249,9 @@ def _lost_sentence(log: Log, found: LostSamples, lost: NDArray[np.intp]) -> str:
         f"({100 * share:.2g} % of the steps at which a loss can be seen)"
     )
     if len(found.after) <= MAX_MENDED_SHARE * max(found.n_tested, 1):
-        return f"{sentence}; the clock is mended there. Log time stamps of the measurement, not of a counter."
+        return f"{sentence}; the clock is corrected there. Log time stamps of the measurement, not of a counter."
     return (
-        f"{sentence}. That is too many to mend, and the results are wrong by more than they say: log time stamps of the "
+        f"{sentence}. That is too many to correct; errors exceed the stated standard errors: log time stamps of the "
         "measurement, not of a counter, and record it again."
     )
 

@@ -75,7 +75,7 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     slack = 0.1 * margin
     if low * scale >= lower - slack and high * scale <= upper + slack:
         line = f"q_{joint}: {{column: q_{joint}, scale: {scale:.9g}}}"
-        return f"{where}; it reads like {foreign}: write `{line}` into a column map."
+        return f"{where}; the unit is probably {foreign}: write `{line}` into a column map."
     return f"{where}; is it this joint, at its own side of the gear, in {unit}?"
 
 
@@ -85,7 +85,7 @@ def _doubt_without_robot(log: Log) -> list[str]:
         low, high = _extent(log, joint)
         if max(abs(low), abs(high)) > SUSPECT:
             sentence = (
-                f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, which reads like mm or degrees; "
+                f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, probably in mm or degrees; "
                 "positions are in m or rad (scale 0.001 or 0.0174532925 in a column map)."
             )
             sentences.append(CodedWarning("scale_wrong", sentence))

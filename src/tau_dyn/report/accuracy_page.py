@@ -144,7 +144,7 @@ def _line_row(line: Any) -> dict[str, str]:
         "along": size(along), "across": size(across), "bow": f"{size(line.bow.size)} ± {size(line.bow.stderr)}",
         "scale": f"{number(1e6 * scale, 3)} ± {number(1e6 * stderr, 2)}",
         "cycle": "–" if line.cycle is None or line.cycle.p_value > 0.01 else
-        f"±{size(line.cycle.amplitude)} every {size(line.cycle.period)}",
+        f"amplitude {size(line.cycle.amplitude)}, period {size(line.cycle.period)}",
         "aliases": "" if line.cycle is None or not line.cycle.aliases else ", ".join(size(x) for x in line.cycle.aliases),
         "backlash": "–" if line.backlash is None else f"{size(line.backlash.size)} ± {size(line.backlash.stderr)}",
     }  # fmt: skip

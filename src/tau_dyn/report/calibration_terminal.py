@@ -31,7 +31,7 @@ def print_calibration(console: Console, found: Calibration, written: Mapping[str
     blind = found.fit.identifiability
     if len(blind.dropped):
         names = [blind.names[k] for k in blind.dropped]
-        say(console, f"kept nominal, for no pose can tell: {format_list(names, 8)}", "dim")
+        say(console, f"not identifiable, nominal value kept: {format_list(names, 8)}", "dim")
     say_written(console, written)
 
 

@@ -1,4 +1,4 @@
-"""What a colleague would say about a calibration."""
+"""A calibration in sentences."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tau_dyn.report.quantities import quantity
 NAMES = {
     "frames": "robot file",
     "ideal": "parallel guideways",
-    "nonparallel": "guideways each its way",
+    "nonparallel": "guideways not parallel",
     "complete": "every rod and joint",
     "paths": "a path for every rod",
 }
@@ -20,8 +20,8 @@ NAMES = {
 ADDED = {
     "periodic": "cyclic error",
     "periodic2": "second cyclic error",
-    "piecewise": "crooked guideway",
-    "compliant": "carts and drives that yield",
+    "piecewise": "straightness error",
+    "compliant": "cart and drive compliance",
     "backlash": "backlash",
     "tool_frame": "the target moved between campaigns",
     "base_frame": "the base moved between campaigns",
@@ -29,22 +29,22 @@ ADDED = {
 """Additions in words."""
 
 CAUSES = {
-    "rod_length": "Rods are longer or shorter than in the robot file",
-    "joint_placement": "Joints sit elsewhere than in the robot file",
+    "rod_length": "Rod lengths differ from the robot file",
+    "joint_placement": "Joint positions differ from the robot file",
     "guideway_nonparallel": "Guideways are not parallel",
-    "pinion_scale": "Drives travel farther or less than they say",
+    "pinion_scale": "The drive's scale is wrong",
     "cart_tilt": "Carts turn as they travel",
-    "transmission_error": "The drive errs periodically",
-    "guideway_not_straight": "The guideway is crooked",
-    "guideway_compliance": "Cart and drive yield to the rods' pull",
+    "transmission_error": "The drive has a periodic error",
+    "guideway_not_straight": "The guideway has a straightness error",
+    "guideway_compliance": "Cart and drive are compliant",
     "backlash": "The drive has backlash",
-    "tool_frame": "The target sits elsewhere in another campaign",
-    "base_frame": "The base stands elsewhere in another campaign",
+    "tool_frame": "The target moved between campaigns",
+    "base_frame": "The base moved between campaigns",
 }
 """Causes as sentences."""
 
 _EXPLAINED = 1.5
-"""Times the predicted error above which something is left to explain."""
+"""Times the predicted error above which the model lacks an effect."""
 
 
 def length(value: float) -> str:
@@ -74,26 +74,24 @@ def verdict(found: Calibration) -> Recommendation:
     """Return how far the geometry may be used."""
     reached, expected = found.errors(found.chosen).position_size.rms, found.predicted_error()
     if not found.fit.converged:
-        return Recommendation("poor", "The fit did not come to rest; do not use it.")
+        return Recommendation("poor", "The fit did not converge; do not use it.")
     if found.chosen is found.models[0]:
-        return Recommendation("care", "No larger model predicts unseen poses better than the robot file does.")
+        return Recommendation("care", "No larger model has a smaller held-out error than the robot file.")
     if reached > _EXPLAINED * expected:
         return Recommendation(
             "care",
-            f"Unseen poses are missed by {length(reached)} rms, {length(expected)} would be noise: something is unmodelled.",
+            f"Held-out RMS error {length(reached)}, expected from noise {length(expected)}: the model lacks an effect.",
         )
-    return Recommendation(
-        "good", f"What is left ({length(reached)} rms at unseen poses) is what noise lets expect ({length(expected)})."
-    )
+    return Recommendation("good", f"Held-out RMS error {length(reached)}, as expected from noise ({length(expected)}).")
 
 
 def summary(found: Calibration) -> str:
     """Return what went in."""
     what = "position and orientation" if found.poses.rotation is not None else "position"
     judged = {
-        "given": f"judged on {count(_n(found), 'held-out pose')}",
-        "split": f"judged on {count(_n(found), 'pose')} held out at random",
-        "cross-validated": "judged by cross-validation: too few poses to hold any out",
+        "given": f"evaluated on {count(_n(found), 'held-out pose')}",
+        "split": f"evaluated on {count(_n(found), 'pose')} held out at random",
+        "cross-validated": "evaluated by cross-validation (too few poses to hold out)",
     }[found.split]
     noise = found.fit.noise
     seen = (
@@ -123,7 +121,7 @@ def finding_words(finding: CalibrationFinding) -> str:
     gain = finding.gain
     return (
         f"{CAUSES[finding.cause]}{where}: {length(gain.after)} rms with it, {length(gain.before)} without "
-        f"({percent(gain.percent)} less, 95 %: {percent(gain.ci95[0])} to {percent(gain.ci95[1])})."
+        f"({percent(gain.percent)} less, 95 % interval [{percent(gain.ci95[0])}, {percent(gain.ci95[1])}])."
     )
 
 

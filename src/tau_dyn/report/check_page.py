@@ -1,4 +1,4 @@
-"""The page of `tau-dyn check`: may this log be used, what to mend, and the log itself to look at."""
+"""The page of `tau-dyn check`: whether the log is usable, its problems and their fixes, and the log itself."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, comma
         logs=[("log", log.name, log.sha256 or "not a file")],
         command_line=command_line,
         name=log.name,
-        to_mend=[(f, _said(f, log)) for f in found if f.severity != "ok"],
+        problems=[(f, _said(f, log)) for f in found if f.severity != "ok"],
         fine=_alike([f for f in found if f.severity == "ok"], log),
         badges={"fault": "poor", "warning": "care"},
         rows=[_row(log, checked, j, *units[j]) for j in joints],
@@ -56,10 +56,10 @@ def _opening(log: Log, checked: LogCheck, joints: list[str]) -> PageHeader:
     faults = [f for f in checked.findings if f.severity == "fault"]
     doubts = [f for f in checked.findings if f.severity == "warning"]
     level: Level = "poor" if faults else "care" if doubts else "good"
-    badge = {"good": "Fit for use", "care": "Fit, with doubts", "poor": "Not fit for use"}[level]
+    badge = {"good": "Usable", "care": "Usable with warnings", "poor": "Not usable"}[level]
     topics = format_list(dict.fromkeys(f.topic for f in [*faults, *doubts]))
     judgement = (
-        f"Look at: {topics}." if topics else "Clock, channels, units and motion are as identification needs them."
+        f"Problems: {topics}." if topics else "Clock, channels, units and motion meet the needs of identification."
     )
     summary = (
         f"{number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
@@ -99,16 +99,16 @@ def _said(finding: CheckFinding, log: Log) -> str:
 
 
 def _alike(findings: Sequence[CheckFinding], log: Log) -> list[tuple[str, list[str]]]:
-    """Return sentences by topic, channels that are alive named together."""
+    """Return sentences by topic, channels without a fault named together."""
     topics: dict[str, list[str]] = {}
     for f in findings:
         topics.setdefault(f.topic, []).append(_said(f, log))
-    alive = " is alive."
+    no_fault = ": no fault found."
     for topic, said in topics.items():
-        living = [s.removesuffix(alive) for s in said if s.endswith(alive)]
-        rest = [s for s in said if not s.endswith(alive)]
-        joined = f"{format_list(living, 24)} {'are' if len(living) > 1 else 'is'} alive."
-        topics[topic] = ([joined] if living else []) + rest
+        faultless = [s.removesuffix(no_fault) for s in said if s.endswith(no_fault)]
+        rest = [s for s in said if not s.endswith(no_fault)]
+        joined = f"{format_list(faultless, 24)}{no_fault}"
+        topics[topic] = ([joined] if faultless else []) + rest
     return list(topics.items())
 
 
@@ -123,7 +123,7 @@ def _row(log: Log, checked: LogCheck, joint: str, position: str, force: str) -> 
             "reversals": str(f["n_reversals"]),
             "forward": percent(100 * f["forward_share"]),
             "noise": number(f["encoder_noise"], 2),
-            "step": number(f["quantisation"], 2) if f["quantisation"] else "none seen",
+            "step": number(f["quantisation"], 2) if f["quantisation"] else "none found",
             "lag": "" if f["lag"] is None else f"{number(1000 * f['lag'], 2)} ms",
             "acceleration": _times(f["acceleration_rms"], f["acceleration_noise"]),
         }
@@ -134,17 +134,17 @@ def _row(log: Log, checked: LogCheck, joint: str, position: str, force: str) -> 
 
 
 def _times(signal: float, noise: float) -> str:
-    return f"{number(signal / noise, 3)} ×" if noise > 0 else "no noise seen"
+    return f"{number(signal / noise, 3)} ×" if noise > 0 else "no noise found"
 
 
 def _clock_words(log: Log) -> str:
     clock = examine_clock(log)
     text = f"{number(1000 * clock.dt, 6)} ms from sample to sample"
     if clock.rounded:
-        return f"{text}; the times are an even clock written with too few digits."
+        return f"{text}; uniform clock, rounded stamps."
     if clock.even:
         most = max(1e6 * clock.jitter * clock.dt, 0.01)
-        return f"{text}, never off by more than {number(most, 2)} µs; no sample is missing."
+        return f"{text}, off by {number(most, 2)} µs at most; no sample is missing."
     parts = [f"steps differ by up to {percent(100 * clock.jitter)}"]
     parts += [f"{count(clock.n_missing, 'sample')} missing"] if clock.n_missing else []
     parts += [count(len(clock.gaps), "gap")] if clock.gaps else []

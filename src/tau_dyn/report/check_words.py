@@ -22,10 +22,8 @@ def check_headline(checked: LogCheck, name: str = "") -> str:
     """Return whether a log may be used, in a sentence; with a name it is the sentence's subject."""
     faults = sum(f.severity == "fault" for f in checked.findings)
     doubts = sum(f.severity == "warning" for f in checked.findings)
-    start, fit, not_fit = (
-        (f"{name} is ", "fit for use", "not fit for use") if name else ("", "Fit for use", "Not fit for use")
-    )
+    start, fit, not_fit = (f"{name} is ", "usable", "not usable") if name else ("", "Usable", "Not usable")
     if not checked.fit_for_use:
         more = f", {count(doubts, 'warning')}" if doubts else ""
-        return f"{start}{not_fit} as it is: {count(faults, 'fault')}{more}."
+        return f"{start}{not_fit}: {count(faults, 'fault')}{more}."
     return f"{start}{fit}, with {count(doubts, 'warning')}." if doubts else f"{start}{fit}."

@@ -21,14 +21,18 @@ def comparison_headline(found: Comparison) -> str:
         moved = [f for f in found.findings if f.what != "same"]
         return f"Of {count(len(found.findings), 'finding')} {len(moved) or 'none'} changed."
     if not tested:
-        return "Nothing here has a standard error in both, so no change can be judged."
+        return "No value has a standard error in both results; changes cannot be tested."
     if not found.changed:
-        text = f"Of {count(tested, 'value')} with uncertainty none changed by more than chance"
+        text = f"No significant change (Holm, 5 %) in {count(tested, 'value')} with a standard error"
     else:
         names = format_list(map(_name, found.changed), 4)
-        text = f"{len(found.changed)} of {count(tested, 'value')} with uncertainty changed: {names}"
+        text = f"{len(found.changed)} of {count(tested, 'value')} with a standard error changed significantly: {names}"
     n = len(found.neither)
-    return f"{text}; {count(n, 'more value')} {'is' if n == 1 else 'are'} determined by neither." if n else f"{text}."
+    return (
+        f"{text}; {count(n, 'more value')} {'is' if n == 1 else 'are'} not determined in either result."
+        if n
+        else f"{text}."
+    )
 
 
 def print_comparison(console: Console, found: Comparison) -> None:
@@ -40,7 +44,7 @@ def print_comparison(console: Console, found: Comparison) -> None:
     rows = in_order(found)
     if rows:
         table = bare_table()
-        for title in ("", "first", "second", "difference", "unit"):
+        for title in ("", "first", "second", "difference ± standard error", "unit"):
             table.add_column(title, justify="left" if title in ("", "unit") else "right")
         for change in rows[:_MOST]:
             style = "bold" if change.changed else "dim" if change.changed is None else ""
@@ -67,8 +71,8 @@ def comparison_page(found: Comparison, *, command_line: str = "") -> str:
     opening = PageHeader(
         comparison_headline(found),
         level,
-        "Changed" if found.changed else "Same" if tested else "Cannot be judged",
-        "Named are differences beyond the uncertainty of both, at 5 % for all quantities together (Holm).",
+        "Changed" if found.changed else "Same" if tested else "Not testable",
+        "A change is significant at a family-wise level of 5 % (Holm).",
         f"{found.a.place} ({found.a.kind}) beside {found.b.place} ({found.b.kind}).",
     )
     return render_page(
@@ -107,8 +111,8 @@ def neither_lines(found: Comparison) -> list[str]:
     names = [_name(c) for c in found.neither]
     other = [c for c in found.neither if abs(c.difference) > 1e-9 * max(abs(c.a), abs(c.b))]
     kept = [f"{_name(c)} {number(c.a)} → {number(c.b)} {pretty_unit(c.unit)}".rstrip() for c in other]
-    lines = [f"Determined by neither, so not compared: {format_list(names)}."] if names else []
-    return [*lines, f"Of these, other values were kept: {format_list(kept, 4)}."] if kept else lines
+    lines = [f"Not determined in either result, not compared: {format_list(names)}."] if names else []
+    return [*lines, f"Of these, the kept values differ: {format_list(kept, 4)}."] if kept else lines
 
 
 def _name(change: Change) -> str:

@@ -51,7 +51,7 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
 
 def _note(r: dict[str, Any], before: Parameters) -> str:
     if r["stderr"] is None:
-        return "not seen by itself; the value shown is one of many that fit"
+        return "identifiable only in combination; the value is one of many with the same forces"
     return explain_unreliable(r) or ("new" if r["name"] not in before else against_nominal(r))
 
 

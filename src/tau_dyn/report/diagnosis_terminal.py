@@ -110,10 +110,10 @@ def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
     ]
     groups = [
         ("Suspected, not confirmed", [_suspicion(f) for f in suspected]),
-        ("Off its nominal value", [said.sentence(f.sentence) for f in moved]),
+        ("Differs significantly from nominal", [said.sentence(f.sentence) for f in moved]),
         ("Unexplained", [said.unexplained_words(u) for u in diagnosis.unexplained]),
-        ("Cannot be told apart here", twins),
-        ("Not found, but would have been from", _joined(said.limits_words(diagnosis.limits))),
+        ("Indistinguishable with these data", twins),
+        ("Not detected; detection limit (95 % power)", _joined(said.limits_words(diagnosis.limits))),
         ("Not testable", [f"{format_list(causes, 9)}: {why}" for why, causes in said.by_reason(diagnosis.untestable)]),
     ]
     return [(title, items) for title, items in groups if items]

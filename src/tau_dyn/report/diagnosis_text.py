@@ -1,9 +1,9 @@
-"""What a colleague would say about a diagnosis: the verdict, a finding's weight, what would have been seen, what was tried."""
+"""A diagnosis in sentences: the verdict, the evidence of a finding, detection limits, causes that were not testable."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import floor, isfinite, log10
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,8 @@ from tau_dyn.report.quantities import quantity
 
 BADGE: dict[str, tuple[Level, str]] = {
     "named": ("good", "Cause named"),
-    "nothing_found": ("good", "Nothing hidden found"),
-    "cannot_tell": ("care", "The data cannot tell"),
+    "nothing_found": ("good", "No model error detected"),
+    "cannot_tell": ("care", "Inconclusive"),
     "unexplained": ("care", "Unexplained"),
 }
 STATUS_LEVEL: dict[Status, Level] = {"confirmed": "good", "suspected": "care", "parameter": "care"}
@@ -40,20 +40,18 @@ def recommend_model(diagnosis: Diagnosis) -> Recommendation:
         return Recommendation("poor", f"Use neither model: {diagnosis.recommendation_why}.")
     if diagnosis.recommendation == "extended":
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
-        return Recommendation(level, f"{text}; noise alone is {floor_}. No joint becomes worse.")
+        return Recommendation(level, f"{text}; noise floor: {floor_}. No joint becomes worse.")
     if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
         return Recommendation("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
     if diagnosis.verdict == "cannot_tell":
-        return Recommendation(level, f"The experiment that would: {sentence(diagnosis.experiment)}")
+        return Recommendation(level, f"Experiment that would separate them: {sentence(diagnosis.experiment)}")
     if diagnosis.verdict == "unexplained":
         joints = format_list(dict.fromkeys(u.joint for u in diagnosis.unexplained))
-        return Recommendation(
-            level, f"Something real is left on {joints} that no cause known here explains; look at its plot."
-        )
-    text = f"Use the refitted model: its error is {before} of the {what}, noise alone is {floor_}."
+        return Recommendation(level, f"Significant unexplained structure at {joints}; see its plot.")
+    text = f"Use the refitted model: its residual is {before} of the {what}; noise floor: {floor_}."
     if diagnosis.verdict == "named":
         return Recommendation(level, text)
-    return Recommendation(level, f"{text} What would have been seen is listed under “Not found”.")
+    return Recommendation(level, f"{text} Detection limits are listed below.")
 
 
 def all_samples_words(diagnosis: Diagnosis) -> str:
@@ -61,12 +59,12 @@ def all_samples_words(diagnosis: Diagnosis) -> str:
     before, after = diagnosis.baseline.all_samples, diagnosis.extended.all_samples
     if before is None or after is None:
         return ""
-    more = f", the extended one {percent(after.relative_error_percent)}" if diagnosis.verdict == "named" else ""
+    more = f", of the extended model {percent(after.relative_error_percent)}" if diagnosis.verdict == "named" else ""
     shares = diagnosis.baseline.used_shares
     each = format_list([f"{o} {percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
     return (
-        f"Over all samples, reversals and rests included, the refitted model misses {percent(before.relative_error_percent)}"
-        f"{more}; the errors above use {each}."
+        f"Over all samples, reversals and rests included, the residual of the refitted model is "
+        f"{percent(before.relative_error_percent)}{more}; the errors above use {each}."
     )
 
 
@@ -80,7 +78,7 @@ def summary(diagnosis: Diagnosis) -> str:
 def parts_words(diagnosis: Diagnosis) -> str:
     """Return how many seconds served what."""
     train, confirm, judge = (f"{number(s, 3)} s" for s in diagnosis.n_parts)
-    return f"trained on {train}, confirmed on {confirm}, gain measured on {judge}"
+    return f"training {train}, validation {confirm}, test {judge}"
 
 
 def measured(diagnosis: Diagnosis) -> str:
@@ -100,23 +98,19 @@ def plain_name(cause: str) -> str:
 
 
 def format_p_value(p_value: float) -> str:
-    """Return a probability as odds, such as `1 in 5000`."""
-    if not p_value > 0 or p_value < 1e-6:
-        return "less than 1 in a million"
-    if p_value > 0.5:
-        return "more likely than not"
-    odds = 1 / p_value
-    digits = 10.0 ** (floor(log10(odds)) - 1)
-    return f"1 in {round(odds / digits) * digits:,.0f}".replace(",", " ")
+    """Return a p-value, such as `p = 0.0002`."""
+    return f"p = {p_value:.2g}" if p_value >= 1e-6 else "p < 0.000001"
 
 
 def gain_words(gain: Gain | None, unit: str = "") -> str:
     """Return what a cause is worth on data used for nothing else, with its interval."""
     if gain is None:
-        return "none to measure: the refitted parameters absorb it"
+        return "none: the refitted parameters absorb it"
     low, high = (number(x, 2) for x in gain.ci95)
     before, after = quantity(gain.rms_before, unit), quantity(gain.rms_after, unit)
-    return f"{number(gain.reduction_percent, 2)} % less residual ({low} … {high} %), {before} → {after} rms"
+    return (
+        f"{number(gain.reduction_percent, 2)} % less residual, 95 % interval [{low}, {high}] %; {before} → {after} rms"
+    )
 
 
 def confirmation_words(confirmation: tuple[float, float] | None) -> str:
@@ -124,25 +118,23 @@ def confirmation_words(confirmation: tuple[float, float] | None) -> str:
     if confirmation is None:
         return ""
     share, sigma = (100 * x for x in confirmation)
-    text = f"{share:.0f} ± {max(sigma, 1.0):.0f} % of the predicted effect"
-    if share + 2 * sigma < 100 * FULL_EFFECT_SHARE:
-        return f"{text}: weaker than predicted there"
-    return f"{text}; 100 % is all of it"
+    text = f"validation: {share:.0f} ± {max(sigma, 1.0):.0f} % of the predicted effect"
+    return f"{text}, weaker than predicted" if share + 2 * sigma < 100 * FULL_EFFECT_SHARE else text
 
 
 def unexplained_words(item: Unexplained) -> str:
     """Return what is left and what it depends on, in a sentence."""
     share = percent(100 * item.share_of_residual_variance)
-    text, on = f"{share} of what is left on {item.joint}", format_list(item.depends_on)
+    text, on = f"{share} of the residual variance at {item.joint}", format_list(item.depends_on)
     if item.indistinguishable_from:
-        on += f" (or as well on {'; or on '.join(format_list(others) for others in item.indistinguishable_from)})"
+        on += f" (or equally on {'; or on '.join(format_list(others) for others in item.indistinguishable_from)})"
     if item.status == "suspected":
-        return f"{text} seems to depend on {on}; a second part of the data did not confirm it."
-    return f"{text} depends on {on}, and no cause known here does that."
+        return f"{text} may depend on {on}; the validation data did not confirm it."
+    return f"{text} depends on {on}; no known cause explains it."
 
 
 def limits_words(limits: Sequence[Limit]) -> list[str]:
-    """Return from where on each cause would have been seen."""
+    """Return the detection limit of each cause."""
     return [
         pretty_unit(limit.phrase) or f"{plain_name(limit.cause)} {quantity(limit.amplitude, limit.unit, 2)}"
         for limit in limits

@@ -1,4 +1,4 @@
-"""Why a result may be trusted, in words: what the fit used, what it left out, how well the motion tells parameters apart."""
+"""Quality of a fit in sentences: the data used and left out, the conditioning, the residual's whiteness."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ def preparation_words(found: Identification) -> list[str]:
     sentences = [
         f"Positions pass a zero-phase low-pass of {number(p.position_cutoff_hz, 3)} Hz before they are differentiated; "
         f"forces and every column of the regression pass the same one of {number(p.force_cutoff_hz, 3)} Hz.",
-        f"Both are then thinned together to {number(rate, 3)} Hz.",
-        f"A joint is left out within {number(1000 * p.window_s, 2)} ms of a reversal and of speeds below "
-        f"{format_list(slowest)}, where the sign of its friction is unsure; so are the ends of each log and saturated forces.",
+        f"Both are then decimated to {number(rate, 3)} Hz.",
+        f"Samples within {number(1000 * p.window_s, 2)} ms of a reversal and of speeds below {format_list(slowest)} "
+        f"are left out: the sign "
+        "of friction is uncertain there. The ends of each log and saturated forces are left out, too.",
     ]
     if p.exclude:
         sentences.append(f"Samples flagged by {format_list(p.exclude)} are left out.")
@@ -67,10 +68,10 @@ def conditioning_words(cond: float) -> str:
 def separation_words(cond: float) -> str:
     """Return what a condition number means, as a clause."""
     if cond < WELL:
-        return "the motion separates the parameters well"
+        return "the parameters are well separated"
     if cond < FAIR:
-        return "acceptable; a richer motion would sharpen single values"
-    return "ill-conditioned; single values lean on small differences, their combinations do not"
+        return "acceptable; a richer motion would lower the standard errors"
+    return "ill-conditioned; single estimates are sensitive to noise, their combinations are not"
 
 
 def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, str]]:
@@ -100,11 +101,10 @@ def describe_truth_errors(rows: list[ParameterRow]) -> str:
     if not distances:
         return ""
     near = sum(d <= 2 for d in distances)
-    text = f"{near} of {count(len(distances), 'estimate')} lie within 2 standard errors (σ) of the true value; "
-    text += "95 % would by chance."
+    text = f"{near} of {count(len(distances), 'estimate')} lie within 2 standard errors of the true value; "
+    text += "95 % are expected."
     if near < 0.8 * len(distances):
-        text += " So many outside mean that the simulated robot has a force which this model lacks, and that the "
-        text += "estimates make up for it."
+        text += " The model lacks a force that the simulated robot has; the estimates are biased."
     return text
 
 
@@ -112,10 +112,11 @@ def whiteness_words(residuals: list[ResidualSummary]) -> str:
     """Return what the autocorrelation says."""
     left = [f"{r.joint} ({number(r.lasts_s, 2)} s)" for r in residuals if not r.white]
     if not left:
-        return "Nothing systematic is left: each residual forgets itself as fast as the fit's own low-pass lets it."
+        return "Residuals are white within the filter band."
     return (
-        f"The residual of {format_list(left)} stays correlated longer than the fit's low-pass explains: some force is not in the "
-        "model. The standard errors allow for its colour, not for the bias it may cause."
+        f"The residual of {format_list(left)} is correlated for longer than the low-pass filter explains: the model "
+        f"lacks a force. "
+        "The standard errors include the coloured noise, but not a bias."
     )
 
 
@@ -130,4 +131,4 @@ def summary_words(found: Identification) -> str:
     logs = list(dict.fromkeys(run.name for run in runs))
     seconds = sum(float(run.t[-1] - run.t[0]) for run in runs)
     named = format_list(logs, 3) if len(logs) <= 3 else count(len(logs), "log")
-    return f"{named}, {number(seconds, 3)} s; judged on {found.holdout_how}"
+    return f"{named}, {number(seconds, 3)} s; evaluated on {found.holdout_how}"

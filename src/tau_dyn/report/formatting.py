@@ -24,7 +24,7 @@ class Recommendation(NamedTuple):
 
 def format_recommendation(level: Level) -> str:
     """Return a verdict in a word or three."""
-    return {"good": "Ready to use", "care": "Use with care", "poor": "Not fit for use"}[level]
+    return {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}[level]
 
 
 def number(value: float, digits: int = 4) -> str:

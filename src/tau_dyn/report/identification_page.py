@@ -31,7 +31,7 @@ def identification_page(
     residuals, curves = residuals_of(found), identification_charts.friction_curves(found)
     rows, judged = parameter_rows(found, truth), verdict(found, truth)
     robot = found.model.robot
-    summary = fit_quality_text.summary_words(found) + ("." if truth else ". “Known to ±” is the 95 % interval.")
+    summary = fit_quality_text.summary_words(found) + "."
     return render_page(
         "identification.html.j2",
         f"{robot.name}: identified dynamics",

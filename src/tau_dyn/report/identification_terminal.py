@@ -98,16 +98,16 @@ def _uncertain(found: Identification) -> list[tuple[str, list[str]]]:
     unseen = [r["name"] for r in rows if r["stderr"] is None and not r.get("depends_on")]
     together = combinations(found)
     groups = [
-        ("Not determined by these data", [format_list(weak)] if weak else []),
-        ("Seen only together", together[:_MOST] + _rest(len(together) - _MOST)),
-        ("Not shown at all (nominal values)", [format_list(unseen)] if unseen else []),
-        ("Fits exactly as well", list(found.equivalent[:1]) + _more(found.equivalent)),
+        ("Poorly determined (standard error above 30 %)", [format_list(weak)] if weak else []),
+        ("Identifiable only in combination (value ± standard error)", together[:_MOST] + _rest(len(together) - _MOST)),
+        ("Not excited, nominal value kept", [format_list(unseen)] if unseen else []),
+        ("Equivalent models", list(found.equivalent[:1]) + _more(found.equivalent)),
     ]
     return [(title, sentences) for title, sentences in groups if sentences]
 
 
 def _rest(n: int) -> list[str]:
-    return [f"{n} more less well known, in --json and --report"] if n > 0 else []
+    return [f"{n} more in --json and --report"] if n > 0 else []
 
 
 def _more(sentences: tuple[str, ...]) -> list[str]:

@@ -1,7 +1,4 @@
-"""What a colleague would say about an identification: the headline, and how far it may be used.
-
-In the headline's `known to ±0.4 %` stands the 95 % interval, unlike `±` elsewhere, which is a standard error.
-"""
+"""An identification in sentences: the headline, and how far the result may be used."""
 
 from __future__ import annotations
 
@@ -10,26 +7,24 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tau_dyn.identify import ForceErrors, Identification
-from tau_dyn.report.formatting import Z95, Recommendation, count, format_list, percent
+from tau_dyn.report.formatting import Recommendation, count, format_list, percent, round_to_stderr
 from tau_dyn.report.residuals import residuals_of
 
 POOR_PERCENT = 20.0
 """Held-out error above which a model is called unfit: one fifth of the force is missed."""
 _HOPELESS_PERCENT = 50.0
 """Held-out error that no missing cause explains, while a column with a turned sign or in another unit does."""
-_LOOK = " Look first at signs, units, and whose column is whose: tau-dyn check LOG ROBOT."
+_LOOK = " Check signs, units and the order of columns first: tau-dyn check LOG ROBOT."
 OVERFIT = 1.5
 """Held-out error over training error above which the fit does not carry over to other data."""
-ROUGH_PERCENT = 15.0
-"""Half of a 95 % interval above which a mass is `only` known to it."""
 
 
 def headline(found: Identification, truth: Mapping[str, float] | None = None) -> str:
     """Return the one sentence above everything; with the truth at hand it tells true errors, not only claimed ones."""
     if found.holdout is not None:
-        start = f"The model predicts held-out force to {both_errors(found.holdout)}"
+        start = f"Held-out prediction error: {both_errors(found.holdout)}"
     else:
-        start = f"The model fits the force to {both_errors(found.train)}; nothing was held out to judge it"
+        start = f"Error of the fit: {both_errors(found.train)}; there are no held-out data"
     return "; ".join([start, *_clauses(found.rows(), truth or {})]) + "."
 
 
@@ -44,50 +39,49 @@ def both_errors(errors: ForceErrors) -> str:
 
 
 def verdict(found: Identification, truth: Mapping[str, float] | None = None) -> Recommendation:
-    """Return how far the result may be used; estimates that miss a known truth are not to be read as physics."""
+    """Return how far the result may be used; estimates far from a known true value are named."""
     judged = found.holdout or found.train
     error, weak = judged.relative_error_percent, [r for r in found.rows() if not r["determined"]]
     if error > POOR_PERCENT:
         look = _LOOK if error > _HOPELESS_PERCENT else ""
-        return Recommendation("poor", f"Do not use it yet: {percent(error)} of the force is unexplained.{look}")
+        return Recommendation("poor", f"Do not use it: {percent(error)} of the force is unexplained.{look}")
     rough = {j: p for j, p in zip(judged.joints, judged.per_joint_percent, strict=True) if p > POOR_PERCENT}
     if rough:
         missed = format_list([f"{joint} ({percent(p)})" for joint, p in rough.items()], 3)
-        return Recommendation(
-            "care", f"Do not rely on every joint yet; too much of the force is unexplained at {missed}."
-        )
+        return Recommendation("care", f"Too much of the force is unexplained at {missed}.")
     if judged.unjudged:
         return Recommendation(
-            "care", f"Do not rely on {format_list(judged.unjudged, 3)} yet: no sample could be used to judge it."
+            "care", f"The error at {format_list(judged.unjudged, 3)} is unknown: no sample could be used."
         )
     if found.holdout is None:
-        return Recommendation("care", "Judge it on another log before use: these errors are those of the fit itself.")
+        return Recommendation("care", "Evaluate it on another log before use: these are the errors of the fit itself.")
     if error > OVERFIT * found.train.relative_error_percent:
         own = percent(found.train.relative_error_percent)
         return Recommendation(
-            "care", f"It fits its own log to {own} but others less well; record a richer motion before use."
+            "care",
+            f"The held-out error is much larger than the training error ({own}); record a richer motion before use.",
         )
     off = _missed(found.rows(), truth or {})
     if off:
         return Recommendation(
             "care",
-            f"Good for predicting force; {format_list(off, 3)} missed the true value by more than 3 standard errors.",
+            f"Usable for force prediction; {format_list(off, 3)} differs from the true value by more than 3 standard errors.",
         )
     if weak:
-        few = count(len(weak), "single value")
         return Recommendation(
             "care",
-            f"Good for predicting force on motion like this; do not read {few} of {len(found.rows())} as physics.",
+            f"Usable for force prediction on similar motion; {len(weak)} of {count(len(found.rows()), 'parameter')} "
+            f"{'is' if len(weak) == 1 else 'are'} poorly determined.",
         )
     if found.warnings:
         return Recommendation(
-            "care", f"Good for predicting force; {count(len(found.warnings), 'warning')} to read first."
+            "care", f"Usable for force prediction; read {count(len(found.warnings), 'warning')} first."
         )
     if not all(residual.white for residual in residuals_of(found)):
         return Recommendation(
-            "good", "Use it for feedforward and simulation; single values may carry force that the model leaves out."
+            "good", "Use it for feedforward and simulation; residuals are not white, so estimates may be biased."
         )
-    return Recommendation("good", "Use it for feedforward and simulation; each value also stands by itself.")
+    return Recommendation("good", "Use it for feedforward and simulation; every parameter is determined.")
 
 
 def mass_group(name: str) -> str:
@@ -109,39 +103,37 @@ def _clauses(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list
         groups.setdefault(mass_group(row["name"]), []).append(row)
     if len(groups) > 3 or not masses:
         known = sum(r["determined"] for r in rows)
-        return [f"{known} of {count(len(rows), 'parameter')} are known to better than 30 % each"]
+        return [f"{known} of {count(len(rows), 'parameter')} have a standard error below 30 %"]
     clauses = [
         _known(name, members, truth) for name, members in groups.items() if any(r["determined"] for r in members)
     ]
     weak = [n for n, g in groups.items() if not any(r["determined"] for r in g) and any(r["stderr"] for r in g)]
     unseen = [n for n, g in groups.items() if all(r["stderr"] is None for r in g)]
     if weak:
-        clauses.append(f"{_masses(weak, groups)} not determined by this motion")
+        clauses.append(f"{_masses(weak, groups)} poorly determined")
     if unseen:
         apart = all(not r["identifiable"] for n in unseen for r in groups[n])
-        clauses.append(
-            f"{_masses(unseen, groups)} {'seen only in combination' if apart else 'not shown by this motion'}"
-        )
+        clauses.append(f"{_masses(unseen, groups)} {'identifiable only in combination' if apart else 'not excited'}")
     return clauses
 
 
 def _known(name: str, members: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> str:
     known = [r for r in members if r["determined"]]
-    worst = max(100 * Z95 * r["stderr"] / abs(r["value"]) for r in known)
+    some = f"{len(known)} of {len(members)} " if len(known) < len(members) else ""
+    what = f"{some}{name} {'mass' if len(members) == 1 else 'masses'}"
     true = [truth.get(r["name"]) for r in known]
     if all(true):
         off = max(100 * abs(r["value"] / x - 1) for r, x in zip(known, true, strict=True) if x)
-        some = f"{len(known)} of {len(members)} " if len(known) < len(members) else ""
-        what = f"{some}{name} {'mass' if len(members) == 1 else 'masses'}"
         if _missed(known, truth):
-            return f"{what} missed the truth by up to {percent(off)}, beyond the claimed ±{percent(worst)}"
-        return f"{what} came within {percent(off)} of the truth"
-    how = "known to" if worst < ROUGH_PERCENT else "only known to"
+            return f"{what}: up to {percent(off)} from the true value, more than 3 standard errors"
+        return f"{what}: within {percent(off)} of the true value"
     if len(members) == 1:
-        return f"{name} mass is {how} ±{percent(worst)}"
-    if len(known) == len(members):
-        return f"{name} masses are {how} ±{percent(worst)}"
-    return f"{len(known)} of {len(members)} {name} masses {'is' if len(known) == 1 else 'are'} {how} ±{percent(worst)}"
+        r = known[0]
+        low, high = (round_to_stderr(x, r["stderr"]) for x in r["ci95"])
+        return (
+            f"{what} {round_to_stderr(r['value'], r['stderr'])} {r['unit']}, 95 % interval [{low}, {high}] {r['unit']}"
+        )
+    return f"{what}: standard errors of {percent(max(100 * r['stderr'] / abs(r['value']) for r in known))} or less"
 
 
 def _masses(names: Sequence[str], groups: dict[str, list[dict[str, Any]]]) -> str:

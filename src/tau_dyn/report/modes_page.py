@@ -189,10 +189,10 @@ def test_words(found: Modes) -> str:
     failed = [t for t in found.independence if not t.passed]
     n = len(found.independence)
     said = (
-        f"On {on} data, what the simulation misses does not answer to the inputs: the dynamics are all there."
+        f"On {on} data, the residual of the simulation is not correlated with the inputs: no linear dynamics are missing."
         if not failed
-        else f"On {on} data, in {len(failed)} of {n} pairs what the simulation misses still answers to the input: "
-        "something linear is missing, or something is not linear."
+        else f"On {on} data, in {len(failed)} of {n} pairs the residual is correlated with the input: "
+        "linear dynamics are missing, or the structure is nonlinear."
     )
     coloured = [t.output for t in found.whiteness if not t.passed]
     share = percent(100 * max((t.outside for t in found.whiteness), default=0.0))

@@ -1,4 +1,4 @@
-"""What a colleague would say about resonances: the headline, the verdict, numbers with their uncertainty."""
+"""Resonances in sentences: the headline, the verdict, numbers with their standard errors."""
 
 from __future__ import annotations
 
@@ -61,21 +61,21 @@ def headline(found: Modes) -> str:
     """Return the one sentence above everything."""
     ringing = resonances(found)
     if not ringing:
-        what = "No resonance is seen"
+        what = "No resonance found"
     else:
         names = format_list([short_frequency(m) for m in ringing[:MOST]], MOST)
         more = f" and {len(ringing) - MOST} frequencies more" if len(ringing) > MOST else ""
-        what = f"The structure rings at {names} Hz{more}"
+        what = f"Resonances: {names} Hz{more}"
     fit = found.judged.mean
     if found.holdout is not None:
-        return f"{what}; the model simulates held-out data to {fit_words(fit)}."
-    return f"{what}; the model simulates its own data to {fit_words(fit)}, and nothing was held out."
+        return f"{what}; fit of the simulated held-out data: {fit_words(fit)}."
+    return f"{what}; fit of the simulated training data: {fit_words(fit)}; there are no held-out data."
 
 
 def fit_words(fit: float) -> str:
     """Return a fit as a person says it."""
     if not np.isfinite(fit):
-        return "no part at all"
+        return "no fit"
     return f"{fit:.1f} %".replace("-", "−")
 
 
@@ -84,32 +84,31 @@ def verdict(found: Modes) -> Recommendation:
     fit, failed = found.judged.mean, [t for t in found.independence if not t.passed]
     if fit > 0 and fit < FAIR_FIT and not failed and resonances(found):
         return Recommendation(
-            "care", "Disturbances move the outputs more than the inputs do; the resonances stand all the same."
+            "care", "Disturbances excite the outputs more than the inputs do; the resonance frequencies remain valid."
         )
     if not fit >= FAIR_FIT:
-        return Recommendation(
-            "poor", "Read the resonances at most: this model does not follow the data well enough for design."
-        )
+        return Recommendation("poor", "Use only the resonance frequencies: the fit is too poor for design.")
     if found.holdout is None:
         return Recommendation(
-            "care", "Judge it on another recording before use: this fit is that of the data themselves."
+            "care", "Evaluate it on another recording before use: this is the fit of the training data."
         )
     vague = [m for m in resonances(found) if not m.damping_stderr <= 0.3 * m.damping_ratio]
     if failed:
         return Recommendation(
             "care" if fit < 99 else "good",
-            "Good for the resonances below; it still misses something in "
+            "Usable for the resonances below; the residual is correlated with the input in "
             f"{len(failed)} of {count(len(found.independence), 'pair')} of input and output.",
         )
     if fit < GOOD_FIT:
         return Recommendation(
-            "care", "What it misses does not answer to the inputs: noise and disturbances, not the model."
+            "care", "The residual is not correlated with the inputs: noise and disturbances, not a model error."
         )
     if vague:
         return Recommendation(
-            "good", f"Good for simulation and design; mind the damping of {count(len(vague), 'mode')}."
+            "good",
+            f"Usable for simulation and design; the damping of {count(len(vague), 'mode')} is poorly determined.",
         )
-    return Recommendation("good", "Good for simulation and design: what it leaves is not explained by the inputs.")
+    return Recommendation("good", "Usable for simulation and design: the residual is not correlated with the inputs.")
 
 
 def badge(found: Modes) -> str:
@@ -138,7 +137,7 @@ def mechanical_words(found: Modes) -> str:
         return f"Mass, damping and stiffness are identified: {m.why}."
     if m.status == "condensed" and m.valid_hz:
         low, high = (number(v, 3) for v in m.valid_hz)
-        return f"Mass, damping and stiffness are a condensed stand-in, valid from {low} to {high} Hz: {m.why}."
+        return f"Mass, damping and stiffness are a condensed model, valid from {low} to {high} Hz: {m.why}."
     return f"Mass, damping and stiffness are not identifiable: {m.why}."
 
 

@@ -132,27 +132,29 @@ def _note(found: Identification, r: dict[str, Any]) -> str:
         return _unseen(r)
     plain = found.estimate.moved.get(r["name"])
     if plain is not None:
-        return f"held where physics allows; unconstrained it would be {number(plain, 3)}"
+        return f"constrained to be physically consistent; the unconstrained estimate is {number(plain, 3)}"
     return explain_unreliable(r) or against_nominal(r)
 
 
 def explain_unreliable(r: dict[str, Any]) -> str:
-    """Return why an estimate is not to be read as physics; empty where it may be."""
+    """Return why an estimate is not reliable; empty where it is."""
     if r["at_bound"]:
         return "at its bound"
     if r["determined"]:
         return ""
     relative = 100 * r["stderr"] / max(abs(r["value"]), 1e-300)
-    return f"not determined: standard error {percent(relative)}" if relative < 100 else "not told from zero"
+    return (
+        f"poorly determined: standard error {percent(relative)}"
+        if relative < 100
+        else "not significantly different from zero"
+    )
 
 
 def _unseen(r: dict[str, Any]) -> str:
     shares = r.get("depends_on") or []
     if not shares:
-        return (
-            "nominal value; this motion does not show it" if r["identifiable"] else "nominal value; no motion shows it"
-        )
-    return f"nominal value; seen only together with {format_list(shares, 3)}"
+        return "not excited, nominal value kept" if r["identifiable"] else "not identifiable, nominal value kept"
+    return f"nominal value; identifiable only in combination with {format_list(shares, 3)}"
 
 
 def against_nominal(r: dict[str, Any]) -> str:
@@ -163,7 +165,7 @@ def against_nominal(r: dict[str, Any]) -> str:
     change = (r["value"] - nominal) / abs(nominal)
     if trust is None or abs(r["value"] - nominal) < Z95 * np.hypot(r["stderr"], trust):
         return ""
-    return f"{percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, beyond both uncertainties"
+    return f"{percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, significant (95 %)"
 
 
 def _bar(r: dict[str, Any], scale: float) -> IntervalBar | None:

@@ -31,7 +31,7 @@ def print_pose_plan(console: Console, plan: CalibrationCampaign, written: Mappin
     put(console, _curve(plan))
     blind = list(plan.choice.not_identifiable)
     if blind:
-        say(console, f"kept nominal, for no pose can tell: {format_list(blind, 8)}", "dim")
+        say(console, f"not identifiable, nominal value kept: {format_list(blind, 8)}", "dim")
     say_written(console, written)
 
 
@@ -40,9 +40,9 @@ def headline(plan: CalibrationCampaign) -> str:
     made = plan.choice.predicted
     turned = "" if isnan(made.turn) else f" and {angle(made.turn)}"
     return (
-        f"{made.poses} poses will bring the tool to {length(made.rms)}{turned} (rms over the "
-        f"workspace, give or take {length(made.scatter)}); "
-        f"as many at random {length(plan.choice.at_random)}"
+        f"{made.poses} poses: predicted RMS error {length(made.rms)}{turned} over the "
+        f"workspace, standard deviation {length(made.scatter)}; "
+        f"as many random poses {length(plan.choice.at_random)}"
     )
 
 
@@ -51,7 +51,7 @@ def summary(plan: CalibrationCampaign) -> str:
     seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
     why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
     rank, least = plan.choice.design.found.rank, compute_min_poses(plan.choice.design)
-    return f"{seen}{why}; {rank} parameters to be told, at least {least} poses"
+    return f"{seen}{why}; {rank} identifiable parameters, at least {least} poses"
 
 
 def rehearsal_words(plan: CalibrationCampaign) -> str:

@@ -1,4 +1,4 @@
-"""What a colleague would say about a workspace: its size with the bound, what cuts it, how well the robot works in it."""
+"""A workspace in sentences: its size with bounds, and what limits it."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def shown(name: str, value: float, digits: int = 3) -> str:
 
 
 def size_words(found: Study) -> str:
-    """Return the size with half its bounds, such as `1.98 ± 0.05 m³`."""
+    """Return the size with its bounds, such as `1.98 m³ (1.93 … 2.03)`."""
     size, (_, unit) = found.workspace.size, found.workspace.measure
     half = (size.high - size.low) / 2
     digits = int(np.clip(np.ceil(-np.log10(max(half, 1e-9))) + 1, 0, 6))
-    return f"{size.value:.{digits}f} ± {half:.{max(digits, 1)}f} {SIZE_UNITS[unit]}"
+    return f"{size.value:.{digits}f} {SIZE_UNITS[unit]} ({size.low:.{digits}f} … {size.high:.{digits}f})"
 
 
 def headline(found: Study) -> str:
@@ -44,8 +44,8 @@ def verdict(found: Study) -> Recommendation:
     space = found.workspace
     half = (space.size.high - space.size.low) / 2 / max(space.size.value, 1e-12)
     level: Level = "good" if half < 0.1 else "care" if half < 0.25 else "poor"
-    words = f"Its size is certain to ± {percent(100 * half)}"
-    advice = "" if level == "good" else f"; half the resolution of {number(space.lattice.step, 2)} m halves that"
+    words = f"Bounds of its size: {percent(100 * half)} to either side"
+    advice = "" if level == "good" else f"; half the step of {number(space.lattice.step, 2)} m halves them"
     return Recommendation(level, f"{words}{advice}. {limits_words(found)}")
 
 
@@ -54,9 +54,9 @@ def limits_words(found: Study) -> str:
     rows = [row for row in found.workspace.counts() if row["reason"] != "out of reach"]
     rows.sort(key=lambda row: -row["points"])
     if not rows:
-        return "Nothing but the robot's reach bounds it."
+        return "Only the robot's reach limits it."
     named = [f"{row['reason']} ({percent(100 * row['share'])})" for row in rows[:3]]
-    return f"Beside reach it is cut by {format_list(named)} of the box searched."
+    return f"Besides reach it is limited by {format_list(named)} of the box searched."
 
 
 def summary(found: Study) -> str:
@@ -64,8 +64,8 @@ def summary(found: Study) -> str:
     space = found.workspace
     size = " × ".join(str(n) for n in space.lattice.shape)
     return (
-        f"{size} points every {number(space.lattice.step, 3)} m, {count(space.judge.n_judged, 'pose')} judged; "
-        "the rest follows from their neighbours and a random check of it"
+        f"{size} points every {number(space.lattice.step, 3)} m, {count(space.judge.n_judged, 'pose')} evaluated; "
+        "the rest follows from neighbours and a random check"
     )
 
 

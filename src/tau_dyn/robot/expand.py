@@ -33,7 +33,7 @@ from tau_dyn.robot.numbers import check_depth
 
 _LOCK = threading.Lock()  # xacro keeps its state in module globals
 
-_LOG = "; this reads like a log: are robot and log in each other's place?"
+_LOG = "; this looks like a log; were robot and log exchanged?"
 _MODEL = "; is it a model file? Then give the robot's file first"
 _SWAPPED = {".csv": _LOG, ".parquet": _LOG, ".mcap": _LOG, ".bag": _LOG, ".mat": _LOG, ".yaml": _MODEL, ".yml": _MODEL}
 """What may have happened where a file of another kind stands for a robot."""

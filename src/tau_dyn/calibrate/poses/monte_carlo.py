@@ -137,7 +137,7 @@ def simulate_calibrations(
             failures.append(str(fault))
             continue
         if not fitted.converged:
-            failures.append("the fit did not come to rest")
+            failures.append("the fit did not converge")
             continue
         before.append(plain.errors(truth).position_size.rms)
         after.append(fitted.errors(truth).position_size.rms)

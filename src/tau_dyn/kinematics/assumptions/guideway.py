@@ -105,14 +105,15 @@ class Guideway:
         along, across = (1e6 * x for x in self.bounds())
         found = [f"95 % of its points lie within {along:.0f} um along and {across:.0f} um across a straight line"]
         if self.bow.sure:
-            found.append(f"it bows by {1e6 * self.bow.size:.0f} +- {1e6 * self.bow.stderr:.0f} um")
+            found.append(f"bow {1e6 * self.bow.size:.0f} +- {1e6 * self.bow.stderr:.0f} um")
         elif self.shape < SIGNIFICANCE_LEVEL:
-            found.append("it is crooked beyond its scatter")
+            found.append("straightness error above the noise")
         else:
-            found.append("no crookedness beyond the scatter")
+            found.append("no straightness error above the noise")
         if self.cycle is not None and self.cycle.p_value < SIGNIFICANCE_LEVEL:
             found.append(
-                f"a cycle of {1e3 * self.cycle.period:.0f} mm and +-{1e6 * self.cycle.amplitude:.0f} um along the motion"
+                f"cyclic error along the motion: period {1e3 * self.cycle.period:.0f} mm, "
+                f"amplitude {1e6 * self.cycle.amplitude:.0f} um"
             )
         if self.backlash is not None and self.backlash.sure:
             found.append(f"backlash {1e6 * self.backlash.size:.0f} +- {1e6 * self.backlash.stderr:.0f} um")
