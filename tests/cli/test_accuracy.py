@@ -57,7 +57,7 @@ def test_errors_of_a_measured_guideway_are_taken(mapped) -> None:
     result, _ = mapped
     line = result["measured"]["guideways"][0]
     assert result["errors_from_measured"] and result["errors"]["actuators"]["cart1"] == line["within_95_percent"]
-    assert abs(line["bow"]["size"] - 60e-6) < 15e-6 and "bows by" in result["verdicts"][0]
+    assert abs(line["bow"]["size"] - 60e-6) < 15e-6 and "bow 68 +- 2 um" in result["verdicts"][0]
 
 
 def test_page_says_and_draws_it(mapped) -> None:
@@ -68,7 +68,7 @@ def test_page_says_and_draws_it(mapped) -> None:
         "Every method on the same errors",
         "Where the tool may be",
         "cart1, across",
-        "bows by",
+        "bow 68",
     ):
         assert words in page
     drawings = re.findall(r"<svg.*?</svg>", page, re.DOTALL)

@@ -83,7 +83,7 @@ def test_page_is_one_file_and_tells_the_story(campaign):
     """The page loads nothing from elsewhere and shows errors, gain, geometry and what is blind."""
     page = (campaign / "r.html").read_text()
     assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page
-    for section in ("Error before and after", "What each model gained", "Errors in space", "What no pose can tell"):
+    for section in ("Error before and after", "Error by model", "Errors in space", "Not identifiable"):
         assert section in page
     assert "made up for by" in page
 

@@ -42,7 +42,7 @@ def test_all_outputs_are_written(tmp_path, capsys):
     assert result["fit_percent"]["holdout"] > 98.5
     saved = load_state_space(out["--out"])
     assert saved.inputs == ("force",) and saved.model.order == 2
-    assert "rings at" in out["--report"].read_text(encoding="utf-8")
+    assert "Hz" in out["--report"].read_text(encoding="utf-8")
     printed = capsys.readouterr().out
     assert "rings at" in printed and "fit by output" in printed and "model →" in printed
 

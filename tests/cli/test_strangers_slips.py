@@ -13,8 +13,8 @@ T = np.arange(0, 4, 0.004)
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        ("identify log.csv linear_axis", "are robot and log in each other's place?"),
-        ("view log.csv", "are robot and log in each other's place?"),
+        ("identify log.csv linear_axis", "were robot and log exchanged?"),
+        ("view log.csv", "were robot and log exchanged?"),
         ("identify absent.urdf log.csv", "or a short name such as gantry_tau"),
         ("check log.csv linearaxis", "no robot named 'linearaxis' (did you mean linear_axis?)"),
         ("identify linear_axis log.csv --fix carriage.mass=90", "(did you mean carriage_link.mass?)"),

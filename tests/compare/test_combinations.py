@@ -54,7 +54,7 @@ def test_nominal_values_are_not_shown_as_unchanged(tmp_path, capsys):
             for n in "ab")  # fmt: skip
     assert main(["compare", str(a), str(b), "--json", str(tmp_path / "c.json")]) == 0
     said = capsys.readouterr().out
-    assert "Determined by neither, so not compared: a.mass and b.mass." in said and said.count("a.mass") == 1
+    assert "Not determined in either result, not compared: a.mass and b.mass." in said and said.count("a.mass") == 1
     assert json.loads((tmp_path / "c.json").read_text())["determined_by_neither"] == ["a.mass", "b.mass"]
 
 

@@ -28,14 +28,14 @@ def said(t: np.ndarray, topic: str) -> tuple[str, str, str]:
 def test_a_clock_in_another_unit_is_recognised_by_its_step(dt: float, unit: str, scale: str) -> None:
     """Machines log at 5 Hz to 2 kHz: a step of half a second or more is none of theirs."""
     severity, sentence, remedy = said(dt * np.arange(50), "sampling")
-    assert severity == "fault" and sentence.endswith(f"Such a step reads like {unit}.")
+    assert severity == "fault" and sentence.endswith(f"The time step suggests {unit}.")
     assert f"scale: {scale}" in remedy
 
 
 @pytest.mark.parametrize(
     ("dt", "n", "severity", "words"),
-    [(0.49, 100, "warning", "That is slow for accelerations."), (1 / 49.9, 1000, "warning", "That is slow for accelerations."),
-     (0.02, 1000, "ok", ""), (0.001, 4999, "warning", "That is short."), (0.001, 5002, "ok", "")],
+    [(0.49, 100, "warning", "The sampling rate is too low for accelerations."), (1 / 49.9, 1000, "warning", "The sampling rate is too low for accelerations."),
+     (0.02, 1000, "ok", ""), (0.001, 4999, "warning", "The log is short."), (0.001, 5002, "ok", "")],
 )  # fmt: skip
 def test_slow_and_short_logs_are_told(dt: float, n: int, severity: str, words: str) -> None:
     """Fifty samples a second and five seconds are enough; with its samples, rate and length in numbers."""
@@ -59,7 +59,7 @@ def test_rounded_stamps_are_told_as_such() -> None:
     """300 Hz in whole milliseconds: an even clock with too few digits, and neither jitter nor a gap."""
     t = np.round(np.arange(3000) / 300, 3)
     severity, sentence, remedy = said(t, "jitter")
-    assert severity == "warning" and sentence == "monday.csv: its times are an even clock written with too few digits."
+    assert severity == "warning" and sentence == "monday.csv: uniform clock, rounded stamps."
     assert "more digits" in remedy and check_clock(log_of(t))[1]["times_rounded"] is True
     assert said(t, "gaps")[0] == "ok" and check_clock(log_of(0.004 * np.arange(2000)))[1]["times_rounded"] is False
 

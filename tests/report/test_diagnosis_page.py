@@ -121,7 +121,7 @@ def test_cards_say_all_there_is_to_a_finding(page, diagnosed):
 def test_what_was_not_found_reads_as_a_limit(page):
     """Detection limits, what could not be tested and the experiment for it stand on the page."""
     said = _text(page)
-    limits = said[said.index("Not found, but would have been from") :]
+    limits = said[said.index("Not detected; detection limit") :]
     assert "delay of 0.2 ms" in limits and "backlash of 9 µm" in limits and "quadratic drag 3 N s²/m²" in limits
     assert "the logs give no temperature" in limits and "log a temperature" in limits
     assert "family wise error" in limits and "null: sets" in limits
@@ -194,7 +194,7 @@ def test_terminal_is_plain_when_piped_and_says_what_is_uncertain(diagnosed):
     text = _printed(diagnosed, 100)
     assert "\x1b" not in text and "\x1b[" in _printed(diagnosed, 100, force_terminal=True)
     marks = ["nominal parameters", "noise floor", "Off its nominal", "Unexplained", "Cannot be told apart here",
-             "Not found, but would have been from", "Not testable"]  # fmt: skip
+             "Not detected; detection limit", "Not testable"]  # fmt: skip
     assert [text.index(m) for m in marks] == sorted(text.index(m) for m in marks)
     assert not [line for line in text.splitlines() if line != line.rstrip()]
 
@@ -215,7 +215,7 @@ def test_numbers_in_units_of_their_size():
 def test_odds_and_shares_in_words():
     """A chance reads as odds, a confirmation that falls short says so."""
     assert [format_p_value(p) for p in (0.0, 2e-4, 0.03, 0.9)] == [
-        "less than 1 in a million", "1 in 5 000", "1 in 33", "more likely than not"
+        "p < 0.000001", "p = 0.0002", "p = 0.03", "p = 0.9"
     ]  # fmt: skip
     assert "weaker than predicted" in confirmation_words((0.3, 0.1)) and "100 % is all" in confirmation_words(
         (0.9, 0.1)
@@ -228,4 +228,4 @@ def test_sets_of_variables_that_explain_it_as_well_are_listed():
     item = Unexplained(
         "b", ("q_a", "v_b"), 0.1, "", 1e-4, "confirmed", indistinguishable_from=(("v_c",), ("q_c", "v_b"))
     )
-    assert "depends on q_a and v_b (or as well on v_c; or on q_c and v_b), and" in unexplained_words(item)
+    assert "depends on q_a and v_b (or equally on v_c; or on q_c and v_b); no known" in unexplained_words(item)

@@ -185,4 +185,4 @@ def test_the_notebook_of_the_docs_runs(tmp_path, monkeypatch):
             value = eval(compile(ast.Expression(last.value), "cell", "eval"), space)
             shown += [value._repr_html_()] if hasattr(value, "_repr_html_") else []
     assert len(shown) == 5 and all(text for text in shown)
-    assert "held-out force" in shown[3] and (tmp_path / "report.html").is_file()
+    assert "Held-out prediction error" in shown[3] and (tmp_path / "report.html").is_file()

@@ -104,12 +104,12 @@ def test_time_view_has_every_joint(pages, which, robot):
 
 def test_check_judges_first_and_tells_remedies(pages, poor):
     """The verdict is the headline; findings stand worst first, each with its remedy, before the plots."""
-    assert 'class="verdict good"' in pages["fine"] and "What to mend" not in pages["fine"]
+    assert 'class="verdict good"' in pages["fine"] and "Problems and fixes" not in pages["fine"]
     page, checked = pages["poor"], check_log(poor)
     said = _text(page)
     bad = [f for f in checked.findings if f.severity != "ok"]
     assert bad and all(f.remedy in said for f in bad)
-    assert page.index("What to mend") < page.index("What was recorded")
+    assert page.index("Problems and fixes") < page.index("Recorded signals")
     order = re.findall(r'<td class="verdict \w+"><span>(\w+)</span>', page)
     assert order == sorted(order, key=["fault", "warning"].index) and len(order) == len(bad)
     assert "steps differ by up to" in said and "how often" in said
@@ -157,7 +157,7 @@ def test_excitation_compares_with_limits(pages, motion):
 def test_truth_makes_the_headline_honest(found, truth):
     """With the truth at hand the headline gives real errors, and a wrong estimate is not called ready to use."""
     said = headline(found, truth)
-    assert "of the truth" in said and "is known to" not in said
+    assert "of the true value" in said and "is known to" not in said
     wrong = truth | {"one_link.mass": 2 * truth["one_link.mass"]}
     assert "missed the truth by up to" in headline(found, wrong)
     judged = verdict(found, wrong)

@@ -79,7 +79,7 @@ def test_true_values_are_compared(page, found, truth):
 def test_doubts_come_before_the_plots(doubtful):
     """What is not determined is said above, greyed in the table with its reason, and not called known."""
     page = identification_page(doubtful)
-    assert page.index("Before you rely on it") < page.index("Measured against predicted")
+    assert page.index("<h2>Warnings") < page.index("Measured and predicted force")
     assert 'class="verdict care"' in page or 'class="verdict poor"' in page
     for row in doubtful.rows():
         if row["stderr"] is None:

@@ -13,7 +13,7 @@ matter; only the covariance looks at the residuals themselves, run by run.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +41,8 @@ def solve_least_squares(
 
     Args:
         regression: The problem; fixed parameters keep their values, those with `prior_stderr` are measured beforehand.
-        physics: What makes a parameter vector physical; None for bounds alone.
+        physics: What makes a parameter vector physical; None for bounds alone. Where no body can have the estimated inertia,
+            drive inertias that it may hold are estimated, too.
         structural: Base parameters that any motion could show, for telling a dull motion from a blind robot.
         gains: Relative standard deviation of an output's scale (a motor constant), by output name; carried through.
 
@@ -63,6 +64,16 @@ def solve_least_squares(
     scores = _scores(regression, rows, base, _full(regression.parameters, rows, base, beta), sigma)
     certainty = estimate_covariance(scores, regression.n_samples, R, known)
     constrained = solve_consistent(regression.parameters, base, beta, R, physics)
+    if physics and physics.rotors and constrained.moved:
+        freed = regression.parameters.update({name: {"free": True} for name in physics.rotors})
+        wider = solve_least_squares(
+            replace(regression, parameters=freed),
+            physics=replace(physics, rotors=()),
+            structural=structural,
+            gains=gains,
+        )
+        if len(wider.moved) < len(constrained.moved):
+            return wider
     stderr = select_larger_stderr(certainty.autoregressive, certainty.clustered)
     return Estimate(
         regression=regression,

@@ -33,9 +33,16 @@ class InertialBody:
 
 @dataclass(frozen=True, eq=False)
 class PhysicalConstraints:
-    """The bodies whose inertial numbers must be those of something that exists."""
+    """The bodies whose inertial numbers must be those of something that exists.
+
+    Attributes:
+        bodies: The bodies.
+        rotors: Fixed drive inertias that no data tell from the bodies'. A rotor turns about its joint alone, faster than the
+            body that carries it, so its inertia in a body may be more than any mass distribution has.
+    """
 
     bodies: tuple[InertialBody, ...]
+    rotors: tuple[str, ...] = ()
 
 
 def pseudo_inertia(pi: np.ndarray) -> np.ndarray:

@@ -15,6 +15,8 @@ from tau_dyn.estimate import BaseParameters, find_base
 from tau_dyn.model import Model
 from tau_dyn.robot import NOT_GIVEN
 
+WITHIN_BODIES = "within "
+"""How the `origin` of a drive inertia begins that is part of bodies' parameters; their names follow."""
 N_STATES = 60
 """Random states; each gives a row a joint, several times as many as bodies have parameters."""
 
@@ -28,7 +30,7 @@ def free_drive_inertias(model: Model, seed: int = 0) -> Model:
         model: Any model; drive inertias that its file or its user gave are kept.
         seed: Of the random states at which columns are compared.
     """
-    from tau_dyn.identify.structural_identifiability import draw_random_positions
+    from tau_dyn.identify.structural_identifiability import draw_random_positions  # which knows the words above
 
     robot, parameters = model.robot, model.parameters
     unknown = [j for j in robot.actuated if parameters[f"{j}.armature"].origin == NOT_GIVEN]
@@ -54,6 +56,6 @@ def _describe_holders(base: BaseParameters) -> str:
     share = base.K[:, -1]
     names = [base.names[base.kept[k]] for k in np.argsort(-np.abs(share)) if share[k]]
     if len(names) == 1:
-        return f"within {names[0]}"
+        return f"{WITHIN_BODIES}{names[0]}"
     links = dict.fromkeys(name.rpartition(".")[0] for name in names)
-    return f"within the inertia of {', '.join(links)}"
+    return f"{WITHIN_BODIES}the inertia of {', '.join(links)}"

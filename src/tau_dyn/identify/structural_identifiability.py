@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.estimate import BaseParameters, InertialBody, PhysicalConstraints, find_base
+from tau_dyn.identify.drive_inertia import WITHIN_BODIES
 from tau_dyn.identify.signals import compute_travel
 from tau_dyn.log import differentiate
 from tau_dyn.model import Model
@@ -80,5 +81,6 @@ def draw_random_positions(model: Model, count: int, rng: np.random.Generator) ->
 
 
 def build_physical_constraints(model: Model) -> PhysicalConstraints:
-    """Return the bodies whose inertial numbers must be those of something that exists."""
-    return PhysicalConstraints(tuple(InertialBody(link.link, link.names, link.map) for link in model.robot.links))
+    """Return the bodies whose inertial numbers must be those of something that exists, and the rotors that they may hold."""
+    rotors = tuple(p.name for p in model.robot.parameters if not p.free and p.origin.startswith(WITHIN_BODIES))
+    return PhysicalConstraints(tuple(InertialBody(link.link, link.names, link.map) for link in model.robot.links), rotors)
