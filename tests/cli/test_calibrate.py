@@ -85,7 +85,7 @@ def test_page_is_one_file_and_tells_the_story(campaign):
     assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page
     for section in ("Error before and after", "Error by model", "Errors in space", "Not identifiable"):
         assert section in page
-    assert "made up for by" in page
+    assert "equivalent to a change of" in page
 
 
 def test_every_file_stands_in_the_pages_provenance(campaign):

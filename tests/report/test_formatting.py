@@ -51,7 +51,7 @@ def test_headline_names_error_and_masses(found, doubtful):
     said = headline(found)
     used, every = (percent(e.relative_error_percent) for e in (found.holdout, found.holdout.all_samples))
     assert said.startswith(f"Held-out prediction error: {used} ({every} of all samples); ")
-    assert "one mass is known to ±" in said and said.endswith(".")
+    assert "one mass 11.999 kg, 95 % interval [" in said and said.endswith(".")
     assert verdict(found).level == "good" and verdict(doubtful).level != "good"
 
 

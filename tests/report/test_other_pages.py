@@ -159,7 +159,7 @@ def test_truth_makes_the_headline_honest(found, truth):
     said = headline(found, truth)
     assert "of the true value" in said and "is known to" not in said
     wrong = truth | {"one_link.mass": 2 * truth["one_link.mass"]}
-    assert "missed the truth by up to" in headline(found, wrong)
+    assert "up to 50 % from the true value, more than 3 standard errors" in headline(found, wrong)
     judged = verdict(found, wrong)
     assert judged.level == "care" and "one_link.mass" in judged.sentence
 

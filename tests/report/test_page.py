@@ -73,7 +73,7 @@ def test_true_values_are_compared(page, found, truth):
     """With the truth at hand the page says how far off each estimate is, in standard errors."""
     row = next(r for r in found.rows() if r["name"] == "one_link.mass")
     distance = abs(row["value"] - truth["one_link.mass"]) / row["stderr"]
-    assert f"{distance:.1f} σ" in page and "Against the truth" in page
+    assert f">{distance:.1f}<" in page and "Comparison with the true values" in page
 
 
 def test_doubts_come_before_the_plots(doubtful):

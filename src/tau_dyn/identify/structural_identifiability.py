@@ -83,4 +83,6 @@ def draw_random_positions(model: Model, count: int, rng: np.random.Generator) ->
 def build_physical_constraints(model: Model) -> PhysicalConstraints:
     """Return the bodies whose inertial numbers must be those of something that exists, and the rotors that they may hold."""
     rotors = tuple(p.name for p in model.robot.parameters if not p.free and p.origin.startswith(WITHIN_BODIES))
-    return PhysicalConstraints(tuple(InertialBody(link.link, link.names, link.map) for link in model.robot.links), rotors)
+    return PhysicalConstraints(
+        tuple(InertialBody(link.link, link.names, link.map) for link in model.robot.links), rotors
+    )
