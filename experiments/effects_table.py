@@ -1,4 +1,4 @@
-"""Which causes can be named, by which law, from which motion? Writes `docs/effects.md` from the effects' own words.
+"""Which causes can be named, by which law, from which motion? Writes `docs/reference/causes.md` from the effects' own words.
 
     python experiments/effects_table.py
 
@@ -16,7 +16,7 @@ from tau_dyn.effects.plausible import describe_ranges
 from tau_dyn.effects.words import spelled
 from tau_dyn.files import write_whole
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "effects.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "causes.md"
 
 INTRODUCTION = """# Effects: what can be named
 

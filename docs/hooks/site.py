@@ -19,7 +19,7 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[2]
-JOINED = {"experiments/first_hour.md": "first_hour.md"}
+JOINED = {"experiments/first_hour.md": "tutorials/first_hour.md"}
 """Page of the repository -> page of the site."""
 
 _MATH = re.compile(r'<(?P<tag>span|div) class="arithmatex">(?P<tex>.*?)</(?P=tag)>', re.S)
