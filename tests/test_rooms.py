@@ -8,7 +8,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tau_dyn"
-TABLE = re.findall(r"^\| `(\w+)(?:/|\.py)` \|", (ROOT / "docs" / "explanation" / "architecture.md").read_text(), re.MULTILINE)
+TABLE = re.findall(
+    r"^\| `(\w+)(?:/|\.py)` \|", (ROOT / "docs" / "explanation" / "architecture.md").read_text(), re.MULTILINE
+)
 ROOMS = sorted(
     p.name.removesuffix(".py") for p in SOURCE.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()
 )
