@@ -1,4 +1,4 @@
-"""The house is as docs/explanation/architecture.md says: every room is in its table and imports only rooms above it."""
+"""The package is as docs/explanation/architecture.md says: every package is in its table and imports only packages above it."""
 
 import ast
 import re
