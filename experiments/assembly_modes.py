@@ -7,7 +7,7 @@ assembly modes at each, and draws Figures 4.17 and 4.18: with Table 5.5's geomet
 length, and exact parallelograms. `random` solves hexapods of four kinds and prints how many are certified and how long
 they take; `published` Dietmaier's hexapod with 40 real modes; `shared` counts for rods that share points of the plate;
 `regions` which of the F1's modes can be reached. Without names, all. Needs matplotlib for the figure. About 5 minutes
-of one core. The numbers stand in docs/assembly_modes.md.
+of one core. The numbers stand in docs/results/kinematics.md.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import argparse
 import re
+import textwrap
+from collections import Counter
 from pathlib import Path
 
 from tau_dyn.cli import build_parser
@@ -18,13 +20,15 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "commands.md
 
 INTRODUCTION = """# Commands
 
-`tau-dyn COMMAND --help` says the same in the terminal. Every command takes `--json`, `--report`, `--seed` and `--quiet`, listed
-once at the end. Exit status: 0 the answer stands; 2 the input is at fault (one sentence, no file written); 3 the data cannot
-answer (and which experiment would); 1 a defect of ours.
+Each block is what `tau-dyn COMMAND --help` says. Options of [every command](#options-of-every-command) and of
+[several commands](#options-of-several-commands) stand once, at the end. [Exit status](files.md#exit-status).
 
 This page is written by `experiments/commands_page.py`.
 
 """
+MIN_COMMANDS = 5  # an argument of so many commands, with the same help, stands once
+WIDTH = 112  # characters of a line, as wide as the site shows without scrolling
+NAME_WIDTH = 28  # of the column of names
 _SHARED = "output"
 _HIDDEN = (argparse._HelpAction, argparse._VersionAction)
 
@@ -32,10 +36,15 @@ _HIDDEN = (argparse._HelpAction, argparse._VersionAction)
 def page() -> str:
     """Return the page."""
     commands = _subparsers(build_parser())
+    parsers = [p for parser, _ in commands.values() for p, _ in (_subparsers(parser) or {"": (parser, "")}).values()]
+    lines = [_entry(a) for parser in parsers for _, rows in _groups(parser, without=_SHARED) for a in rows]
+    common = {line for line, n in Counter(lines).items() if n >= MIN_COMMANDS}
     parts = [f"| command | |\n|---|---|\n{_index(commands)}"]
-    parts += [_section(name, parser) for name, (parser, _) in commands.items()]
+    parts += [_section(name, parser, common) for name, (parser, _) in commands.items()]
+    shared = "\n".join(line for line in dict.fromkeys(lines) if line in common)
+    parts.append(f"## Options of several commands\n\n```text\n{shared}\n```")
     first = next(iter(commands.values()))[0]
-    parts.append("## Options of every command\n\n" + _tables(_groups(first, only=_SHARED)))
+    parts.append("## Options of every command\n\n" + _block("", _groups(first, only=_SHARED)))
     return INTRODUCTION + "\n\n".join(parts) + "\n"
 
 
@@ -52,12 +61,12 @@ def _subparsers(parser: argparse.ArgumentParser) -> dict[str, tuple[argparse.Arg
     return {}
 
 
-def _section(name: str, parser: argparse.ArgumentParser) -> str:
+def _section(name: str, parser: argparse.ArgumentParser, common: set[str]) -> str:
     inner = _subparsers(parser)
     texts = [f"## {name}", _prose(parser.description or "")]
     for sub, (within, _) in (inner or {"": (parser, "")}).items():
         full = f"{name} {sub}".strip()
-        texts += [f"```\n{_usage(full, within)}\n```", _tables(_groups(within, without=_SHARED))]
+        texts.append(_block(_usage(full, within), _groups(within, without=_SHARED), common))
     return "\n\n".join(texts)
 
 
@@ -82,17 +91,28 @@ def _groups(
     return found
 
 
-def _tables(groups: list[tuple[str, list[argparse.Action]]]) -> str:
-    texts = []
+def _block(
+    usage: str, groups: list[tuple[str, list[argparse.Action]]], common: set[str] | frozenset[str] = frozenset()
+) -> str:
+    """Return usage and arguments as a block; of those in `common` only the names."""
+    parts, elsewhere = [usage] if usage else [], []
     for title, actions in groups:
-        rows = "\n".join(f"| {_name(a)} | {_cell(_help(a))} |" for a in actions)
-        texts.append((f"*{title[:1].upper()}{title[1:]}*\n\n" if title else "") + f"| | |\n|---|---|\n{rows}")
-    return "\n\n".join(texts)
+        lines = [line for a in actions if (line := _entry(a)) not in common]
+        elsewhere += [a.option_strings[-1] for a in actions if a.option_strings and _entry(a) in common]
+        if lines:
+            parts.append("\n".join([f"{title}:"] * bool(title) + lines))
+    if elsewhere:
+        parts.append(f"and, as several commands: {' '.join(elsewhere)}")
+    return "```text\n" + "\n\n".join(parts) + "\n```"
 
 
-def _name(action: argparse.Action) -> str:
-    text = " ".join([*action.option_strings[-1:], _value(action)]).strip()
-    return "`" + text.replace("|", "\\|") + "`"
+def _entry(action: argparse.Action) -> str:
+    """Return an argument with its help, wrapped."""
+    name = " ".join([*action.option_strings[-1:], _value(action)]).strip()
+    help_lines = textwrap.wrap(" ".join(_help(action).split()), WIDTH - NAME_WIDTH - 2, break_long_words=False)
+    indent = "\n" + " " * (NAME_WIDTH + 2)
+    first = f"  {name:{NAME_WIDTH - 1}} " if len(name) < NAME_WIDTH else f"  {name}{indent}"
+    return (first + indent.join(help_lines)).rstrip()
 
 
 def _value(action: argparse.Action) -> str:

@@ -2,7 +2,7 @@
 
     python experiments/draw_viewer.py OUT.png [--seek T] [--cut Y] ... -- ROBOT [LOG] [options of tau-dyn view]
 
-The pictures of docs/viewer.md (each command on one line):
+The pictures of docs/how_to/viewer.md (each command on one line):
 
     tau-dyn demo --out demo; tau-dyn diagnose gantry_tau demo/monday.csv --holdout demo/tuesday.csv --json why.json
     draw_viewer.py docs/figures/viewer_finding.png --seek 4 --enlarged 1000 --finding 2 -- gantry_tau

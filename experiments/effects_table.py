@@ -1,4 +1,4 @@
-"""Which causes can be named, by which law, from which motion? Writes `docs/effects.md` from the effects' own words.
+"""Which causes can be named, by which law, from which motion? Writes `docs/reference/causes.md` from the effects' own words.
 
     python experiments/effects_table.py
 
@@ -16,16 +16,14 @@ from tau_dyn.effects.plausible import describe_ranges
 from tau_dyn.effects.words import spelled
 from tau_dyn.files import write_whole
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "effects.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "causes.md"
 
-INTRODUCTION = """# Effects: what can be named
+INTRODUCTION = """# Causes
 
-One file an effect in `src/tau_dyn/effects/`; simulation, identification and diagnosis use the same one. `diagnose` may name
-each of these. `tau` is what the actuator applies, v > 0 is forward, `encoder - load` is what the encoder reads beyond the load.
-Units are those of a slide; a hinge has N m for N and rad for m. `simulate --effects E.yaml` hides any of them but
-`friction_change`, which takes two logs: forces act on the robot; delays and encoder errors on the recording; carts off their
-guideways on the tool's position. Where an effect follows the temperature, the simulated log has a `temp_room` that warms from 20
-towards 40 degC with a time constant of one minute.
+`diagnose` may name each of these; one file each in `src/tau_dyn/effects/`. v > 0 is forward, `encoder - load` is what the encoder
+reads beyond the load. Units are those of a slide; a hinge has N m for N and rad for m. `simulate --effects E.yaml` hides any of
+them but `friction_change`, which takes two logs. With temperature, the simulated `temp_room` warms from 20 towards 40 degC with a
+time constant of one minute.
 
 This page is written by `experiments/effects_table.py`.
 

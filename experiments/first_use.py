@@ -5,7 +5,7 @@
 One after the other: a wheel is built once; each interpreter gets an empty virtual environment, the wheel is installed (downloads
 included, unless pip has them cached), then each command is run `--repeat` times and the fastest is kept, as an idle machine would
 show it. The demo runs once, with one BLAS thread; its CPU time hardly depends on what else the machine does. Prints the table
-of docs/benchmarks.md.
+of docs/results/benchmarks.md.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 Cases 1 (actuator positions), 2A (complementary filter), 2B (Kalman filter), 3 (tool measured) and a norm-optimal law. All models
 are identified on the simulated robot first; stability is judged before anything moves. Printed beside the thesis: singular values
-(7.28) and of cases 2 and 3, the motor-side error, Table 7.2. The answer stands in docs/iterative_learning.md. About three
+(7.28) and of cases 2 and 3, the motor-side error, Table 7.2. The answer stands in docs/results/control.md. About three
 minutes on one core.
 """
 

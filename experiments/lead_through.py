@@ -4,7 +4,7 @@
 
 In: nothing; arm, works and operator are simulated (lead_through_parts/scene.py), noise and the operator's stray come from the
 seed. Out, in OUT_DIR (default out/lead_through): one CSV a table, printed too, and the figure. The answer stands in
-docs/lead_through.md. Needs matplotlib (`pip install tau_dyn[experiments]`). About 3 minutes on one core.
+docs/results/control.md. Needs matplotlib (`pip install tau_dyn[experiments]`). About 3 minutes on one core.
 """
 
 import argparse

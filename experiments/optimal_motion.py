@@ -7,7 +7,7 @@ Weights are the thesis', converted by the ratio of the drives' limits (its motor
 Printed: the table; motions planned with the friction of Table 6.1 within 800 N less what `compute_feedback_margin` keeps for
 the feedback,
 run on a simulated plant whose masses and friction are off by up to 5 %; a serial arm and robots with loops; how the solver
-fares between random ends. The answer stands in docs/optimal_motion.md.
+fares between random ends. The answer stands in docs/results/control.md.
 """
 
 import argparse

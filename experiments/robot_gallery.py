@@ -1,4 +1,4 @@
-"""What the gallery of docs/robots.md says of every robot of `urdf/`: drives, loops, workspace at a coarse resolution.
+"""What the gallery of docs/reference/robots.md says of every robot of `urdf/`: drives, loops, workspace at a coarse resolution.
 
     python experiments/robot_gallery.py [--only delta h4] [--seed 0] [--out FILE.json]
 

@@ -4,8 +4,8 @@
 
 In: nothing; all logs are simulated, their noise from seed 62. Out, in OUT_DIR (default out/thesis_6_2): Tables 6.1 to 6.3 and
 the studies of masses as CSV, Figures 6.2 to 6.7 and two more as PNG and SVG, and `summary.csv`, every number beside the
-thesis', which is also printed. The answer stands in docs/thesis_6_2.md. Needs matplotlib (`pip install tau_dyn[experiments]`).
-About 4 minutes on one core. Its parts are in thesis_6_2_parts/
+thesis', which is also printed. The answer stands in docs/results/thesis.md. Needs matplotlib
+(`pip install tau_dyn[experiments]`). About 4 minutes on one core. Its parts are in thesis_6_2_parts/
 """
 
 import sys

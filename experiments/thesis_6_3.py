@@ -5,7 +5,7 @@
 In: nothing; all logs are simulated with the springs of urdf/prototypes/flexible_l1.yaml, their noise from the seed. Out, in
 OUT_DIR (default out/thesis_6_3): Table 6.4 and Figures 6.9 to 6.13 as CSV, PNG and SVG, and `summary.csv`, every number beside
 the thesis', which is also printed; with --keep the models (6.12) and (6.13) as YAML. The answer stands in
-docs/thesis_6_3.md. Needs matplotlib (`pip install tau_dyn[experiments]`). About 2 minutes on one core.
+docs/results/modes.md. Needs matplotlib (`pip install tau_dyn[experiments]`). About 2 minutes on one core.
 Its parts are in thesis_6_3_parts/; where the springs come from is experiments/l1_springs.py
 """
 

@@ -4,7 +4,7 @@
 
 The 10 mm square at 100 mm/s without learning. Observers are tuned on one trial and judged on others, against the true tool. The
 Kalman filter stands on the stored model (6.13), identified in thesis_6_3.py, and is tuned without any tool position. About a
-minute on one core. The answer stands in docs/observers.md.
+minute on one core. The answer stands in docs/results/control.md.
 """
 
 import argparse

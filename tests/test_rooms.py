@@ -1,4 +1,4 @@
-"""The house is as docs/architecture.md says: every room is in its table and imports only rooms above it."""
+"""The package is as docs/explanation/architecture.md says: every package is in its table and imports only packages above it."""
 
 import ast
 import re
@@ -8,7 +8,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tau_dyn"
-TABLE = re.findall(r"^\| `(\w+)(?:/|\.py)` \|", (ROOT / "docs" / "architecture.md").read_text(), re.MULTILINE)
+TABLE = re.findall(
+    r"^\| `(\w+)(?:/|\.py)` \|", (ROOT / "docs" / "explanation" / "architecture.md").read_text(), re.MULTILINE
+)
 ROOMS = sorted(
     p.name.removesuffix(".py") for p in SOURCE.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()
 )

@@ -2,6 +2,7 @@
 
 - `$..$` and `$$..$$` are turned into MathML while the site is built, so that no script and no font is fetched.
 - `experiments/first_hour.md` becomes a page of the site.
+- Each tutorial is a notebook as well, linked below its title.
 - Links that leave docs/ for a file of the repository (`../identification/emps.py`) would be dead on the site: there they are
   shown as text with the path.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 import html
 import posixpath
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,11 @@ from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
+sys.path.insert(0, str(Path(__file__).parent))
+from notebook import build_notebook
+
 ROOT = Path(__file__).resolve().parents[2]
-JOINED = {"experiments/first_hour.md": "first_hour.md"}
+JOINED = {"experiments/first_hour.md": "tutorials/first_hour.md"}
 """Page of the repository -> page of the site."""
 
 _MATH = re.compile(r'<(?P<tag>span|div) class="arithmatex">(?P<tex>.*?)</(?P=tag)>', re.S)
@@ -30,7 +35,14 @@ def on_files(files: Files, config: Any) -> Files:
     """Let pages from outside docs/ join."""
     for source, name in JOINED.items():
         files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
+    for page in [f for f in files.documentation_pages() if _is_tutorial(f.src_uri)]:
+        name = page.src_uri.removesuffix(".md") + ".ipynb"
+        files.append(File.generated(config, name, content=build_notebook(page.content_string)))
     return files
+
+
+def _is_tutorial(name: str) -> bool:
+    return name.startswith("tutorials/") and name.endswith(".md") and name != "tutorials/index.md"
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
@@ -48,10 +60,12 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
             return m["text"] if m["text"].strip("`") == path else f"{m['text']} (`{path}`)"
         return m[0]
 
-    return "".join(
-        part if k % 2 else _LINK.sub(turned, part)
-        for k, part in enumerate(re.split(r"(^```.*?^```|`[^`\n]+`)", markdown, flags=re.M | re.S))
-    )
+    parts = re.split(r"(^```.*?^```|`[^`\n]+`)", markdown, flags=re.M | re.S)
+    text = "".join(part if k % 2 else _LINK.sub(turned, part) for k, part in enumerate(parts))
+    if _is_tutorial(name):
+        link = f"[As a notebook]({posixpath.basename(name).removesuffix('.md')}.ipynb)"
+        text = re.sub(r"\A(# .*\n)", rf"\1\n{link}\n", text)
+    return text
 
 
 def on_page_content(content: str, page: Any, config: Any, files: Files) -> str:

@@ -1,7 +1,7 @@
 """Warnings that programs can tell apart: a sentence for people that carries a stable code.
 
 A `CodedWarning` is a `str`, so every list of sentences may hold it. The codes are part of the results: `warning_codes` in JSON
-stands parallel to `warnings`. `docs/warning_codes.md` lists them with cause and remedy.
+stands parallel to `warnings`. `docs/reference/warning_codes.md` lists them with cause and remedy.
 """
 
 from __future__ import annotations

@@ -66,6 +66,6 @@ def test_links_of_a_page_hold(name):
 def test_a_dead_link_is_seen(tmp_path):
     """A file, a heading or an address that is not there is named; code is not taken for links."""
     page = ROOT / "README.md"
-    text = "[a](docs/none.md) [b](docs/results.md#none) ![c](docs/report.png) `[d](nowhere)` [e](https:nowhere.x)"
+    text = "[a](docs/none.md) [b](docs/results/index.md#none) ![c](docs/report.png) `[d](nowhere)` [e](https:nowhere.x)"
     assert [fault_of(link, page) for link in links(text)][:3] == ["no such file", "no such heading", ""]
     assert len(links(text)) == 4

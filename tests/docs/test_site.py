@@ -13,7 +13,7 @@ import yaml
 sys.path.insert(0, str(Path(__file__).parent))
 from page_blocks import ROOT
 
-OF_THE_SITE = {"first_hour.md"}  # joins from experiments/ while the site is built
+OF_THE_SITE = {"tutorials/first_hour.md"}  # joins from experiments/ while the site is built
 
 
 class _Plain(yaml.SafeLoader):

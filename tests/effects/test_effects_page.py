@@ -1,4 +1,4 @@
-"""`docs/effects.md` says what the effects say of themselves."""
+"""`docs/reference/causes.md` says what the effects say of themselves."""
 
 from __future__ import annotations
 
@@ -14,4 +14,4 @@ def test_the_page_is_what_the_classes_say() -> None:
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == module.page()
+    assert (ROOT / "docs" / "reference" / "causes.md").read_text(encoding="utf-8") == module.page()

@@ -17,7 +17,7 @@ if not (ROOT / "docs" / "index.md").is_file():
 
 pytest.importorskip("mcap")
 pytest.importorskip("fmpy")
-NEEDS = {"docs/formats.md": "bash", "docs/exchange.md": "cc"}
+NEEDS = {"docs/reference/files.md": "bash", "docs/how_to/exchange.md": "cc"}
 
 
 @pytest.mark.parametrize("name", NEEDS)

@@ -27,7 +27,7 @@ from tau_dyn.robot import load_robot
 sys.path.insert(0, str(Path(__file__).parents[1] / "calibrate"))
 from calibration_rigs import measured, rods_of  # pyright: ignore[reportMissingImports]
 
-PAGE = Path(__file__).parents[2] / "docs" / "notebooks.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how_to" / "notebooks.md"
 
 
 def resonance(name: str) -> Log:
@@ -173,7 +173,7 @@ def test_what_has_no_face_says_so(asked):
 
 
 def test_the_notebook_of_the_docs_runs(tmp_path, monkeypatch):
-    """The cells of docs/notebooks.md, one after the other as a notebook runs them; what ends a cell shows itself."""
+    """The cells of docs/how_to/notebooks.md, one after the other as a notebook runs them; what ends a cell shows itself."""
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {}
     shown = []

@@ -3,7 +3,7 @@
 xacro evaluates `${...}` and `$(eval ...)` with Python's own `eval`, hides the builtins and looks at the outermost names for
 double underscores. That is no wall: a comprehension hides names from it, `vars(type)` and a generator's frame lead around it.
 Here the whole expression is looked at before xacro may evaluate it. Time and memory are not bounded, and a xacro may read
-files and the environment: docs/hostile_input.md lists what remains.
+files and the environment: docs/results/robustness.md lists what remains.
 """
 
 from __future__ import annotations

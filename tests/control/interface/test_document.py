@@ -1,4 +1,4 @@
-"""The example of docs/controller.md runs as it stands."""
+"""The example of docs/how_to/controller.md runs as it stands."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from tau_dyn.control import read_reference
 from tau_dyn.robot import load_robot
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "controller.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "how_to" / "controller.md"
 
 
 def test_the_example_runs(tmp_path, monkeypatch) -> None:

@@ -71,7 +71,7 @@ def in_own_size(law: ForceLaw, start: Nodes) -> tuple[ForceLaw, Nodes]:
     """Return forces and start with inner unknowns measured by their largest value at the start.
 
     They are speeds, accelerations and forces of the passive joints, some a thousand times larger than others; the solver treats a
-    unit of each alike, and takes small steps where they differ (measured in docs/optimal_motion.md).
+    unit of each alike, and takes small steps where they differ (measured in docs/explanation/control.md).
     """
     size = np.abs(start.y).max(axis=0, initial=0.0)
     size = np.maximum(size, max(_FLAT * size.max(initial=0.0), 1e-6))

@@ -5,7 +5,7 @@ All places' arguments are linear in the unknowns, `u = A w`. With `J_k` and `H_k
     Jacobian = diag(J_k) A,   Hessian of the Lagrangian = A' diag(H_k) A,
 
 one small function evaluated at every place and two sparse products. Left to itself casadi colours the whole program's Hessian,
-which costs several times as much (measured in docs/optimal_motion.md).
+which costs several times as much (measured in docs/explanation/control.md).
 """
 
 from __future__ import annotations
