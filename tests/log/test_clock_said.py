@@ -34,9 +34,14 @@ def test_a_clock_in_another_unit_is_recognised_by_its_step(dt: float, unit: str,
 
 @pytest.mark.parametrize(
     ("dt", "n", "severity", "words"),
-    [(0.49, 100, "warning", "The sampling rate is too low for accelerations."), (1 / 49.9, 1000, "warning", "The sampling rate is too low for accelerations."),
-     (0.02, 1000, "ok", ""), (0.001, 4999, "warning", "The log is short."), (0.001, 5002, "ok", "")],
-)  # fmt: skip
+    [
+        (0.49, 100, "warning", "The sampling rate is too low for accelerations."),
+        (1 / 49.9, 1000, "warning", "The sampling rate is too low for accelerations."),
+        (0.02, 1000, "ok", ""),
+        (0.001, 4999, "warning", "The log is short."),
+        (0.001, 5002, "ok", ""),
+    ],
+)
 def test_slow_and_short_logs_are_told(dt: float, n: int, severity: str, words: str) -> None:
     """Fifty samples a second and five seconds are enough; with its samples, rate and length in numbers."""
     found, sentence, remedy = said(dt * np.arange(n), "sampling")

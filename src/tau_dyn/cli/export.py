@@ -141,7 +141,8 @@ def _exchanged(args: argparse.Namespace, out: Path) -> Made:
     links = len(model.robot.links)
     kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal else ""
     shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
-    said = f"{model.robot.name} with {links} {'link that carries' if links == 1 else 'links that carry'} mass -> {out}{kept}{shared}"
+    carriers = "link that carries" if links == 1 else "links that carry"
+    said = f"{model.robot.name} with {links} {carriers} mass -> {out}{kept}{shared}"
     return Made(
         {out: made.text}, said, {"left_out": list(made.left_out), "nominal": list(made.nominal)}, tuple(made.left_out)
     )

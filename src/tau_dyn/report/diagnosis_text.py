@@ -105,7 +105,7 @@ def format_p_value(p_value: float) -> str:
 def gain_words(gain: Gain | None, unit: str = "") -> str:
     """Return what a cause is worth on data used for nothing else, with its interval."""
     if gain is None:
-        return "none: the refitted parameters absorb it"
+        return "not measured"
     low, high = (number(x, 2) for x in gain.ci95)
     before, after = quantity(gain.rms_before, unit), quantity(gain.rms_after, unit)
     return (
