@@ -41,10 +41,8 @@ def test_a_payload_shows_in_the_sum_of_two_masses(tmp_path, capsys):
     out, page = tmp_path / "c.json", tmp_path / "c.html"
     assert main(["compare", str(a), str(b), "--json", str(out), "--report", str(page)]) == 0
     said, found = " ".join(capsys.readouterr().out.split()), json.loads(out.read_text())
-    assert (
-        "1 of 1 value with a standard error changed significantly: a.mass + b.mass; 2 more values are not determined in either result."
-        in said
-    )
+    assert "1 of 1 value with a standard error changed significantly: a.mass + b.mass;" in said
+    assert "2 more values are not determined in either result." in said
     row = next(c for c in found["changes"] if c["name"] == "a.mass + b.mass")
     assert row["changed"] and row["combination"] and row["difference"] == pytest.approx(1.0083)
     assert row["stderr"] == pytest.approx((0.0059**2 + 0.0097**2) ** 0.5)
