@@ -22,8 +22,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.files import read_yaml
-from tau_dyn.kinematics.assembly import AssemblyModes, assembly_modes, configuration_states, reachable_modes
-from tau_dyn.kinematics.assembly.of_robot import real_poses
+from tau_dyn.kinematics.assembly import (
+    AssemblyModes,
+    find_assembly_modes,
+    find_reachable_modes,
+    solve_configuration_states,
+)
+from tau_dyn.kinematics.assembly.of_robot import select_real_poses
 from tau_dyn.kinematics.inverse import inverse_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods, build_rods
@@ -145,8 +150,8 @@ def tell_groups(rods: Rods, q: np.ndarray, modes: list[AssemblyModes]) -> None:
     """Print how poses with eight real modes split into groups, and the signs of their determinants."""
     signs, splits = Counter(), Counter()
     for x, m in zip(q, modes, strict=True):
-        poses = real_poses(m)
-        state = configuration_states(rods, np.repeat(x[None], m.n_real, axis=0), poses).assembly
+        poses = select_real_poses(m)
+        state = solve_configuration_states(rods, np.repeat(x[None], m.n_real, axis=0), poses).assembly
         signs[int((state > 0).sum()), int((state < 0).sum())] += 1
         if m.n_real == 8:
             splits[tuple(sorted(len(g) for g in two_groups(poses.position)))] += 1
@@ -189,7 +194,7 @@ def timed(name: str, hexapods: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) 
     modes, seconds = [], []
     for hexapod in hexapods:
         begin = time.process_time()
-        modes.append(assembly_modes(*hexapod))
+        modes.append(find_assembly_modes(*hexapod))
         seconds.append(time.process_time() - begin)
     relative = max((m.residual / (1 + np.abs(m.position).max(axis=1))).max(initial=0) for m in modes)
     print(f"{name}: {len(modes)} hexapods, {sum(m.certified for m in modes)} certified")
@@ -228,11 +233,11 @@ def regions(seed: int) -> None:
     """Say which of the F1's modes at home can be reached without a singularity, with its limits and without."""
     rods = f1_rods()
     q = rods.robot.home
-    poses = real_poses(assembly_modes(rods.base_points(q)[0], rods.on_plate, rods.leg_lengths(q)[0]))
+    poses = select_real_poses(find_assembly_modes(rods.base_points(q)[0], rods.on_plate, rods.leg_lengths(q)[0]))
     home = int(np.argmin(np.linalg.norm(poses.position - rods.home.position, axis=1)))
     for limits in (True, False):
         print(f"limits {'kept' if limits else 'left out'}")
-        for k, reach in enumerate(reachable_modes(rods, q, poses, home, limits=limits, n_samples=40, seed=seed)):
+        for k, reach in enumerate(find_reachable_modes(rods, q, poses, home, limits=limits, n_samples=40, seed=seed)):
             print(
                 f"  {np.round(poses.position[k], 3)} m: {reach.verdict} ({len(reach.q)} samples); {reach.why}",
                 flush=True,
@@ -258,7 +263,7 @@ def figure(out: Path, results: dict[str, list[AssemblyModes]], rods: Rods) -> No
     axes[1].set(xlabel="real solutions, both signs")
     axes[0].legend(fontsize=8)
     mode = next((m for m in results["parallelograms"] if m.n_real == 8), results["parallelograms"][0])
-    poses = real_poses(mode)
+    poses = select_real_poses(mode)
     for k in range(poses.n_samples):
         corners = poses.position[k] + rods.on_plate[[0, 1, 3, 5, 4, 2, 0]] @ poses.rotation[k].T
         axes[2].plot(corners[:, 1], corners[:, 2], lw=1)

@@ -33,7 +33,7 @@ from tau_dyn.calibrate.poses.devices import transform_to_device
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot
 from tau_dyn.calibrate.poses.progress_file import run_campaign
 from tau_dyn.calibrate.poses.refine import refine
-from tau_dyn.kinematics.obstacles import surroundings_from
+from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.robot import load_robot
 
@@ -62,7 +62,7 @@ def camera() -> Camera:
 def plan(n: int | str, seed: int, *, weighted: bool) -> CalibrationCampaign:
     """Return a plan and say what it found."""
     start = time.process_time()
-    demands = PoseRequirements(surroundings=surroundings_from(LAB, "the lab"))
+    demands = PoseRequirements(surroundings=build_surroundings(LAB, "the lab"))
     made = plan_campaign(load_robot("gantry_tau"), camera(), n, demands=demands, weighted=weighted, seed=seed)  # type: ignore[arg-type]
     print(
         f"plan ({'weighed' if weighted else 'plain'}): {len(made.visible.index)} of {made.reachable.n} poses in reach are seen, "

@@ -34,7 +34,7 @@ from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.find import find_workspace
-from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.machines import build_machine
 from tau_dyn.robot import load_robot
 
 OFF = 0.1  # of the scales: 1 mm, 1 mrad, 0.001
@@ -56,7 +56,7 @@ class Case:
 def l1(seed: int) -> Case:
     """Return the L1 prototype with a guideway direction each."""
     robot = load_robot("gantry_tau")
-    q = find_reachable(machine_of(robot), safety=Safety(0.05, 0.0, 0.0), seed=seed).q
+    q = find_reachable(build_machine(robot), safety=Safety(0.05, 0.0, 0.0), seed=seed).q
     return _case("L1", build_geometry(robot), q, (1e-4,), 30, NAMES, seed)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tau_dyn.cli.demo import true_model
+from tau_dyn.cli.demo import build_true_model
 from tau_dyn.identify import build_force_errors, build_regression, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -96,7 +96,7 @@ def log_of(truth: Model, motion: list[tuple], moment: float, rng: np.random.Gene
 def trial(name: str, seed: int) -> list[dict]:
     """Return a row a rod."""
     robot = load_robot("gantry_tau", prototype="l1")
-    truth, rng = true_model(robot, 0), np.random.default_rng([6, seed])
+    truth, rng = build_true_model(robot, 0), np.random.default_rng([6, seed])
     dull = [path(MOTIONS[name], 40.0), path(MOTIONS[name], 40.0, SLOWER)]
     moment = HIDDEN_MOMENT[name]
     train = log_of(truth, dull, moment, rng, f"dull {name}")

@@ -13,7 +13,7 @@ import numpy as np
 
 from tau_dyn.effects import EFFECTS, Effect, Scene
 from tau_dyn.effects.plausible import describe_ranges
-from tau_dyn.effects.words import spelled
+from tau_dyn.effects.words import spell_unit
 from tau_dyn.files import write_whole
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "causes.md"
@@ -74,7 +74,7 @@ def _takes_one(cls: type[Effect]) -> bool:
 
 
 def _unit(unit: str) -> str:
-    text = spelled(unit, "N")
+    text = spell_unit(unit, "N")
     return "" if text in ("", "1") else f"[{text}]"
 
 

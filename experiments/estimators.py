@@ -36,7 +36,7 @@ from tau_dyn.identify.full_rate_estimators import estimate_full_rate
 from tau_dyn.log import Log, compute_noise_gain
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate import Sensors, build_named_motion, drive
+from tau_dyn.simulate import Sensors, build_named_motion, simulate_drive
 from tau_dyn.simulate.simulate import Feedback
 
 ESTIMATORS = ("plain", "wls", "ml", "iv", "robust")
@@ -81,7 +81,7 @@ def recording(scenario: Scenario, seed: int, plants: int, folder: Path) -> dict[
         motion = build_named_motion(scenario.motion, truth, scenario.duration, 100 + number)
         rng = np.random.default_rng([own, number])
         sensors = Sensors(encoder_noise=noise)
-        run = drive(truth, motion, None, sensors, rng, rate_hz=CONTROL_HZ, feedback=scenario.feedback)
+        run = simulate_drive(truth, motion, None, sensors, rng, rate_hz=CONTROL_HZ, feedback=scenario.feedback)
         assert run.reference is not None
         read = run.q if run.q_read is None else run.q_read
         values = (run.t, run.q, run.v, run.a, run.tau, run.stuck, run.reference.q, read)

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tau_dyn.cli.demo import hidden_model, true_model
+from tau_dyn.cli.demo import build_true_model, hidden_model
 from tau_dyn.control import Feedforward
 from tau_dyn.diagnose import diagnose
 from tau_dyn.identify import identify
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, build_named_motion, simulate
-from tau_dyn.simulate.simulate import drive
+from tau_dyn.simulate.simulate import simulate_drive
 
 SENSORS = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=500.0)
 WIDTH = 0.005  # [m/s] within which the feedforward's sign of friction is smoothed
@@ -51,7 +51,7 @@ def tracked(truth: Model, model: Model | None, motion: str, seed: int) -> float:
     given = None if model is None else Feedforward(model.steady(), width=WIDTH)
     start = truth.steady() if model is None else None
     controller = CascadeController(law, start=start, feedforward=given)
-    run = drive(truth, path, controller, SENSORS, np.random.default_rng(seed))
+    run = simulate_drive(truth, path, controller, SENSORS, np.random.default_rng(seed))
     off = run.tool - truth.mechanism.tool_position(path.resampled(1000.0).q)
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
@@ -61,7 +61,7 @@ def main(seeds: int, seed: int, out_dir: Path) -> None:
     rows = []
     for one in range(seed, seed + seeds):
         truth = off_nominal(
-            hidden_model(true_model(load_robot("gantry_tau", prototype="l1"), one)), np.random.default_rng(one)
+            hidden_model(build_true_model(load_robot("gantry_tau", prototype="l1"), one)), np.random.default_rng(one)
         )
         for name, model in models(truth, one).items():
             for motion in MOTIONS:

@@ -27,8 +27,8 @@ from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.second_order import SecondOrder, pack
 from tau_dyn.modes.simulate import simulate
-from tau_dyn.modes.subspace import subspace_factors
-from tau_dyn.modes.thesis_route import PRINTED, character, unconstrained
+from tau_dyn.modes.subspace import compress_subspace_data
+from tau_dyn.modes.thesis_route import PRINTED, judge_character, solve_unconstrained
 
 DT = 0.004  # [s], the thesis' 250 Hz
 LOWEST_HZ = 7.4
@@ -65,7 +65,7 @@ def record(truth: SecondOrder, driven, sensed, n: int, snr_db: float, rng: np.ra
 
 def engine(test: Record, order: int) -> RefinedModel:
     """Return the refined model of a test."""
-    start = subspace_factors([test]).model(order, direct=False)
+    start = compress_subspace_data([test]).model(order, direct=False)
     return refine(start, [test], direct=False)
 
 
@@ -77,10 +77,10 @@ def trial(truth: SecondOrder, n: int, snr_db: float, rng: np.random.Generator) -
     """Return one row: errors of ours and of the thesis' route."""
     dofs = range(len(truth.M))
     model = engine(record(truth, dofs, dofs, n, snr_db, rng), 2 * len(truth.M))
-    found, plain = fit_mechanical(model), unconstrained(model.model)
+    found, plain = fit_mechanical(model), solve_unconstrained(model.model)
     row = {"samples": n, "status": found.status, "why": found.why, "consistency": found.consistency}
     row |= {f"{name}_thesis": per_cent(getattr(plain, name), getattr(truth, name)) for name in "MDK"}
-    said = character(plain)
+    said = judge_character(plain)
     row |= {"skew_thesis": 100 * said.asymmetry.max(), "indefinite_thesis": bool(said.lowest.min() < 0)}
     return row | (against(found, truth) if found.structure is not None else {})
 
@@ -157,7 +157,7 @@ def partial(args: argparse.Namespace) -> None:
 
 
 def thesis() -> None:
-    said = character(PRINTED)
+    said = judge_character(PRINTED)
     print("the thesis' printed matrices (6.3):")
     print("  eigenvalues of K:", np.round(said.stiffness_eigenvalues, 1))
     print("  roots lambda of det(M lambda + K) = 0 [1/s^2]:", np.round(said.undamped_roots.real, 1))

@@ -20,16 +20,16 @@ from scipy.signal import lfilter
 
 from tau_dyn.modes.covariance_propagation import propagate_covariance
 from tau_dyn.modes.delay import choose_delay
-from tau_dyn.modes.gauss_newton import evaluate, normal_equations
-from tau_dyn.modes.methods import first_look
-from tau_dyn.modes.modal import modes_of
-from tau_dyn.modes.modal_form import free_numbers, modal_form
+from tau_dyn.modes.gauss_newton import assemble_normal_equations, evaluate
+from tau_dyn.modes.methods import estimate_first_poles
+from tau_dyn.modes.modal import find_resonances
+from tau_dyn.modes.modal_form import build_modal_form, free_numbers
 from tau_dyn.modes.pbsid import pbsid
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import refine
-from tau_dyn.modes.simulate import simulate, states
+from tau_dyn.modes.simulate import simulate, simulate_states
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.subspace import subspace_factors
+from tau_dyn.modes.subspace import compress_subspace_data
 
 DT = 1 / 500
 FREQUENCIES = {3: (7.4, 11.5, 14.0), 4: (7.4, 11.5, 14.0, 103.0)}
@@ -69,7 +69,7 @@ def shaken(
 
 def bound(model: StateSpace, record: Record, snr_db: float, coloured: bool = False) -> np.ndarray:
     """Return the Cramer-Rao bound (modes, 2) of frequency and damping: standard deviations."""
-    form = modal_form(model)
+    form = build_modal_form(model)
     direct = np.zeros(model.D.shape, dtype=bool)
     power = record.y.var(axis=0) / (1 + 10 ** (snr_db / 10))
     if coloured:  # whitening the noise filters the inputs too and leaves the innovations' power
@@ -77,13 +77,13 @@ def bound(model: StateSpace, record: Record, snr_db: float, coloured: bool = Fal
         power = power / np.sum(impulse**2)
         record = replace(record, u=lfilter(COLOUR, [1.0], record.u, axis=0))
     point = evaluate(form, np.zeros((1, len(form.poles)), dtype=complex), [record])
-    normal = normal_equations(point, free_numbers(form, direct), np.diag(1 / power))
+    normal = assemble_normal_equations(point, free_numbers(form, direct), np.diag(1 / power))
     scale = np.sqrt(np.diag(normal.H))
     inverse = np.linalg.inv(normal.H / np.outer(scale, scale)) / np.outer(scale, scale)
     covariance = propagate_covariance(
         form, inverse[: normal.n_model, : normal.n_model], direct, lambda f: f.state_space()
     )
-    return np.array([(mode.frequency_stderr, mode.damping_stderr) for mode in modes_of(model, covariance)])
+    return np.array([(mode.frequency_stderr, mode.damping_stderr) for mode in find_resonances(model, covariance)])
 
 
 @dataclass
@@ -137,10 +137,10 @@ def accuracy(n: int, n_samples: int, snr_db: float, runs: int, seed: int, colour
         rng = np.random.default_rng([seed, n, n_samples, int(snr_db), run])
         model = structure(n, rng)
         record = shaken(model, n_samples, snr_db, rng, coloured)
-        truth = np.array([(mode.frequency_hz, mode.damping_ratio) for mode in modes_of(model)])
+        truth = np.array([(mode.frequency_hz, mode.damping_ratio) for mode in find_resonances(model)])
         limits = bound(model, record, snr_db, coloured)
-        first = subspace_factors([record], horizon=40).model(2 * n)
-        judged(modes_of(first), truth, limits, plain)
+        first = compress_subspace_data([record], horizon=40).model(2 * n)
+        judged(find_resonances(first), truth, limits, plain)
         judged(refine(first, [record]).modes, truth, limits, refined)
     noise = "coloured" if coloured else "white"
     print(
@@ -164,10 +164,10 @@ def looped(model: StateSpace, n_samples: int, rng: np.random.Generator) -> Recor
     r = rng.normal(size=(n_samples, m))
     d = 0.5 * lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], rng.normal(size=(n_samples, m)), axis=0)
     drive = np.hstack([(r + d) @ model.B.T, np.zeros((n_samples, 2 * p))])
-    size = (states(A, drive, np.zeros(len(A)))[:, :n] @ model.C.T).std(axis=0)
+    size = (simulate_states(A, drive, np.zeros(len(A)))[:, :n] @ model.C.T).std(axis=0)
     noise = 0.01 * size * rng.normal(size=(n_samples, p))
     drive[:, n : n + p] = noise
-    x = states(A, drive, np.zeros(len(A)))
+    x = simulate_states(A, drive, np.zeros(len(A)))
     u = r + x[:, n : n + p] @ now.T + x[:, n + p :] @ before.T
     return Record(u, x[:, :n] @ model.C.T + noise, DT, ("u0", "u1"), ("y0", "y1"), reference=r)
 
@@ -181,11 +181,11 @@ def under_feedback(n_samples: int, runs: int, seed: int) -> None:
         rng = np.random.default_rng([seed, 99, run])
         model = structure(2, rng, (7.4, 11.5), (0.02, 0.03), channels=2)
         record = looped(model, n_samples, rng)
-        truth = np.array([(mode.frequency_hz, mode.damping_ratio) for mode in modes_of(model)])
-        plain = subspace_factors([record], horizon=40).model(4)
+        truth = np.array([(mode.frequency_hz, mode.damping_ratio) for mode in find_resonances(model)])
+        plain = compress_subspace_data([record], horizon=40).model(4)
         wide = pbsid([record], 6, past=30)  # four states of the structure, two of the disturbance
         full = refine(wide, [record], kind="prediction_error")
-        found = (modes_of(plain), refine(plain, [record]).modes, modes_of(wide), full.modes)
+        found = (find_resonances(plain), refine(plain, [record]).modes, find_resonances(wide), full.modes)
         for name, modes in zip(names, found, strict=True):
             if modes:
                 chosen = _nearest(modes, truth)
@@ -217,7 +217,7 @@ def delays(n_samples: int, runs: int, seed: int) -> None:
         for run in range(runs):
             rng = np.random.default_rng([seed, 5, snr_db, run])
             record = shaken(replace(structure(3 + run % 2, rng), delay=5), n_samples, snr_db, rng)
-            found = choose_delay([record], lambda records, delay: first_look("n4sid", records, delay=delay))
+            found = choose_delay([record], lambda records, delay: estimate_first_poles("n4sid", records, delay=delay))
             chosen.append(found.delay)
         print(f"delay of 5 samples, {n_samples} samples, {snr_db} dB: found in {chosen.count(5)} of {runs}", flush=True)
 

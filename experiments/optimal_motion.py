@@ -31,7 +31,7 @@ from tau_dyn.exceptions import TauDynError
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors
-from tau_dyn.simulate.simulate import drive
+from tau_dyn.simulate.simulate import simulate_drive
 
 START, END = np.array([1.3, -0.75, 0.65]), np.array([2.2, -0.45, 0.85])  # [m]
 FORCE = 300.0  # [N] a cart
@@ -111,7 +111,7 @@ def on_the_plant(model: Model, noise: float, seed: int) -> pd.DataFrame:
     plans = planned(model, MotionLimits.of(model, force=DRIVE, margin=margin))
     for name, plan in plans.items():
         controller = CascadeController(law, feedforward=Feedforward(model, width=0.01))
-        run = drive(truth, plan.trajectory(), controller, sensors, np.random.default_rng(seed))
+        run = simulate_drive(truth, plan.trajectory(), controller, sensors, np.random.default_rng(seed))
         off = np.linalg.norm(run.tool - plan.tool[: len(run.tool)], axis=1)
         rows.append(
             {

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from tau_dyn.cli.demo import true_model
+from tau_dyn.cli.demo import build_true_model
 from tau_dyn.effects import build_friction_model
 from tau_dyn.files import write_whole
 from tau_dyn.identify import Identification, build_regression, identify
@@ -31,7 +31,15 @@ from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 from tau_dyn.scale import run_journaled
-from tau_dyn.simulate import CascadeController, CascadeLaw, PlantRun, Sensors, build_named_motion, drive, measure
+from tau_dyn.simulate import (
+    CascadeController,
+    CascadeLaw,
+    PlantRun,
+    Sensors,
+    build_named_motion,
+    measure,
+    simulate_drive,
+)
 from tau_dyn.version import __version__
 
 PLANTS = 5
@@ -92,14 +100,14 @@ def plant(robot: str, motion: str, duration: float, number: int, feedback_seed: 
         4000.0 if robot == "linear_axis" else 1000.0
     )  # Hz; steps of 1 ms would cost the stiff drive 0.02 % of its mass
     rng = np.random.default_rng([feedback_seed or 0, number])
-    return drive(truth, path, controller, Sensors(encoder_noise=encoder), rng, rate_hz=rate, feedback=feedback)
+    return simulate_drive(truth, path, controller, Sensors(encoder_noise=encoder), rng, rate_hz=rate, feedback=feedback)
 
 
 @cache
 def true_plant(robot: str, number: int) -> Model:
     nominal = ROBOTS[robot]()
     if robot != "linear_axis":
-        return true_model(nominal, number)
+        return build_true_model(nominal, number)
     model = Model.of(nominal, build_friction_model("asymmetric", nominal.actuated, nominal.force_units))
     friction = {"coulomb_pos": 20.1, "coulomb_neg": 20.6, "viscous_pos": 167.0, "viscous_neg": 240.0}
     return model.with_values({f"axis.{k}": x for k, x in friction.items()} | {"carriage_link.mass": 90.0 + 3 * number})

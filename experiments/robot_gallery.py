@@ -21,7 +21,7 @@ import numpy as np
 from draw_robots import VARIANTS
 
 from tau_dyn.files import write_whole
-from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.machines import build_machine
 from tau_dyn.robot import Robot, list_robot_names, load_robot
 
 _SECONDS = 60
@@ -38,7 +38,7 @@ def facts(name: str, arguments: dict[str, str], seed: int) -> dict[str, Any]:
 
 def coarse(robot: Robot) -> float:
     """Return a resolution [m] of about 50 points along the reach, in one digit."""
-    low, high = machine_of(robot).reach()
+    low, high = build_machine(robot).reach()
     step = float((high - low).max()) / _ACROSS
     digit = 10.0 ** np.floor(np.log10(step))
     return float(np.round(step / digit) * digit)

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.kinematics.assumptions import check_orientation, check_parallelism, fit_guideway, load_shift
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses, quaternions
+from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
 from tau_dyn.kinematics.rods import build_rods
 from tau_dyn.robot import load_robot
 
@@ -129,7 +129,7 @@ def orientation(rng: np.random.Generator, out_dir: Path):
         out_dir / "orientation.csv",
         {f"q_{j}": q[:, k] for k, j in enumerate(robot.actuated)},
         seen.position,
-        quaternions(seen),
+        convert_to_quaternions(seen),
     )
     ranges = np.degrees(np.ptp(found.euler, axis=0))
     rows = [{"what": f"D1: range of Euler angle {name} [deg]", "found": r, "thesis": t}

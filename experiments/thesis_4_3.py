@@ -23,12 +23,12 @@ from tau_dyn.kinematics.accuracy import (
     ActuatorError,
     ErrorBounds,
     Section,
-    accuracy_study,
-    device_of,
+    build_device,
+    build_isotropic_error,
+    compute_positioning_errors,
     lay_grid,
-    positioning_errors,
-    same_in_all_directions,
     scale_errors,
+    study_accuracy,
 )
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics
@@ -37,7 +37,7 @@ from tau_dyn.kinematics.rods import build_rods
 from tau_dyn.robot import load_robot
 
 CASES = {  # Table 4.2
-    "case 1": ErrorBounds({f"cart{i}": same_in_all_directions(r) for i, r in ((1, 32e-6), (2, 77e-6), (3, 54e-6))}),
+    "case 1": ErrorBounds({f"cart{i}": build_isotropic_error(r) for i, r in ((1, 32e-6), (2, 77e-6), (3, 54e-6))}),
     "case 2": ErrorBounds({
         "cart1": ActuatorError(axes=(11e-6, 28e-6, 28e-6)),
         "cart2": ActuatorError(axes=(58e-6, 38e-6, 38e-6)),
@@ -62,7 +62,7 @@ def main(out_dir: Path, grid: int, samples: int, seed: int) -> None:
         cut = lay_grid(robot, rods, home, Section(0, 0.0, across), grid, limits=False)
         tool = cut.poses.take(cut.ok)
         for case, errors in CASES.items():
-            result = accuracy_study(robot, rods, errors, cut.q[cut.ok], tool, grid=cut, samples=samples, seed=seed)
+            result = study_accuracy(robot, rods, errors, cut.q[cut.ok], tool, grid=cut, samples=samples, seed=seed)
             found[area, case] = result
             rows += summary(area, case, result)
             maps.append(pd.DataFrame({"area": area, "case": case, "y": tool.position[:, 1], "z": tool.position[:, 2]}
@@ -135,8 +135,8 @@ def faces(robot, rods, errors: ErrorBounds) -> pd.DataFrame:
     tool = Poses(position, np.broadcast_to(forward_kinematics(rods, robot.home[None]).poses.rotation, (60, 3, 3)))
     solved = inverse_kinematics(rods, tool, limits=False)
     keep = solved.ok
-    found = positioning_errors(
-        device_of(robot, rods, errors), errors, solved.q[keep], tool.take(keep), methods=["parallelepiped"]
+    found = compute_positioning_errors(
+        build_device(robot, rods, errors), errors, solved.q[keep], tool.take(keep), methods=["parallelepiped"]
     )
     columns = {f"face {k + 1}": found.faces[:, k] for k in range(3)}
     return pd.DataFrame({"y": position[keep, 1], "z": position[keep, 2]} | columns)
@@ -168,7 +168,9 @@ def singular(robot, rods) -> pd.DataFrame:
         values = {f"arm{k + 1}.length": {"value": float(np.linalg.norm(tool - A[k]))} for k in range(3)}
         near = rods.with_geometry(rods.geometry.update(values))
         poses = forward_kinematics(near, robot.home[None]).poses
-        found = positioning_errors(device_of(robot, near, errors), errors, robot.home[None], poses, samples=2000)
+        found = compute_positioning_errors(
+            build_device(robot, near, errors), errors, robot.home[None], poses, samples=2000
+        )
         rows.append({"height [mm]": 1e3 * abs(share * height)} | {m: 1e6 * x[0] for m, x in found.largest.items()})
     return pd.DataFrame(rows)
 

@@ -18,10 +18,10 @@ from ilc_parts.bench import AXES, DT, motion, plant
 from tau_dyn.control.observers import (
     ComplementaryToolObserver,
     KalmanToolObserver,
+    check_whiteness,
     extend_model,
     tune_complementary,
     tune_kalman,
-    whiteness,
 )
 from tau_dyn.modes import load_state_space
 from tau_dyn.simulate.learning_plant import LearningPlant, Trial
@@ -56,7 +56,7 @@ def observers(robot: LearningPlant, trial: Trial) -> dict[str, tuple[Estimate, s
     ours, printed = tuned.observer, thesis_kalman(trial)
     low = ComplementaryToolObserver(THESIS_CUTOFF, DT)
     best, causal = (tune_complementary(*signals(trial), trial.tool[:, AXES], DT, causal=c) for c in (False, True))
-    white = whiteness(ours.run(*signals(trial))[1], ours.innovation_covariance)
+    white = check_whiteness(ours.run(*signals(trial))[1], ours.innovation_covariance)
     print(f"Kalman: r {ours.process:.2g} m^2, accelerometer {np.sqrt(np.diag(ours.R2)).round(3)} m/s^2, standard errors "
           f"{(1e6 * ours.standard_error()).round(1)} um, innovations {white.ratio.round(2)} of what is expected, "
           f"correlated up to {white.correlation.round(2)}")  # fmt: skip

@@ -18,10 +18,10 @@ import numpy as np
 import pandas as pd
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.kinematics.obstacles import surroundings_from
+from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace
-from tau_dyn.kinematics.workspace.study import study
-from tau_dyn.report.workspace_page import workspace_page
+from tau_dyn.kinematics.workspace.study import study_workspace
+from tau_dyn.report.workspace_page import build_workspace_page
 from tau_dyn.robot import load_robot
 
 ROBOTS = {
@@ -61,7 +61,7 @@ def l1_figures() -> pd.DataFrame:
     robot, rows = load_robot("gantry_tau"), []
     for angle in (None, 40.0):
         asked = PoseRequirements(ball_angle=np.pi if angle is None else np.deg2rad(angle), collisions=False)
-        found = study(robot, demands=asked, sections=["x=1.75"], resolution=0.04)
+        found = study_workspace(robot, demands=asked, sections=["x=1.75"], resolution=0.04)
         cut = found.sections[0]
         u, v = cut.u[cut.inside.any(axis=1)], cut.v[cut.inside.any(axis=0)]
         words = "Figure 2.4, inverse kinematics alone" if angle is None else "Figure 2.4, ball joints 40 degrees"
@@ -75,7 +75,7 @@ def l1_figures() -> pd.DataFrame:
     border = find_workspace(
         robot, resolution=0.02, demands=PoseRequirements(ball_angle=ball, collisions=False, border=0.1)
     )
-    lab = PoseRequirements(ball_angle=ball, collisions=False, border=0.1, surroundings=surroundings_from(LAB, "lab"))
+    lab = PoseRequirements(ball_angle=ball, collisions=False, border=0.1, surroundings=build_surroundings(LAB, "lab"))
     rest = find_workspace(robot, resolution=0.02, demands=lab)
     sides = " x ".join(f"{x:.2f}" for x in fine.upper - fine.lower)
     rows += [
@@ -102,13 +102,13 @@ def row_of(name: str, out: Path, quick: bool) -> dict[str, object]:
     short, arguments = ROBOTS[name]
     start = time.process_time()
     try:
-        found = study(load_robot(short, **arguments))
+        found = study_workspace(load_robot(short, **arguments))
     except TauDynError as fault:
         return {"robot": name, "fault": str(fault)}
     space, rows = found.workspace, found.catalogue.rows
     spent = time.process_time() - start
     if not quick:
-        (out / f"{name}.html").write_text(workspace_page(found), encoding="utf-8")
+        (out / f"{name}.html").write_text(build_workspace_page(found), encoding="utf-8")
     return {
         "robot": name,
         "volume_m3": round(space.size.value, 5),

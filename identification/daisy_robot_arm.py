@@ -19,7 +19,7 @@ from tau_dyn.log import Log
 from tau_dyn.modes import find_modes, save_state_space
 from tau_dyn.modes.arx import arx
 from tau_dyn.modes.checks import fit_percent
-from tau_dyn.modes.record import records_of
+from tau_dyn.modes.record import build_records
 from tau_dyn.modes.simulate import simulate
 
 HERE = Path(__file__).resolve().parent
@@ -41,12 +41,12 @@ def in_sample(log: Log) -> tuple[float, float]:
 
 def half_and_half(log: Log) -> float:
     """Return how well an ARX model of order 8 of the first half simulates the second."""
-    first, second = (records_of(part, *COLUMNS)[0] for part in log.split(0.5))
+    first, second = (build_records(part, *COLUMNS)[0] for part in log.split(0.5))
     return float(fit_percent(second.y, simulate(arx([first], 8, direct=True), second))[0])
 
 
 def main(log_path: Path, out_dir: Path) -> pd.DataFrame:
-    from tau_dyn.report import modes_page
+    from tau_dyn.report import build_modes_page
 
     if not log_path.is_file():
         sys.exit(f"{log_path} is absent; set TAU_DYN_DATA to the folder that holds daisy_robot_arm/robot_arm.dat")
@@ -55,7 +55,7 @@ def main(log_path: Path, out_dir: Path) -> pd.DataFrame:
     log.to_csv(out_dir / "robot_arm.csv")
     found = find_modes(log, *COLUMNS, sensor="acceleration")
     save_state_space(out_dir / "robot_arm_model.yaml", found.model_file([{"path": log_path.name}]))
-    (out_dir / "robot_arm.html").write_text(modes_page(found, logs=[(log_path.name, "")]), encoding="utf-8")
+    (out_dir / "robot_arm.html").write_text(build_modes_page(found, logs=[(log_path.name, "")]), encoding="utf-8")
     fit, radius = in_sample(log)
     rows = [
         ("order 4, in sample", fit, f"largest pole {radius:.5f}"),

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tau_dyn.cli.demo import true_model
+from tau_dyn.cli.demo import build_true_model
 from tau_dyn.robot import load_robot
 
 PACKAGES = ("tau_dyn", "numpy", "scipy", "pin", "pyarrow", "dask", "figaroh")
@@ -67,7 +67,7 @@ def made_recording(path: Path, samples: int, seed: int = 0) -> Path:
     if path.exists():
         return path
     robot = load_robot("gantry_tau", prototype="l1")
-    truth, rng = true_model(robot, 1), np.random.default_rng(seed)
+    truth, rng = build_true_model(robot, 1), np.random.default_rng(seed)
     f, phase = rng.uniform(0.1, 1.2, (5, 3)), rng.uniform(0, 6, (5, 3))
     amplitude, omega = 0.072 * f.min() / f, 2 * np.pi * f
     names = ["t", *(f"{s}_{j}" for s in ("q", "tau") for j in robot.actuated)]

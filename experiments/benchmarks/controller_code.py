@@ -30,11 +30,11 @@ from tau_dyn.control import (
     MotorSide,
     TimeShift,
     build_kinematics,
-    controlled_actuators,
     design_low_pass,
-    kinematics_source,
-    learning_source,
-    observer_source,
+    stack_controlled_actuators,
+    write_kinematics_source,
+    write_learning_source,
+    write_observer_source,
 )
 from tau_dyn.kinematics import forward_kinematics, jacobian
 from tau_dyn.modes import StateSpace
@@ -95,7 +95,7 @@ def main(argv: list[str] | None = None) -> None:
 def kinematics(robot, args) -> list[tuple[str, float, float]]:
     """Return what each function costs [us], and how far it is from Python along the motion."""
     program = build_kinematics(robot)
-    source = kinematics_source(program, "kin")
+    source = write_kinematics_source(program, "kin")
     q = smooth(robot, args)
     poses = forward_kinematics(robot, q).poses
     p, R = np.ascontiguousarray(poses.position), np.ascontiguousarray(poses.rotation)
@@ -151,14 +151,14 @@ def filters(args) -> list[tuple[str, str, float]]:
     ):
         signals = rng.standard_normal((2, N, 2))
         call = "obs_step(state, a + 2 * k, b + 2 * k, c + 2 * k)"
-        cost = timed(observer_source(observer, "obs"), "obs", call, "obs_start(state, a);", (*signals, np.zeros((N, 2))),
+        cost = timed(write_observer_source(observer, "obs"), "obs", call, "obs_start(state, a);", (*signals, np.zeros((N, 2))),
                      np.zeros(400), args)  # fmt: skip
         rows.append((name, "step", cost))
-    side = MotorSide(controlled_actuators([Actuator.from_discrete(0.2, 0.8, 2, dt)] * 3, dt))
+    side = MotorSide(stack_controlled_actuators([Actuator.from_discrete(0.2, 0.8, 2, dt)] * 3, dt))
     law = LearningLaw(side, (design_low_pass(10, dt),) * 3, TimeShift(0.9, 5, dt))
     trial = 1e-3 * rng.standard_normal((3, N, 3))
     call = f"ilc_update({N}, NULL, a, b, c)"
-    cost = timed(learning_source(law, 1e6, "ilc"), "ilc", call, "", tuple(trial), np.zeros(1), args, calls=5)
+    cost = timed(write_learning_source(law, 1e6, "ilc"), "ilc", call, "", tuple(trial), np.zeros(1), args, calls=5)
     return [*rows, (f"learning, 3 drives, {N} samples", "update", cost)]
 
 

@@ -27,8 +27,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.control import Feedforward, Program, build_program, c_source
-from tau_dyn.control.export_model import random_states
+from tau_dyn.control import Feedforward, Program, build_program, write_c_source
+from tau_dyn.control.export_model import draw_random_states
 from tau_dyn.effects import build_friction_model
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
@@ -136,7 +136,7 @@ def measured(
 def _own(program: Program, folder: Path, repeats: int, seed: int) -> tuple[float, float]:
     """Compile the feedforward and call it in a loop of C; return ns a call and the largest difference from Python."""
     folder.mkdir()
-    source, header = c_source(program)
+    source, header = write_c_source(program)
     looped = program.loops is not None
     driver = DRIVER.replace("@START@", ", double *start" if looped else "").replace(
         "@STATE@", "start," if looped else ""
@@ -149,7 +149,7 @@ def _own(program: Program, folder: Path, repeats: int, seed: int) -> tuple[float
     loaded = ctypes.CDLL(str(library))
     loaded.bench.restype = ctypes.c_double
     model = program.feedforward.model
-    q, v, a = _smooth(model, seed) if looped else random_states(model, STATES, np.random.default_rng(seed))
+    q, v, a = _smooth(model, seed) if looped else draw_random_states(model, STATES, np.random.default_rng(seed))
     tau = np.zeros_like(q)
     arrays = [np.ascontiguousarray(x) for x in (q, v, a, tau)]
     start = np.zeros(model.robot.na + len(program.loops.passive)) if program.loops is not None else np.zeros(1)

@@ -18,10 +18,10 @@ from tau_dyn.kinematics import (
     Poses,
     forward_kinematics,
     inverse_kinematics,
-    inverse_solutions,
     jacobian,
+    solve_all_configurations,
 )
-from tau_dyn.kinematics.chain_inverse import NewtonChain, chains_of
+from tau_dyn.kinematics.chain_inverse import NewtonChain, build_chains
 from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import Robot, load_robot
 
@@ -71,9 +71,9 @@ def there_and_back(name: str, robot: Robot, runs: int, seed: int) -> dict[str, o
     inverse = inverse_kinematics(robot, poses, limits=False)
     again = forward_kinematics(robot, inverse.q[inverse.ok], start=None if rods is None else poses.take(inverse.ok))
     error = np.abs(again.poses.position - poses.position[inverse.ok])
-    several = rods is None or rods.na in (4, 5) or any(isinstance(chain, NewtonChain) for chain in chains_of(rods))
+    several = rods is None or rods.na in (4, 5) or any(isinstance(chain, NewtonChain) for chain in build_chains(rods))
     part = slice(0, (8 if robot.loops and rods is None else SEVERAL) if several else len(q))
-    solutions = inverse_solutions(robot, poses.take(part))
+    solutions = solve_all_configurations(robot, poses.take(part))
     found = np.isfinite(solutions[..., 0])
     away = np.nan_to_num(np.abs(solutions - q[part, None]).max(axis=2), nan=np.inf).min(axis=1)
     return {

@@ -36,10 +36,10 @@ def data(n_samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     A = np.block([[np.zeros((4, 4)), np.eye(4)], [-np.diag(w**2), -np.diag(2 * zeta * w)]])
     B = np.vstack([np.zeros((4, 3)), shapes[:3].T])
     held = expm(np.block([[A, B], [np.zeros((3, 11))]]) * DT)
-    from tau_dyn.modes.simulate import states
+    from tau_dyn.modes.simulate import simulate_states
 
     u = rng.normal(size=(n_samples, 3))
-    y = states(held[:8, :8], u @ held[:8, 8:].T, np.zeros(8))[:, :4] @ shapes[:3].T
+    y = simulate_states(held[:8, :8], u @ held[:8, 8:].T, np.zeros(8))[:, :4] @ shapes[:3].T
     return u, y + 0.01 * y.std(axis=0) * rng.normal(size=y.shape)
 
 
@@ -69,9 +69,9 @@ def _record(u: np.ndarray, y: np.ndarray):
 
 
 def _ours(u: np.ndarray, y: np.ndarray, horizon: int):
-    from tau_dyn.modes.subspace import subspace_factors
+    from tau_dyn.modes.subspace import compress_subspace_data
 
-    return subspace_factors([_record(u, y)], horizon=horizon)
+    return compress_subspace_data([_record(u, y)], horizon=horizon)
 
 
 def slicot(algorithm: str, job: str) -> Callable[[np.ndarray, np.ndarray, int], Poles]:

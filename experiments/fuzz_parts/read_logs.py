@@ -102,9 +102,9 @@ def _topic_map(path: Path) -> None:
 
 def _vibration(path: Path) -> None:
     from tau_dyn.log import read_log
-    from tau_dyn.modes.record import check_alike, records_of
+    from tau_dyn.modes.record import build_records, check_alike
 
-    check_alike(records_of(read_log(path), ["tau_axis"], ["q_axis", "v_axis"]))
+    check_alike(build_records(read_log(path), ["tau_axis"], ["q_axis", "v_axis"]))
 
 
 def _motion(path: Path) -> None:

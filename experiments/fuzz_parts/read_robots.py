@@ -88,9 +88,9 @@ def _correction(path: Path) -> None:
 
 
 def _reference(path: Path) -> None:
-    from tau_dyn.control.interface.reference import digest, read_reference
+    from tau_dyn.control.interface.reference import compute_digest, read_reference
 
-    digest(read_reference(path, ("axis",), period=0.01))
+    compute_digest(read_reference(path, ("axis",), period=0.01))
 
 
 ROBOTS = (

@@ -58,12 +58,12 @@ def correction() -> bytes:
 def learned(folder: Path) -> bytes:
     """Return a correction of the motion `at_rest`."""
     from tau_dyn.control.interface.correction import Correction, format_correction_text
-    from tau_dyn.control.interface.reference import digest, read_reference
+    from tau_dyn.control.interface.reference import compute_digest, read_reference
 
     (folder / "seed_rest.csv").write_bytes(at_rest())
     motion = read_reference(folder / "seed_rest.csv", ("axis",), period=0.01)
     added = 1e-4 * np.sin(np.linspace(0, np.pi, motion.n_samples))[:, None] ** 4
-    return format_correction_text(Correction(("axis",), 0.01, added, digest(motion))).encode()
+    return format_correction_text(Correction(("axis",), 0.01, added, compute_digest(motion))).encode()
 
 
 def positions() -> bytes:

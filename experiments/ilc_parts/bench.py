@@ -15,7 +15,7 @@ from tau_dyn.modes.actuators import Actuator
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import refine
 from tau_dyn.modes.simulate import simulate
-from tau_dyn.modes.subspace import subspace_factors
+from tau_dyn.modes.subspace import compress_subspace_data
 from tau_dyn.simulate.learning_plant import LearningPlant, Trial
 from tau_dyn.simulate.square_path import square_path
 
@@ -67,7 +67,7 @@ def models(seed: int) -> Models:
         ("computed_to_tool", 1, 2, ORDER_KINEMATICS, 0),
     ):
         data, held = (Record(x[u], x[y], DT, ("x", "y"), ("x", "y"), name) for x in (train, test))
-        found[name] = refine(subspace_factors([data], delay=delay).model(order), [data]).model
+        found[name] = refine(compress_subspace_data([data], delay=delay).model(order), [data]).model
         left = held.y - simulate(found[name], held)
         fit[name] = 100 * (1 - np.linalg.norm(left, axis=0) / np.linalg.norm(held.y - held.y.mean(axis=0), axis=0))
     return Models(**found, fit=fit)

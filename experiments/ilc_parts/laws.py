@@ -10,9 +10,9 @@ from tau_dyn.control.iterative import (
     NormOptimalLaw,
     TimeShift,
     ToolSide,
-    controlled_actuators,
     design_low_pass,
     design_robust_filter,
+    stack_controlled_actuators,
 )
 from tau_dyn.control.iterative.law import UpdateLaw
 from tau_dyn.control.observers import ComplementaryToolObserver, tune_kalman
@@ -26,7 +26,7 @@ COMPLEMENTARY = (4.50, 2.63)  # Hz, (7.18)
 
 def motor_law() -> LearningLaw:
     """Case 1, on the printed (6.11)."""
-    side = MotorSide(controlled_actuators(printed_actuators(), DT))
+    side = MotorSide(stack_controlled_actuators(printed_actuators(), DT))
     return LearningLaw(side, (design_low_pass(MOTOR_CUTOFF, DT),) * 3, LEARNING)
 
 

@@ -9,7 +9,7 @@ from tau_dyn.effects import AsymmetricFriction, SymmetricFriction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate import PlantRun, Sensors, Trajectory, drive, measure
+from tau_dyn.simulate import PlantRun, Sensors, Trajectory, measure, simulate_drive
 from thesis_6_2_parts.hidden import PassiveJointFriction, Stribeck
 from thesis_6_2_parts.motions import RATE
 from thesis_6_2_parts.printed import CARTS, GRAVITY_MASS, TABLE_6_1, TABLE_6_3
@@ -63,7 +63,7 @@ def model_2(robot: Robot, *, stribeck: float = 0.0, passive_moment: float = 0.0)
 
 def drive_ideal(model: Model, motion: Trajectory) -> PlantRun:
     """Return what really happens; `record` measures it, with as many seeds as wanted."""
-    return drive(model, motion, None, SENSORS, np.random.default_rng(SEED), rate_hz=RATE, feedback="ideal")
+    return simulate_drive(model, motion, None, SENSORS, np.random.default_rng(SEED), rate_hz=RATE, feedback="ideal")
 
 
 def follow_perfectly(model: Model, motion: Trajectory) -> PlantRun:

@@ -17,7 +17,7 @@ from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.refine import refine
 from tau_dyn.modes.simulate import simulate
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.subspace import subspace_factors
+from tau_dyn.modes.subspace import compress_subspace_data
 from tau_dyn.simulate import VibrationSensors, simulate_binary_log, simulate_vibration_log
 from thesis_6_3_parts.printed import DRIVE_SAMPLES, ORDER_KINEMATICS, ORDER_REFERENCE
 from thesis_6_3_parts.robots import CARTS, fit_percent, kinematics, record, with_tool_side, with_wrist
@@ -61,7 +61,7 @@ def identify(train: Log, test: Log, side: str, order: int, axes: str = "xy") -> 
     inputs = [f"{axis}_{side}" for axis in axes]
     delay = DRIVE_SAMPLES - 1 if side == "r" else 0  # sampling itself adds the fifth
     data, held = record(train, inputs, OUTPUTS), record(test, inputs, OUTPUTS)
-    refined = refine(subspace_factors([data], delay=delay).model(order), [data])
+    refined = refine(compress_subspace_data([data], delay=delay).model(order), [data])
     fit = fit_percent(held.y, simulate(refined.model, held))
     name = {"r": "(6.12)", "c": "(6.13)"}[side] + (" with z" if "z" in axes else "")
     return BlackBox(name, train.name, tuple(inputs), refined.model, refined.modes, fit)

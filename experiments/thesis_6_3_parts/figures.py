@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from tau_dyn.modes.poles import zeros_of
+from tau_dyn.modes.poles import list_zeros
 from thesis_6_3_parts.black_box import BlackBox, held, true_response
 from thesis_6_3_parts.drives import DriveStudy
 from thesis_6_3_parts.pushes import PushStudy
@@ -114,7 +114,7 @@ def figure_6_12(bare: WristlessStudy) -> Figure:
     """Poles and transmission zeros of the 12th-order model in the s plane."""
     figure, ax = plt.subplots(figsize=(4.2, 4.2))
     model = bare.full.refined.model
-    poles, zeros = np.log(model.poles().astype(complex)) / model.dt, zeros_of(model)
+    poles, zeros = np.log(model.poles().astype(complex)) / model.dt, list_zeros(model)
     true = [2 * np.pi * m.frequency_hz * complex(-m.damping_ratio, np.sqrt(1 - m.damping_ratio**2))
             for m in without_wrist().modes() if m.frequency_hz < 75]  # fmt: skip
     ax.plot(np.real(true), np.imag(true) / (2 * np.pi), "o", color=SOFT, ms=9, label="flexible model")

@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.modes.era import era_records
+from tau_dyn.modes.era import realise_pulse_tests
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.second_order import SecondOrder
 from tau_dyn.modes.simulate import simulate
-from tau_dyn.modes.subspace import subspace_factors
-from tau_dyn.modes.thesis_route import PRINTED, Character, character, unconstrained
+from tau_dyn.modes.subspace import compress_subspace_data
+from tau_dyn.modes.thesis_route import PRINTED, Character, judge_character, solve_unconstrained
 from tau_dyn.simulate import VibrationSensors, push_log, simulate_vibration_log
 from thesis_6_3_parts.printed import ORDER_TRACKER, ORDER_VISION
 from thesis_6_3_parts.robots import AXES, fit_percent, record, without_wrist
@@ -73,7 +73,7 @@ def pushed(axes: str, seed: int) -> list[Record]:
 
 def tracker_model(axes: str, order: int, seed: int) -> TrackerModel:
     train, test = pushed(axes, seed), pushed(axes, seed + 100)
-    refined = refine(era_records(train, order), train, direct=False)
+    refined = refine(realise_pulse_tests(train, order), train, direct=False)
     simulated = [simulate(refined.model, r, np.zeros(order)) for r in test]
     return TrackerModel(
         axes, refined, test, simulated, fit_percent(np.vstack([r.y for r in test]), np.vstack(simulated))
@@ -81,8 +81,8 @@ def tracker_model(axes: str, order: int, seed: int) -> TrackerModel:
 
 
 def structure(refined: RefinedModel) -> Structure:
-    by_thesis = unconstrained(refined.model)
-    return Structure(by_thesis, character(by_thesis), fit_mechanical(refined))
+    by_thesis = solve_unconstrained(refined.model)
+    return Structure(by_thesis, judge_character(by_thesis), fit_mechanical(refined))
 
 
 def cart_3(seed: int) -> Record:
@@ -101,7 +101,7 @@ def study(seed: int) -> WristlessStudy:
     two = {axes: tracker_model(axes, ORDER_VISION, seed) for axes in ("xy", "xz", "yz")}
     pairs = {axes: structure(model.refined) for axes, model in two.items()}
     cart3, data = {}, cart_3(seed)
-    factors = subspace_factors([data])
+    factors = compress_subspace_data([data])
     for order in (ORDER_VISION, 6, 8):
         refined = refine(factors.model(order), [data])
         cart3[order] = refined.modes, fit_percent(data.y, simulate(refined.model, data))
@@ -110,7 +110,7 @@ def study(seed: int) -> WristlessStudy:
         two["xy"],
         pairs,
         fit_mechanical(full.refined),
-        character(PRINTED),
+        judge_character(PRINTED),
         cart3,
         without_wrist().compliance(),
     )

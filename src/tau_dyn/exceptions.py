@@ -13,7 +13,7 @@ MAX_MESSAGE_CHARACTERS = 1000
 """Characters of a message; what a file holds may be quoted in it, and has no end."""
 
 
-def one_line(text: str) -> str:
+def format_one_line(text: str) -> str:
     """Return text as one printable line of bounded length: names in it must neither steer a terminal nor fill it."""
     words = " ".join(text.split())
     if len(words) > MAX_MESSAGE_CHARACTERS:
@@ -23,7 +23,7 @@ def one_line(text: str) -> str:
     )
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+def suggest_nearest(word: str, known: Iterable[str]) -> str:
     """Return a question about the nearest known word, in brackets; nothing where none is near, or only its number differs."""
     near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.7)
     return f" (did you mean {near[0]}?)" if near and _digits(near[0]) == _digits(word) else ""
@@ -40,7 +40,7 @@ class TauDynError(Exception):
 
     def __str__(self) -> str:
         """Return the sentence itself (a KeyError would quote it), printable and of bounded length."""
-        return one_line(str(self.args[0])) if self.args else ""
+        return format_one_line(str(self.args[0])) if self.args else ""
 
 
 class InputError(TauDynError, ValueError):
@@ -57,7 +57,7 @@ class UnknownName(InputError, KeyError):
         names = [str(k) for k in known]  # type: ignore[attr-defined]
         listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
         there_are = f"there are {listed}" if names else "there are none"
-        near = did_you_mean(str(name), names)  # in a file a name may be a number
+        near = suggest_nearest(str(name), names)  # in a file a name may be a number
         super().__init__(f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}")
 
 

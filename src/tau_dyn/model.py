@@ -17,9 +17,9 @@ import yaml
 
 from tau_dyn.dynamics import Mechanism, build_mechanism
 from tau_dyn.effects import Effect, Motion
-from tau_dyn.effects.effect import naming
+from tau_dyn.effects.effect import name_effect_in_errors
 from tau_dyn.effects.read import read_effects
-from tau_dyn.effects.state import beyond_a_state
+from tau_dyn.effects.state import describe_missing_state
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.parameters import Parameters
@@ -116,7 +116,7 @@ class Model(Shown):
         What distorts a recording (a delay, an encoder's error) or asks for a history is left out.
         """
         given = BY_STATE | set(signals)
-        return self.only(effect for effect in self.effects if not beyond_a_state(effect, given))
+        return self.only(effect for effect in self.effects if not describe_missing_state(effect, given))
 
     def regressor(
         self,
@@ -164,7 +164,7 @@ class Model(Shown):
         """Return all columns (N, na, p) along a motion that has the signals its effects need."""
         parts = [self.mechanism.regressor(motion.q, motion.v, motion.a)]
         for effect in self.effects:
-            with naming(effect):
+            with name_effect_in_errors(effect):
                 parts.append(effect.columns(motion))
         return np.concatenate(parts, axis=2)
 
@@ -216,7 +216,7 @@ class Model(Shown):
         """Return the effects' share of the force (N, na) [N or N m]."""
         force = np.zeros(motion.v.shape)
         for effect in self.effects:
-            with naming(effect):
+            with name_effect_in_errors(effect):
                 force += effect.force(motion, self.effect_parameters)
         return force
 

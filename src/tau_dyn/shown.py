@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _FACES = "tau_dyn.report.notebook"
-"""Has `html_of(result)` and `table_of(result)`."""
+"""Has `render_html(result)` and `table_of(result)`."""
 
 
 class Shown:

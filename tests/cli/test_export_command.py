@@ -11,7 +11,7 @@ import pytest
 
 from tau_dyn.cli import main
 from tau_dyn.control import Correction, read_reference, write_correction, write_reference
-from tau_dyn.control.interface.reference import digest
+from tau_dyn.control.interface.reference import compute_digest
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Trajectory, move
@@ -57,7 +57,7 @@ def test_a_reference_and_a_program(motion, tmp_path) -> None:
     model = Model.of(ROBOT, [])
     shape = 1e-3 * np.sin(np.linspace(0, np.pi, motion.n_samples))[:, None] ** 2 * np.ones(3)
     given = Trajectory.from_csv("motion.csv", ROBOT.actuated)
-    write_correction("c.csv", model, given, Correction(ROBOT.actuated, 0.004, shape, digest(given)))
+    write_correction("c.csv", model, given, Correction(ROBOT.actuated, 0.004, shape, compute_digest(given)))
     command = [
         "export",
         "gantry_tau",

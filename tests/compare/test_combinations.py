@@ -8,7 +8,7 @@ import pytest
 
 from tau_dyn.cli import main
 from tau_dyn.compare import compare, read_side
-from tau_dyn.report.fit_quality_text import combinations
+from tau_dyn.report.fit_quality_text import list_combinations
 
 
 def entry(name, value, stderr, unit="kg", **more):
@@ -126,5 +126,5 @@ def test_a_file_without_combinations_is_said(tmp_path):
 def test_seen_only_together_begins_with_the_best_known():
     """Of two sums that a motion shows, the one known to 0.3 % stands before the one known to 20 %, whatever the robot's order."""
     rows = [entry("a", -1.0, 0.2, expression="a + b"), entry("c", 2.0, 0.006, expression="c + d")]
-    said = combinations(SimpleNamespace(base_rows=lambda: rows))  # type: ignore[arg-type]
+    said = list_combinations(SimpleNamespace(base_rows=lambda: rows))  # type: ignore[arg-type]
     assert [s.split(" = ")[0] for s in said] == ["c + d", "a + b"]

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tau_dyn.cli import main
-from tau_dyn.control import Feedforward, Program, build_program, c_source, python_source
-from tau_dyn.control.export_model import random_states
+from tau_dyn.control import Feedforward, Program, build_program, write_c_source, write_python_source
+from tau_dyn.control.export_model import draw_random_states
 from tau_dyn.effects import EFFECTS, Effect, JointwiseEffect, build_friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
@@ -67,7 +67,7 @@ class Compiled:
     def __init__(self, program: Program, folder: Path) -> None:
         """Write, compile with every warning on, and load."""
         self.program = program
-        source, header = c_source(program)
+        source, header = write_c_source(program)
         (folder / "tau_ff.c").write_text(source)
         (folder / "tau_ff.h").write_text(header)
         flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-shared", "-fPIC"]
@@ -111,7 +111,7 @@ def test_c_and_python_files_are_the_feedforward(name: str, shape: str, write, tm
     model = built(name, write)
     feedforward = Feedforward(model, width=0.02, shape=shape)
     program = build_program(feedforward)
-    q, v, a = random_states(model, STATES, rng)
+    q, v, a = draw_random_states(model, STATES, rng)
     felt = {signal: rng.uniform(10, 60, q.shape) for signal in program.signals}
     assert bool(felt) == (name == "gantry_tau")
     expected = feedforward(q, v, a, signals=felt)
@@ -120,7 +120,7 @@ def test_c_and_python_files_are_the_feedforward(name: str, shape: str, write, tm
     for k in range(len(q)):
         status, tau = compiled(q[k], v[k], a[k], *(x[k] for x in felt.values()))
         assert status == 0 and np.abs(tau - expected[k]).max() < 1e-10 * scale
-    python = imported(python_source(program), tmp_path).tau_ff(q, v, a, *felt.values())
+    python = imported(write_python_source(program), tmp_path).tau_ff(q, v, a, *felt.values())
     assert np.abs(python - expected).max() < 1e-10 * scale
 
 
@@ -181,7 +181,7 @@ def test_the_file_says_what_it_is(write) -> None:
     """Units, order of joints, provenance and every parameter stand in the header; a comment cannot be broken out of."""
     plain = built("linear_axis", write)
     model = Model(plain.robot, plain.effects, plain.effect_parameters, {"log": "a */ log.csv"})
-    source, header = c_source(build_program(Feedforward(model)), "axis_ff")
+    source, header = write_c_source(build_program(Feedforward(model)), "axis_ff")
     for said in (
         "[0] axis: m, m/s, m/s^2, N",
         "carriage_link.mass = 95",

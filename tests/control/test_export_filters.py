@@ -12,11 +12,11 @@ from tau_dyn.control import (
     MotorSide,
     NormOptimalLaw,
     TimeShift,
+    build_notch,
+    chain_filters,
     design_low_pass,
-    dip,
-    learning_source,
-    observer_source,
-    product,
+    write_learning_source,
+    write_observer_source,
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes import StateSpace
@@ -56,7 +56,7 @@ OBSERVERS = {
 def test_an_observer_steps_as_in_python(kind, compiled, rng) -> None:
     """One call a sample gives the estimate of the whole trial; a sample that is no number changes nothing."""
     observer = OBSERVERS[kind]()
-    code = compiled(observer_source(observer, "tool"), "tool")
+    code = compiled(write_observer_source(observer, "tool"), "tool")
     kinematic, acceleration = trial(rng)
     state, z = np.full(200, 7.0), np.zeros((N, 2))
     code("start", state, kinematic[0].copy())
@@ -73,7 +73,7 @@ def test_an_observer_steps_as_in_python(kind, compiled, rng) -> None:
 def test_the_zero_phase_observer_takes_a_trial(compiled, rng) -> None:
     """Forwards and backwards over the trial and its tail; the answer may replace the places given."""
     observer = ComplementaryToolObserver((4.5, 2.63), DT)
-    code = compiled(observer_source(observer, "tool"), "tool")
+    code = compiled(write_observer_source(observer, "tool"), "tool")
     kinematic, acceleration = trial(rng)
     z, work = kinematic.copy(), np.zeros(2 * N)
     assert code("trial", N, z, acceleration, z, work) == 0
@@ -84,7 +84,7 @@ def test_the_zero_phase_observer_takes_a_trial(compiled, rng) -> None:
 def law() -> LearningLaw:
     """Return filters for two channels, one with a dip."""
     side = MotorSide(springy(0.0, 1))
-    Q = design_low_pass(10, DT), product([design_low_pass(30, DT), dip(11.0, 2.0, 0.1, DT)])
+    Q = design_low_pass(10, DT), chain_filters([design_low_pass(30, DT), build_notch(11.0, 2.0, 0.1, DT)])
     return LearningLaw(side, Q, TimeShift(0.9, 5, DT))
 
 
@@ -100,7 +100,7 @@ class Weights:
 
 def test_a_correction_is_updated_as_in_python(compiled, rng) -> None:
     """`Q_w Q_z (u + L e)`, each filter alone, and a correction beyond its limit that is not sent."""
-    code = compiled(learning_source(law(), (0.5, 1.5), "ilc"), "ilc")
+    code = compiled(write_learning_source(law(), (0.5, 1.5), "ilc"), "ilc")
     u, e = 1e-2 * rng.standard_normal((2, N, 2))
     expected = law().update(Weights(), u, e)  # type: ignore[arg-type]
     found, work = u.copy(), np.zeros((N, 2))
@@ -122,11 +122,11 @@ def test_a_correction_is_updated_as_in_python(compiled, rng) -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: learning_source(law(), 0.0), "must be a positive number"),
-        (lambda: learning_source(law(), (1.0, 1.0, 1.0)), "or 2 of them"),
-        (lambda: learning_source(NormOptimalLaw(law().side), 1.0), "NormOptimalLaw is no pair of filters"),  # type: ignore[arg-type]
-        (lambda: learning_source(law(), 1.0, "a-b"), "cannot name a function in C"),
-        (lambda: observer_source(OBSERVERS["causal"](), "double"), "cannot name a function in C"),
+        (lambda: write_learning_source(law(), 0.0), "must be a positive number"),
+        (lambda: write_learning_source(law(), (1.0, 1.0, 1.0)), "or 2 of them"),
+        (lambda: write_learning_source(NormOptimalLaw(law().side), 1.0), "NormOptimalLaw is no pair of filters"),  # type: ignore[arg-type]
+        (lambda: write_learning_source(law(), 1.0, "a-b"), "cannot name a function in C"),
+        (lambda: write_observer_source(OBSERVERS["causal"](), "double"), "cannot name a function in C"),
     ],
 )
 def test_what_cannot_be_written_is_refused(make, said) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tau_dyn.control import build_kinematics, kinematics_source
+from tau_dyn.control import build_kinematics, write_kinematics_source
 from tau_dyn.control import export_kinematics_check as check
-from tau_dyn.control.export_c_text import identifiers
+from tau_dyn.control.export_c_text import build_identifiers
 from tau_dyn.control.export_check import draw_reachable_positions
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import build_rods, forward_kinematics, inverse_kinematics, jacobian
@@ -32,7 +32,7 @@ class Kinematics:
 
     def __init__(self, program, compiled) -> None:
         """Write and compile."""
-        self.program, self.code = program, compiled(kinematics_source(program, "kin"), "kin")
+        self.program, self.code = program, compiled(write_kinematics_source(program, "kin"), "kin")
         self.na = program.robot.na
         self.start = np.zeros(len(program.home))
         self.home()
@@ -195,7 +195,7 @@ def test_a_range_that_would_be_left_is_refused(compiled) -> None:
 def test_too_few_drives_have_no_inverse(compiled) -> None:
     """One cart cannot hold a place: the header says so, and there is no such function."""
     program = build_kinematics(load_robot("linear_axis"))
-    source, header = kinematics_source(program, "axis")
+    source, header = write_kinematics_source(program, "axis")
     assert "1 freedom(s), too few" in header and "axis_ik" not in source
     compiled((source, header), "axis")
 
@@ -203,7 +203,7 @@ def test_too_few_drives_have_no_inverse(compiled) -> None:
 def test_hostile_names_make_plain_c(write, compiled) -> None:
     """Names that end comments, hold quotes, trigraphs, newlines, odd letters: identifiers and comments hold."""
     names = ["a*/ int x;", 'b"??/', "c\\", "ü‮", "a__ int x_"]
-    made = identifiers(names)
+    made = build_identifiers(names)
     assert len(set(made)) == len(names) and all(n.isascii() and n.replace("_", "a").isalnum() for n in made)
     joint = "x*/ #error ??/ /*&quot;&#10;*"
     text = write.text(
@@ -211,7 +211,9 @@ def test_hostile_names_make_plain_c(write, compiled) -> None:
         write.joint(joint, "prismatic", "base_link", "cart_link", "1 0 0"), write.drive(joint),
         '<joint name="end" type="fixed"><parent link="cart_link"/><child link="tool"/></joint>',
     )  # fmt: skip
-    source, header = kinematics_source(build_kinematics(load_robot_from_urdf(text, "evil\\\n*/ int y; /*")), "kin")
+    source, header = write_kinematics_source(
+        build_kinematics(load_robot_from_urdf(text, "evil\\\n*/ int y; /*")), "kin"
+    )
     compiled((source, header), "kin")
     assert header.count("*/") == 2 and "#define KIN_JOINT_x____error" in header
 
@@ -226,4 +228,4 @@ def test_a_difference_from_python_refuses_the_export(monkeypatch) -> None:
 def test_a_name_that_is_none_is_refused() -> None:
     """Functions of C have names of letters, digits and underscores."""
     with pytest.raises(InputError, match="cannot name a function in C"):
-        kinematics_source(build_kinematics(load_robot("gantry_tau")), "a-b")
+        write_kinematics_source(build_kinematics(load_robot("gantry_tau")), "a-b")

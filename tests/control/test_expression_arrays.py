@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.control.expression_arrays import as_expression_array, inputs
+from tau_dyn.control.expression_arrays import as_expression_array, build_inputs
 from tau_dyn.control.graph import Graph, Node
 
 
 def test_equal_expressions_are_one_node_and_numbers_stay_numbers() -> None:
     """Common subexpressions are computed once; zeros, ones and constants cost nothing."""
     graph = Graph()
-    x, y = inputs(graph, "x", np.array([2.0, 3.0]))
+    x, y = build_inputs(graph, "x", np.array([2.0, 3.0]))
     assert (x * y + 1.0) is (1.0 + y * x)
     assert x * 0.0 == 0.0 and x * 1.0 is x and x + 0.0 is x and -(x.__neg__()) is x and (x - x) == 0.0
     assert isinstance(np.sin(as_expression_array([0.5]))[0], float)
@@ -30,7 +30,7 @@ def test_array_code_computes_what_it_computes_on_numbers(rng) -> None:
         return np.stack([out, np.hypot(total, 2.0) @ A])
 
     A = rng.standard_normal((3, 3))
-    made = code(inputs(Graph(), "a", A.ravel()).reshape(3, 3))
+    made = code(build_inputs(Graph(), "a", A.ravel()).reshape(3, 3))
     values = np.array([x.value if isinstance(x, Node) else x for x in made.ravel()])
     np.testing.assert_allclose(values, code(A).ravel(), rtol=1e-13)
 
@@ -39,14 +39,14 @@ def test_array_code_computes_what_it_computes_on_numbers(rng) -> None:
 def test_small_matrices_have_inverses(n: int, rng) -> None:
     """The inverse of an expression's matrix times the matrix is the unit matrix, for one number too."""
     A = rng.standard_normal((n, n)) + 2 * np.eye(n)
-    made = np.linalg.inv(inputs(Graph(), "a", A.ravel()).reshape(n, n))
+    made = np.linalg.inv(build_inputs(Graph(), "a", A.ravel()).reshape(n, n))
     np.testing.assert_allclose([[x.value for x in row] for row in made] @ A, np.eye(n), atol=1e-12)
 
 
 def test_a_question_becomes_a_guard() -> None:
     """`if x > 1` is answered as at the reference state, and the answer is kept to be checked where the code runs."""
     graph = Graph()
-    (x,) = inputs(graph, "x", np.array([2.0]))
+    (x,) = build_inputs(graph, "x", np.array([2.0]))
     assert bool(x > 1.0) and not bool(x < 0.5)
     assert sorted(graph.guards.values()) == [False, True]
 
@@ -58,4 +58,4 @@ def test_a_question_becomes_a_guard() -> None:
 def test_what_cannot_be_recorded_is_refused(code) -> None:
     """Nothing is written out that was only half understood."""
     with pytest.raises(TypeError):
-        code(inputs(Graph(), "x", np.array([2.0, 3.0])))
+        code(build_inputs(Graph(), "x", np.array([2.0, 3.0])))

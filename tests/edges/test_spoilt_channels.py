@@ -11,7 +11,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.identify import build_model, identify
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.report.identification_words import verdict
+from tau_dyn.report.identification_words import describe_verdict
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 from tau_dyn.simulate import build_named_motion
 
@@ -99,7 +99,7 @@ def test_a_joint_without_usable_samples_is_not_called_perfect(log, truth) -> Non
     found = identify(robot, both.with_channels(q_slow=still), model="symmetric")
     assert found.holdout is not None and found.holdout.unjudged == ("slow",) and found.train.unjudged == ()
     assert any("no held-out sample of slow can be used" in sentence for sentence in found.warnings)
-    assert "slow" in verdict(found).sentence
+    assert "slow" in describe_verdict(found).sentence
 
 
 def test_a_joint_that_is_missed_is_not_hidden_behind_a_heavy_one(log, truth) -> None:
@@ -110,4 +110,6 @@ def test_a_joint_that_is_missed_is_not_hidden_behind_a_heavy_one(log, truth) -> 
              "tau_slow": 3 * rng.standard_normal(log.n_samples)}  # fmt: skip
     found = identify(robot, log.with_channels(**noise), model="asymmetric")
     assert found.train.relative_error_percent < 20
-    assert "Do not rely on every joint" in verdict(found).sentence and "slow" in verdict(found).sentence
+    assert (
+        "Do not rely on every joint" in describe_verdict(found).sentence and "slow" in describe_verdict(found).sentence
+    )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from tau_dyn.effects import AsymmetricFriction, Motion
-from tau_dyn.effects.displacement import DisplacementEffect, derivative
+from tau_dyn.effects.displacement import DisplacementEffect, differentiate_columns
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
@@ -50,8 +50,8 @@ def test_the_derivative_of_a_parabola_is_a_line() -> None:
     """Up to the ends."""
     t = np.arange(0, 1, 0.01)
     parabola = np.stack([3 * t**2, t], axis=1)
-    assert_allclose(derivative(parabola, t), np.stack([6 * t, np.ones(100)], axis=1), atol=1e-8)
-    assert not derivative(t, None).any() and not derivative(t[:3], t[:3]).any()
+    assert_allclose(differentiate_columns(parabola, t), np.stack([6 * t, np.ones(100)], axis=1), atol=1e-8)
+    assert not differentiate_columns(t, None).any() and not differentiate_columns(t[:3], t[:3]).any()
 
 
 def test_a_lagging_load_weighs_and_rubs_where_it_is(rng) -> None:

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS, DisplacementEffect, Motion, Scene
-from tau_dyn.effects.hysteresis import bristle
+from tau_dyn.effects.hysteresis import integrate_bristle
 from tau_dyn.exceptions import InputError
 
 T = np.arange(0, 2, 1e-3)
@@ -166,9 +166,9 @@ def test_a_stiff_resonance_is_a_spring_without_one() -> None:
 def test_a_bristle_remembers_half_swings(rng) -> None:
     """Along a random path z obeys `dz/dq = (1 - z sign) / distance` step by step, which full swings alone would not show."""
     q = np.cumsum(rng.standard_normal(2000)) * 1e-3
-    z = bristle(q, 4e-3)
+    z = integrate_bristle(q, 4e-3)
     now = z[0]
     for k, dq in enumerate(np.diff(q)):
         now = np.sign(dq) - (np.sign(dq) - now) * np.exp(-abs(dq) / 4e-3)
         assert abs(z[k + 1] - now) < 1e-12
-    assert np.abs(bristle(q, 1e-6)).max() <= 1 + 1e-12 and not bristle(np.zeros(5), 1.0).any()
+    assert np.abs(integrate_bristle(q, 1e-6)).max() <= 1 + 1e-12 and not integrate_bristle(np.zeros(5), 1.0).any()

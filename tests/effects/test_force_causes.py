@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
-from tau_dyn.effects.thermal_drift import lagged
+from tau_dyn.effects.thermal_drift import filter_first_order
 from tau_dyn.exceptions import InputError
 
 
@@ -86,7 +86,7 @@ def test_thermal_drift_follows_a_temperature_step_with_its_lag() -> None:
     """After one lag a step of 10 K has reached 63.2 %, after three 95.0 %; the reference has no drift."""
     t = np.arange(0, 40, 0.01)
     T = np.where(t > 0, 30.0, 20.0)
-    warm = lagged(T, t, 10.0)
+    warm = filter_first_order(T, t, 10.0)
     assert_allclose(warm[[0, 1000, 3000]], [20, 20 + 10 * (1 - np.exp(-1)), 20 + 10 * (1 - np.exp(-3))], atol=1e-9)
     effect = cause("thermal_drift", lag=10.0, reference=20.0)
     motion = line(v=np.full(len(t), -0.5), t=t, temperature=T)

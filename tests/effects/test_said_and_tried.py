@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.effects import EFFECTS, Scene
-from tau_dyn.effects.state import beyond_a_state
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.state import describe_missing_state
+from tau_dyn.effects.words import format_quantity
 from tau_dyn.parameters import Parameter, Parameters
 
 
@@ -32,7 +32,7 @@ def scene(duration: float, way: float = 1.0) -> Scene:
 )
 def test_amounts_take_the_prefix_that_leaves_a_handy_number(value, unit, stderr, said):
     """A value of nothing takes the prefix of its error, and none where it has none."""
-    assert quantity(value, unit, stderr) == said
+    assert format_quantity(value, unit, stderr) == said
 
 
 def test_lags_are_tried_up_to_a_third_of_the_recording():
@@ -60,9 +60,9 @@ def test_position_friction_says_where_it_is_high_and_low():
 
 def test_what_a_state_cannot_give_is_named():
     """A history is missing from a state; a law of the speed misses nothing; a delay is the recording's."""
-    assert "temperature" in beyond_a_state(EFFECTS["thermal_drift"](["x"], ["N"]), ())
-    assert beyond_a_state(EFFECTS["quadratic_drag"](["x"], ["N"]), ()) == ""
-    assert "recorded" in beyond_a_state(EFFECTS["delay"](["x"], ["N"]), ())
+    assert "temperature" in describe_missing_state(EFFECTS["thermal_drift"](["x"], ["N"]), ())
+    assert describe_missing_state(EFFECTS["quadratic_drag"](["x"], ["N"]), ()) == ""
+    assert "recorded" in describe_missing_state(EFFECTS["delay"](["x"], ["N"]), ())
 
 
 def test_a_resonances_damping_is_said_in_per_cent():

@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from tau_dyn.effects import EFFECTS, Effect
-from tau_dyn.effects.words import quantity, spelled
+from tau_dyn.effects.words import format_quantity, spell_unit
 
 
 def said(name: str, values: dict[str, float], joints: str = "x", stderr: float | None = None, **settings: float) -> str:
@@ -140,16 +140,20 @@ def test_errors_follow_their_amounts(name: str, values: dict[str, float], senten
 def test_an_amount_takes_the_prefix_that_fits_or_the_nearest() -> None:
     """Down to the smallest prefix there is, and below it still in that; a unit without prefixes keeps its own."""
     for value, text in ((2.0, "2 m"), (2e-3, "2 mm"), (2e-6, "2 µm"), (2e-9, "2 nm"), (2e-11, "0.02 nm")):
-        assert quantity(value, "m") == text and quantity(-value, "m") == f"-{text}"
+        assert format_quantity(value, "m") == text and format_quantity(-value, "m") == f"-{text}"
     for value, text in ((2e10, "20 GN/m"), (2e9, "2 GN/m"), (2e6, "2 MN/m"), (2e3, "2 kN/m"), (0.5, "0.5 N/m")):
-        assert quantity(value, "N/m") == text
-    assert quantity(2e-7, "rad/(N m)") == "200 nrad/(N m)" and quantity(3e5, "N m/rad") == "300 kN m/rad"
+        assert format_quantity(value, "N/m") == text
+    assert format_quantity(2e-7, "rad/(N m)") == "200 nrad/(N m)" and format_quantity(3e5, "N m/rad") == "300 kN m/rad"
     assert (
-        quantity(5e-4, "m/s") == "500 µm/s"
-        and quantity(5e-5, "rad/s") == "0.05 mrad/s"
-        and quantity(2e-8, "s") == "0.02 µs"
+        format_quantity(5e-4, "m/s") == "500 µm/s"
+        and format_quantity(5e-5, "rad/s") == "0.05 mrad/s"
+        and format_quantity(2e-8, "s") == "0.02 µs"
     )
-    assert quantity(1e-7, "N") == "1e-07 N" and quantity(0.02, "1") == "0.02" and quantity(0.0, "N") == "0 N"
+    assert (
+        format_quantity(1e-7, "N") == "1e-07 N"
+        and format_quantity(0.02, "1") == "0.02"
+        and format_quantity(0.0, "N") == "0 N"
+    )
 
 
 @pytest.mark.parametrize(
@@ -159,11 +163,11 @@ def test_an_amount_takes_the_prefix_that_fits_or_the_nearest() -> None:
 )  # fmt: skip
 def test_an_error_has_two_digits_and_its_amount_ends_with_them(stderr: float, text: str) -> None:
     """0.0996 rounds up to 0.10; no error, or none that is a number, leaves three digits of the amount."""
-    assert quantity(1.8, "N", stderr) == f"{text} N"
+    assert format_quantity(1.8, "N", stderr) == f"{text} N"
 
 
 def test_units_are_spelled_for_a_slide_and_a_hinge() -> None:
     """F, V and Q are force, speed and place; a force of two words stands in brackets below a fraction's line."""
-    assert [spelled("F/(V)", force) for force in ("N", "N m")] == ["N/(m/s)", "N m/(rad/s)"]
-    assert [spelled("Q/F", force) for force in ("N", "N m")] == ["m/N", "rad/(N m)"]
-    assert spelled("F s^2/Q", "N m") == "N m s^2/rad"
+    assert [spell_unit("F/(V)", force) for force in ("N", "N m")] == ["N/(m/s)", "N m/(rad/s)"]
+    assert [spell_unit("Q/F", force) for force in ("N", "N m")] == ["m/N", "rad/(N m)"]
+    assert spell_unit("F s^2/Q", "N m") == "N m s^2/rad"

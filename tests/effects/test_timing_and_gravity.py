@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.diagnose.plausibility import find_edge
 from tau_dyn.dynamics import GantryTauMechanism, TreeMechanism, build_mechanism
-from tau_dyn.dynamics.mechanism import axes_across
+from tau_dyn.dynamics.mechanism import compute_perpendicular_axes
 from tau_dyn.effects import EFFECTS, Delay, DriveLag, Effect, GuidewayNonparallel, Motion, Scene
 from tau_dyn.effects.cart_shift import SENSITIVITY
 from tau_dyn.effects.drive_lag import apply_first_order_lowpass
@@ -185,10 +185,10 @@ def test_a_tilt_is_what_the_signal_says_on_all_joints(rng) -> None:
 
 def test_axes_across_a_direction_are_unit_and_across() -> None:
     """Of a base axis the other two, in order; of any other two that stand on it and on each other."""
-    assert_allclose(axes_across(np.array([0, 0, -9.81])), np.eye(3)[:2])
-    assert_allclose(axes_across(np.array([2.0, 0, 0])), np.eye(3)[1:])
+    assert_allclose(compute_perpendicular_axes(np.array([0, 0, -9.81])), np.eye(3)[:2])
+    assert_allclose(compute_perpendicular_axes(np.array([2.0, 0, 0])), np.eye(3)[1:])
     lean = np.array([1.0, 2.0, 3.0])
-    found = axes_across(lean)
+    found = compute_perpendicular_axes(lean)
     assert_allclose(found @ found.T, np.eye(2), atol=1e-12)
     assert_allclose(found @ lean, 0, atol=1e-12)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.modes import load_state_space
-from tau_dyn.modes.modal import modes_of
+from tau_dyn.modes.modal import find_resonances
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.simulate import simulate
 
@@ -27,7 +27,7 @@ def test_kept_models_simulate_a_log_of_another_seed(name: str, order: int, side:
     """The models for the observers have the printed orders, Table 6.4's resonances, and follow the flexible robot."""
     kept = load_state_space(ROOT / "identification" / "models" / f"{name}.yaml")
     assert kept.model.order == order and kept.inputs == (f"x_{side}", f"y_{side}")
-    frequencies = np.array([m.frequency_hz for m in modes_of(kept.model)])
+    frequencies = np.array([m.frequency_hz for m in find_resonances(kept.model)])
     for wanted in (7.4, 11.45):
         assert np.abs(frequencies - wanted).min() < 0.05
     log = black_box.experiment("plane", 20.0, 977)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tau_dyn.cli.ending import ASKED, Ended, Interrupted, machine_fault, unwind_on_signal
+from tau_dyn.cli.ending import ASKED, Ended, Interrupted, describe_machine_fault, unwind_on_signal
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
@@ -121,6 +121,6 @@ def test_an_interruption_in_executed_text_leaves_with_its_status(tmp_path: Path)
 
 def test_what_a_machine_lacks_is_no_defect() -> None:
     """Too many open files and no memory are sentences; an OSError that nobody foresaw stays a defect, with its traceback."""
-    assert "raise ulimit -n" in str(machine_fault(OSError(24, "Too many open files", "a.csv")))
-    assert "out of memory" in str(machine_fault(MemoryError()))
-    assert machine_fault(FileNotFoundError(2, "No such file or directory")) is None
+    assert "raise ulimit -n" in str(describe_machine_fault(OSError(24, "Too many open files", "a.csv")))
+    assert "out of memory" in str(describe_machine_fault(MemoryError()))
+    assert describe_machine_fault(FileNotFoundError(2, "No such file or directory")) is None

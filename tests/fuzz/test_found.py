@@ -27,12 +27,12 @@ from fuzz_parts.judge import judge
 from fuzz_parts.readers import READERS
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.poses import from_quaternions
+from tau_dyn.kinematics.poses import convert_from_quaternions
 from tau_dyn.log import read_log
 from tau_dyn.log.copies import copy_groups
 from tau_dyn.modes.delay import InitialModels, choose_delay
-from tau_dyn.modes.methods import first_look
-from tau_dyn.modes.record import Record, records_of
+from tau_dyn.modes.methods import estimate_first_poles
+from tau_dyn.modes.record import Record, build_records
 
 
 def parquet(**columns: object) -> bytes:
@@ -210,14 +210,14 @@ def test_a_link_without_mass_whose_inertia_is_negative_is_read_as_one_with_mass_
 def test_delays_without_a_model_are_tried_once(tmp_path: Path) -> None:
     """A vibration log of giant numbers gave no model at some delays, and `modes` tried those again for ever."""
     (tmp_path / "log.csv").write_bytes(seed_motions.shaken())
-    records, asked = records_of(read_log(tmp_path / "log.csv"), ["tau_axis"], ["q_axis"]), Counter[int]()
+    records, asked = build_records(read_log(tmp_path / "log.csv"), ["tau_axis"], ["q_axis"]), Counter[int]()
 
     def first(some: Sequence[Record], delay: int) -> InitialModels:
         asked[delay] += 1
         assert asked[delay] == 1, f"delay {delay} was tried before"
         if delay in (1, 2):
             raise CannotAnswer("no model follows", "a longer log")
-        return first_look("n4sid", some, delay=delay)
+        return estimate_first_poles("n4sid", some, delay=delay)
 
     assert choose_delay(records, first, orders=(2,), most=4).delay in (0, 3, 4)
     assert {1, 2} <= asked.keys()
@@ -225,7 +225,7 @@ def test_delays_without_a_model_are_tried_once(tmp_path: Path) -> None:
 
 def test_a_quaternion_whose_square_is_beyond_a_float_has_a_direction() -> None:
     """1e308 overflowed on the way to the quaternion's length; it points where 1 does."""
-    poses = from_quaternions(np.zeros((2, 3)), np.array([[-1e308, 0, 0, 0], [-1, 0, 0, 0]]))
+    poses = convert_from_quaternions(np.zeros((2, 3)), np.array([[-1e308, 0, 0, 0], [-1, 0, 0, 0]]))
     assert_allclose(poses.rotation[0], poses.rotation[1], atol=1e-15)
 
 

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from pages import taken_apart
 
 from tau_dyn.cli import main
-from tau_dyn.exceptions import InputError, one_line
+from tau_dyn.exceptions import InputError, format_one_line
 from tau_dyn.report import html_page
 from tau_dyn.vision.pose_table import escape_formula
 
@@ -173,7 +173,7 @@ def test_messages_are_one_printable_line_of_bounded_length(refused, tmp_path: Pa
     (tmp_path / "wide.csv").write_text("t," + "x" * 50_000 + "," + "x" * 50_000 + "\n0,0,0\n")
     assert "stands twice" in refused("check", "wide.csv")
     assert "\x1b" not in str(InputError("a\x1b[31mb\nc")) and len(str(InputError("x" * 10**6))) <= 1000
-    assert one_line("a\n\n b\u202ec") == "a b\N{REPLACEMENT CHARACTER}c"
+    assert format_one_line("a\n\n b\u202ec") == "a b\N{REPLACEMENT CHARACTER}c"
 
 
 def test_a_file_name_that_steers_the_terminal_is_shown_plain(tmp_path: Path, capsys, monkeypatch) -> None:

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.cli.demo import true_model
+from tau_dyn.cli.demo import build_true_model
 from tau_dyn.effects import build_friction_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate import PlantRun, Sensors, Trajectory, build_named_motion, drive
+from tau_dyn.simulate import PlantRun, Sensors, Trajectory, build_named_motion, simulate_drive
 
 
 def recorded(
@@ -54,7 +54,7 @@ def l1() -> Robot:
 @pytest.fixture(scope="session")
 def truth(l1) -> Model:
     """L1 as it really is: masses up to 10 % off, Table 6.1's friction."""
-    return true_model(l1, 3)
+    return build_true_model(l1, 3)
 
 
 @pytest.fixture(scope="session")
@@ -102,5 +102,5 @@ def driven(truth) -> tuple[PlantRun, PlantRun]:
     """What happened in 40 s and in 10 s of simulated L1, to be measured with many seeds of noise."""
     rng = np.random.default_rng(0)
     paths = (build_named_motion("fourier", truth, 40.0, 4), build_named_motion("prbs", truth, 10.0, 5))
-    fit, held = (drive(truth, path, None, Sensors(), rng, feedback="ideal") for path in paths)
+    fit, held = (simulate_drive(truth, path, None, Sensors(), rng, feedback="ideal") for path in paths)
     return fit, held

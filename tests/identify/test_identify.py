@@ -152,9 +152,9 @@ def test_equivalent_descriptions_predict_the_same(axis, true_axis, make):
 def test_complete_arms_show_their_rods_sum(make):
     """Two parallel rods: each keeps its nominal mass, has no error, and names the other; their sum is estimated and right."""
     robot = load_robot("gantry_tau", prototype="l1", arms="complete")
-    from tau_dyn.cli.demo import true_model
+    from tau_dyn.cli.demo import build_true_model
 
-    truth = true_model(robot, 2)
+    truth = build_true_model(robot, 2)
     found = identify(robot, make.recorded(truth, build_named_motion("fourier", truth, 12.0, 1)))
     rows = {row["name"]: row for row in found.rows()}
     for name, other in (("rod2a_link.mass", "rod2b_link.mass"), ("rod2b_link.mass", "rod2a_link.mass")):

@@ -8,12 +8,19 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.assembly import assembly_modes
-from tau_dyn.kinematics.assembly.certificate import apart, certify
-from tau_dyn.kinematics.assembly.equations import Hexapod, magnitudes, normalised, points_of, poses_of, quadrics
+from tau_dyn.kinematics.assembly import find_assembly_modes
+from tau_dyn.kinematics.assembly.certificate import certify, select_distinct_balls
+from tau_dyn.kinematics.assembly.equations import (
+    Hexapod,
+    bound_magnitudes,
+    build_quadrics,
+    convert_to_points,
+    convert_to_poses,
+    normalise_hexapod,
+)
 from tau_dyn.kinematics.assembly.homotopy import track_homotopy
-from tau_dyn.kinematics.assembly.monodromy import distinct
-from tau_dyn.kinematics.assembly.start import general_hexapod, start_system
+from tau_dyn.kinematics.assembly.monodromy import select_distinct
+from tau_dyn.kinematics.assembly.start import draw_general_hexapod, start_system
 
 BASE = np.array(  # Dietmaier 1998, Advances in Robot Kinematics, p. 7
     [[0, 0, 0], [1.107915, 0, 0], [0.549094, 0.756063, 0]]
@@ -41,7 +48,7 @@ def true_gaps(A, B, L, modes) -> np.ndarray:
 
 def test_dietmaiers_hexapod_has_forty_real_modes() -> None:
     """The published hexapod with the most real modes: 40, each proven real, and no residual."""
-    modes = assembly_modes(BASE, PLATE, LENGTHS)
+    modes = find_assembly_modes(BASE, PLATE, LENGTHS)
     assert modes.certified and modes.n_real == len(modes.real) == 40
     assert modes.residual.max() < 1e-13
     assert_allclose(true_gaps(BASE, PLATE, LENGTHS, modes), 0, atol=1e-12)
@@ -55,7 +62,7 @@ def test_random_hexapods_have_forty_certified_modes_and_know_their_pose(rng) -> 
     """40 complex modes, in conjugate pairs but for an even number of real ones, the pose they were built from among them."""
     for _ in range(3):
         A, B, L, T, R = drawn(rng)
-        modes = assembly_modes(A, B, L)
+        modes = find_assembly_modes(A, B, L)
         assert modes.certified and len(modes.real) == 40 and modes.n_real % 2 == 0 and modes.n_real >= 2
         size = 1 + np.abs(modes.position).max(axis=1)
         assert (modes.residual / size).max() < 1e-9
@@ -68,8 +75,8 @@ def test_random_hexapods_have_forty_certified_modes_and_know_their_pose(rng) -> 
 def test_modes_move_with_the_frames_and_scale_with_the_robot(rng) -> None:
     """Real modes do not depend on where the origin is, nor on metres or millimetres."""
     A, B, L, _, _ = drawn(rng)
-    first = assembly_modes(A, B, L)
-    moved = assembly_modes(1000 * (A + [3, -2, 5]), 1000 * B, 1000 * L)
+    first = find_assembly_modes(A, B, L)
+    moved = find_assembly_modes(1000 * (A + [3, -2, 5]), 1000 * B, 1000 * L)
     real = first.position[first.real].real
     assert_allclose(moved.position[moved.real].real / 1000 - [3, -2, 5], real, atol=1e-8)
 
@@ -80,7 +87,7 @@ def test_modes_move_with_the_frames_and_scale_with_the_robot(rng) -> None:
 def test_rods_that_share_points_have_the_known_smaller_number(rng, pattern, count) -> None:
     """3-2-1, 3-1-1-1 and 2-2-2 clusters: 8, 16 and 16 modes, certified as all there are."""
     A, B, L, T, _ = drawn(rng, pattern)
-    modes = assembly_modes(A, B, L)
+    modes = find_assembly_modes(A, B, L)
     assert len(modes.real) == count and modes.certified
     assert np.abs(modes.position[modes.real] - T).max(axis=1).min() < 1e-9
 
@@ -89,7 +96,7 @@ def test_a_plate_that_can_move_is_not_certified() -> None:
     """Similar regular hexagons with equal rods move by themselves: no isolated mode, and the answer says that it is special."""
     angle = np.linspace(0, 2 * np.pi, 7)[:6]
     hexagon = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    modes = assembly_modes(hexagon, 0.5 * hexagon, np.ones(6))
+    modes = find_assembly_modes(hexagon, 0.5 * hexagon, np.ones(6))
     assert not modes.certified and "special" in modes.why
     assert modes.n_singular > 0
 
@@ -100,14 +107,14 @@ def test_a_lost_solution_is_not_hidden(rng, monkeypatch) -> None:
 
     start, x = start_system()
     monkeypatch.setattr(module, "start_system", lambda: (start, x[:12]))
-    modes = assembly_modes(*drawn(rng)[:3])
+    modes = find_assembly_modes(*drawn(rng)[:3])
     assert not modes.certified and "more modes may exist" in modes.why
 
 
 def test_rods_too_short_have_no_real_mode(rng) -> None:
     """Rods that cannot reach leave 40 complex modes and none real."""
     A, B, _, _, _ = drawn(rng)
-    modes = assembly_modes(3 * A, B, np.full(6, 0.01))
+    modes = find_assembly_modes(3 * A, B, np.full(6, 0.01))
     assert modes.n_real == 0 and modes.certified
 
 
@@ -122,31 +129,31 @@ def test_rods_too_short_have_no_real_mode(rng) -> None:
 def test_bad_input_is_named(rng, change, message) -> None:
     """Five rods, nan and negative lengths are the user's faults."""
     with pytest.raises(InputError, match=message):
-        assembly_modes(*change(*drawn(rng)[:3]))
+        find_assembly_modes(*change(*drawn(rng)[:3]))
 
 
 def test_the_quadrics_are_the_rods_equations(rng) -> None:
     """A pose that fits its rods solves the quadrics, one that does not does not, and comes back from its homogeneous point."""
     A, B, L, T, R = drawn(rng)
-    hexapod, gauge = normalised(A, B, L)
+    hexapod, gauge = normalise_hexapod(A, B, L)
     x, y, z, w = Rotation.from_matrix(R).as_quat()
     e = np.array([[w, x, y, z]])
-    point = points_of(T[None], e, R[None], gauge)
-    assert_allclose(np.einsum("ni,kij,nj->k", point, quadrics(hexapod), point), 0, atol=1e-14)
-    off = points_of(T[None] + 0.1, e, R[None], gauge)
-    assert np.abs(np.einsum("ni,kij,nj->k", off, quadrics(hexapod), off)[:6]).min() > 1e-4
-    position, _, rotation = poses_of(3j * point, gauge)
+    point = convert_to_points(T[None], e, R[None], gauge)
+    assert_allclose(np.einsum("ni,kij,nj->k", point, build_quadrics(hexapod), point), 0, atol=1e-14)
+    off = convert_to_points(T[None] + 0.1, e, R[None], gauge)
+    assert np.abs(np.einsum("ni,kij,nj->k", off, build_quadrics(hexapod), off)[:6]).min() > 1e-4
+    position, _, rotation = convert_to_poses(3j * point, gauge)
     assert_allclose(position[0], T, atol=1e-13)
     assert_allclose(rotation[0], R, atol=1e-13)
 
 
 def test_a_certificate_needs_a_solution(rng) -> None:
     """Near a solution a ball is proven and holds it; away from any there is none; a copy of a solution is not another one."""
-    hexapod, gauge = normalised(BASE, PLATE, LENGTHS)
-    Q, size = quadrics(hexapod), magnitudes(hexapod, LENGTHS / gauge.scale)
-    modes = assembly_modes(BASE, PLATE, LENGTHS)
+    hexapod, gauge = normalise_hexapod(BASE, PLATE, LENGTHS)
+    Q, size = build_quadrics(hexapod), bound_magnitudes(hexapod, LENGTHS / gauge.scale)
+    modes = find_assembly_modes(BASE, PLATE, LENGTHS)
     e = modes.quaternion[:, [3, 0, 1, 2]]
-    x = points_of(modes.position, e, modes.rotation, gauge)
+    x = convert_to_points(modes.position, e, modes.rotation, gauge)
     off = x * (1 + 1e-9 * rng.normal(size=x.shape))
     good, near, far = (
         certify(Q, size, x),
@@ -158,16 +165,16 @@ def test_a_certificate_needs_a_solution(rng) -> None:
     assert proven.sum() > 30
     assert (np.abs(good.z - near.z) <= near.radius + good.radius)[proven].all()
     assert np.isinf(far.relative).all() and not far.real.any()
-    twice = apart(np.concatenate([good.z, 1j * good.z]), np.tile(good.radius, (2, 1)))
+    twice = select_distinct_balls(np.concatenate([good.z, 1j * good.z]), np.tile(good.radius, (2, 1)))
     assert twice[:40].all() and not twice[40:].any()
 
 
 def test_tracking_there_and_back_returns_every_solution(rng) -> None:
     """Forty paths to another general hexapod and back end where they began, none lost and none doubled."""
     start, x = start_system()
-    assert_allclose(np.einsum("ni,kij,nj->nk", x, quadrics(start), x), 0, atol=1e-13)
-    there = track_homotopy(start, general_hexapod(rng), x)
-    assert there.regular.all() and len(distinct(there.x)) == 40
-    end = Hexapod(*general_hexapod(np.random.default_rng(5)))
+    assert_allclose(np.einsum("ni,kij,nj->nk", x, build_quadrics(start), x), 0, atol=1e-13)
+    there = track_homotopy(start, draw_general_hexapod(rng), x)
+    assert there.regular.all() and len(select_distinct(there.x)) == 40
+    end = Hexapod(*draw_general_hexapod(np.random.default_rng(5)))
     back = track_homotopy(end, start, track_homotopy(start, end, x).x)
     assert_allclose(np.abs((back.x.conj() * x).sum(axis=1)), 1, atol=1e-10)

@@ -11,9 +11,9 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.assembly import assembly_modes_of, configuration_states, reachable_modes
-from tau_dyn.kinematics.assembly.motion import Limits, advance, between, rods_apart, sample_at
-from tau_dyn.kinematics.assembly.of_robot import real_poses, translating_modes
+from tau_dyn.kinematics.assembly import find_reachable_modes, find_robot_assembly_modes, solve_configuration_states
+from tau_dyn.kinematics.assembly.motion import Limits, advance, interpolate_pose, measure_rod_distance, sample_at
+from tau_dyn.kinematics.assembly.of_robot import find_translating_modes, select_real_poses
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods, build_rods
@@ -32,7 +32,7 @@ def stewart() -> Rods:
 def stewart_modes(stewart) -> tuple[np.ndarray, Poses, int]:
     """Actuated positions off the symmetric home, the real modes there, and which of them is the usual one."""
     q = stewart.robot.home + 0.05 * np.random.default_rng(2).uniform(-1, 1, 6)
-    poses = real_poses(assembly_modes_of(stewart, q))
+    poses = select_real_poses(find_robot_assembly_modes(stewart, q))
     return q, poses, int(np.argmin(np.linalg.norm(poses.position - stewart.home.position, axis=1)))
 
 
@@ -50,35 +50,35 @@ def test_a_translating_plate_has_two_modes() -> None:
     """Three spheres: the simplified Gantry-Tau's pose and its mirror image, with determinants of opposite sign."""
     rods = build_rods(load_robot(URDF / "gantry_tau.urdf.xacro"))
     q = rods.robot.home
-    modes = assembly_modes_of(rods, q)
+    modes = find_robot_assembly_modes(rods, q)
     assert modes.certified and modes.n_real == 2 and modes.residual.max() < 1e-14
     plate = forward_kinematics(rods, q[None]).plate
     assert np.linalg.norm(modes.position.real - plate.position, axis=1).min() < 1e-12
-    states = configuration_states(rods, np.array([q, q]), real_poses(modes))
+    states = solve_configuration_states(rods, np.array([q, q]), select_real_poses(modes))
     assert states.assembly[0] == -states.assembly[1] != 0
 
 
 def test_spheres_that_do_not_meet_have_a_complex_pair() -> None:
     """Rods too short give two conjugate points that still fit, and no real one; centres in a line are refused."""
     A, B = np.eye(3), np.zeros((3, 3))
-    modes = translating_modes(A, B, np.full(3, 0.5), np.eye(3))
+    modes = find_translating_modes(A, B, np.full(3, 0.5), np.eye(3))
     assert modes.certified and modes.n_real == 0
     assert_allclose(modes.position[0], modes.position[1].conj())
     assert_allclose(((modes.position[:, None] - A) ** 2).sum(axis=2), 0.25)
     with pytest.raises(InputError, match="line"):
-        translating_modes(np.outer([0, 1, 2], [1, 1, 0]), B, np.ones(3), np.eye(3))
+        find_translating_modes(np.outer([0, 1, 2], [1, 1, 0]), B, np.ones(3), np.eye(3))
 
 
 def test_modes_apart_in_sign_are_apart_by_a_singularity(stewart, stewart_modes) -> None:
     """On the straight way to a mode of the other sign the determinant passes zero; the answer says so and gives no motion."""
     q, poses, home = stewart_modes
-    states = configuration_states(stewart, np.repeat(q[None], 8, axis=0), poses)
+    states = solve_configuration_states(stewart, np.repeat(q[None], 8, axis=0), poses)
     assert sorted(states.assembly) == [-1] * 4 + [1] * 4
     other = int(np.flatnonzero(states.assembly != states.assembly[home])[0])
-    reach = reachable_modes(stewart, q, poses, home, n_samples=0)
+    reach = find_reachable_modes(stewart, q, poses, home, n_samples=0)
     assert reach[home].verdict == "home" and reach[other].verdict == "behind a singularity"
     a, b = poses.take(slice(home, home + 1)), poses.take(slice(other, other + 1))
-    way = [between(a, b, share) for share in np.linspace(0, 1, 50)]
+    way = [interpolate_pose(a, b, share) for share in np.linspace(0, 1, 50)]
     signs = [np.sign(np.linalg.det(stewart.gap_by_pose(q[None], pose)[0])) for pose in way]
     assert set(signs) == {-1.0, 1.0}
 
@@ -99,7 +99,7 @@ def test_a_motion_stops_before_a_singularity(stewart, stewart_modes) -> None:
 def test_a_motion_that_is_found_keeps_its_sign_and_closes_the_rods(stewart, stewart_modes) -> None:
     """Between two modes of one sign the legs can lead the plate round: all samples fit, and the determinant stays on its side."""
     q, poses, _ = stewart_modes
-    reach = reachable_modes(stewart, q, poses.take(np.array([5, 0])), 0, limits=False, n_samples=60)[1]
+    reach = find_reachable_modes(stewart, q, poses.take(np.array([5, 0])), 0, limits=False, n_samples=60)[1]
     assert reach.verdict == "reachable"
     assert np.abs(stewart.gap(reach.q, reach.plate)).max() < 1e-9
     assert_allclose(reach.q[[0, -1]], [q, q], atol=1e-6)
@@ -112,7 +112,7 @@ def test_a_motion_that_is_found_keeps_its_sign_and_closes_the_rods(stewart, stew
 def test_limits_that_allow_no_motion_leave_the_answer_open(stewart, stewart_modes) -> None:
     """A same-signed mode that the search does not reach is unknown, never called unreachable."""
     q, poses, home = stewart_modes
-    answers = reachable_modes(stewart, q, poses.take(np.array([home, 0])), 0, n_samples=2)
+    answers = find_reachable_modes(stewart, q, poses.take(np.array([home, 0])), 0, n_samples=2)
     assert answers[1].verdict == "unknown" and "does not prove" in answers[1].why
 
 
@@ -126,18 +126,18 @@ def test_rods_distance_is_that_of_the_nearest_points(stewart, rng) -> None:
         A, B = stewart.base_points(q)[0], stewart.plate_points(pose)[0]
         points = A + share[:, :, None] * (B - A)
         pairs = [cdist(points[:, i], points[:, j]).min() for i in range(6) for j in range(i)]
-        assert 0 <= min(pairs) - rods_apart(stewart, q, pose) < 0.01
+        assert 0 <= min(pairs) - measure_rod_distance(stewart, q, pose) < 0.01
     half_turn = Poses(stewart.home.position, stewart.home.rotation @ np.diag([-1.0, -1, 1]))
-    assert rods_apart(stewart, q, half_turn) < 0.01 < rods_apart(stewart, q, stewart.home)
+    assert measure_rod_distance(stewart, q, half_turn) < 0.01 < measure_rod_distance(stewart, q, stewart.home)
 
 
 def test_wrong_questions_are_refused(stewart, stewart_modes) -> None:
     """Too many samples, a home that is not there, more rods than actuators, too few rods."""
     q, poses, _ = stewart_modes
     with pytest.raises(InputError, match="one set"):
-        assembly_modes_of(stewart, np.zeros((2, 6)))
+        find_robot_assembly_modes(stewart, np.zeros((2, 6)))
     with pytest.raises(InputError, match="no number 9"):
-        reachable_modes(stewart, q, poses, 9)
+        find_reachable_modes(stewart, q, poses, 9)
     triglide = build_rods(load_robot(URDF / "triglide.urdf.xacro"))
     with pytest.raises(InputError, match="6 rods and 3 actuators"):
-        reachable_modes(triglide, triglide.robot.home, triglide.home, 0)
+        find_reachable_modes(triglide, triglide.robot.home, triglide.home, 0)

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, find_collisions, standing
+from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, find_collisions
 from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
 
 SOLIDS = [Box((0.3, 0.2, 0.5)), Cylinder(0.1, 0.4), Sphere(0.15), Capsule(0.05, 0.6)]
@@ -43,7 +43,7 @@ def test_parallel_rods_touch_at_the_sum_of_their_radii() -> None:
 def test_telescopic_leg_is_as_long_as_its_joints_are_apart() -> None:
     """A leg drawn 1 m long that is pulled out to 2 m touches a ball that stands at 1.9 m."""
     start, end = np.zeros((2, 3)), np.array([[0, 0, 1.0], [0, 0, 2.0]])
-    ball = standing(Sphere(0.05), pin.SE3(np.eye(3), np.array([0.03, 0, 1.9])))
+    ball = build_standing_solid(Sphere(0.05), pin.SE3(np.eye(3), np.array([0.03, 0, 1.9])))
     np.testing.assert_array_equal(find_collisions(build_capsule(0.01, 1.0, start, end), ball), [False, True])
 
 

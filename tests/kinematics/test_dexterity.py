@@ -7,12 +7,24 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.dexterity import Rates, dexterity, tool_jacobian, worst_force, worst_speed
+from tau_dyn.kinematics.dexterity import (
+    Rates,
+    compute_dexterity,
+    compute_tool_jacobian,
+    compute_worst_force,
+    compute_worst_speed,
+)
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.stiffness import Springs, compliance, in_series, softest, stiffness_matrix
-from tau_dyn.kinematics.workspace.machines import machine_of
-from tau_dyn.kinematics.workspace.maps import Quality, elasticity
+from tau_dyn.kinematics.stiffness import (
+    Springs,
+    combine_in_series,
+    compute_compliance,
+    compute_stiffness_matrix,
+    find_softest,
+)
+from tau_dyn.kinematics.workspace.machines import build_machine
+from tau_dyn.kinematics.workspace.maps import Quality, build_elasticity
 from tau_dyn.robot import load_robot
 
 ROBOTS = [("gantry_tau", {}), ("stewart", {}), ("gantry_tau_f1", {})]
@@ -21,7 +33,7 @@ ROBOTS = [("gantry_tau", {}), ("stewart", {}), ("gantry_tau_f1", {})]
 @pytest.fixture(scope="module", params=ROBOTS, ids=lambda p: p[0])
 def machine(request: pytest.FixtureRequest):
     name, arguments = request.param
-    return machine_of(load_robot(name, **arguments))
+    return build_machine(load_robot(name, **arguments))
 
 
 def beside_home(machine) -> tuple[np.ndarray, Poses]:
@@ -34,7 +46,7 @@ def beside_home(machine) -> tuple[np.ndarray, Poses]:
 def test_jacobian_is_the_slope_of_forward_kinematics(machine) -> None:
     """Moving one actuator by a micrometre moves the tool as its column of J says."""
     q, poses = beside_home(machine)
-    J, h = tool_jacobian(machine.rates(q, poses))[0], 1e-6
+    J, h = compute_tool_jacobian(machine.rates(q, poses))[0], 1e-6
     for k in range(machine.robot.na):
         step = np.zeros_like(q)
         step[0, k] = h
@@ -61,33 +73,36 @@ def test_stiffness_is_that_of_loaded_springs(machine) -> None:
     same, other, against, both = energy.reshape(na + d, na + d, 4).transpose(2, 0, 1)
     H = (same - other - against + both) / (4 * h**2)
     K = H[na:, na:] - H[na:, :na] @ np.linalg.solve(H[:na, :na], H[:na, na:])
-    expected = stiffness_matrix(machine.rates(q, poses), springs)[0]
+    expected = compute_stiffness_matrix(machine.rates(q, poses), springs)[0]
     np.testing.assert_allclose(K, expected, atol=2e-5 * np.abs(expected).max())
 
 
 def test_rigid_rods_leave_the_formula_of_the_textbook() -> None:
     """K = J^-T diag(k) J^-1 for rigid rods and one spring an actuator; diag(k) among the rods alone for rigid actuators."""
-    machine = machine_of(load_robot("stewart"))
+    machine = build_machine(load_robot("stewart"))
     q, poses = beside_home(machine)
     rates, k = machine.rates(q, poses), np.linspace(1, 2, 6) * 1e7
-    J = tool_jacobian(rates)[0]
+    J = compute_tool_jacobian(rates)[0]
     expected = np.linalg.inv(J).T @ np.diag(k) @ np.linalg.inv(J)
     np.testing.assert_allclose(
-        stiffness_matrix(rates, Springs(np.full(6, np.inf), k))[0], expected, rtol=1e-9, atol=1e-3
+        compute_stiffness_matrix(rates, Springs(np.full(6, np.inf), k))[0], expected, rtol=1e-9, atol=1e-3
     )
     rows = rates.tool[0]
     np.testing.assert_allclose(
-        stiffness_matrix(rates, Springs(k, np.full(6, np.inf)))[0], rows.T @ np.diag(k) @ rows, rtol=1e-9, atol=1e-3
+        compute_stiffness_matrix(rates, Springs(k, np.full(6, np.inf)))[0],
+        rows.T @ np.diag(k) @ rows,
+        rtol=1e-9,
+        atol=1e-3,
     )
 
 
 def test_rods_along_the_axes_have_their_own_stiffness() -> None:
     """Three rods along x, y and z: each direction is as stiff as its rod, the softest is named."""
     rates = Rates(np.eye(3)[None], np.eye(3)[None], np.zeros(3, bool), 1.0)
-    found = softest(compliance(rates, Springs(np.array([3e6, 1e6, 2e6]), np.full(3, np.inf))))
+    found = find_softest(compute_compliance(rates, Springs(np.array([3e6, 1e6, 2e6]), np.full(3, np.inf))))
     np.testing.assert_allclose(found.stiffness[0], [1e6, 2e6, 3e6])
     np.testing.assert_allclose(np.abs(found.directions[0][:, 0]), [0, 1, 0], atol=1e-12)
-    assert in_series(115e6, 115e6) == pytest.approx(57.5e6)
+    assert combine_in_series(115e6, 115e6) == pytest.approx(57.5e6)
 
 
 def test_distance_is_zero_where_three_rods_lie_in_a_plane() -> None:
@@ -95,7 +110,7 @@ def test_distance_is_zero_where_three_rods_lie_in_a_plane() -> None:
     lift = np.array([0.0, 1e-3, 1e-2])
     rods = np.array([[[1, 0, z], [-0.5, 0.8, z], [-0.5, -0.8, z]] for z in lift])
     rods /= np.linalg.norm(rods, axis=2, keepdims=True)
-    found = dexterity(Rates(rods, np.tile(np.eye(3), (3, 1, 1)), np.zeros(3, bool), 1.0))
+    found = compute_dexterity(Rates(rods, np.tile(np.eye(3), (3, 1, 1)), np.zeros(3, bool), 1.0))
     assert found.parallel[0] < 1e-12 and np.isinf(found.condition[0])
     np.testing.assert_allclose(found.parallel[2] / found.parallel[1], 10, rtol=0.01)
 
@@ -104,34 +119,37 @@ def test_distance_is_zero_where_a_rod_stands_across_its_guideway() -> None:
     """A rod at right angles to its cart's way is not moved by it: the serial distance is zero, and so is the speed."""
     way = np.array([[[1, 0, 0], [0, 1, 0], [0, 0, 1.0]]])
     rates = Rates(way, np.array([[[1.0, 0, 0], [0, 1, 0], [0, 0, 0]]]), np.zeros(3, bool), 1.0)
-    found = dexterity(rates)
+    found = compute_dexterity(rates)
     assert found.serial[0] == 0 and found.manipulability[0] == 0 and np.isinf(found.condition[0])
-    assert worst_speed(rates, np.ones(3))[0] == 0
+    assert compute_worst_speed(rates, np.ones(3))[0] == 0
 
 
 def test_speed_and_force_hold_in_every_direction(machine, rng: np.random.Generator) -> None:
     """No direction is slower or weaker than the worst, and the worst is met by some direction."""
     q, poses = beside_home(machine)
     rates, limits = machine.rates(q, poses), np.linspace(1, 2, machine.robot.na)
-    J = tool_jacobian(rates)[0]
+    J = compute_tool_jacobian(rates)[0]
     way = rng.normal(size=(20000, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     needed = np.linalg.pinv(J) @ np.concatenate([way, np.zeros((len(way), len(J) - 3))], axis=1).T
     speeds = (limits[:, None] / np.abs(needed)).min(axis=0)
     forces = (limits[:, None] / np.abs(J[:3].T @ way.T)).min(axis=0)
-    for worst, every in ((worst_speed(rates, limits)[0], speeds), (worst_force(rates, limits)[0], forces)):
+    for worst, every in (
+        (compute_worst_speed(rates, limits)[0], speeds),
+        (compute_worst_force(rates, limits)[0], forces),
+    ):
         assert worst <= every.min() * (1 + 1e-9)
         np.testing.assert_allclose(every.min(), worst, rtol=0.02)
 
 
 def test_condition_does_not_depend_on_the_unit_of_length() -> None:
     """The homogenised Jacobian of a hexapod twice as large has the same condition number."""
-    machine = machine_of(load_robot("stewart"))
+    machine = build_machine(load_robot("stewart"))
     rates = machine.rates(*beside_home(machine))
     tool = rates.tool.copy()
     tool[:, :, 3:] *= 2
     larger = rates._replace(tool=tool, length=2 * rates.length)
-    np.testing.assert_allclose(dexterity(larger).condition, dexterity(rates).condition, rtol=1e-12)
+    np.testing.assert_allclose(compute_dexterity(larger).condition, compute_dexterity(rates).condition, rtol=1e-12)
 
 
 def test_nan_stays_nan() -> None:
@@ -139,30 +157,30 @@ def test_nan_stays_nan() -> None:
     rods = np.tile(np.eye(3), (2, 1, 1))
     rods[0] = np.nan
     rates = Rates(rods, np.tile(np.eye(3), (2, 1, 1)), np.zeros(3, bool), 1.0)
-    found = dexterity(rates)
+    found = compute_dexterity(rates)
     assert np.isnan(found.condition[0]) and found.condition[1] == pytest.approx(1.0)
-    K = compliance(rates, Springs(np.ones(3), np.ones(3)))
+    K = compute_compliance(rates, Springs(np.ones(3), np.ones(3)))
     assert np.isnan(K[0]).all() and np.isfinite(K[1]).all()
 
 
 def test_springs_at_fault_are_refused() -> None:
     """A stiffness of zero, an unknown joint, a rod's where there is none, all rigid: one sentence each."""
-    machine = machine_of(load_robot("gantry_tau"))
+    machine = build_machine(load_robot("gantry_tau"))
     with pytest.raises(InputError, match="above zero"):
-        elasticity(machine, 0.0)
+        build_elasticity(machine, 0.0)
     with pytest.raises(UnknownName, match="cart9"):
-        elasticity(machine, None, {"cart9": 1e6})
+        build_elasticity(machine, None, {"cart9": 1e6})
     q, poses = beside_home(machine)
     with pytest.raises(InputError, match="rigid"):
-        compliance(machine.rates(q, poses), Springs(np.full(3, np.inf), np.full(3, np.inf)))
+        compute_compliance(machine.rates(q, poses), Springs(np.full(3, np.inf), np.full(3, np.inf)))
     with pytest.raises(UnknownName, match="map"):
-        Quality(machine, elasticity(machine)).values(["beauty"], q, poses)
+        Quality(machine, build_elasticity(machine)).values(["beauty"], q, poses)
 
 
 def test_rod_springs_of_the_file_are_used() -> None:
     """The flexible L1 says how stiff its rods are; that is what the map takes, and what it leaves out is said."""
     robot = load_robot("gantry_tau", arms="complete", flexible="true", rod_stiffness="5e7")
-    found = elasticity(machine_of(robot))
+    found = build_elasticity(build_machine(robot))
     assert found.springs is not None and not found.assumed
     np.testing.assert_allclose(found.springs.rods, 5e7)
     assert "left out" in found.origin

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import LoopSolver, Poses, build_rods, forward_kinematics, forward_solutions
-from tau_dyn.kinematics.implicit import implicit_forward
+from tau_dyn.kinematics import LoopSolver, Poses, build_rods, forward_kinematics, solve_both_forward
+from tau_dyn.kinematics.implicit import solve_implicit_forward
 from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import load_robot
@@ -72,7 +72,7 @@ def test_closed_form_of_parallel_rods_equals_newton(name, arguments):
     q = wave(robot, 50, 0.08)
     if "q4" in robot.actuated:
         q[:, robot.actuated.index("q5")] = -q[:, robot.actuated.index("q4")]
-    found, closed = forward_kinematics(robot, q), implicit_forward(build_rods(robot), q)
+    found, closed = forward_kinematics(robot, q), solve_implicit_forward(build_rods(robot), q)
     assert found.ok.all() and closed.defect.max() < 1e-12
     assert_allclose(closed.poses.position, found.poses.position, atol=1e-11)
     assert_allclose(closed.poses.rotation, found.poses.rotation, atol=1e-11)
@@ -83,7 +83,7 @@ def test_closed_form_says_where_it_is_not_exact():
     robot = load_robot("gantry_tau_t2")
     q = robot.home.copy()
     q[robot.actuated.index("q4")] += 0.1
-    closed, found = implicit_forward(build_rods(robot), q), forward_kinematics(robot, q)
+    closed, found = solve_implicit_forward(build_rods(robot), q), forward_kinematics(robot, q)
     assert closed.defect[0] > 1e-3 and found.ok[0]
     assert np.abs(build_rods(robot).gap(q, found.plate)).max() < 1e-13
 
@@ -93,7 +93,7 @@ def test_trilateration_has_two_solutions(rng):
     robot = load_robot("gantry_tau", prototype="d1")
     rods = build_rods(robot)
     q = robot.home + rng.uniform(-0.3, 0.3, (50, 3))
-    both = forward_solutions(rods, q)
+    both = solve_both_forward(rods, q)
     for k in range(2):
         tool = Poses(both[:, k], forward_kinematics(rods, q).poses.rotation)
         assert np.abs(rods.gap(q, rods.plate_poses(tool))).max() < 1e-12

@@ -14,15 +14,15 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import (
     Poses,
     build_rods,
-    configurations,
     forward_kinematics,
-    home_configuration,
+    get_home_configuration,
     inverse_kinematics,
-    inverse_solutions,
     jacobian,
+    list_configurations,
+    solve_all_configurations,
 )
-from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, chains_of
-from tau_dyn.kinematics.inverse import nearest_configuration
+from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, build_chains
+from tau_dyn.kinematics.inverse import find_nearest_configuration
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 ROBOTS = [
@@ -56,7 +56,7 @@ def test_there_and_back(name, arguments, reach, rng):
     assert ok.mean() > 0.8
     poses, q = forward.poses.take(ok), q[ok]
     m = 1 if name in SLOWER else 4
-    solutions = inverse_solutions(robot, poses.take(slice(m)))
+    solutions = solve_all_configurations(robot, poses.take(slice(m)))
     away = np.nan_to_num(np.abs(solutions - q[:m, None]).max(axis=2), nan=np.inf).min(axis=1)
     assert away.max() < 1e-10  # a chain near its dead centre loses a digit
     back = inverse_kinematics(robot, poses, limits=False)
@@ -74,7 +74,7 @@ def test_eight_configurations(arms, rng):
     robot = load_robot("gantry_tau", arms=arms)
     rods = build_rods(robot)
     poses = forward_kinematics(robot, robot.home + rng.uniform(-0.4, 0.4, (30, 3))).poses
-    solutions, signs = inverse_solutions(rods, poses), configurations(rods)
+    solutions, signs = solve_all_configurations(rods, poses), list_configurations(rods)
     assert solutions.shape == (30, 8, 3) and len(signs) == 8
     for k in range(8):
         assert np.abs(rods.gap(solutions[:, k], rods.plate_poses(poses))).max() < 1e-11
@@ -82,7 +82,7 @@ def test_eight_configurations(arms, rng):
             inverse_kinematics(rods, poses, configuration=signs[k], limits=False).q, solutions[:, k], atol=1e-11
         )
     assert len(np.unique(np.round(solutions[0], 6), axis=0)) == 8
-    home = int(np.flatnonzero((signs == home_configuration(rods)).all(axis=1))[0])
+    home = int(np.flatnonzero((signs == get_home_configuration(rods)).all(axis=1))[0])
     assert_allclose(inverse_kinematics(rods, poses, limits=False).q, solutions[:, home], atol=1e-11)
 
 
@@ -93,7 +93,7 @@ def test_closed_forms_equal_newton(name, rng):
     rods = build_rods(robot)
     plate = forward_kinematics(robot, robot.home + 0.03 * rng.standard_normal((50, robot.na))).plate
     B = rods.plate_points(plate).transpose(1, 2, 0)
-    for chain in chains_of(rods):
+    for chain in build_chains(rods):
         assert isinstance(chain, RootChain)
         newton = NewtonChain(rods, chain.rods[:1], chain.actuators)
         for sign in chain.signs:
@@ -108,7 +108,7 @@ def test_chains_of_several_actuators_have_all_their_solutions(rng):
     rods = build_rods(robot)
     q = robot.home + 0.1 * rng.uniform(-1, 1, (2, 6))
     plate = forward_kinematics(robot, q).plate
-    solutions = inverse_solutions(rods, rods.tool_poses(plate))
+    solutions = solve_all_configurations(rods, rods.tool_poses(plate))
     assert np.isfinite(solutions[..., 0]).sum(axis=1).min() >= 8
     for k in range(solutions.shape[1]):
         there = np.isfinite(solutions[:, k, 0])
@@ -162,7 +162,7 @@ def test_beyond_a_singularity_is_another_branch(rng):
     home = forward_kinematics(robot, robot.home).poses
     turn = Rotation.from_rotvec(rng.uniform(-1.6, 1.6, (12, 3))).as_matrix()
     asked = Poses(np.repeat(home.position, 12, axis=0), turn @ home.rotation)
-    named = inverse_kinematics(rods, asked, configuration=home_configuration(rods), limits=False)
+    named = inverse_kinematics(rods, asked, configuration=get_home_configuration(rods), limits=False)
     found = inverse_kinematics(rods, asked, limits=False)
     assert named.ok.all() and set(found.reason) == {"", "branch change"}
     back = forward_kinematics(rods, named.q).poses.rotation
@@ -210,7 +210,7 @@ def test_a_tree_is_solved_as_well(rng):
 def test_which_configuration_is_homes(name, arguments, signs):
     """A chain with two roots has a sign, -1 the smaller one; a leg has one root, a chain of several actuators none."""
     robot = load_robot(name, **arguments)
-    assert home_configuration(robot).tolist() == signs
+    assert get_home_configuration(robot).tolist() == signs
 
 
 def test_redundant_actuators_stay_nearest_to_the_start(rng):
@@ -258,8 +258,8 @@ def test_what_forward_kinematics_reaches_is_never_given_up(name, arguments, rng)
     q = rng.uniform(robot.lower, robot.upper, (150, robot.na))
     forward = forward_kinematics(robot, q)
     homes = np.flatnonzero(forward.ok)
-    signs = [nearest_configuration(rods, forward.poses.take(slice(k, k + 1)), q[k]) for k in homes.tolist()]
-    homes = homes[(np.array(signs) == home_configuration(rods)).all(axis=1)]
+    signs = [find_nearest_configuration(rods, forward.poses.take(slice(k, k + 1)), q[k]) for k in homes.tolist()]
+    homes = homes[(np.array(signs) == get_home_configuration(rods)).all(axis=1)]
     assert len(homes) > 20
     found = inverse_kinematics(robot, forward.poses.take(homes), limits=False)
     assert found.ok.all()

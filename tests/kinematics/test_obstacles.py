@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.obstacles import Surroundings, read_surroundings, surroundings_from, with_limits
+from tau_dyn.kinematics.obstacles import Surroundings, add_limits, build_surroundings, read_surroundings
 
 
 def one(**entry: Any):
-    return surroundings_from({"obstacles": [{"name": "thing", **entry}]}, "f.yaml").obstacles[0]
+    return build_surroundings({"obstacles": [{"name": "thing", **entry}]}, "f.yaml").obstacles[0]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ BOX = {"centre": [0, 0, 0], "size": [1, 1, 1]}
 def test_fault_is_named(content: Any, words: str) -> None:
     """Each fault of an obstacle file is one sentence that opens with the file's name."""
     with pytest.raises(InputError, match=words) as caught:
-        surroundings_from(content, "f.yaml")
+        build_surroundings(content, "f.yaml")
     assert str(caught.value).startswith("f.yaml")
 
 
@@ -98,11 +98,11 @@ def test_file_is_read_safely(tmp_path: Path) -> None:
 def test_bad_tool_limit_is_refused(text: str) -> None:
     """A limit is an axis and two places in order."""
     with pytest.raises(InputError, match="limit"):
-        with_limits(Surroundings(), [text])
+        add_limits(Surroundings(), [text])
 
 
 def test_tool_limits_meet() -> None:
     """The narrower of file and command line holds; an end may stay open."""
-    around = with_limits(Surroundings(), ["x=0:2", "x=1:", "z=:0.5"])
+    around = add_limits(Surroundings(), ["x=0:2", "x=1:", "z=:0.5"])
     np.testing.assert_array_equal(around.lower, [1, -np.inf, -np.inf])
     np.testing.assert_array_equal(around.upper, [2, np.inf, 0.5])

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import Poses, forward_kinematics, inverse_solutions
+from tau_dyn.kinematics import Poses, forward_kinematics, solve_all_configurations
 from tau_dyn.kinematics.path_following import follow_path
 from tau_dyn.robot import load_robot
 
@@ -31,7 +31,7 @@ def test_the_branch_is_the_starts():
     robot = load_robot("gantry_tau")
     t = np.linspace(0, 1, 10)[:, None]
     poses = forward_kinematics(robot, robot.home + 0.1 * t * np.array([1.0, -1.0, 0.5])).poses
-    every = inverse_solutions(robot, poses)
+    every = solve_all_configurations(robot, poses)
     whole = 0
     for k in range(every.shape[1]):
         found = follow_path(robot, poses, start=every[0, k])

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import LoopClosureError, UnknownName
-from tau_dyn.kinematics import NotRods, Poses, build_rods, from_quaternions, quaternions
-from tau_dyn.kinematics.plate_arrays import turned_by
+from tau_dyn.kinematics import NotRods, Poses, build_rods, convert_from_quaternions, convert_to_quaternions
+from tau_dyn.kinematics.plate_arrays import rotate_by_vector
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot
 
@@ -33,7 +33,7 @@ def near_home(rods, rng, n: int = 3) -> tuple[np.ndarray, Poses]:
     """Return positions and plate poses near home that do not belong together."""
     q = rods.robot.home + 0.1 * rng.standard_normal((n, rods.na))
     turn = np.zeros((3, n)) if rods.translates else 0.1 * rng.standard_normal((3, n))
-    rotation = np.moveaxis(turned_by(turn, np.repeat(rods.rotation[:, :, None], n, axis=2)), 2, 0)
+    rotation = np.moveaxis(rotate_by_vector(turn, np.repeat(rods.rotation[:, :, None], n, axis=2)), 2, 0)
     return q, Poses(rods.home.position + 0.1 * rng.standard_normal((n, 3)), rotation)
 
 
@@ -57,7 +57,7 @@ def test_derivatives_of_the_gap(kind, rng):
         sides = [
             Poses(
                 plate.position + s * twist[:3].T,
-                np.moveaxis(turned_by(s * twist[3:], np.moveaxis(plate.rotation, 0, 2)), 2, 0),
+                np.moveaxis(rotate_by_vector(s * twist[3:], np.moveaxis(plate.rotation, 0, 2)), 2, 0),
             )
             for s in (1, -1)
         ]
@@ -120,8 +120,8 @@ def test_other_geometry_by_name_only():
 def test_quaternions_go_there_and_back(rng):
     """A rotation and its quaternion x y z w, w not negative, are the same orientation."""
     quaternion = rng.standard_normal((20, 4))
-    poses = from_quaternions(np.zeros((20, 3)), quaternion)
-    back = quaternions(poses)
+    poses = convert_from_quaternions(np.zeros((20, 3)), quaternion)
+    back = convert_to_quaternions(poses)
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     assert np.all(back[:, 3] >= 0)
     assert_allclose(back, unit * np.sign(unit[:, 3:]), atol=1e-14)

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import recorded, response, structure
 
-from tau_dyn.modes.checks import Z99, fit_percent, independence, whiteness
+from tau_dyn.modes.checks import Z99, check_independence, check_whiteness, fit_percent
 
 
 def test_fit_is_that_of_the_contract(rng):
@@ -31,7 +31,7 @@ def test_independent_signals_pass_whatever_their_colour(rng, colour):
     p = []
     for _ in range(150):
         e, u = (lfilter([1], [1, -colour], rng.normal(size=(600, 1)), axis=0) for _ in range(2))
-        p.append(independence([e], [u], ["y"], ["u"])[0].p_value)
+        p.append(check_independence([e], [u], ["y"], ["u"])[0].p_value)
     assert np.mean(np.array(p) < 0.01) < 0.05  # 1 % expected; 5 % is four standard errors above
     assert 0.2 < np.mean(np.array(p) < 0.5) < 0.8
 
@@ -39,16 +39,16 @@ def test_independent_signals_pass_whatever_their_colour(rng, colour):
 def test_whiteness_tells_noise_from_its_memory(rng):
     """White noise passes, the same noise through a slow filter does not."""
     white = rng.normal(size=(2000, 1))
-    assert whiteness([white], ["y"])[0].passed
-    assert whiteness([white], ["y"])[0].band == pytest.approx(Z99 / np.sqrt(2000))
-    assert not whiteness([lfilter([1], [1, -0.2], white, axis=0)], ["y"])[0].passed
+    assert check_whiteness([white], ["y"])[0].passed
+    assert check_whiteness([white], ["y"])[0].band == pytest.approx(Z99 / np.sqrt(2000))
+    assert not check_whiteness([lfilter([1], [1, -0.2], white, axis=0)], ["y"])[0].passed
 
 
 def test_a_missing_mode_is_seen_in_what_is_left():
     """A model without the second resonance leaves something that answers to the input; the whole model does not."""
     plant, poor = structure(), structure((7.4,), (0.02,))
     record = recorded(plant, decibels=30)
-    whole = independence([record.y - response(plant, record.u)], [record.u], record.outputs, record.inputs)
+    whole = check_independence([record.y - response(plant, record.u)], [record.u], record.outputs, record.inputs)
     assert all(t.passed for t in whole)
     partial = record.y[:, :1] - response(poor, record.u[:, :1]) * 0.7
-    assert not all(t.passed for t in independence([partial], [record.u], ["y"], record.inputs))
+    assert not all(t.passed for t in check_independence([partial], [record.u], ["y"], record.inputs))

@@ -11,12 +11,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 from recordings import recorded, structure
 
 from tau_dyn.modes.delay import choose_delay
-from tau_dyn.modes.methods import first_look
+from tau_dyn.modes.methods import estimate_first_poles
 
 
 def _found(plant, decibels: float, delay: int) -> int:
     record = recorded(plant, 2500, decibels, delay)
-    choice = choose_delay([record], lambda r, d: first_look("n4sid", r, delay=d), orders=(2, 4, 6, 8), most=12)
+    choice = choose_delay(
+        [record], lambda r, d: estimate_first_poles("n4sid", r, delay=d), orders=(2, 4, 6, 8), most=12
+    )
     assert choice.scan and "delay" in choice.why
     return choice.delay
 

@@ -8,16 +8,16 @@ from scipy.linalg import expm
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes.arx import arx
-from tau_dyn.modes.era import era, era_records
+from tau_dyn.modes.era import era, realise_pulse_tests
 from tau_dyn.modes.hankel import compress
-from tau_dyn.modes.modal import modes_of
+from tau_dyn.modes.modal import find_resonances
 from tau_dyn.modes.pbsid import pbsid
 from tau_dyn.modes.record import Record, Scales
-from tau_dyn.modes.reduce import hankel_values, reduce_order
+from tau_dyn.modes.reduce import compute_hankel_values, reduce_order
 from tau_dyn.modes.refine import refine
-from tau_dyn.modes.simulate import initial_state, predict, simulate, states
+from tau_dyn.modes.simulate import estimate_initial_state, predict, simulate, simulate_states
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.subspace import subspace_factors
+from tau_dyn.modes.subspace import compress_subspace_data
 
 DT = 1 / 200
 FREQUENCIES, DAMPINGS = (7.4, 11.5, 14.0), (0.01, 0.02, 0.03)
@@ -48,7 +48,7 @@ def shaken(model: StateSpace, n: int, seed: int, noise: float = 0.01, x0: np.nda
 
 def check(model: StateSpace, frequency: float = 1e-3, damping: float = 0.05) -> None:
     """Compare relative errors of all resonances with limits."""
-    found = modes_of(model)
+    found = find_resonances(model)
     assert len(found) == 3
     assert np.allclose([mode.frequency_hz for mode in found], FREQUENCIES, rtol=frequency)
     assert np.allclose([mode.damping_ratio for mode in found], DAMPINGS, rtol=damping)
@@ -58,7 +58,7 @@ def check(model: StateSpace, frequency: float = 1e-3, damping: float = 0.05) -> 
 def test_subspace_finds_the_resonances_of_a_shaken_structure(weighting):
     """With 40 dB of noise all weightings see the modes, and the simulated output is the measured one but for the noise."""
     record = shaken(structure(), 6000, 1)
-    model = subspace_factors([record], horizon=30).model(6, weighting)
+    model = compress_subspace_data([record], horizon=30).model(6, weighting)
     check(model)
     residual = record.y - simulate(model, record)
     assert np.all(residual.std(axis=0) < 0.012 * record.y.std(axis=0))
@@ -80,7 +80,7 @@ def test_factor_of_the_correlations_is_that_of_the_rows_themselves():
 def test_noise_free_data_fall_back_to_qr_and_give_the_plant_exactly():
     """Without noise the Gram matrix is singular; the QR route then finds the poles to nine digits."""
     plant = structure()
-    factors = subspace_factors([shaken(plant, 1500, 4, noise=0.0)], horizon=10)
+    factors = compress_subspace_data([shaken(plant, 1500, 4, noise=0.0)], horizon=10)
     assert factors.factor.method == "qr"
     check(factors.model(6), 1e-8, 1e-6)
 
@@ -90,7 +90,7 @@ def test_two_records_with_states_of_their_own_count_as_one_experiment():
     plant = structure()
     ringing = 3 * np.ones(6)
     records = [shaken(plant, 2500, 5, x0=ringing), shaken(plant, 2500, 6, x0=-ringing)]
-    start = subspace_factors(records, horizon=30).model(6)
+    start = compress_subspace_data(records, horizon=30).model(6)
     refined = refine(start, records)
     check(refined.model, 3e-4, 0.02)
     whiteness = [abs(np.corrcoef(e[1:, 0], e[:-1, 0])[0, 1]) for e in refined.residuals]
@@ -103,9 +103,9 @@ def test_delay_is_respected_by_all_methods():
     rng = np.random.default_rng(7)
     u = rng.normal(size=(5000, 2))
     late = np.vstack([np.zeros((5, 2)), u[:-5]])
-    y = states(plant.A, late @ plant.B.T, np.zeros(6)) @ plant.C.T
+    y = simulate_states(plant.A, late @ plant.B.T, np.zeros(6)) @ plant.C.T
     record = Record(u, y + 0.01 * y.std(axis=0) * rng.normal(size=y.shape), DT, ("a", "b"), ("c", "d"))
-    start = subspace_factors([record], delay=5, horizon=30).model(6)
+    start = compress_subspace_data([record], delay=5, horizon=30).model(6)
     assert start.delay == 5
     refined = refine(start, [record])
     check(refined.model, 3e-4, 0.02)
@@ -120,7 +120,7 @@ def test_accelerations_keep_their_direct_term():
     """An accelerometer answers a force within the sample: the data choose a D, and it is the right one."""
     plant = structure(output="acceleration")
     record = shaken(plant, 6000, 8)
-    model = refine(subspace_factors([record], horizon=30).model(6), [record]).model
+    model = refine(compress_subspace_data([record], horizon=30).model(6), [record]).model
     check(model, 1e-3, 0.05)
     assert np.allclose(model.D, plant.D, atol=0.02)
 
@@ -129,8 +129,8 @@ def test_signals_of_very_unlike_size_are_scaled_inside():
     """Newtons in and micrometres out, one output a million times the other: the same resonances."""
     record = shaken(structure(), 4000, 9)
     odd = replace(record, u=record.u * [1e4, 1e-3], y=record.y * [1e-6, 1.0])
-    one = refine(subspace_factors([record], horizon=25).model(6), [record])
-    other = refine(subspace_factors([odd], horizon=25).model(6), [odd])
+    one = refine(compress_subspace_data([record], horizon=25).model(6), [record])
+    other = refine(compress_subspace_data([odd], horizon=25).model(6), [odd])
     for a, b in zip(one.modes, other.modes, strict=True):
         assert a.frequency_hz == pytest.approx(b.frequency_hz, rel=1e-7)
         assert a.damping_stderr == pytest.approx(b.damping_stderr, rel=1e-3)
@@ -141,7 +141,7 @@ def test_arx_of_high_order_reduces_to_the_structure():
     record = shaken(structure(), 8000, 10)
     long = arx([record], 30)
     assert long.order == 60
-    assert np.all(np.diff(hankel_values(long)) <= 1e-12)
+    assert np.all(np.diff(compute_hankel_values(long)) <= 1e-12)
     check(reduce_order(long, 6), 2e-3, 0.1)
 
 
@@ -162,7 +162,7 @@ def test_reduction_keeps_the_response_within_twice_the_dropped_hankel_values():
     small = reduce_order(long, 6)
     f = np.linspace(0.1, 99, 300)
     gap = np.linalg.norm(long.frequency_response(f) - small.frequency_response(f), axis=(1, 2), ord=2)
-    assert gap.max() <= 2 * hankel_values(long)[6:].sum() * (1 + 1e-9)
+    assert gap.max() <= 2 * compute_hankel_values(long)[6:].sum() * (1 + 1e-9)
 
 
 def test_pbsid_on_open_loop_data():
@@ -189,7 +189,7 @@ def test_hammer_blows_give_frequency_damping_and_response():
         quiet = Record(u, np.zeros((3000, 2)), DT, ("a", "b"), ("c", "d"))
         y = simulate(plant, quiet, np.zeros(6))
         records.append(replace(quiet, y=y + 1e-3 * y.std(axis=0) * rng.normal(size=y.shape)))
-    model = era_records(records, 6)
+    model = realise_pulse_tests(records, 6)
     check(model, 1e-3, 0.05)
     f = np.array(FREQUENCIES)
     assert np.allclose(model.frequency_response(f), plant.frequency_response(f), rtol=0.05, atol=1e-5)
@@ -198,7 +198,7 @@ def test_hammer_blows_give_frequency_damping_and_response():
 def test_lasting_excitation_is_no_pulse_test():
     """Without a rest after the pulse there is no decay, and that is said."""
     with pytest.raises(CannotAnswer, match="never comes to rest"):
-        era_records([shaken(structure(), 500, 15)], 6)
+        realise_pulse_tests([shaken(structure(), 500, 15)], 6)
 
 
 def test_prediction_is_sharper_than_simulation_under_process_noise():
@@ -206,7 +206,7 @@ def test_prediction_is_sharper_than_simulation_under_process_noise():
     plant = structure()
     rng = np.random.default_rng(16)
     u, w = rng.normal(size=(6000, 2)), rng.normal(size=(6000, 2))
-    y = states(plant.A, (u + 0.5 * w) @ plant.B.T, np.zeros(6)) @ plant.C.T
+    y = simulate_states(plant.A, (u + 0.5 * w) @ plant.B.T, np.zeros(6)) @ plant.C.T
     record = Record(u, y, DT, ("a", "b"), ("c", "d"))
     model = refine(pbsid([record], 6, past=30), [record], kind="prediction_error").model
     errors = [(record.y - predict(model, record, k)).std() for k in (1, 10, 1000)]
@@ -224,14 +224,14 @@ def test_states_do_not_depend_on_the_poles_being_apart():
     for row in drive:
         expected.append(x)
         x = A @ x + row
-    assert np.allclose(states(A, drive, np.ones(5)), expected, rtol=1e-9, atol=1e-7)
+    assert np.allclose(simulate_states(A, drive, np.ones(5)), expected, rtol=1e-9, atol=1e-7)
 
 
 def test_initial_state_is_found_again():
     """The state from which a noiseless response started is the one that fits best."""
     plant, x0 = structure(), np.arange(1.0, 7.0)
     record = shaken(plant, 400, 18, noise=0.0, x0=x0)
-    assert np.allclose(initial_state(plant, record), x0, rtol=1e-6)
+    assert np.allclose(estimate_initial_state(plant, record), x0, rtol=1e-6)
 
 
 def test_daisy_robot_arm(measured):
@@ -243,7 +243,7 @@ def test_daisy_robot_arm(measured):
         return 100 * (1 - np.linalg.norm(part.y - simulate(model, part)) / np.linalg.norm(part.y - part.y.mean()))
 
     for weighting in ("cva", "n4sid"):
-        model = refine(subspace_factors([record], horizon=20).model(4, weighting), [record]).model
+        model = refine(compress_subspace_data([record], horizon=20).model(4, weighting), [record]).model
         assert fit(model, record) >= 96.5
         assert model.spectral_radius() < 1
     assert fit(arx([record.window(slice(0, 512))], 8), record.window(slice(512, None))) >= 94
@@ -253,16 +253,16 @@ def test_bad_input_is_refused_in_a_sentence():
     """Too short, not finite, unlike, or an order out of reach: said, not thrown as a traceback."""
     record = shaken(structure(), 300, 19)
     with pytest.raises(InputError, match="too few"):
-        subspace_factors([record], horizon=60)
+        compress_subspace_data([record], horizon=60)
     with pytest.raises(InputError, match="not finite"):
         arx([replace(record, y=np.full_like(record.y, np.nan))], 2)
     with pytest.raises(InputError, match="sampling step"):
         Scales.of([record, replace(record, dt=0.1)])
     with pytest.raises(InputError, match="order 40"):
-        subspace_factors([record], horizon=5).model(40)
+        compress_subspace_data([record], horizon=5).model(40)
     with pytest.raises(InputError, match="delay"):
         record.aligned(300)
     with pytest.raises(InputError, match="weighting"):
-        subspace_factors([record], horizon=5).model(2, "other")
+        compress_subspace_data([record], horizon=5).model(2, "other")
     with pytest.raises(InputError, match="no record"):
         arx([], 2)

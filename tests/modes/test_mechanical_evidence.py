@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from structures import DT, chain, refined
 
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.modes.mechanical_evidence import continuous, evidence_of
+from tau_dyn.modes.mechanical_evidence import build_evidence, convert_to_continuous
 from tau_dyn.modes.second_order import OUTPUTS
 
 HZ = (7.4, 11.5, 14.0)
@@ -26,21 +26,23 @@ def test_sampling_is_undone_exactly(output: str) -> None:
     structure = chain(HZ)
     model = structure.sampled(DT, range(3), range(3), output)
     s = 2j * np.pi * np.geomspace(1, 100, 9)
-    assert_allclose(continuous(model, OUTPUTS.index(output)).response(s), structure.compliance(s), rtol=1e-7)
+    assert_allclose(convert_to_continuous(model, OUTPUTS.index(output)).response(s), structure.compliance(s), rtol=1e-7)
 
 
 def test_a_pure_delay_is_no_part_of_the_structure() -> None:
     """Whole samples of delay leave M, D, K alone."""
     model = chain(HZ).sampled(DT, range(3), range(3))
     s = 2j * np.pi * np.array([5.0])
-    assert_allclose(continuous(replace(model, delay=5)).response(s), continuous(model).response(s))
+    assert_allclose(
+        convert_to_continuous(replace(model, delay=5)).response(s), convert_to_continuous(model).response(s)
+    )
 
 
 def test_a_pole_beyond_half_the_rate_is_refused() -> None:
     """No held-input system has a negative real pole of multiplicity one."""
     model = chain(HZ).sampled(DT, [0], [0])
     with pytest.raises(CannotAnswer, match="half the sampling rate"):
-        continuous(replace(model, A=np.diag([-0.5, 0.2, 0.3, 0.4, 0.5, 0.6])))
+        convert_to_continuous(replace(model, A=np.diag([-0.5, 0.2, 0.3, 0.4, 0.5, 0.6])))
 
 
 def test_the_factor_is_the_scatter_of_the_response() -> None:
@@ -48,10 +50,10 @@ def test_the_factor_is_the_scatter_of_the_response() -> None:
     truth, rng = chain(HZ[:2]).sampled(DT, range(2), range(2)), np.random.default_rng(1)
     found = refined(truth, 40, 5000, None)
     s = 2j * np.pi * np.array([3.0, 7.0, 20.0])
-    factor = evidence_of(found).factor(s)
+    factor = build_evidence(found).factor(s)
     half = np.linalg.cholesky(found.covariance)
     draws = [
-        continuous(found.model_at(found.theta + half @ rng.normal(size=len(half)))).response(s).ravel()
+        convert_to_continuous(found.model_at(found.theta + half @ rng.normal(size=len(half)))).response(s).ravel()
         for _ in range(600)
     ]
     assert_allclose(np.std(draws, axis=0), np.linalg.norm(factor, axis=1), rtol=0.12)

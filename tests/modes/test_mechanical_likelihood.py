@@ -11,8 +11,14 @@ from numpy.testing import assert_allclose
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import chain, relative_error
 
-from tau_dyn.modes.mechanical_likelihood import Target, maximise, relative_frame, split, whitening
-from tau_dyn.modes.mechanical_validation import compute_worst_relative_stderr, covariance_of
+from tau_dyn.modes.mechanical_likelihood import (
+    Target,
+    compute_relative_frame,
+    compute_whitening,
+    maximise_likelihood,
+    split,
+)
+from tau_dyn.modes.mechanical_validation import compute_worst_relative_stderr, get_covariance
 from tau_dyn.modes.places import Places
 from tau_dyn.modes.second_order import SecondOrder, pack, unpack
 
@@ -51,7 +57,7 @@ def test_whitening_whitens_what_is_uncertain_and_leaves_the_rest() -> None:
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(40, 6)) * np.geomspace(1e-6, 1e3, 40)[:, None]
     factor[3] = 0.0
-    T = whitening(factor)
+    T = compute_whitening(factor)
     assert T.shape == (6, 40)
     assert_allclose(T @ factor @ factor.T @ T.T, np.eye(6), atol=1e-9)
     assert np.all(T[:, 3] == 0)
@@ -62,11 +68,11 @@ def test_the_maximum_is_found_from_afar_and_is_one() -> None:
     truth = scaled()
     start = SecondOrder(1.3 * truth.M, 0.7 * truth.D, 1.3 * truth.K)
     places = Places((0, 1, 2), (0,))
-    exact = maximise(Target(S, places.select(truth.compliance(S)), places, np.eye(2 * 90), False), start)
+    exact = maximise_likelihood(Target(S, places.select(truth.compliance(S)), places, np.eye(2 * 90), False), start)
     for name in "MDK":
         assert relative_error(getattr(exact, name), getattr(truth, name)) < 1e-4
     goal = target(truth, places, 1e-3)
-    found = maximise(goal, start)
+    found = maximise_likelihood(goal, start)
     gradient = goal.jacobian(found).T @ goal.misfit(found)
     size = np.linalg.norm(goal.jacobian(found), axis=0)
     assert np.all(np.abs(gradient) < 1e-2 * size)  # a hundredth of a standard error
@@ -77,7 +83,7 @@ def test_damping_stays_on_its_edge_where_data_ask_for_less() -> None:
     truth = scaled()
     value, vector = np.linalg.eigh(truth.D)
     unruly = SecondOrder(truth.M, truth.D - 1.5 * value[0] * np.outer(vector[:, 0], vector[:, 0]), truth.K)
-    found = maximise(target(unruly, Places((0, 1, 2), (0, 1, 2)), 1e-4), truth)
+    found = maximise_likelihood(target(unruly, Places((0, 1, 2), (0, 1, 2)), 1e-4), truth)
     lowest = np.linalg.eigvalsh(found.D)[0]
     assert -1e-12 < lowest < 0.1 * value[0]  # rounding of L L' apart
 
@@ -85,15 +91,15 @@ def test_damping_stays_on_its_edge_where_data_ask_for_less() -> None:
 def test_covariance_is_the_scatter_of_the_estimates() -> None:
     """Estimates from fresh errors scatter as the covariance says."""
     truth, places = scaled(), Places((0, 1, 2), (0,))
-    found = [pack(maximise(target(truth, places, 1e-3, seed), truth)) for seed in range(60)]
-    stated = np.sqrt(np.diag(covariance_of(target(truth, places, 1e-3), truth, None)))
+    found = [pack(maximise_likelihood(target(truth, places, 1e-3, seed), truth)) for seed in range(60)]
+    stated = np.sqrt(np.diag(get_covariance(target(truth, places, 1e-3), truth, None)))
     assert_allclose(np.std(found, axis=0), stated, rtol=0.35)
 
 
 def test_relative_uncertainty_has_no_units() -> None:
     """A change of units changes M and K and not how well they are known."""
     truth, places = scaled(), Places((0, 1, 2), (0, 1, 2))
-    known = covariance_of(target(truth, places, 1e-2), truth, None)
+    known = get_covariance(target(truth, places, 1e-2), truth, None)
     unit = np.outer([1.0, 30.0, 0.1], [1.0, 30.0, 0.1])
     upper = np.tile(unit[np.triu_indices(3)], 3)
     other = SecondOrder(truth.M * unit, truth.D * unit, truth.K * unit)
@@ -102,7 +108,7 @@ def test_relative_uncertainty_has_no_units() -> None:
         compute_worst_relative_stderr(other, known * np.outer(upper, upper)),
     )
     assert_allclose([a["M"], a["K"]], [b["M"], b["K"]], rtol=1e-9)
-    frame = relative_frame(truth)
+    frame = compute_relative_frame(truth)
     assert frame.shape == (18, 18) and np.linalg.cond(frame) < 1e6
 
 
@@ -112,5 +118,5 @@ def test_a_mass_without_trace_is_infinitely_uncertain() -> None:
     s = np.zeros(4, complex)
     H = truth.compliance(s)
     goal = Target(s, H, places, np.eye(2 * H.size), True)
-    assert compute_worst_relative_stderr(truth, covariance_of(goal, truth, None))["M"] == np.inf
+    assert compute_worst_relative_stderr(truth, get_covariance(goal, truth, None))["M"] == np.inf
     assert split(H).shape == (72,)

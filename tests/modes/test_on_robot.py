@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.dynamics import FlexibleModel
 from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.on_robot import ShapesOnRobot, compute_mac, sensed_places, shapes_on_robot
-from tau_dyn.report.modes_robot import robot_drawings
+from tau_dyn.modes.on_robot import ShapesOnRobot, compute_mac, find_sensed_places, project_shapes_on_robot
+from tau_dyn.report.modes_robot import draw_robot_modes
 from tau_dyn.robot import Robot, load_robot
 
 AXES = ("x_tool", "y_tool", "z_tool")
@@ -33,7 +33,7 @@ def found(flexible) -> ShapesOnRobot:
     """Its own four slowest modes as if measured 1 % too low, in an order of their own and turned in phase."""
     own = FlexibleModel(flexible).at().modes()
     seen = [mode(0.99 * own[k].frequency_hz, (1 + 2j) * own[k].tool) for k in (2, 0, 3, 1)]
-    shapes = shapes_on_robot(flexible, seen, AXES)
+    shapes = project_shapes_on_robot(flexible, seen, AXES)
     assert shapes is not None
     return shapes
 
@@ -65,27 +65,29 @@ def test_the_tools_body_moves_as_measured_and_carts_stand(found) -> None:
 
 def test_a_rigid_robot_has_no_shapes_of_its_own() -> None:
     """Without springs in the file the measured shape is drawn alone, on rods that end at one point."""
-    shapes = shapes_on_robot(load_robot("gantry_tau"), [mode(7.0, [1, 0.5j, 0])], ("ax_tool", "ay_tool", "az_tool"))
+    shapes = project_shapes_on_robot(
+        load_robot("gantry_tau"), [mode(7.0, [1, 0.5j, 0])], ("ax_tool", "ay_tool", "az_tool")
+    )
     assert shapes is not None and shapes.pairs[0].model is None and np.isnan(shapes.pairs[0].mac)
     assert shapes.to_list() == [{"frequency_hz": 7.0, "model_frequency_hz": None, "mac": None}]
-    drawn = robot_drawings(shapes, [True])
+    drawn = draw_robot_modes(shapes, [True])
     assert len(drawn) == 1 and not drawn[0].model and "<animate " in drawn[0].measured and "arrow" in drawn[0].measured
-    assert robot_drawings(shapes, [False]) == [] and robot_drawings(None, [True]) == []
+    assert draw_robot_modes(shapes, [False]) == [] and draw_robot_modes(None, [True]) == []
 
 
 def test_outputs_name_axes_and_places() -> None:
     """`x`, `vy_plate`, `az_tool`: axis and place; anything else, and places that the robot does not have, are not drawn."""
-    assert sensed_places(("x", "vy_plate", "az_tool", "force_x")) == {"tool": {0: 0, 2: 2}, "plate": {1: 1}}
+    assert find_sensed_places(("x", "vy_plate", "az_tool", "force_x")) == {"tool": {0: 0, 2: 2}, "plate": {1: 1}}
     robot = load_robot("gantry_tau")
-    assert shapes_on_robot(robot, [mode(7.0, [1.0])], ("force_x",)) is None
-    assert shapes_on_robot(robot, [mode(7.0, [1.0])], ("x_moon",)) is None
-    assert shapes_on_robot(robot, [], AXES) is None
+    assert project_shapes_on_robot(robot, [mode(7.0, [1.0])], ("force_x",)) is None
+    assert project_shapes_on_robot(robot, [mode(7.0, [1.0])], ("x_moon",)) is None
+    assert project_shapes_on_robot(robot, [], AXES) is None
 
 
 def test_an_arm_without_loops_yields_more_the_farther_out() -> None:
     """No loops, no carts: the base stands, the tool's body moves by all of the arrow, shares grow along the arm."""
     robot = load_robot("parallelogram")
-    shapes = shapes_on_robot(robot, [mode(7.0, [1.0])], ("x_tool",))
+    shapes = project_shapes_on_robot(robot, [mode(7.0, [1.0])], ("x_tool",))
     assert shapes is not None
     reach = [np.linalg.norm(x, axis=1) for x in shapes.skeleton.links]
     assert all(np.all((s >= 0) & (s <= 1)) for s in shapes.skeleton.carries) and reach

@@ -7,16 +7,22 @@ import pytest
 from scipy.signal import lfilter
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.basis import columns_of, derivative_maps
-from tau_dyn.modes.error_covariance import autoregression, spectrum
-from tau_dyn.modes.innovation import model_of, predictor_of
-from tau_dyn.modes.modal import frequency_and_damping, modes_of
-from tau_dyn.modes.modal_form import full_vector, layout_of, modal_form, stepped, with_coordinates
+from tau_dyn.modes.basis import build_columns, compute_derivative_maps
+from tau_dyn.modes.error_covariance import compute_spectrum, fit_autoregression
+from tau_dyn.modes.innovation import build_innovation_model, build_predictor
+from tau_dyn.modes.modal import compute_frequency_and_damping, find_resonances
+from tau_dyn.modes.modal_form import (
+    build_layout,
+    build_modal_form,
+    build_modal_form_with_coordinates,
+    flatten_form,
+    step_form,
+)
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import refine
-from tau_dyn.modes.simulate import simulate, states
+from tau_dyn.modes.simulate import simulate, simulate_states
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.tangent import balanced
+from tau_dyn.modes.tangent import balance_model
 
 DT = 0.01
 
@@ -46,35 +52,35 @@ def record_of(model: StateSpace, n: int, seed: int, noise: float, colour: tuple[
 def test_modal_form_is_the_same_model():
     """Poles, response and the states' coordinates survive the change of form and its way back."""
     model = plant()
-    form, W = with_coordinates(model)
+    form, W = build_modal_form_with_coordinates(model)
     back = form.state_space()
     f = np.linspace(0.5, 45, 20)
     assert np.allclose(back.frequency_response(f), model.frequency_response(f), rtol=1e-9)
     assert np.allclose(W @ model.A, back.A @ W) and np.allclose(back.C @ W, model.C)
     assert np.allclose(np.abs(form.c).max(axis=0), 1)
-    again = balanced(model)
+    again = balance_model(model)
     assert np.allclose(again.frequency_response(f), model.frequency_response(f), rtol=1e-8)
 
 
 def test_gradient_is_the_difference_quotient():
     """Every derivative column equals the change of the simulated output for a small change of its parameter."""
-    form = modal_form(plant())
+    form = build_modal_form(plant())
     record = record_of(plant(), 300, 1, 0.0)
     x0 = np.random.default_rng(2).normal(size=len(form.poles)) + 0.3j * form.oscillates
-    layout, h = layout_of(form), 1e-6
+    layout, h = build_layout(form), 1e-6
 
     def output(candidate, start):
-        return np.vstack([c.predicted for c in columns_of(candidate, start, record, chunk=64)])
+        return np.vstack([c.predicted for c in build_columns(candidate, start, record, chunk=64)])
 
-    real = np.vstack([c.real for c in columns_of(form, x0, record, chunk=64)])
-    maps = derivative_maps(form, x0)
-    assert np.abs(full_vector(stepped(form, np.zeros(layout.size))) - full_vector(form)).max() == 0
+    real = np.vstack([c.real for c in build_columns(form, x0, record, chunk=64)])
+    maps = compute_derivative_maps(form, x0)
+    assert np.abs(flatten_form(step_form(form, np.zeros(layout.size))) - flatten_form(form)).max() == 0
     for index in range(layout.size + 2 * layout.n_modes):
         step = np.zeros(layout.size + 2 * layout.n_modes)
         step[index] = h
         dx = step[layout.size :].reshape(-1, 2) @ [1, 1j]
-        ahead = output(stepped(form, step[: layout.size]), x0 + dx)
-        behind = output(stepped(form, -step[: layout.size]), x0 - dx)
+        ahead = output(step_form(form, step[: layout.size]), x0 + dx)
+        behind = output(step_form(form, -step[: layout.size]), x0 - dx)
         expected = (ahead - behind) / (2 * h)
         found = np.column_stack([real @ maps[o][:, index] for o in range(2)])
         assert np.allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max() + 1e-9)
@@ -83,7 +89,7 @@ def test_gradient_is_the_difference_quotient():
 def test_prediction_form_and_back():
     """The one-step predictor of an innovation form, read backwards, is the innovation form."""
     model = replace(plant(), K=0.1 * np.random.default_rng(3).normal(size=(5, 2)), D=np.eye(2))
-    back = model_of(modal_form(predictor_of(model)))
+    back = build_innovation_model(build_modal_form(build_predictor(model)))
     f = np.linspace(0.5, 45, 10)
     assert np.allclose(back.frequency_response(f), model.frequency_response(f), rtol=1e-8)
     assert np.allclose(sorted(np.abs(back.poles())), sorted(np.abs(model.poles())))
@@ -93,8 +99,8 @@ def test_a_poor_start_reaches_the_same_minimum():
     """From poles 5 % off, and from a start that took the slower pair for two real poles, to the same model."""
     record = record_of(plant(), 3000, 4, 0.05)
     good = refine(plant(), [record])
-    form = modal_form(plant())
-    off = stepped(
+    form = build_modal_form(plant())
+    off = step_form(
         form, np.concatenate([0.02 * np.r_[pole.real, pole.imag, np.zeros(8)] for pole in -form.poles] + [np.zeros(4)])
     )
     two_real = StateSpace(
@@ -116,7 +122,7 @@ def test_standard_errors_are_the_scatter_also_under_coloured_noise(colour):
     values = np.array(found)
     scatter, said = values[..., :2].std(axis=0), np.sqrt((values[..., 2:] ** 2).mean(axis=0))
     assert np.all(scatter / said > 0.7) and np.all(scatter / said < 1.35)
-    truth = np.array([(m.frequency_hz, m.damping_ratio) for m in modes_of(plant())])
+    truth = np.array([(m.frequency_hz, m.damping_ratio) for m in find_resonances(plant())])
     inside = np.abs(values[..., :2] - truth) < 1.96 * values[..., 2:]
     assert 0.88 <= inside.mean() <= 0.99
 
@@ -150,12 +156,12 @@ def test_feedback_is_no_obstacle_to_prediction_errors():
     A = np.block([[model.A, -model.B @ gain], [model.C, np.zeros((2, 2))]])
     r, w, e = rng.normal(size=(n, 2)), 0.2 * rng.normal(size=(n, 5)), 0.01 * rng.normal(size=(n, 2))
     drive = np.hstack([r @ model.B.T + w, e])
-    x = states(A, drive, np.zeros(7))
+    x = simulate_states(A, drive, np.zeros(7))
     assert np.abs(np.linalg.eigvals(A)).max() < 1
     record = Record(r - x[:, 5:] @ gain.T, x[:, :5] @ model.C.T + e, DT, ("a", "b"), ("c", "d"))
     start = replace(model, K=np.linalg.lstsq(model.C, np.eye(2), rcond=None)[0] * 0.5)
     refined = refine(start, [record], kind="prediction_error")
-    truth = {round(m.frequency_hz): m.damping_ratio for m in modes_of(model)}
+    truth = {round(m.frequency_hz): m.damping_ratio for m in find_resonances(model)}
     for mode in refined.modes:
         assert abs(mode.damping_ratio - truth[round(mode.frequency_hz)]) < 4 * mode.damping_stderr
         assert mode.damping_stderr < 0.1 * mode.damping_ratio
@@ -165,9 +171,9 @@ def test_autoregression_takes_white_for_white_and_finds_colour():
     """Bayes' order is zero for white noise; for coloured noise the spectrum has the right height."""
     rng = np.random.default_rng(7)
     white = rng.normal(size=(4000, 2))
-    assert len(autoregression([white])[0]) == 0
+    assert len(fit_autoregression([white])[0]) == 0
     coloured = lfilter([1.0], [1.0, -0.9], white, axis=0)
-    density = spectrum(*autoregression([coloured]), 64)
+    density = compute_spectrum(*fit_autoregression([coloured]), 64)
     assert density[0, 0, 0].real == pytest.approx(100, rel=0.25)
     assert density[32, 1, 1].real == pytest.approx(1 / 1.9**2, rel=0.1)
 
@@ -175,7 +181,7 @@ def test_autoregression_takes_white_for_white_and_finds_colour():
 def test_frequency_and_damping_of_a_pole():
     """A sampled pole of 10 Hz and 3 % is read as such."""
     s = 2 * np.pi * 10 * (-0.03 + 1j * np.sqrt(1 - 0.03**2))
-    assert np.allclose(frequency_and_damping(np.exp(s * 0.004), 0.004), [10, 0.03])
+    assert np.allclose(compute_frequency_and_damping(np.exp(s * 0.004), 0.004), [10, 0.03])
 
 
 def test_theta_and_model_agree():

@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from recordings import log_of, pulses, recorded, structure
 
 from tau_dyn.modes.delay import choose_delay
-from tau_dyn.modes.era import era_factors
-from tau_dyn.modes.methods import first_look
+from tau_dyn.modes.era import decompose_pulse_tests
+from tau_dyn.modes.methods import estimate_first_poles
 from tau_dyn.modes.preparation import prepare_records
 from tau_dyn.modes.response_onset import find_response_onset
 
@@ -27,7 +27,7 @@ def test_the_first_answer_bounds_the_delay(accelerometers, own, delay):
     plant = structure(accelerometers=accelerometers)
     record = recorded(plant, u=pulses(plant, 400, 6).u, decibels=50, delay=delay)
     data = prepare_records([log_of(record)], IN, OUT)
-    assert find_response_onset(data.train, era_factors(data.train, delay=20), 20) == delay + own
+    assert find_response_onset(data.train, decompose_pulse_tests(data.train, delay=20), 20) == delay + own
 
 
 def test_modes_that_no_order_holds_are_no_delay():
@@ -37,10 +37,10 @@ def test_modes_that_no_order_holds_are_no_delay():
     plant = replace(whole, B=whole.B[:, :2], C=whole.C[:2], D=whole.D[:2, :2], K=whole.K[:, :2])
     record = recorded(plant, u=pulses(plant, 900, 6).u, decibels=26)
     data = prepare_records([log_of(record)], IN, OUT)
-    decays = era_factors(data.train, delay=20)
+    decays = decompose_pulse_tests(data.train, delay=20)
 
     def chosen(least_gain: float) -> int:
-        look = lambda records, d: first_look("era", records, delay=d, decays=decays)  # noqa: E731
+        look = lambda records, d: estimate_first_poles("era", records, delay=d, decays=decays)  # noqa: E731
         return choose_delay(data.train, look, orders=(2, 4, 6), most=3, least_gain=least_gain).delay
 
     assert chosen(0.1) == 0 < chosen(0.0)

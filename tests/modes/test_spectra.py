@@ -11,8 +11,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import in_loop, pulses, recorded, structure
 
-from tau_dyn.modes.preparation import pulses_of
-from tau_dyn.modes.spectra import empirical_response
+from tau_dyn.modes.preparation import cut_pulses
+from tau_dyn.modes.spectra import estimate_empirical_response
 
 
 def _error(seen, plant) -> np.ndarray:
@@ -23,7 +23,7 @@ def _error(seen, plant) -> np.ndarray:
 def test_spectra_show_the_true_response():
     """At 40 dB the averaged spectra lie within 10 % of the truth away from the resonances, and coherence is near one."""
     plant = structure(damping=(0.1, 0.1))
-    seen = empirical_response([recorded(plant, 20_000)])
+    seen = estimate_empirical_response([recorded(plant, 20_000)])
     band = (seen.frequency > 0.5) & (seen.frequency < 15)
     assert np.median(_error(seen, plant)[band]) < 0.05
     assert np.median(seen.coherence[band]) > 0.98
@@ -32,7 +32,7 @@ def test_spectra_show_the_true_response():
 def test_noise_lowers_coherence_and_only_that():
     """With as much noise as signal, coherence falls in the stop band."""
     plant = structure(damping=(0.1, 0.1))
-    clean, noisy = (empirical_response([recorded(plant, 20_000, d)]) for d in (60, 0))
+    clean, noisy = (estimate_empirical_response([recorded(plant, 20_000, d)]) for d in (60, 0))
     assert np.nanmedian(noisy.coherence) < 0.6 < 0.95 < np.nanmedian(clean.coherence[clean.frequency < 15])
 
 
@@ -43,7 +43,7 @@ def test_the_reference_frees_from_the_loop():
     truth = plant.frequency_response(np.array([2.0]))[0]
     off = []
     for one in (record, replace(record, reference=r)):
-        seen = empirical_response([one])
+        seen = estimate_empirical_response([one])
         low = (seen.frequency > 1) & (seen.frequency < 3)
         off.append(np.abs(seen.response[low].mean(axis=0) - truth).max() / np.abs(truth).max())
     assert off[1] < 0.5 * off[0]
@@ -52,7 +52,7 @@ def test_the_reference_frees_from_the_loop():
 def test_a_pulse_needs_no_window():
     """One hammer blow on each input gives the response at its peaks within 5 %."""
     plant = structure(dt=0.005)
-    parts = pulses_of(pulses(plant, 2000, 2, decibels=60))
-    seen = empirical_response(parts, impulses=True)
+    parts = cut_pulses(pulses(plant, 2000, 2, decibels=60))
+    seen = estimate_empirical_response(parts, impulses=True)
     at = [int(np.argmin(np.abs(seen.frequency - f))) for f in (7.4, 11.5)]
     assert np.max(_error(seen, plant)[at]) < 0.05

@@ -16,19 +16,19 @@ from structures import DT, chain, refined, relative_error
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.modes.mechanical import fit_mechanical
 from tau_dyn.modes.second_order import OUTPUTS
-from tau_dyn.modes.thesis_route import PRINTED, character, unconstrained
+from tau_dyn.modes.thesis_route import PRINTED, judge_character, solve_unconstrained
 
 
 def test_the_printed_stiffness_is_not_positive_definite() -> None:
     """The thesis calls K positive definite and prints its eigenvalues: -1588 +- 2500i."""
-    found = character(PRINTED)
+    found = judge_character(PRINTED)
     assert_allclose(np.sort_complex(found.stiffness_eigenvalues), [-1588.3 - 2499.5j, -1588.3 + 2499.5j], rtol=1e-4)
     assert found.lowest[2] < 0 and not found.physical
 
 
 def test_the_printed_resonances_leave_damping_out() -> None:
     """14 and 103 Hz are sqrt|lambda| of M and K alone, and these roots grow: lambda is positive."""
-    found = character(PRINTED)
+    found = judge_character(PRINTED)
     assert_allclose(found.undamped_hz, [13.83, 103.34], rtol=1e-3)
     assert np.all(found.undamped_roots.real > 0)
     assert_allclose(found.undamped_roots.imag, 0, atol=1e-6)
@@ -36,7 +36,7 @@ def test_the_printed_resonances_leave_damping_out() -> None:
 
 def test_with_the_printed_damping_two_poles_are_unstable() -> None:
     """D has a positive trace and a negative determinant; with it the four poles are real, two of them growing."""
-    found = character(PRINTED)
+    found = judge_character(PRINTED)
     assert np.trace(PRINTED.D) > 0 > np.linalg.det(PRINTED.D)
     assert found.n_unstable == 2
     assert_allclose(np.sort(found.poles.real), [-660.5, -72.3, 99.1, 672.1], rtol=1e-3)
@@ -56,18 +56,18 @@ def test_the_printed_equation_is_uninverted() -> None:
 def test_without_noise_the_route_is_right(output: str) -> None:
     """A change of states loses nothing."""
     truth = chain((7.4, 11.5), 1)
-    found = unconstrained(truth.sampled(DT, range(2), range(2), output), output)
+    found = solve_unconstrained(truth.sampled(DT, range(2), range(2), output), output)
     for name in "MDK":
         assert relative_error(getattr(found, name), getattr(truth, name)) < 1e-8
-    assert character(truth).physical
+    assert judge_character(truth).physical
 
 
 def test_under_noise_the_route_loses_what_the_constraints_keep() -> None:
     """At 20 dB its matrices are not symmetric and its damping is worse than ours."""
     truth = chain((7.4, 11.5, 14.0), 2)
     model = refined(truth.sampled(DT, range(3), range(3)), 20, 5000, np.random.default_rng(0))
-    plain, ours = unconstrained(model.model), fit_mechanical(model)
-    assert np.all(character(plain).asymmetry > 1e-4)
+    plain, ours = solve_unconstrained(model.model), fit_mechanical(model)
+    assert np.all(judge_character(plain).asymmetry > 1e-4)
     assert relative_error(plain.D, truth.D) > 1.5 * relative_error(ours.D, truth.D)
 
 
@@ -75,9 +75,9 @@ def test_what_the_route_cannot_do_is_said() -> None:
     """It needs as many inputs as outputs, two states an output, and outputs that see all of them."""
     truth = chain((7.4, 11.5, 14.0), 2)
     with pytest.raises(CannotAnswer, match="leave M open"):
-        unconstrained(truth.sampled(DT, [0], range(3)))
+        solve_unconstrained(truth.sampled(DT, [0], range(3)))
     with pytest.raises(CannotAnswer, match="has 6"):
-        unconstrained(truth.sampled(DT, [0, 1], [0, 1]))
+        solve_unconstrained(truth.sampled(DT, [0, 1], [0, 1]))
     model = truth.sampled(DT, range(3), range(3))
     with pytest.raises(CannotAnswer, match="do not span"):
-        unconstrained(replace(model, C=model.C[[0, 1, 1]]))
+        solve_unconstrained(replace(model, C=model.C[[0, 1, 1]]))

@@ -15,16 +15,16 @@ import pytest
 from rich.console import Console
 
 from tau_dyn.diagnose.result import Unexplained
-from tau_dyn.report import diagnosis_page, print_diagnosis, write_report
-from tau_dyn.report.diagnosis_text import confirmation_words, format_p_value, unexplained_words, value_words
-from tau_dyn.report.quantities import estimate, quantity
-from tau_dyn.report.signature import signature_charts
-from tau_dyn.report.waterfall import build_output_series, build_total_series, finding_of
+from tau_dyn.report import build_diagnosis_page, print_diagnosis, write_report
+from tau_dyn.report.diagnosis_text import describe_confirmation, describe_unexplained, format_p_value, format_value
+from tau_dyn.report.quantities import estimate, format_quantity
+from tau_dyn.report.signature import draw_signature_charts
+from tau_dyn.report.waterfall import build_output_series, build_total_series, find_step_finding
 
 
 @pytest.fixture(scope="module")
 def page(diagnosed) -> str:
-    return diagnosis_page(diagnosed, command_line="tau-dyn diagnose 'a & <b>.csv'")
+    return build_diagnosis_page(diagnosed, command_line="tau-dyn diagnose 'a & <b>.csv'")
 
 
 def _markup(page: str) -> str:
@@ -102,9 +102,9 @@ def test_a_step_of_two_alike_is_not_guessed(diagnosed):
     """Two findings of one cause are told apart by their joints, or no card is linked."""
     ripple = diagnosed.findings[0]
     twin = replace(ripple, joints=("other",))
-    assert finding_of("cyclic_ripple other", (ripple, twin)) is twin
-    assert finding_of("cyclic_ripple", (ripple, twin)) is None
-    assert finding_of("cyclic_ripple", (ripple,)) is ripple
+    assert find_step_finding("cyclic_ripple other", (ripple, twin)) is twin
+    assert find_step_finding("cyclic_ripple", (ripple, twin)) is None
+    assert find_step_finding("cyclic_ripple", (ripple,)) is ripple
 
 
 def test_cards_say_all_there_is_to_a_finding(page, diagnosed):
@@ -137,7 +137,7 @@ def test_what_was_not_found_reads_as_a_limit(page):
 def test_signature_shows_the_effect_and_its_absence(diagnosed):
     """Without the cause the binned means follow the fitted line; with it they lie near zero, in an equal frame."""
     ripple = diagnosed.findings[0].signature
-    without, with_it = map(str, signature_charts(ripple))
+    without, with_it = map(str, draw_signature_charts(ripple))
     assert 'class="predicted"' in without and 'class="predicted"' not in with_it
 
     def heights(chart: str) -> np.ndarray:
@@ -147,7 +147,7 @@ def test_signature_shows_the_effect_and_its_absence(diagnosed):
 
     assert np.ptp(heights(without)) > 2.5 * np.ptp(heights(with_it))
     assert re.findall(r'y="([\d.]+)"', without)[2:] == re.findall(r'y="([\d.]+)"', with_it)[2:]
-    step = signature_charts(diagnosed.findings[1].signature)[0]
+    step = draw_signature_charts(diagnosed.findings[1].signature)[0]
     line = re.search(r'<path d="([^"]*)" class="predicted"', str(step))
     assert line and line[1].count("M") == 2, "a step at zero speed is not bridged"
 
@@ -172,12 +172,12 @@ def test_parameters_are_compared_with_the_model_without_the_causes(page, diagnos
 def test_the_named_joints_stand_out_in_the_picture(page, undecided):
     """The robot's picture shows the answer's joints in another colour, and none where nothing is named."""
     assert page.count('class="cart named"') == 2
-    assert 'class="cart named"' not in diagnosis_page(undecided)
+    assert 'class="cart named"' not in build_diagnosis_page(undecided)
 
 
 def test_cannot_tell_names_the_experiment(undecided):
     """A page that cannot tell says so above everything, with the experiment."""
-    page = diagnosis_page(undecided)
+    page = build_diagnosis_page(undecided)
     assert 'class="verdict care"' in page and "Inconclusive" in page
     assert page.index(undecided.experiment) < page.index('id="waterfall"')
     assert undecided.experiment in re.sub(r"\s+", " ", _printed(undecided, 80))
@@ -221,7 +221,7 @@ def test_written_whole(tmp_path, diagnosed):
 
 def test_numbers_in_units_of_their_size():
     """Small lengths, speeds and times take a prefix; forces and large ones do not."""
-    assert [quantity(x, u) for x, u in ((0.0209, "m"), (9e-6, "m"), (2e-4, "s"), (1.5, "m"), (0.02, "N"))] == [
+    assert [format_quantity(x, u) for x, u in ((0.0209, "m"), (9e-6, "m"), (2e-4, "s"), (1.5, "m"), (0.02, "N"))] == [
         "20.9 mm", "9 µm", "0.2 ms", "1.5 m", "0.02 N"
     ]  # fmt: skip
 
@@ -231,8 +231,10 @@ def test_odds_and_shares_in_words():
     assert [format_p_value(p) for p in (0.0, 2e-4, 0.03, 0.9)] == [
         "p < 0.000001", "p = 0.0002", "p = 0.03", "p = 0.9"
     ]  # fmt: skip
-    assert "weaker than predicted" in confirmation_words((0.3, 0.1)) and "weaker" not in confirmation_words((0.9, 0.1))
-    assert [value_words(v) for v in (True, 3, 0.25, None, [1, 2])] == ["yes", "3", "0.25", "none", "1 and 2"]
+    assert "weaker than predicted" in describe_confirmation((0.3, 0.1)) and "weaker" not in describe_confirmation(
+        (0.9, 0.1)
+    )
+    assert [format_value(v) for v in (True, 3, 0.25, None, [1, 2])] == ["yes", "3", "0.25", "none", "1 and 2"]
 
 
 def test_sets_of_variables_that_explain_it_as_well_are_listed():
@@ -240,4 +242,4 @@ def test_sets_of_variables_that_explain_it_as_well_are_listed():
     item = Unexplained(
         "b", ("q_a", "v_b"), 0.1, "", 1e-4, "confirmed", indistinguishable_from=(("v_c",), ("q_c", "v_b"))
     )
-    assert "depends on q_a and v_b (or equally on v_c; or on q_c and v_b); no known" in unexplained_words(item)
+    assert "depends on q_a and v_b (or equally on v_c; or on q_c and v_b); no known" in describe_unexplained(item)

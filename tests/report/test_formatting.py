@@ -7,13 +7,13 @@ import re
 import numpy as np
 import pytest
 
-from tau_dyn.report.force_series import decimate_min_max, encode_int16, gaps
-from tau_dyn.report.formatting import format_list, percent, with_uncertainty
-from tau_dyn.report.identification_charts import friction_curves
-from tau_dyn.report.identification_words import headline, mass_group, verdict
+from tau_dyn.report.force_series import decimate_min_max, encode_int16, find_gaps
+from tau_dyn.report.formatting import format_list, format_percent, format_with_uncertainty
+from tau_dyn.report.identification_charts import build_friction_curves
+from tau_dyn.report.identification_words import describe_headline, describe_verdict, name_mass_group
 from tau_dyn.report.parameter_rows import ParameterRow, group_rows
-from tau_dyn.report.robot_picture import robot_picture
-from tau_dyn.report.svg import Chart, label, power_of
+from tau_dyn.report.robot_picture import draw_robot_picture
+from tau_dyn.report.svg import Chart, choose_power, label
 from tau_dyn.robot import load_robot_from_urdf
 
 
@@ -30,16 +30,16 @@ from tau_dyn.robot import load_robot_from_urdf
 )
 def test_value_and_error_share_their_last_digit(value, stderr, text):
     """Two digits of the standard error, the value to the same decimal."""
-    assert with_uncertainty(value, stderr, "kg") == text
+    assert format_with_uncertainty(value, stderr, "kg") == text
 
 
 def test_percentages_have_two_digits():
-    assert [percent(x) for x in (0.412, 3.014, 9.96, 30.7)] == ["0.41 %", "3.0 %", "10 %", "31 %"]
+    assert [format_percent(x) for x in (0.412, 3.014, 9.96, 30.7)] == ["0.41 %", "3.0 %", "10 %", "31 %"]
 
 
 def test_lists_and_groups_read_like_language():
     assert format_list(["a"]) == "a" and format_list("abc") == "a, b and c"
-    assert [mass_group(n) for n in ("rod2a_link.mass", "cart1_link.mass", "plate_link.mass")] == [
+    assert [name_mass_group(n) for n in ("rod2a_link.mass", "cart1_link.mass", "plate_link.mass")] == [
         "rod",
         "cart",
         "plate",
@@ -48,11 +48,11 @@ def test_lists_and_groups_read_like_language():
 
 def test_headline_names_error_and_masses(found, doubtful):
     """The first sentence tells how well force is predicted and what is known of the masses."""
-    said = headline(found)
-    used, every = (percent(e.relative_error_percent) for e in (found.holdout, found.holdout.all_samples))
+    said = describe_headline(found)
+    used, every = (format_percent(e.relative_error_percent) for e in (found.holdout, found.holdout.all_samples))
     assert said.startswith(f"Held-out prediction error: {used} ({every} of all samples); ")
     assert "one mass 11.999 kg, 95 % interval [" in said and said.endswith(".")
-    assert verdict(found).level == "good" and verdict(doubtful).level != "good"
+    assert describe_verdict(found).level == "good" and describe_verdict(doubtful).level != "good"
 
 
 def test_thinning_keeps_every_peak():
@@ -79,20 +79,20 @@ def test_packing_loses_less_than_a_pixel():
 def test_gaps_are_intervals():
     t = np.arange(10.0)
     usable = np.array([0, 1, 1, 0, 0, 1, 0, 1, 1, 0], bool)
-    assert gaps(t, usable) == [(0, 0), (3, 4), (6, 6), (9, 9)]
-    assert gaps(t, usable, 2.5) == [(0, 0), (3, 6), (9, 9)]
+    assert find_gaps(t, usable) == [(0, 0), (3, 4), (6, 6), (9, 9)]
+    assert find_gaps(t, usable, 2.5) == [(0, 0), (3, 6), (9, 9)]
 
 
 def test_friction_samples_scatter_about_the_law(found):
     """With the right model the friction points lie on the identified curve, up to the residual."""
-    for k, curve in enumerate(friction_curves(found)):
+    for k, curve in enumerate(build_friction_curves(found)):
         law = np.interp(curve.v, curve.grid, curve.law)
         assert np.sqrt(np.mean((curve.force - law) ** 2)) == pytest.approx(found.train.rms[k], rel=1e-3)
 
 
 def test_picture_shows_every_joint(robot):
     """The drawing labels the actuated joints."""
-    labels = " ".join(re.findall(r"<text[^>]*>([^<]*)</text>", robot_picture(robot)))
+    labels = " ".join(re.findall(r"<text[^>]*>([^<]*)</text>", draw_robot_picture(robot)))
     assert all(joint in labels for joint in robot.actuated)
 
 
@@ -103,7 +103,7 @@ def test_an_arm_stands_on_its_foot_whatever_its_other_joints_are(write):
     text = two.replace("</robot>", f"{write.rod('beside_link', 1, 0.3)}{beside}</robot>")
     robot = load_robot_from_urdf(text, "two arms")
     assert robot.actuated == ("shoulder", "elbow", "turn")
-    assert robot_picture(robot).count('class="rod"') == 2
+    assert draw_robot_picture(robot).count('class="rod"') == 2
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_an_arm_stands_on_its_foot_whatever_its_other_joints_are(write):
 )
 def test_ticks_are_short_and_say_their_power_of_ten(limits, value, text, power):
     """Numbers too long for their place leave out a power of ten, which the axis then names."""
-    assert (label(value, limits), power_of(limits)) == (text, power)
+    assert (label(value, limits), choose_power(limits)) == (text, power)
     drawn = Chart(344, 240, (0.0, 1.0), limits, "a", "b", "y").render()
     assert ("× 10" in drawn) == bool(power)
 

@@ -15,11 +15,11 @@ from scipy.signal import lfilter
 from tau_dyn.log import Log
 from tau_dyn.modes import Modes, find_modes
 from tau_dyn.modes.modal import Mode
-from tau_dyn.report import modes_page, print_modes
+from tau_dyn.report import build_modes_page, print_modes
 from tau_dyn.report.log_chart import LogChart, log_ticks
-from tau_dyn.report.modes_shapes import shape_drawing, space_axes
-from tau_dyn.report.modes_svg import between
-from tau_dyn.report.modes_text import frequency, headline, interval, verdict
+from tau_dyn.report.modes_shapes import draw_shape, find_space_axes
+from tau_dyn.report.modes_svg import draw_between
+from tau_dyn.report.modes_text import describe_headline, describe_verdict, format_frequency, format_interval
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def found(hostile) -> Modes:
 @pytest.fixture(scope="module")
 def page(found) -> str:
     """The page of it."""
-    return modes_page(found, logs=[(found.traces[0].log, "00ff")], command_line="tau-dyn modes '<i>.csv'")
+    return build_modes_page(found, logs=[(found.traces[0].log, "00ff")], command_line="tau-dyn modes '<i>.csv'")
 
 
 def _markup(page: str) -> str:
@@ -68,7 +68,7 @@ def test_page_and_terminal_say_the_same(found, page):
     print_modes(Console(file=out, width=100), found, {"report": "r.html"})
     printed = " ".join(out.getvalue().split())
     text = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", _markup(page))).replace("\u00a0", " ").split())
-    for words in (headline(found), verdict(found).sentence, frequency(found.modes[0])):
+    for words in (describe_headline(found), describe_verdict(found).sentence, format_frequency(found.modes[0])):
         assert words in printed and words in text
     assert "report → r.html" in printed
 
@@ -77,22 +77,22 @@ def test_words_follow_the_numbers(found):
     """A poor fit that answers to the inputs is not to be relied on, one that is disturbance leaves the resonances standing."""
     poor = replace(found.judged, percent=np.array([20.0, 30.0]))
     bad = tuple(replace(t, p_value=1e-6) for t in found.independence)
-    assert verdict(replace(found, holdout=poor, independence=bad)).level == "poor"
+    assert describe_verdict(replace(found, holdout=poor, independence=bad)).level == "poor"
     calm = tuple(replace(t, p_value=0.5) for t in found.independence)
-    assert verdict(replace(found, holdout=poor, independence=calm)).level == "care"
-    assert verdict(replace(found, holdout=None)).level == "care"
-    assert "No resonance" in headline(replace(found, modes=()))
-    assert interval(5.0, 0.01) == "4.980 … 5.020"
+    assert describe_verdict(replace(found, holdout=poor, independence=calm)).level == "care"
+    assert describe_verdict(replace(found, holdout=None)).level == "care"
+    assert "No resonance" in describe_headline(replace(found, modes=()))
+    assert format_interval(5.0, 0.01) == "4.980 … 5.020"
 
 
 def test_tools_move_in_space_and_others_in_bars():
     """Axes of one point are drawn as a path in space, anything else as bars."""
-    assert space_axes(["x_tool", "y_tool"]) == {"x": 0, "y": 1}
-    assert space_axes(["ax_tool", "ay_tool", "az_tool"]) == {"x": 0, "y": 1, "z": 2}
-    assert space_axes(["x_tool", "force"]) == {} and space_axes(["place1", "place2"]) == {}
+    assert find_space_axes(["x_tool", "y_tool"]) == {"x": 0, "y": 1}
+    assert find_space_axes(["ax_tool", "ay_tool", "az_tool"]) == {"x": 0, "y": 1, "z": 2}
+    assert find_space_axes(["x_tool", "force"]) == {} and find_space_axes(["place1", "place2"]) == {}
     mode = Mode(5.0, 0.02, 0.1, 0.01, np.array([1.0, 0.5j]), 0.0)
-    assert "animateMotion" in shape_drawing(mode, ["x_tool", "y_tool"])
-    assert "bar-now" in shape_drawing(mode, ["place1", "place2"])
+    assert "animateMotion" in draw_shape(mode, ["x_tool", "y_tool"])
+    assert "bar-now" in draw_shape(mode, ["place1", "place2"])
 
 
 def test_logarithmic_axes_are_even_in_ratio():
@@ -103,4 +103,4 @@ def test_logarithmic_axes_are_even_in_ratio():
         ticks = log_ticks(low, high, 6)
         assert 2 <= sum(named for _, named in ticks) <= 12
         assert all(low * 0.999 <= v <= high * 1.001 for v, _ in ticks)
-    assert between(chart, np.array([1.0, 2.0]), np.array([np.nan, 0.0]), np.array([1.0, 1.0]), "sure") == ""
+    assert draw_between(chart, np.array([1.0, 2.0]), np.array([np.nan, 0.0]), np.array([1.0, 1.0]), "sure") == ""

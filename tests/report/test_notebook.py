@@ -16,11 +16,11 @@ from tau_dyn.compare import ComparedSide, compare
 from tau_dyn.compare.read import MeasuredQuantity
 from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.kinematics.accuracy.result import Measured
-from tau_dyn.kinematics.pose_table import forward_table
-from tau_dyn.kinematics.workspace.study import study
+from tau_dyn.kinematics.pose_table import build_forward_table
+from tau_dyn.kinematics.workspace.study import study_workspace
 from tau_dyn.log import Log, check_log
 from tau_dyn.modes import find_modes
-from tau_dyn.report.notebook import html_of, table_of
+from tau_dyn.report.notebook import build_table, render_html
 from tau_dyn.report.notebook_style import DARK
 from tau_dyn.robot import load_robot
 
@@ -77,9 +77,9 @@ def results(found, diagnosed, robot, plant, hostile) -> dict[str, object]:
         "check": check_log(log, robot),
         "modes": find_modes(log, ["<b>f"], ["x_tool"], order=2, delay=0),
         "calibration": calibrated(),
-        "workspace": study(axis, resolution=0.1),
+        "workspace": study_workspace(axis, resolution=0.1),
         "accuracy": AccuracyResult(robot, None, None, None, (), Measured()),
-        "poses": forward_table(axis, np.array([[0.1], [0.2]])),
+        "poses": build_forward_table(axis, np.array([[0.1], [0.2]])),
         "comparison": compared(hostile),
     }
 
@@ -90,7 +90,7 @@ KINDS = "robot model parameters log identification diagnosis check modes calibra
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_face_is_well_formed_and_escaped(results, kind, hostile):
     """It parses as XML, holds no script, no link and no name that became markup."""
-    face = html_of(results[kind])
+    face = render_html(results[kind])
     root = ET.fromstring(face)
     assert root.tag == "div" and root.get("class") == "tau-dyn"
     assert {e.tag for e in root.iter()} <= {
@@ -104,7 +104,7 @@ def test_a_face_is_well_formed_and_escaped(results, kind, hostile):
 @pytest.mark.parametrize("kind", ["log", "check", "comparison"])
 def test_hostile_names_are_shown_as_they_are(results, kind, hostile):
     """A log called like a script is a text that reads like one."""
-    face = html_of(results[kind])
+    face = render_html(results[kind])
     name = hostile.split("\x1b")[0]
     assert name not in face and name in "".join(ET.fromstring(face).itertext())
 
@@ -112,7 +112,7 @@ def test_hostile_names_are_shown_as_they_are(results, kind, hostile):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_style_stays_inside(results, kind):
     """Every rule is below the face; the notebook around it looks as before."""
-    style = ET.fromstring(html_of(results[kind])).find("style")
+    style = ET.fromstring(render_html(results[kind])).find("style")
     assert style is not None and style.text
     for selectors in re.findall(r"([^{}]+)\{", style.text):
         for one in selectors.split(","):
@@ -123,7 +123,7 @@ def test_the_style_stays_inside(results, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_drawn_has_a_style(results, kind):
     """Every path of a chart is named in the style, else it would be a black blob."""
-    root = ET.fromstring(html_of(results[kind]))
+    root = ET.fromstring(render_html(results[kind]))
     style = root.find("style")
     assert style is not None
     used = {c for e in root.iter("path") for c in (e.get("class") or "").split()}
@@ -136,36 +136,36 @@ def test_a_result_shows_itself(results, kind):
     found = results[kind]
     if kind == "diagnosis" and not hasattr(found, "_repr_html_"):
         pytest.skip("Diagnosis is no Shown yet")
-    assert found._repr_html_() == html_of(found) and isinstance(found.to_pandas(), pd.DataFrame)
+    assert found._repr_html_() == render_html(found) and isinstance(found.to_pandas(), pd.DataFrame)
 
 
 def test_tables_are_tidy(results):
     """Units stand in a column, intervals in two, lists as text; the numbers are the result's own."""
-    table = table_of(results["identification"])
+    table = build_table(results["identification"])
     assert {"name", "value", "unit", "stderr", "ci95_low", "ci95_high", "nominal"} <= set(table)
     rows = results["identification"].rows()
     np.testing.assert_array_equal(table["value"], [r["value"] for r in rows])
     np.testing.assert_array_equal(table["ci95_low"], [r["ci95"][0] if r["ci95"] else np.nan for r in rows])
-    findings = table_of(results["diagnosis"])
+    findings = build_table(results["diagnosis"])
     assert list(findings["cause"]) == ["cyclic_ripple", "stribeck", "link_mass"]
     assert findings["gain_percent"].isna().tolist() == [False, False, True]
-    modes = table_of(results["modes"])
+    modes = build_table(results["modes"])
     assert abs(modes["frequency_hz"][0] - 5.00225) < 4 * modes["frequency_stderr"][0]
     assert (modes["frequency_low"] < modes["frequency_hz"]).all()
     log = results["log"]
-    assert list(table_of(log)) == ["t", *log.channels] and len(table_of(log)) == log.n_samples
+    assert list(build_table(log)) == ["t", *log.channels] and len(build_table(log)) == log.n_samples
 
 
 def test_long_tables_are_folded(plant):
     """What is beyond the first rows does not push the next cell away, and is there."""
     from tau_dyn.parameters import Parameter, Parameters
 
-    face = html_of(Parameters([Parameter(f"p{k}.mass", 1.0, "kg") for k in range(40)]))
+    face = render_html(Parameters([Parameter(f"p{k}.mass", 1.0, "kg") for k in range(40)]))
     folded = ET.fromstring(face).find("details")
     assert folded is not None and "p39.mass" in "".join(folded.itertext()) and "and 24 more" in face
 
 
-@pytest.mark.parametrize("asked", [html_of, table_of])
+@pytest.mark.parametrize("asked", [render_html, build_table])
 def test_what_has_no_face_says_so(asked):
     """An object of nobody's is no result."""
     with pytest.raises(TypeError, match="int has no"):

@@ -14,9 +14,9 @@ import pytest
 from rich.console import Console
 
 from tau_dyn.log import Log, check_log
-from tau_dyn.report import check_page, excitation_page, print_check, print_identification, simulation_page
-from tau_dyn.report.identification_words import headline, verdict
-from tau_dyn.report.time_view import even_channels
+from tau_dyn.report import build_excitation_page, build_simulation_page, check_page, print_check, print_identification
+from tau_dyn.report.identification_words import describe_headline, describe_verdict
+from tau_dyn.report.time_view import resample_evenly
 from tau_dyn.simulate import Sensors, Trajectory
 
 COMMAND = "tau-dyn check 'a & <b>.csv'"
@@ -59,10 +59,10 @@ def pages(fine, poor, motion, robot, plant) -> dict[str, str]:
     return {
         "fine": check_page(fine, check_log(fine, robot), robot=robot, command_line=COMMAND),
         "poor": check_page(poor, check_log(poor), command_line=COMMAND),
-        "simulation": simulation_page(
+        "simulation": build_simulation_page(
             fine.with_warnings(fine.name), plant, sensors=Sensors(force_noise=2.0), command_line=COMMAND, motion="<i>"
         ),
-        "excitation": excitation_page(motion, plant, 42.0, command_line=COMMAND, trials="3"),
+        "excitation": build_excitation_page(motion, plant, 42.0, command_line=COMMAND, trials="3"),
     }
 
 
@@ -125,7 +125,7 @@ def test_check_of_a_log_with_nothing(hostile):
 
 def test_gaps_break_the_curves(poor):
     """Where nothing was recorded nothing is drawn."""
-    t, channels, there = even_channels(poor, ["q_slide"])
+    t, channels, there = resample_evenly(poor, ["q_slide"])
     hole = (t > poor.t[699] + 1e-9) & (t < poor.t[700] - 1e-9)
     assert np.ptp(np.diff(t)) < 1e-9 and hole.sum() > 150
     assert np.isnan(channels["q_slide"][hole]).all() and np.array_equal(there, np.isfinite(channels["q_slide"]))
@@ -141,7 +141,7 @@ def test_simulation_tells_truth_and_notes(pages, truth, hostile):
 def test_saturated_drive_is_named(plant, fine):
     """A force at its limit changes the judgement."""
     force = np.clip(40 * fine.channels["tau_slide"], -1000, 1000)
-    page = simulation_page(fine.with_channels(tau_slide=force), plant)
+    page = build_simulation_page(fine.with_channels(tau_slide=force), plant)
     assert 'class="verdict care"' in page and "The force of slide reached its limit" in page
 
 
@@ -156,11 +156,11 @@ def test_excitation_compares_with_limits(pages, motion):
 
 def test_truth_makes_the_headline_honest(found, truth):
     """With the truth at hand the headline gives real errors, and a wrong estimate is not called ready to use."""
-    said = headline(found, truth)
+    said = describe_headline(found, truth)
     assert "of the true value" in said and "is known to" not in said
     wrong = truth | {"one_link.mass": 2 * truth["one_link.mass"]}
-    assert "up to 50 % from the true value, more than 3 standard errors" in headline(found, wrong)
-    judged = verdict(found, wrong)
+    assert "up to 50 % from the true value, more than 3 standard errors" in describe_headline(found, wrong)
+    judged = describe_verdict(found, wrong)
     assert judged.level == "care" and "one_link.mass" in judged.sentence
 
 

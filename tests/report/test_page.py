@@ -8,13 +8,13 @@ import re
 
 import pytest
 
-from tau_dyn.report import identification_page, write_report
-from tau_dyn.report.formatting import number, round_to_stderr, with_uncertainty
+from tau_dyn.report import build_identification_page, write_report
+from tau_dyn.report.formatting import format_number, format_with_uncertainty, round_to_stderr
 
 
 @pytest.fixture(scope="module")
 def page(found, truth) -> str:
-    return identification_page(found, command_line="tau-dyn identify 'a & <b>.csv'", truth=truth)
+    return build_identification_page(found, command_line="tau-dyn identify 'a & <b>.csv'", truth=truth)
 
 
 def _markup(page: str) -> str:
@@ -60,13 +60,13 @@ def test_every_number_is_the_results_own(page, found):
     text = html.unescape(re.sub(r"<[^>]+>", " ", _markup(page)))
     for row in result["parameters"]:
         assert row["name"] in text
-        assert with_uncertainty(row["value"], row["stderr"]) in text
+        assert format_with_uncertainty(row["value"], row["stderr"]) in text
         assert (
             f"{round_to_stderr(row['ci95'][0], row['stderr'])} … {round_to_stderr(row['ci95'][1], row['stderr'])}"
             in text
         )
     assert f"{result['holdout']['relative_error_percent']:.1f} %" in text.replace("\u00a0", " ")
-    assert number(result["condition_number"], 3) in text
+    assert format_number(result["condition_number"], 3) in text
 
 
 def test_true_values_are_compared(page, found, truth):
@@ -78,7 +78,7 @@ def test_true_values_are_compared(page, found, truth):
 
 def test_doubts_come_before_the_plots(doubtful):
     """What is not determined is said above, greyed in the table with its reason, and not called known."""
-    page = identification_page(doubtful)
+    page = build_identification_page(doubtful)
     assert page.index("<h2>Warnings") < page.index("Measured and predicted force")
     assert 'class="verdict care"' in page or 'class="verdict poor"' in page
     for row in doubtful.rows():

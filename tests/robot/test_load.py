@@ -218,9 +218,9 @@ def test_a_model_file_keeps_the_tool_frame(write, tmp_path) -> None:
 
 def test_a_stock_arm_is_known_by_its_name() -> None:
     """`ur5` is the file of `example-robot-data`, where that is installed; its tool frame is evident."""
-    from tau_dyn.robot import list_robots, stock_names
+    from tau_dyn.robot import list_robots, list_stock_robots
 
-    if "ur5" not in stock_names():
+    if "ur5" not in list_stock_robots():
         pytest.skip("example-robot-data is not installed")
     assert load_robot("ur5").tool == "tool0" and load_robot("ur5").na == 6
     assert list(list_robots())[0] == "delta"  # those that come along stand first

@@ -6,13 +6,15 @@ from numpy.testing import assert_allclose
 from scipy.signal import welch
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.simulate import Sensors, build_fourier_motion, drive, measure
+from tau_dyn.simulate import Sensors, build_fourier_motion, measure, simulate_drive
 
 
 @pytest.fixture(scope="module")
 def run(block):
     """One ideal run of 8 s, measured in many ways below."""
-    return drive(block, build_fourier_motion(block, 8.0), None, Sensors(), np.random.default_rng(0), feedback="ideal")
+    return simulate_drive(
+        block, build_fourier_motion(block, 8.0), None, Sensors(), np.random.default_rng(0), feedback="ideal"
+    )
 
 
 def test_perfect_sensors_show_the_truth(run, rng):
@@ -77,7 +79,7 @@ def test_encoder_rounds_to_its_resolution(run, rng):
 
 def test_tool_is_measured_where_there_is_one(gantry, rng):
     """The gantry's tool appears with its noise; a robot without tool frame has no such columns."""
-    ideal = drive(gantry, build_fourier_motion(gantry, 4.0), None, Sensors(), rng, feedback="ideal")
+    ideal = simulate_drive(gantry, build_fourier_motion(gantry, 4.0), None, Sensors(), rng, feedback="ideal")
     log = measure(ideal, Sensors(tool_noise=1e-4, log_rate_hz=500), rng)
     error = np.column_stack([log.channels[f"{x}_tool"] for x in "xyz"]) - gantry.mechanism.tool_position(ideal.q[::2])
     assert_allclose(error.std(axis=0), 1e-4, rtol=0.1)

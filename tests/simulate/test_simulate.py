@@ -14,10 +14,10 @@ from tau_dyn.simulate import (
     build_fourier_motion,
     build_named_motion,
     build_stroke_motion,
-    drive,
     measure,
     move,
     simulate,
+    simulate_drive,
 )
 
 
@@ -43,7 +43,7 @@ def test_encoder_noise_enters_the_feedback_unless_it_is_ideal(block, rng):
 
 def test_log_holds_what_the_controller_read(block, rng):
     """With noisy feedback the logged positions are the controller's readings, not a second draw."""
-    run = drive(block, build_fourier_motion(block, 4.0), None, Sensors(encoder_noise=1e-5), rng)
+    run = simulate_drive(block, build_fourier_motion(block, 4.0), None, Sensors(encoder_noise=1e-5), rng)
     log = measure(run, Sensors(encoder_noise=1e-5), rng)
     assert np.array_equal(log.channels["q_axis"], run.q_read[:, 0])
     assert_allclose(np.std(run.q_read - run.q), 1e-5, rtol=0.05)

@@ -11,9 +11,9 @@ from tau_dyn.effects import EFFECTS, Motion
 from tau_dyn.effects.hysteresis import STATE
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
-from tau_dyn.simulate import Sensors, concatenate, drive, measure, move, read_effects_file, simulate
+from tau_dyn.simulate import Sensors, concatenate, measure, move, read_effects_file, simulate, simulate_drive
 from tau_dyn.simulate.forces import SampledForces
-from tau_dyn.simulate.memory import EffectSurroundings, warming_up
+from tau_dyn.simulate.memory import EffectSurroundings, compute_warm_up
 
 IN_THE_ROBOT = {
     "coulomb_asymmetry": {"coulomb_asymmetry": 5},
@@ -67,7 +67,7 @@ def truth(model: Model, run) -> Motion:
     for k in range(1, len(run.q)):
         same = np.sign(run.v[k]) * np.sign(run.v[k - 1]) >= 0
         travel[k] = np.where(same, travel[k - 1], 0.0) + np.abs(run.q[k] - run.q[k - 1])
-    warm = np.repeat(warming_up(run.t - run.t[0])[:, None], run.q.shape[1], axis=1)
+    warm = np.repeat(compute_warm_up(run.t - run.t[0])[:, None], run.q.shape[1], axis=1)
     signals = {"reversal": travel, "temperature": warm}
     if model.effects[1].name == "hysteresis":
         signals[STATE] = bristle(np.diff(run.q, axis=0) / model.effects[1].settings["distance"])
@@ -86,7 +86,7 @@ def bristle(ways: np.ndarray) -> np.ndarray:
 def test_the_plant_obeys_the_law(name: str, make, tmp_path) -> None:
     """The forces that move the robot are rigid body, friction and the cause's own law, to 2 % of the cause's share."""
     model = hidden(make, tmp_path, name, IN_THE_ROBOT[name])
-    run = drive(model, there_and_back(model), None, Sensors(), np.random.default_rng(0), feedback="ideal")
+    run = simulate_drive(model, there_and_back(model), None, Sensors(), np.random.default_rng(0), feedback="ideal")
     motion = truth(model, run)
     error = run.tau - model.mechanism.inverse_dynamics(run.q, run.v, run.a) - model.effect_force(motion)
     share = model.effects[1].force(motion, model.effect_parameters)
@@ -147,7 +147,7 @@ def test_forces_are_logged_late(make, tmp_path) -> None:
 def test_encoders_read_beside_their_load(make, tmp_path, feedback, name, values, settings) -> None:
     """Logged less true position is the displacement by the cause's law, whether or not the controller reads it too."""
     model = hidden(make, tmp_path, name, values, **settings)
-    run = drive(model, there_and_back(model), None, Sensors(), np.random.default_rng(0), feedback=feedback)
+    run = simulate_drive(model, there_and_back(model), None, Sensors(), np.random.default_rng(0), feedback=feedback)
     log = measure(run, Sensors(), np.random.default_rng(0))
     motion = truth(model, run)
     motion = Motion.of(
@@ -166,7 +166,9 @@ def test_encoders_read_beside_their_load(make, tmp_path, feedback, name, values,
 def test_carts_off_their_guideways_move_the_tool_alone(make, tmp_path) -> None:
     """A yielding guideway shows in the tool's position, by the same columns that find it, and nowhere else."""
     model = hidden(make, tmp_path, "guideway_compliance", {"guideway_compliance": 1e-6}, make.gantry())
-    run = drive(model, there_and_back(model, 0.05), None, Sensors(), np.random.default_rng(0), feedback="ideal")
+    run = simulate_drive(
+        model, there_and_back(model, 0.05), None, Sensors(), np.random.default_rng(0), feedback="ideal"
+    )
     log = measure(run, Sensors(), np.random.default_rng(0))
     shift = np.column_stack([log.channels[f"{x}_tool"] for x in "xyz"]) - run.tool
     assert 1e-5 < np.max(np.abs(shift)) < 1e-3

@@ -29,7 +29,7 @@ from tau_dyn.calibrate.frames import AXES, compute_rotation_between
 from tau_dyn.calibrate.geometry import Geometry, expand_constraints
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.robot import Robot
 
 METHODS = ("exact", "linear")
@@ -92,7 +92,7 @@ class Compensation:
             nominal = self._newton(self.nominal, wanted, guess, np.full(wanted.n_samples, "", object))
             target = wanted
         else:
-            q = checked_positions(self.robot, wanted)
+            q = require_positions(self.robot, wanted)
             found = self.geometry.forward(self.nominal, q)
             nominal, target = Corrected(q, found.ok, found.reason, 0), found.poses
         first = self._linear(nominal, target)
@@ -106,8 +106,8 @@ class Compensation:
 
     def remaining(self, wanted: np.ndarray, corrected: np.ndarray) -> np.ndarray:
         """Return the twist (N, 6) by which the calibrated robot at `corrected` misses the nominal one at `wanted`, all axes."""
-        target = self.geometry.forward(self.nominal, checked_positions(self.robot, wanted)).poses
-        return _missed(target, self.geometry.forward(self.theta, checked_positions(self.robot, corrected)).poses)
+        target = self.geometry.forward(self.nominal, require_positions(self.robot, wanted)).poses
+        return _missed(target, self.geometry.forward(self.theta, require_positions(self.robot, corrected)).poses)
 
     def with_method(self, method: str) -> Compensation:
         """Return the same compensation by the other method."""

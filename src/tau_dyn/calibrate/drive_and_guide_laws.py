@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from tau_dyn.kinematics.chains import path
+from tau_dyn.kinematics.chains import list_path
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -251,7 +251,7 @@ class DriveComplianceLaw:
 def find_carried_rods(rods: Rods, actuator: int) -> tuple[int, ...]:
     """Return the rods that hang on a joint, directly or through others."""
     joints, carrier = rods.numbers.joints, rods.numbers.carried.carrier
-    return tuple(k for k, c in enumerate(carrier) if any(joints[j].actuator == actuator for j in path(joints, c)))
+    return tuple(k for k, c in enumerate(carrier) if any(joints[j].actuator == actuator for j in list_path(joints, c)))
 
 
 def find_guideways(rods: Rods) -> tuple[int, ...]:

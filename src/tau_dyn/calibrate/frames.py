@@ -140,7 +140,7 @@ def align(seen: np.ndarray, known: np.ndarray, *, mirrored: bool = False) -> Fra
     return Frame(rotation, a - rotation @ b)
 
 
-def mean_rotation(rotations: np.ndarray) -> np.ndarray:
+def compute_mean_rotation(rotations: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) nearest to many (N, 3, 3)."""
     u, _, vt = np.linalg.svd(rotations.sum(axis=0))
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.calibrate.count import check_count
-from tau_dyn.calibrate.frames import DeviceFrames, mean_rotation
+from tau_dyn.calibrate.frames import DeviceFrames, compute_mean_rotation
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.identifiability import Identifiability
 from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
@@ -129,7 +129,7 @@ class GeometryFit:
             return None
         seen = self.frames.measured(self.state.base, self.poses.campaign)
         ok = self.state.ok
-        return mean_rotation(np.swapaxes(seen.rotation[ok], 1, 2) @ self.poses.rotation[ok])
+        return compute_mean_rotation(np.swapaxes(seen.rotation[ok], 1, 2) @ self.poses.rotation[ok])
 
     def model_error(self, q: np.ndarray, campaign: int = 0) -> np.ndarray:
         """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone."""

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape
-from tau_dyn.kinematics.tree_arrays import Frames, cross, point
+from tau_dyn.kinematics.tree_arrays import Frames, compute_cross_product, transform_point
 
 
 class OpenRates(NamedTuple):
@@ -72,7 +72,7 @@ def compute_open_rates(
     """
     n, p = x.shape[1], len(knobs)
     places = _places(shape, numbers, at)
-    tool = point(at, shape.tool.joint, numbers.tool)
+    tool = transform_point(at, shape.tool.joint, numbers.tool)
     by_parameter = np.zeros((3 * shape.n_loops, p, n))
     twist = np.zeros((6, p, n))
     active = np.zeros((len(shape.active), p, n))
@@ -125,7 +125,7 @@ def propagate_twists(
 
 
 def _places(shape: TreeShape, numbers: TreeNumbers, at: Frames) -> list[np.ndarray]:
-    return [point(at, end.joint, local) for end, local in zip(shape.ends, numbers.points, strict=True)]
+    return [transform_point(at, end.joint, local) for end, local in zip(shape.ends, numbers.points, strict=True)]
 
 
 def _sign(end: int) -> float:
@@ -135,7 +135,7 @@ def _sign(end: int) -> float:
 def _swept(numbers: TreeNumbers, at: Frames, index: int, place: np.ndarray) -> np.ndarray:
     """Return how a point (3, N) moves with a joint's position."""
     axis = at.axis[index]
-    return axis if numbers.joints[index - 1].slides else cross(axis, place - at.origin[index])
+    return axis if numbers.joints[index - 1].slides else compute_cross_product(axis, place - at.origin[index])
 
 
 def _tool_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames, tool: np.ndarray) -> np.ndarray:
@@ -165,7 +165,7 @@ def _pushed(
 def _moved(linear: np.ndarray | None, angular: np.ndarray | None, arm: np.ndarray) -> np.ndarray:
     if linear is not None:
         return linear
-    return cross(angular, arm) if angular is not None else np.zeros_like(arm)
+    return compute_cross_product(angular, arm) if angular is not None else np.zeros_like(arm)
 
 
 def _vector(at: Frames, joint: int, local: np.ndarray) -> np.ndarray:

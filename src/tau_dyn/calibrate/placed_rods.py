@@ -11,7 +11,7 @@ from tau_dyn.calibrate.rod_numbers import TurnedNumbers, right_jacobian
 from tau_dyn.kinematics import chains
 from tau_dyn.kinematics.chains import ChainJoint
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rod_dimensions import RodDimensions, gap_columns, leg_lengths, leg_rates
+from tau_dyn.kinematics.rod_dimensions import RodDimensions, compute_gap_columns, compute_leg_lengths, compute_leg_rates
 
 
 class PlacedRods:
@@ -35,9 +35,9 @@ class PlacedRods:
         self.guide_shifts = [law.guide(laws[len(drives) + k], q) for k, law in enumerate(guides)]
         self.moving = np.ascontiguousarray(self.effective.T)
         self.frames = chains.compute_joint_frames(self.numbers.joints, self.moving)
-        self.places = chains.points(self.numbers.joints, self.numbers.carried, self.moving)
+        self.places = chains.compute_points(self.numbers.joints, self.numbers.carried, self.moving)
         self.points = self.places.transpose(2, 0, 1) + sum(s.shift for s in self.guide_shifts)
-        self.lengths = np.broadcast_to(leg_lengths(self.numbers, self.moving).T, self.points.shape[:2])
+        self.lengths = np.broadcast_to(compute_leg_lengths(self.numbers, self.moving).T, self.points.shape[:2])
 
     def _between(self, plate: Poses) -> tuple[np.ndarray, np.ndarray]:
         arms = self.numbers.on_plate @ np.swapaxes(plate.rotation, 1, 2)
@@ -61,7 +61,9 @@ class PlacedRods:
     def columns(self, unit: np.ndarray, plate: Poses) -> dict[tuple[int, str], np.ndarray]:
         """Return the gaps' derivatives by the dimensions."""
         rotation = np.moveaxis(np.asarray(plate.rotation), 0, 2)
-        return gap_columns(self.numbers, self.frames, self.moving, self.places, unit.transpose(1, 2, 0), rotation)
+        return compute_gap_columns(
+            self.numbers, self.frames, self.moving, self.places, unit.transpose(1, 2, 0), rotation
+        )
 
     def turning(self) -> list[tuple[ChainJoint, int]]:
         """Return the turning joints and their places in the chain list."""
@@ -75,7 +77,7 @@ class PlacedRods:
         """
         parent = self.frames[joint.parent].rotation if joint.parent >= 0 else np.eye(3)[:, :, None]
         frame = (
-            chains.product(parent, joint.rotation)
+            chains.multiply_by_constant(parent, joint.rotation)
             if parent.shape[2] > 1
             else (parent[:, :, 0] @ joint.rotation)[:, :, None]
         )
@@ -83,7 +85,7 @@ class PlacedRods:
         turn = self.numbers.turn(joint.name) if isinstance(self.numbers, TurnedNumbers) else np.zeros(3)
         found = []
         for k, carrier in enumerate(self.numbers.carried.carrier):
-            if place in chains.path(self.numbers.joints, carrier):
+            if place in chains.list_path(self.numbers.joints, carrier):
                 arm = self.places[k] - origin
                 moment = np.cross(arm.T, unit[:, k])  # u . (w x arm) = w . (arm x u)
                 own = np.einsum("ijn,ni->nj", np.broadcast_to(frame, (3, 3, len(moment))), moment)
@@ -93,11 +95,11 @@ class PlacedRods:
     def by_effective_joint(self, unit: np.ndarray) -> np.ndarray:
         """Return the gaps' derivative by positions after the drives (N, n, na)."""
         out = np.zeros((*unit.shape[:2], self.q.shape[1]))
-        for (k, a), column in chains.velocities(
+        for (k, a), column in chains.compute_velocities(
             self.numbers.joints, self.numbers.carried, self.frames, self.places
         ).items():
             out[:, k, a] = np.einsum("ni,in->n", unit[:, k], np.broadcast_to(column, (3, len(unit))))
-        rates = np.broadcast_to(leg_rates(self.numbers, self.moving), (unit.shape[1], len(unit)))
+        rates = np.broadcast_to(compute_leg_rates(self.numbers, self.moving), (unit.shape[1], len(unit)))
         for k in np.flatnonzero(self.numbers.slides >= 0):
             out[:, k, self.numbers.slides[k]] -= rates[k]
         return out

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.pose_set import POSITION, QUATERNION, PoseSet
-from tau_dyn.kinematics.poses import quaternions
+from tau_dyn.kinematics.poses import convert_to_quaternions
 
 TRACKER = DeviceFrames(
     (Frame(Rotation.from_euler("zyx", [137.9, -0.5, 0.4], degrees=True).as_matrix(), np.array([1.8, -4.3, -0.1])),),
@@ -72,7 +72,7 @@ def format_csv(poses: PoseSet, actuated: Sequence[str]) -> str:
     data = [poses.q, poses.position]
     if poses.rotation is not None:
         columns += QUATERNION
-        data.append(quaternions(poses.poses))
+        data.append(convert_to_quaternions(poses.poses))
     if poses.approach.any():
         columns += [f"v_{joint}" for joint in actuated]
         data.append(poses.approach)

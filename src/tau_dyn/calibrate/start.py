@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, Frame, align, mean_rotation
+from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, Frame, align, compute_mean_rotation
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -41,14 +41,16 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     if poses.rotation is None:
         return DeviceFrames((device,), (IDENTITY,))
     turn = device.rotation @ nominal.poses.rotation[ok]
-    return DeviceFrames((device,), (Frame(mean_rotation(np.swapaxes(turn, 1, 2) @ poses.rotation[ok]), np.zeros(3)),))
+    return DeviceFrames(
+        (device,), (Frame(compute_mean_rotation(np.swapaxes(turn, 1, 2) @ poses.rotation[ok]), np.zeros(3)),)
+    )
 
 
 def _from_orientation(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     """Return frames from orientations where positions lie in a plane: the target taken as turned like the tool."""
     assert poses.rotation is not None
     ok = nominal.ok
-    rotation = mean_rotation(poses.rotation[ok] @ np.swapaxes(nominal.poses.rotation[ok], 1, 2))
+    rotation = compute_mean_rotation(poses.rotation[ok] @ np.swapaxes(nominal.poses.rotation[ok], 1, 2))
     shift = poses.position[ok].mean(axis=0) - rotation @ nominal.poses.position[ok].mean(axis=0)
     return DeviceFrames((Frame(rotation, shift),), (IDENTITY,))
 

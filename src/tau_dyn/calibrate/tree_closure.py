@@ -21,8 +21,8 @@ from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.kinematics.loop_arrays import LoopArrays
 from tau_dyn.kinematics.loops import LoopSolver
-from tau_dyn.kinematics.pseudo_inverse import lengths_of
-from tau_dyn.kinematics.tree_arrays import frames
+from tau_dyn.kinematics.pseudo_inverse import measure_column_lengths
+from tau_dyn.kinematics.tree_arrays import compute_frames
 
 _MAX_ITERATIONS = 40  # Newton steps to closed loops
 _DONE = 1e-12  # [m or rad] Newton's last step
@@ -74,7 +74,7 @@ class TreeClosure:
         if shape.n_loops:
             x = self._arrays.close(shape.robot.home[None]).x
             J = self._jacobian(_nominal_numbers(shape), x)
-            self.scale = lengths_of(J)[0]
+            self.scale = measure_column_lengths(J)[0]
             s = np.linalg.svd(J[0] / self.scale, compute_uv=False)
             self.rank = int(np.sum(s > 1e-9 * s[0]))
 
@@ -134,7 +134,7 @@ class TreeClosure:
         for _ in range(_MAX_ITERATIONS):
             if not left.size:
                 break
-            at = frames(numbers.joints, x[:, left])
+            at = compute_frames(numbers.joints, x[:, left])
             gap = compute_loop_gaps(shape, numbers, at)
             opened[left], closable = np.abs(gap).max(axis=0), gap
             J = np.moveaxis(compute_gap_by_position(shape, numbers, at)[:, shape.passive], 2, 0)
@@ -159,7 +159,7 @@ class TreeClosure:
         return ClosedConfigurations(x, inverse, opened, ok, reason)
 
     def _jacobian(self, numbers: TreeNumbers, x: np.ndarray) -> np.ndarray:
-        found = compute_gap_by_position(self.shape, numbers, frames(numbers.joints, x))
+        found = compute_gap_by_position(self.shape, numbers, compute_frames(numbers.joints, x))
         return np.moveaxis(found[:, self.shape.passive], 2, 0)
 
     def _inverse(self, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

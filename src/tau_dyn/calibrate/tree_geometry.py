@@ -26,8 +26,8 @@ from tau_dyn.calibrate.tree_parameters import PRIORITY, build_rows
 from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape, compute_dimensions_at, get_shape
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.positions import checked_positions
-from tau_dyn.kinematics.tree_arrays import frames, point, times
+from tau_dyn.kinematics.positions import require_positions
+from tau_dyn.kinematics.tree_arrays import compute_frames, multiply_by_rotation, transform_point
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 
@@ -88,10 +88,12 @@ class TreeGeometry:
         The assembly mode is that of the robot file's home; `start` is not needed.
         """
         numbers = self._numbers(theta)
-        closed = self.loops.close(numbers, checked_positions(self.shape.robot, q))
-        at = frames(numbers.joints, closed.x)
-        position = point(at, self.shape.tool.joint, numbers.tool).T
-        rotation = np.moveaxis(times(at.rotation[self.shape.tool.joint], self.shape.tool.axes), 2, 0).copy()
+        closed = self.loops.close(numbers, require_positions(self.shape.robot, q))
+        at = compute_frames(numbers.joints, closed.x)
+        position = transform_point(at, self.shape.tool.joint, numbers.tool).T
+        rotation = np.moveaxis(
+            multiply_by_rotation(at.rotation[self.shape.tool.joint], self.shape.tool.axes), 2, 0
+        ).copy()
         position[~closed.ok] = rotation[~closed.ok] = np.nan
         return Predicted(Poses(position, rotation), closed.ok, closed.reason)
 
@@ -105,7 +107,7 @@ class TreeGeometry:
 
     def left_open(self, theta: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Return the largest distance (N,) [m] between points that should coincide, where loops are over-constrained."""
-        return self.loops.close(self._numbers(theta), checked_positions(self.shape.robot, q)).open
+        return self.loops.close(self._numbers(theta), require_positions(self.shape.robot, q)).open
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
         """Return None: a tree's loops involve its passive joints, which nobody measures; use forward residuals."""
@@ -147,9 +149,9 @@ class TreeGeometry:
         return compute_dimensions_at(self.shape, self.knobs, theta, self.parameters.values)
 
     def _linearised(self, theta: np.ndarray, q: np.ndarray, knobs: Sequence[Knob]) -> tuple[np.ndarray, np.ndarray]:
-        numbers, q = self._numbers(theta), checked_positions(self.shape.robot, q)
+        numbers, q = self._numbers(theta), require_positions(self.shape.robot, q)
         closed: ClosedConfigurations = self.loops.close(numbers, q)
-        found = compute_open_rates(self.shape, numbers, knobs, frames(numbers.joints, closed.x), closed.x, q.T)
+        found = compute_open_rates(self.shape, numbers, knobs, compute_frames(numbers.joints, closed.x), closed.x, q.T)
         by_parameter, by_joint = propagate_twists(self.shape, found, closed.inverse, numbers.gain)
         by_parameter[~closed.ok] = by_joint[~closed.ok] = np.nan
         return by_parameter, by_joint

@@ -19,7 +19,7 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.tree_arrays import Joint, joints_of
+from tau_dyn.kinematics.tree_arrays import Joint, list_joints
 from tau_dyn.robot import Robot
 from tau_dyn.robot.annotations import read_annotations
 
@@ -125,7 +125,7 @@ def get_shape(robot: Robot, tool: str | None = None) -> TreeShape:
     Raises:
         InputError: A joint has several degrees of freedom, or it is not clear which frame is the tool.
     """
-    joints = joints_of(robot.model)
+    joints = list_joints(robot.model)
     if joints is None:
         raise InputError(
             f"{robot.source}: calibration needs joints of one degree of freedom; "

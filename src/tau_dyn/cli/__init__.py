@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from tau_dyn.cli.ending import (  # first: from here on Ctrl-C is answered
     Ended,
-    machine_fault,
+    describe_machine_fault,
     quiet_start,
     replace_unencodable,
     say,
@@ -40,7 +40,7 @@ from tau_dyn.cli import (
 )
 from tau_dyn.cli.execute import execute
 from tau_dyn.cli.parser import Parser
-from tau_dyn.exceptions import TauDynError, one_line
+from tau_dyn.exceptions import TauDynError, format_one_line
 from tau_dyn.version import __version__
 
 COMMANDS = {
@@ -88,9 +88,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return 0
     except (OSError, MemoryError) as fault:
-        if (sentence := machine_fault(fault)) is None:
+        if (sentence := describe_machine_fault(fault)) is None:
             raise
-        say(f"error: {one_line(sentence)}")
+        say(f"error: {format_one_line(sentence)}")
         return 2
 
 

@@ -9,13 +9,13 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
+    get_robot_file,
     list_written_files,
     load_robot_from,
-    robot_file,
     show_progress,
 )
-from tau_dyn.cli.kinds import whole_between
+from tau_dyn.cli.kinds import read_whole_between
 from tau_dyn.exceptions import InputError
 
 HELP = "how accurate a robot is; are its guideways straight and parallel"
@@ -54,7 +54,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--grid",
         metavar="N",
-        type=whole_between(2, 201),
+        type=read_whole_between(2, 201),
         help="points along the section's longer side (31; 11 for slow ones)",
     )
     where.add_argument("--no-limits", action="store_true", help="ignore the actuators' position limits")
@@ -69,7 +69,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="linear, parallelepiped, ellipsoid, exact, certified, montecarlo or all (default)",
     )
     how.add_argument(
-        "--samples", metavar="N", type=whole_between(1, 100_000), help="random draws a pose (300; 50 for slow robots)"
+        "--samples",
+        metavar="N",
+        type=read_whole_between(1, 100_000),
+        help="random draws a pose (300; 50 for slow robots)",
     )
     add_common(parser)
 
@@ -93,7 +96,7 @@ def run(args: argparse.Namespace) -> Outcome:
         result=found.to_dict(),
         warnings=[*robot.warnings, *(w for _, points in files for w in points.warnings), *_doubts(found)],
         inputs=[
-            *robot_file(args),
+            *get_robot_file(args),
             *([args.errors] if args.errors else []),
             *((name, p.sha256) for name, p in files),
             *([args.poses] if args.poses else []),
@@ -107,7 +110,7 @@ def _measured(args: argparse.Namespace, robot):
     """Return the checks of measured points, and the files."""
     from tau_dyn.kinematics.accuracy import Measured
     from tau_dyn.kinematics.assumptions import check_orientation, check_parallelism, fit_guideway, load_shift
-    from tau_dyn.kinematics.poses import from_quaternions
+    from tau_dyn.kinematics.poses import convert_from_quaternions
     from tau_dyn.log.measured import read_measured
 
     lines, loads, orientation, files = {}, [], None, []
@@ -126,7 +129,9 @@ def _measured(args: argparse.Namespace, robot):
                 raise InputError(f"{points.name}: its orientation can be told apart only along sliding actuators")
             if points.points is None:
                 raise InputError(f"{points.name} lacks x_tool, y_tool, z_tool, which tell the layers of poses apart")
-            orientation = check_orientation(points.q[:, sliding], from_quaternions(points.points, points.quaternions))
+            orientation = check_orientation(
+                points.q[:, sliding], convert_from_quaternions(points.points, points.quaternions)
+            )
             continue
         joint = named or _only(points, robot)
         if points.points is None:
@@ -152,12 +157,12 @@ def _only(points, robot) -> str:
 
 def _errors(args: argparse.Namespace, robot, rods, measured):
     """Return the errors, None for none at all, and whether they are from measurements."""
-    from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, actuator_errors, read_errors_file
+    from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, read_actuator_errors, read_errors_file
 
     given = ErrorBounds()
     if args.errors is not None:
         given = read_errors_file(args.errors, robot.actuated, () if rods is None else rods.names)
-    stated = {**given.actuators, **actuator_errors(args.actuator_error, robot.actuated)}
+    stated = {**given.actuators, **read_actuator_errors(args.actuator_error, robot.actuated)}
     seen = {line.joint: ActuatorError(*line.bounds()) for line in measured.guideways if line.joint not in stated}
     errors = ErrorBounds({**stated, **seen}, given.rods)
     if not errors.actuators and not errors.rods:
@@ -174,7 +179,7 @@ def _checked_only(robot, measured):
 
 
 def _study(args: argparse.Namespace, robot, rods, errors, measured, from_measured: bool, step):
-    from tau_dyn.kinematics.accuracy import METHODS, accuracy_study
+    from tau_dyn.kinematics.accuracy import METHODS, study_accuracy
     from tau_dyn.kinematics.poses import Poses
 
     step("poses")
@@ -184,7 +189,7 @@ def _study(args: argparse.Namespace, robot, rods, errors, measured, from_measure
     slow = rods is None and bool(robot.loops)  # loops in a tree are closed one step at a time
     args.grid, args.samples = args.grid or (11 if slow else 31), args.samples or (50 if slow else 300)
     grid, q, tool = _listed(args, robot) if args.poses else _gridded(args, robot, rods)
-    return accuracy_study(
+    return study_accuracy(
         robot, rods, errors, q, Poses(tool.position, tool.rotation), grid=grid, methods=methods, samples=args.samples,
         seed=args.seed, measured=measured, from_measured=from_measured, progress=step,
     )  # fmt: skip
@@ -210,12 +215,12 @@ def _listed(args: argparse.Namespace, robot):
 
 
 def _gridded(args: argparse.Namespace, robot, rods):
-    from tau_dyn.kinematics.accuracy import default_section, lay_grid, read_section
+    from tau_dyn.kinematics.accuracy import choose_default_section, lay_grid, read_section
     from tau_dyn.kinematics.forward import forward_kinematics
     from tau_dyn.kinematics.poses import Poses
 
     home = forward_kinematics(robot, robot.home[None]).poses
-    section = read_section(args.section) if args.section else default_section(robot, home, rods)
+    section = read_section(args.section) if args.section else choose_default_section(robot, home, rods)
     section = section.within(args.range)
     grid = lay_grid(robot, rods, home, section, args.grid, limits=not args.no_limits)
     return grid, grid.q[grid.ok], Poses(grid.poses.position[grid.ok], grid.poses.rotation[grid.ok])
@@ -238,6 +243,6 @@ def _show(console, found, args: argparse.Namespace) -> None:
 
 
 def _page(found, files: list[tuple[str, str]]) -> str:
-    from tau_dyn.report import accuracy_page
+    from tau_dyn.report import build_accuracy_page
 
-    return accuracy_page(found, files=files, command_line=command_line())
+    return build_accuracy_page(found, files=files, command_line=format_command_line())

@@ -9,10 +9,10 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
+    get_robot_file,
     list_written_files,
     load_robot_from,
-    robot_file,
     show_progress,
 )
 
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=found.to_dict(),
         warnings=[*robot.warnings, *warnings, *found.warnings],
-        inputs=[*robot_file(args), *read],
+        inputs=[*get_robot_file(args), *read],
         show=lambda console: _show(console, found, args),
         files={args.out: lambda path: _save(path, found)} if args.out else {},
         report=lambda: _page(found, read),
@@ -131,6 +131,6 @@ def _show(console, found, args: argparse.Namespace) -> None:
 
 
 def _page(found, read: list[tuple[str, str]]) -> str:
-    from tau_dyn.report.calibration_page import calibration_page
+    from tau_dyn.report.calibration_page import build_calibration_page
 
-    return calibration_page(found, poses=read, command_line=command_line())
+    return build_calibration_page(found, poses=read, command_line=format_command_line())

@@ -9,9 +9,9 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot_options,
-    command_line,
+    format_command_line,
+    get_robot_file,
     load_robot_from,
-    robot_file,
     show_progress,
 )
 from tau_dyn.coded_warning import UNCODED, get_code
@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> Outcome:
         inputs=[
             (args.log, log.sha256),
             *([args.columns] if args.columns else []),
-            *(robot_file(args) if args.robot else []),
+            *(get_robot_file(args) if args.robot else []),
         ],
         show=lambda console: print_check(console, log, checked),
-        report=lambda: check_page(log, checked, robot=robot, command_line=command_line()),
+        report=lambda: check_page(log, checked, robot=robot, command_line=format_command_line()),
     )

@@ -114,7 +114,7 @@ def is_model_file(path: str | Path) -> bool:
     return Path(path).suffix.lower() in (".yaml", ".yml")
 
 
-def robot_file(args: argparse.Namespace) -> list[Path]:
+def get_robot_file(args: argparse.Namespace) -> list[Path]:
     """Return the robot's or the model's file, for the list of inputs."""
     from tau_dyn.robot.expand import find_robot
 
@@ -127,7 +127,7 @@ def list_written_files(args: argparse.Namespace, **own: Path | None) -> dict[str
     return {name.replace("_", " "): str(path) for name, path in files.items() if path}
 
 
-def command_line() -> str:
+def format_command_line() -> str:
     """Return how the program was called, for a page's provenance."""
     return shlex.join(["tau-dyn", *sys.argv[1:]])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, command_line, show_progress
+from tau_dyn.cli.common import Outcome, add_common, format_command_line, show_progress
 
 HELP = "what changed between two runs, results or models, with intervals"
 
@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> Outcome:
     with show_progress(args.quiet) as step:
         step("comparing")
         from tau_dyn.compare import compare, read_side
-        from tau_dyn.report.comparison import comparison_page, print_comparison
+        from tau_dyn.report.comparison import build_comparison_page, print_comparison
 
         found = compare(read_side(args.a), read_side(args.b))
     return Outcome(
@@ -31,5 +31,5 @@ def run(args: argparse.Namespace) -> Outcome:
         warnings=found.warnings,
         inputs=[found.a.path, found.b.path],
         show=lambda console: print_comparison(console, found),
-        report=lambda: comparison_page(found, command_line=command_line()),
+        report=lambda: build_comparison_page(found, command_line=format_command_line()),
     )

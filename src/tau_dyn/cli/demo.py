@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot_options, load_robot_from, robot_file, show_progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot_options, get_robot_file, load_robot_from, show_progress
 from tau_dyn.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> Outcome:
         step("loading")
         from tau_dyn.diagnose import diagnose
         from tau_dyn.identify import identify
-        from tau_dyn.report import diagnosis_page, identification_page
+        from tau_dyn.report import build_diagnosis_page, build_identification_page
         from tau_dyn.simulate import Sensors, build_named_motion, simulate
 
         made = make_arm(load_robot_from(args), args.robot, args.seed) if args.robot else make_gantry(args.seed)
@@ -112,8 +112,8 @@ def run(args: argparse.Namespace) -> Outcome:
         step("reports")
         values = {p.name: p.value for p in made.truth.parameters}
         files = f"{made.call} {args.out}/monday.csv --holdout {args.out}/tuesday.csv"
-        page = diagnosis_page(found, command_line=f"tau-dyn diagnose {files}")
-        plain = identification_page(fit, command_line=f"tau-dyn identify {files}", truth=values)
+        page = build_diagnosis_page(found, command_line=f"tau-dyn diagnose {files}")
+        plain = build_identification_page(fit, command_line=f"tau-dyn identify {files}", truth=values)
     written = {
         "report": str(args.out / "report.html"),
         "extended model": str(args.out / "extended.yaml"),
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=found.to_dict() | {"truth": values, "hidden": list(made.hidden), "out": str(args.out)},
         warnings=found.warnings,
-        inputs=robot_file(args) if args.robot else [],
+        inputs=get_robot_file(args) if args.robot else [],
         show=lambda console: _show(console, made, found, written),
         files={
             args.out / "identification.html": plain,
@@ -146,11 +146,11 @@ def make_gantry(seed: int) -> Made:
     values = {f"{joints[1]}.ripple_sin": RIPPLE, **{f"{joint}.stribeck": value for joint, value in PEAK.items()}}
     said = f"a ripple of {RIPPLE:g} N every {1e3 * TOOTH:g} mm on cart2, and Stribeck friction on all carts"
     sensors = {"encoder_noise": 5e-6, "force_noise": 5.0}
-    truth = _extend(true_model(robot, seed), effects, values)
+    truth = _extend(build_true_model(robot, seed), effects, values)
     return Made(robot, truth, sensors, ("cyclic_ripple", "stribeck"), said, "gantry_tau")
 
 
-def true_model(robot: Robot, seed: int) -> Model:
+def build_true_model(robot: Robot, seed: int) -> Model:
     """Return the simulated Gantry-Tau: Table 6.1's friction, and masses up to 10 % off the nominal ones."""
     rng = np.random.default_rng(seed)
     values = {p.name: p.value * rng.uniform(0.9, 1.1) for p in robot.parameters if p.name.endswith(".mass")}

@@ -14,13 +14,13 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
     list_written_files,
     load_robot_from,
     show_progress,
 )
-from tau_dyn.cli.fitting import add_fitting, fitting_inputs, fitting_options, read_fitting_logs
-from tau_dyn.cli.kinds import csv_file
+from tau_dyn.cli.fitting import add_fitting, collect_fitting_inputs, collect_fitting_options, read_fitting_logs
+from tau_dyn.cli.kinds import read_csv_file_name
 from tau_dyn.exceptions import CannotAnswer
 
 HELP = "what the simulation gets wrong, and the cause"
@@ -40,7 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--propose",
         metavar="MOTION.csv",
-        type=csv_file,
+        type=read_csv_file_name,
         help="write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what these "
         "logs could not",
     )
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> Outcome:
         robot = load_robot_from(args)
         logs, held = read_fitting_logs(args)
         law = _law(args, robot, logs)
-        found = diagnose(robot, logs, holdout=held, progress=step, **fitting_options(args))
+        found = diagnose(robot, logs, holdout=held, progress=step, **collect_fitting_options(args))
         if law is not None:
             from tau_dyn.diagnose.simulated import add_simulation
 
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=result,
         warnings=warnings,
-        inputs=[*fitting_inputs(args, logs, held), *([args.controller] if args.controller else [])],
+        inputs=[*collect_fitting_inputs(args, logs, held), *([args.controller] if args.controller else [])],
         show=lambda console: _show(console, found, args, result),
         files=files,
         report=lambda: _page(found),
@@ -122,6 +122,6 @@ def _show(console, found, args: argparse.Namespace, result: dict) -> None:
 
 
 def _page(found) -> str:
-    from tau_dyn.report import diagnosis_page
+    from tau_dyn.report import build_diagnosis_page
 
-    return diagnosis_page(found, command_line=command_line())
+    return build_diagnosis_page(found, command_line=format_command_line())

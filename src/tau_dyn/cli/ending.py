@@ -117,7 +117,7 @@ def unwind_on_signal() -> Iterator[None]:
             signal.signal(number, usual[number])
 
 
-def machine_fault(fault: OSError | MemoryError) -> str | None:
+def describe_machine_fault(fault: OSError | MemoryError) -> str | None:
     """Return the sentence about what the machine lacks; None where that is not it."""
     if isinstance(fault, MemoryError):
         return "out of memory; give a shorter log or an excerpt, or a machine with more"

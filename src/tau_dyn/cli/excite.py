@@ -13,12 +13,12 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
+    get_robot_file,
     load_robot_from,
-    robot_file,
     show_progress,
 )
-from tau_dyn.cli.kinds import csv_file, not_negative, positive, whole_number
+from tau_dyn.cli.kinds import not_negative, positive, read_csv_file_name, whole_number
 from tau_dyn.exceptions import InputError
 
 HELP = "an exciting motion within the robot's limits"
@@ -30,7 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_robot(parser)
     parser.add_argument(
-        "--out", metavar="MOTION.csv", type=csv_file, required=True, help="write t, q_ref, v_ref, a_ref here"
+        "--out", metavar="MOTION.csv", type=read_csv_file_name, required=True, help="write t, q_ref, v_ref, a_ref here"
     )
     parser.add_argument("--duration", metavar="S", type=positive, default=30.0, help="length (default 30 s)")
     parser.add_argument(
@@ -172,7 +172,7 @@ def _outcome(args: argparse.Namespace, model, motion, condition: float, result, 
     return Outcome(
         result=result,
         warnings=[*model.robot.warnings, *motion.notes],
-        inputs=[*robot_file(args), *([args.noise_from] if args.noise_from is not None else [])],
+        inputs=[*get_robot_file(args), *([args.noise_from] if args.noise_from is not None else [])],
         show=show,
         files={args.out: motion.to_csv},
         report=lambda: _page(motion, model, condition, prediction, args),
@@ -212,7 +212,9 @@ def _told(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 
 def _page(motion, model, condition: float, prediction, args: argparse.Namespace) -> str:
-    from tau_dyn.report import excitation_page
+    from tau_dyn.report import build_excitation_page
 
     made = {"seed": str(args.seed), "trials": str(args.trials), "method": args.method}
-    return excitation_page(motion, model, condition, prediction=prediction, command_line=command_line(), **made)
+    return build_excitation_page(
+        motion, model, condition, prediction=prediction, command_line=format_command_line(), **made
+    )

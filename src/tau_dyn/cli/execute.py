@@ -17,10 +17,10 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 
-from tau_dyn.cli.common import Outcome, command_line, format_json, robot_file
-from tau_dyn.cli.run_folder import RunFolder, configuration_of
+from tau_dyn.cli.common import Outcome, format_command_line, format_json, get_robot_file
+from tau_dyn.cli.run_folder import RunFolder, collect_configuration
 from tau_dyn.coded_warning import format_warnings
-from tau_dyn.exceptions import CannotAnswer, InputError, one_line
+from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
 from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
 from tau_dyn.version import __version__
 
@@ -78,7 +78,7 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
         sentences.append(f"cannot answer: {refusal.missing}. The experiment that would: {refusal.experiment}.")
     with suppress(OSError):  # a screen that takes nothing; the files say it, too
         for sentence in sentences:
-            errors.print(one_line(sentence), markup=False)
+            errors.print(format_one_line(sentence), markup=False)
     if refusal is None and not args.quiet:
         _show(outcome)
     return outcome.exit_status
@@ -86,7 +86,7 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
 
 def _call(command: str, args: argparse.Namespace) -> _Call:
     """Return the call; with a run folder, what was not asked for elsewhere goes there under its usual name."""
-    configuration, page_asked = configuration_of(args), args.report is not None
+    configuration, page_asked = collect_configuration(args), args.report is not None
     folder = getattr(args, "out", None)
     if not isinstance(folder, RunFolder):
         return _Call(command, args, None, configuration, page_asked)
@@ -202,7 +202,7 @@ def _write(call: _Call, outcome: Outcome) -> None:
         if room is not None and folder is not None:
             read = {row["path"]: row["sha256"] for row in about["inputs"]}
             run = folder.record(
-                room, call.command, command_line=command_line(), configuration=call.configuration, inputs=read,
+                room, call.command, command_line=format_command_line(), configuration=call.configuration, inputs=read,
                 seed=args.seed, exit_status=outcome.exit_status,
             )  # fmt: skip
             (room / folder.files()[0].name).write_text(format_json(run), encoding="utf-8")
@@ -232,7 +232,7 @@ def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:
 def _unanswered(args: argparse.Namespace, fault: CannotAnswer) -> Outcome:
     """Return the outcome of a command whose data cannot answer, with the robot and all files that it was given."""
     result = {"status": "cannot_answer", "missing": fault.missing, "experiment": fault.experiment}
-    inputs = [*(robot_file(args) if getattr(args, "robot", None) else []), *_given(args)]
+    inputs = [*(get_robot_file(args) if getattr(args, "robot", None) else []), *_given(args)]
     once = {path.resolve(): path for path in reversed(inputs)}
     return Outcome(
         result=result, warnings=fault.warnings, inputs=list(reversed(once.values())), exit_status=fault.exit_status

@@ -165,14 +165,14 @@ def _fmu(args: argparse.Namespace, out: Path) -> Made:
 
 def _kinematics(args: argparse.Namespace, out: Path) -> Made:
     """Return C kinematics and their header."""
-    from tau_dyn.control import build_kinematics, kinematics_source
-    from tau_dyn.control.export_c_text import header_beside, identifiers, including
+    from tau_dyn.control import build_kinematics, write_kinematics_source
+    from tau_dyn.control.export_c_text import build_identifiers, include_header, locate_header
 
     robot = _model(args).robot
-    name = args.name or identifiers([robot.name])[0].lstrip("_0123456789") or "robot"
-    header = header_beside(out)
+    name = args.name or build_identifiers([robot.name])[0].lstrip("_0123456789") or "robot"
+    header = locate_header(out)
     program = build_kinematics(robot)
-    source, declared = kinematics_source(program, name)
+    source, declared = write_kinematics_source(program, name)
     functions = [f"{name}_{x}" for x in ("fk", "jacobian", *(() if program.no_inverse else ("ik",)))]
     lacking = (f"{robot.name}: no inverse kinematics, since {program.no_inverse}",) if program.no_inverse else ()
     said = f"{', '.join(functions)}: within {max(program.difference, 1e-16):.1g} of Python's -> {out} and {header}"
@@ -182,7 +182,7 @@ def _kinematics(args: argparse.Namespace, out: Path) -> Made:
         "difference": program.difference,
         "joints": list(robot.actuated),
     }
-    return Made({out: including(source, name, header), header: declared}, said, result, lacking)
+    return Made({out: include_header(source, name, header), header: declared}, said, result, lacking)
 
 
 def _motion(args: argparse.Namespace):

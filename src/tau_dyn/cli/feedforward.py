@@ -41,8 +41,8 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError(f"{args.out}: what --to {args.to} writes ends in {ending}")
     with show_progress(args.quiet) as step:
         step("tracing")
-        from tau_dyn.control import Feedforward, build_program, c_source, python_source
-        from tau_dyn.control.export_c_text import header_beside, including
+        from tau_dyn.control import Feedforward, build_program, write_c_source, write_python_source
+        from tau_dyn.control.export_c_text import include_header, locate_header
         from tau_dyn.control.export_model import ARGUMENTS
         from tau_dyn.model import Model
 
@@ -53,11 +53,11 @@ def run(args: argparse.Namespace) -> Outcome:
         program = build_program(Feedforward(kept, width=width, shape=args.shape))
         files: dict[Path, str] = {}
         if args.to == "c":
-            header = header_beside(args.out)
-            source, declared = c_source(program, args.name)
-            files = {args.out: including(source, args.name, header), header: declared}
+            header = locate_header(args.out)
+            source, declared = write_c_source(program, args.name)
+            files = {args.out: include_header(source, args.name, header), header: declared}
         else:
-            files = {args.out: python_source(program, args.name)}
+            files = {args.out: write_python_source(program, args.name)}
     size = len(program.graph.needed(program.outputs))
     written = " and ".join(str(path) for path in files)
     result = {

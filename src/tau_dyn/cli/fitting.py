@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tau_dyn.cli.common import robot_file
+from tau_dyn.cli.common import get_robot_file
 from tau_dyn.cli.kinds import whole_number
 from tau_dyn.exceptions import InputError
 
@@ -84,7 +84,7 @@ def read_fitting_logs(args: argparse.Namespace) -> tuple[list[Log], list[Log]]:
     return logs, held
 
 
-def fitting_options(args: argparse.Namespace) -> dict:
+def collect_fitting_options(args: argparse.Namespace) -> dict:
     """Return what `identify` and `diagnose` take by name, besides the logs."""
     from tau_dyn.identify import Choices
 
@@ -92,8 +92,8 @@ def fitting_options(args: argparse.Namespace) -> dict:
     return {"model": args.model, "choices": choices, "exclude": tuple(args.exclude), "seed": args.seed}
 
 
-def fitting_inputs(args: argparse.Namespace, logs, held) -> list[Path | tuple[str, str]]:
+def collect_fitting_inputs(args: argparse.Namespace, logs, held) -> list[Path | tuple[str, str]]:
     """Return every file that went in, logs with the hash that their reader knows."""
     read = [(str(path), log.sha256) for path, log in zip([*args.logs, *args.holdout], [*logs, *held], strict=True)]
     others = [args.columns, Path(args.model)]
-    return [*robot_file(args), *read, *(p for p in others if p is not None and p.is_file())]
+    return [*get_robot_file(args), *read, *(p for p in others if p is not None and p.is_file())]

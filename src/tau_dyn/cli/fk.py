@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("give --q VALUE ... or --poses POSES.csv")
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.pose_table import forward_table, read_positions
+        from tau_dyn.kinematics.pose_table import build_forward_table, read_positions
 
         robot = load_robot_from(args)
         if args.q is not None and len(args.q) != robot.na:
@@ -41,4 +41,4 @@ def run(args: argparse.Namespace) -> Outcome:
             else read_positions(read_columns(args.poses), robot, str(args.poses))
         )
         step("closing the rods")
-        return build_outcome(forward_table(robot, q), args)
+        return build_outcome(build_forward_table(robot, q), args)

@@ -8,12 +8,18 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
     list_written_files,
     load_robot_from,
     show_progress,
 )
-from tau_dyn.cli.fitting import add_engine, add_fitting, fitting_inputs, fitting_options, open_fitting_logs
+from tau_dyn.cli.fitting import (
+    add_engine,
+    add_fitting,
+    collect_fitting_inputs,
+    collect_fitting_options,
+    open_fitting_logs,
+)
 from tau_dyn.scale.run_many import count_cores
 
 HELP = "masses and friction from torque logs"
@@ -48,7 +54,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
         robot = load_robot_from(args)
         logs, held = open_fitting_logs(args)
-        options = fitting_options(args) | {"estimator": args.estimator}
+        options = collect_fitting_options(args) | {"estimator": args.estimator}
         found = identify(
             robot,
             logs,
@@ -60,7 +66,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
-        inputs=fitting_inputs(args, logs, held),
+        inputs=collect_fitting_inputs(args, logs, held),
         show=lambda console: _show(console, found, args),
         files={args.out: found.model.save} if args.out else {},
         report=lambda: _page(found),
@@ -75,6 +81,6 @@ def _show(console, found, args: argparse.Namespace) -> None:
 
 
 def _page(found) -> str:
-    from tau_dyn.report import identification_page
+    from tau_dyn.report import build_identification_page
 
-    return identification_page(found, command_line=command_line())
+    return build_identification_page(found, command_line=format_command_line())

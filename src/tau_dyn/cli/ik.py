@@ -37,15 +37,15 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("--quaternion goes with --position; a table has its own columns qx_tool ..")
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.pose_table import inverse_table, poses_at, read_poses
-        from tau_dyn.kinematics.poses import from_quaternions
+        from tau_dyn.kinematics.pose_table import build_inverse_table, place_home_orientation, read_poses
+        from tau_dyn.kinematics.poses import convert_from_quaternions
 
         robot = load_robot_from(args)
         if args.poses is not None:
             poses = read_poses(read_columns(args.poses), robot, str(args.poses))
         elif args.quaternion is not None:
-            poses = from_quaternions(np.array([args.position]), np.array([args.quaternion]))
+            poses = convert_from_quaternions(np.array([args.position]), np.array([args.quaternion]))
         else:
-            poses = poses_at(robot, np.array([args.position]))
+            poses = place_home_orientation(robot, np.array([args.position]))
         step("solving")
-        return build_outcome(inverse_table(robot, poses, all_configurations=args.all), args)
+        return build_outcome(build_inverse_table(robot, poses, all_configurations=args.all), args)

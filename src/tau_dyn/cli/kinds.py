@@ -35,12 +35,12 @@ positive_large = _kind("a number above zero, below 1e15", float, lambda x: 0 < x
 not_negative = _kind("zero or a number above it", lambda text: float(text) + 0.0, lambda x: 0 <= x < 1e9)
 
 
-def whole_between(low: int, high: int) -> Callable[[str], int]:
+def read_whole_between(low: int, high: int) -> Callable[[str], int]:
     """Return a reader of whole numbers from a lowest to a highest."""
     return _kind(f"a whole number from {low} to {high}", int, lambda x: low <= x <= high)
 
 
-def number_of_poses(text: str) -> int | str:
+def read_number_of_poses(text: str) -> int | str:
     """Read a number of poses, or auto."""
     try:
         return "auto" if text == "auto" else positive_whole(text)
@@ -48,7 +48,7 @@ def number_of_poses(text: str) -> int | str:
         raise argparse.ArgumentTypeError(f"{fault}, or auto") from None
 
 
-def csv_file(text: str) -> Path:
+def read_csv_file_name(text: str) -> Path:
     """Read the name of a CSV file to write."""
     if Path(text).suffix.lower() != ".csv":
         raise argparse.ArgumentTypeError(f"'{text}' must end in .csv, which is what is written")

@@ -9,10 +9,10 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot_options,
-    command_line,
+    format_command_line,
+    get_robot_file,
     list_written_files,
     load_robot_from,
-    robot_file,
     show_progress,
 )
 from tau_dyn.exceptions import InputError
@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=found.to_dict() | ({} if on_robot is None else {"robot_modes": on_robot.to_list()}),
         warnings=[*(w for log in (*logs, *held) for w in log.warnings), *found.warnings, *warned],
-        inputs=[*read, *([args.columns] if args.columns else []), *(robot_file(args) if robot else [])],
+        inputs=[*read, *([args.columns] if args.columns else []), *(get_robot_file(args) if robot else [])],
         show=lambda console: _show(console, found, args),
         files={args.out: lambda path: _save(path, found, read)} if args.out else {},
         report=lambda: _page(found, on_robot, read),
@@ -132,11 +132,11 @@ def _robot_asked(args: argparse.Namespace) -> bool:
 
 def _on_robot(robot, found):
     """Return the modes on the robot, and a warning where it was asked for and nothing can be drawn."""
-    from tau_dyn.modes.on_robot import shapes_on_robot
+    from tau_dyn.modes.on_robot import project_shapes_on_robot
 
     if robot is None:
         return None, []
-    shapes = shapes_on_robot(robot, found.modes, found.outputs)
+    shapes = project_shapes_on_robot(robot, found.modes, found.outputs)
     why = f"no mode is drawn on {robot.name}: outputs are drawn where they are named by axis and place, such as x_tool"
     return shapes, [] if shapes or not found.modes else [why]
 
@@ -161,6 +161,6 @@ def _show(console, found, args: argparse.Namespace) -> None:
 
 
 def _page(found, on_robot, read: list[tuple[str, str]]) -> str:
-    from tau_dyn.report import modes_page
+    from tau_dyn.report import build_modes_page
 
-    return modes_page(found, on_robot=on_robot, logs=read, command_line=command_line())
+    return build_modes_page(found, on_robot=on_robot, logs=read, command_line=format_command_line())

@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 from typing import Any, NoReturn
 
-from tau_dyn.cli.run_folder import out_argument
-from tau_dyn.exceptions import InputError, did_you_mean
+from tau_dyn.cli.run_folder import build_out_argument
+from tau_dyn.exceptions import InputError, suggest_nearest
 
 _NEGATIVE = re.compile(r"^-(\d|\.\d)")
 _PLAIN = {"float": "a number", "int": "a whole number"}
@@ -28,7 +28,7 @@ class Parser(argparse.ArgumentParser):
         """Add an argument; `--out` also takes a run folder, in which the command's own file is called as its metavar."""
         if "--out" in names:
             shown, self.writes = options.get("metavar", "FILE"), True
-            options["type"] = out_argument(options.get("type", Path), shown)
+            options["type"] = build_out_argument(options.get("type", Path), shown)
             if shown not in ("DIR", "FOLDER/"):
                 options["help"] = f"{options.get('help', '')}; FOLDER/ takes it with result, report and run.json"
             self.set_defaults(own_file=shown.lower() if Path(shown).suffix else "")
@@ -38,7 +38,7 @@ class Parser(argparse.ArgumentParser):
         """Refuse what a command does not know itself, so that its own help is named."""
         known, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            near = did_you_mean(unknown[0], re.findall(r"--[\w-]+", self.format_usage()))
+            near = suggest_nearest(unknown[0], re.findall(r"--[\w-]+", self.format_usage()))
             self.error(f"there is no {unknown[0]} here{near}")
         return known, unknown
 
@@ -54,7 +54,7 @@ def _in_words(message: str) -> str:
     if match := re.match(r"argument (.+?): invalid choice: '?(.+?)'? \(choose from (.+)\)$", message):
         known = [word.strip("' ") for word in match[3].split(",")]
         what = match[1].lower() if match[1] == "COMMAND" else match[1]
-        return f"there is no {what} '{match[2]}'{did_you_mean(match[2], known)}; there are {', '.join(known)}"
+        return f"there is no {what} '{match[2]}'{suggest_nearest(match[2], known)}; there are {', '.join(known)}"
     if match := re.match(r"the following arguments are required: (.+)$", message):
         if match[1] == "COMMAND":
             return "name a command, such as demo"

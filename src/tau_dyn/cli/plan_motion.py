@@ -9,14 +9,14 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
+    get_robot_file,
     is_model_file,
     list_written_files,
     load_robot_from,
-    robot_file,
     show_progress,
 )
-from tau_dyn.cli.kinds import csv_file, finite, not_negative, positive, whole_number
+from tau_dyn.cli.kinds import finite, not_negative, positive, read_csv_file_name, whole_number
 from tau_dyn.cli.pose_tables import read_columns
 from tau_dyn.exceptions import InputError
 
@@ -51,7 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--nodes", metavar="N", type=whole_number, default=80, help="intervals of linear acceleration (default 80)"
     )
     parser.add_argument(
-        "--out", metavar="MOTION.csv", type=csv_file, required=True, help="write t, q_ref, v_ref, a_ref here"
+        "--out", metavar="MOTION.csv", type=read_csv_file_name, required=True, help="write t, q_ref, v_ref, a_ref here"
     )
     add_common(parser)
 
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> Outcome:
         result=plan.to_dict() | {"out": str(args.out)},
         warnings=[*model.robot.warnings, *plan.warnings],
         inputs=[
-            *robot_file(args),
+            *get_robot_file(args),
             *([Path(args.path)] if args.path not in (None, "line") else []),
         ],
         show=show,
@@ -118,7 +118,7 @@ def _ends(args: argparse.Namespace):
 
 def _path(args: argparse.Namespace):
     """Return None, 'line', or the points of a table (n, 3)."""
-    from tau_dyn.kinematics.pose_table import picked
+    from tau_dyn.kinematics.pose_table import pick_columns
 
     if args.path in (None, "line"):
         return args.path
@@ -128,7 +128,7 @@ def _path(args: argparse.Namespace):
     missing = [name for name in _COLUMNS if name not in table]
     if missing:
         raise InputError(f"{args.path}: there is no column {missing[0]}; a path has {', '.join(_COLUMNS)} [m]")
-    return picked(table, list(_COLUMNS), str(args.path))
+    return pick_columns(table, list(_COLUMNS), str(args.path))
 
 
 def _model(args: argparse.Namespace):
@@ -143,6 +143,6 @@ def _model(args: argparse.Namespace):
 
 
 def _page(plan) -> str:
-    from tau_dyn.report.motion_plan_page import motion_plan_page
+    from tau_dyn.report.motion_plan_page import build_motion_plan_page
 
-    return motion_plan_page(plan, command_line=command_line())
+    return build_motion_plan_page(plan, command_line=format_command_line())

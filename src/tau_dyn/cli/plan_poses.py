@@ -9,12 +9,12 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
+    get_robot_file,
     list_written_files,
     load_robot_from,
-    robot_file,
     show_progress,
 )
-from tau_dyn.cli.kinds import csv_file, not_negative, number_of_poses, positive, positive_whole
+from tau_dyn.cli.kinds import not_negative, positive, positive_whole, read_csv_file_name, read_number_of_poses
 
 HELP = "poses to measure for a calibration, and what they will give"
 
@@ -25,7 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--n",
         metavar="N|auto",
-        type=number_of_poses,
+        type=read_number_of_poses,
         default="auto",
         help="how many; auto: until more hardly help (default)",
     )
@@ -61,7 +61,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     _add_device(parser.add_argument_group("what measures (default: everything seen with 0.1 mm and 0.1 mrad)"))
     _add_demands(parser.add_argument_group("where the robot may go"))
     parser.add_argument(
-        "--out", metavar="POSES.csv", type=csv_file, help="write the places in driving order here: pose, q_J"
+        "--out", metavar="POSES.csv", type=read_csv_file_name, help="write the places in driving order here: pose, q_J"
     )
     parser.add_argument("--rapid", metavar="FILE.mod", type=Path, help="write a RAPID module here")
     parser.add_argument(
@@ -135,7 +135,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=plan.to_dict(),
         warnings=[*robot.warnings, *plan.warnings],
-        inputs=[*robot_file(args), *given],
+        inputs=[*get_robot_file(args), *given],
         show=lambda console: _show(console, plan, args),
         files=files,
     )
@@ -146,12 +146,12 @@ def _going_on(args: argparse.Namespace) -> Outcome:
     from tau_dyn.calibrate.poses.path_check import PathCheck
     from tau_dyn.calibrate.poses.progress_file import read_progress
     from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
-    from tau_dyn.kinematics.workspace.machines import machine_of
+    from tau_dyn.kinematics.workspace.machines import build_machine
 
     robot = load_robot_from(args)
     now = read_progress(args.resume, robot.actuated)
     q, pose = now.q[now.left], now.pose[now.left]
-    check = PathCheck(machine_of(robot), _demands(args))
+    check = PathCheck(build_machine(robot), _demands(args))
     done = {state: now.state.count(state) for state in ("measured", "missed")}
     left = int((pose >= 0).sum())
     files = _files(
@@ -162,7 +162,7 @@ def _going_on(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result={"resumed": True, **done, "left": left},
         warnings=robot.warnings,
-        inputs=[*robot_file(args), args.resume],
+        inputs=[*get_robot_file(args), args.resume],
         show=lambda console: console.print(
             f"{done['measured']} poses measured, {done['missed']} not seen, {left} left"
         ),

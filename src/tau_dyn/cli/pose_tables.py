@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.cli.common import Outcome, add_common, command_line, list_written_files, robot_file
-from tau_dyn.cli.kinds import csv_file
+from tau_dyn.cli.common import Outcome, add_common, format_command_line, get_robot_file, list_written_files
+from tau_dyn.cli.kinds import read_csv_file_name
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 
@@ -17,7 +17,7 @@ def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the table to read and the one to write."""
     parser.add_argument("--poses", metavar="POSES.csv", type=Path, help=f"a table of {what}, one a row")
     parser.add_argument(
-        "--out", metavar="POSES.csv", type=csv_file, help="write q_<joint>, x_tool .. qw_tool, reason here"
+        "--out", metavar="POSES.csv", type=read_csv_file_name, help="write q_<joint>, x_tool .. qw_tool, reason here"
     )
     add_common(parser)
 
@@ -35,13 +35,13 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 
 def build_outcome(table, args: argparse.Namespace) -> Outcome:
     """Return what to print and write."""
-    from tau_dyn.report.kinematics_page import kinematics_page, print_poses
+    from tau_dyn.report.kinematics_page import build_kinematics_page, print_poses
 
     return Outcome(
         result=table.to_dict(),
         warnings=[*table.robot.warnings, *table.warnings],
-        inputs=[*robot_file(args), *([args.poses] if args.poses else [])],
+        inputs=[*get_robot_file(args), *([args.poses] if args.poses else [])],
         show=lambda console: print_poses(console, table, list_written_files(args, table=args.out)),
         files={args.out: table.to_csv()} if args.out else {},
-        report=lambda: kinematics_page(table, command_line=command_line()),
+        report=lambda: build_kinematics_page(table, command_line=format_command_line()),
     )

@@ -16,9 +16,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """List robots."""
-    from tau_dyn.robot import describe_robot, list_robots, stock_names
+    from tau_dyn.robot import describe_robot, list_robots, list_stock_robots
 
-    stock = stock_names()
+    stock = list_stock_robots()
     rows = [
         {"name": name, "file": str(path), "from": "example-robot-data" if name in stock else "tau_dyn",
          "about": describe_robot(path)}

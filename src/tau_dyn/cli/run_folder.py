@@ -169,7 +169,7 @@ def _settle(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def out_argument(file_kind: _FILE_KIND, metavar: str) -> Callable[[str], Path | RunFolder]:
+def build_out_argument(file_kind: _FILE_KIND, metavar: str) -> Callable[[str], Path | RunFolder]:
     """Return how `--out` is read: a run folder, or what the command takes for a file of its own.
 
     Args:
@@ -190,7 +190,7 @@ def out_argument(file_kind: _FILE_KIND, metavar: str) -> Callable[[str], Path | 
     return read
 
 
-def configuration_of(args: Any) -> dict[str, Any]:
+def collect_configuration(args: Any) -> dict[str, Any]:
     """Return every option of a call with its value, defaults included; what only says where results go is left out."""
     aside = ("command", "out", "json", "report", "quiet", "own_file")
     return {name: _plain(value) for name, value in sorted(vars(args).items()) if name not in aside}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tau_dyn.cli.common import Outcome, add_common, show_progress
-from tau_dyn.cli.kinds import csv_file, positive
+from tau_dyn.cli.kinds import positive, read_csv_file_name
 
 HELP = "measured poses from images of a pattern plate"
 
@@ -47,7 +47,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     lens.add_argument("--save-cameras", metavar="CAMERAS.yaml", type=Path, help="write the cameras found here")
     parser.add_argument(
-        "--out", metavar="POSES.csv", type=csv_file, help="write the poses here, as calibrate reads them"
+        "--out", metavar="POSES.csv", type=read_csv_file_name, help="write the poses here, as calibrate reads them"
     )
     add_common(parser)
 

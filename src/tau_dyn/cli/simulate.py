@@ -10,13 +10,13 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
+    get_robot_file,
     is_model_file,
     load_robot_from,
-    robot_file,
     show_progress,
 )
-from tau_dyn.cli.kinds import csv_file, finite, not_negative, positive
+from tau_dyn.cli.kinds import finite, not_negative, positive, read_csv_file_name
 from tau_dyn.exceptions import InputError
 
 HELP = "a log from the model, its controller and sensors"
@@ -34,7 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--duration", metavar="S", type=positive, default=60.0, help="length of a named motion (default 60 s)"
     )
-    parser.add_argument("--out", metavar="LOG.csv", type=csv_file, required=True, help="write the log here")
+    parser.add_argument("--out", metavar="LOG.csv", type=read_csv_file_name, required=True, help="write the log here")
     truth = parser.add_mutually_exclusive_group()
     truth.add_argument("--effects", metavar="E.yaml", type=Path, help="effects and parameter values of the true robot")
     truth.add_argument(
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result={"n_samples": log.n_samples, "duration_s": log.duration, "rate_hz": log.rate_hz, "out": str(args.out)},
         warnings=[*model.robot.warnings, *log.warnings],
-        inputs=[*robot_file(args), *(p for p in given if p is not None and p.is_file())],
+        inputs=[*get_robot_file(args), *(p for p in given if p is not None and p.is_file())],
         show=lambda console: console.print(
             f"{log.duration:.4g} s of {model.robot.name} at {log.rate_hz:g} Hz -> {args.out}", markup=False
         ),
@@ -127,7 +127,7 @@ def _model(args: argparse.Namespace):
 
 
 def _page(log, model, sensors, args: argparse.Namespace) -> str:
-    from tau_dyn.report import simulation_page
+    from tau_dyn.report import build_simulation_page
 
     made = {"motion": args.motion, "seed": str(args.seed)}
-    return simulation_page(log, model, sensors=sensors, command_line=command_line(), **made)
+    return build_simulation_page(log, model, sensors=sensors, command_line=format_command_line(), **made)

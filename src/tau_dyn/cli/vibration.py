@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from tau_dyn.cli.common import Outcome, load_robot_from, robot_file, show_progress
+from tau_dyn.cli.common import Outcome, get_robot_file, load_robot_from, show_progress
 from tau_dyn.cli.kinds import not_negative, positive
 from tau_dyn.exceptions import InputError
 
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> Outcome:
             "natural_frequencies_hz": frequencies,
         },
         warnings=[*robot.warnings, *log.warnings],
-        inputs=robot_file(args),
+        inputs=get_robot_file(args),
         show=lambda console: console.print(
             f"{log.duration:.4g} s of {robot.name} near home at {log.rate_hz:g} Hz, lowest resonances "
             f"{', '.join(f'{f:.4g}' for f in frequencies[:4])} Hz -> {args.out}",

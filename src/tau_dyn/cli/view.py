@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, load_robot_from, robot_file, show_progress
+from tau_dyn.cli.common import Outcome, add_common, add_robot, get_robot_file, load_robot_from, show_progress
 from tau_dyn.cli.kinds import port, positive
 from tau_dyn.exceptions import InputError
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> Outcome:
         print(f"{viewer.robot.name} at {viewer.url}   (Ctrl+C ends it)", flush=True)
     viewer.wait(args.seconds)
     given = [p for p in (args.log, args.simulated, *args.result, args.cloud) if p is not None]
-    return Outcome(result={"url": viewer.url}, warnings=viewer.robot.warnings, inputs=[*robot_file(args), *given])
+    return Outcome(result={"url": viewer.url}, warnings=viewer.robot.warnings, inputs=[*get_robot_file(args), *given])
 
 
 def open_window(args: argparse.Namespace, step: Callable[[str], None]):

@@ -9,13 +9,13 @@ from tau_dyn.cli.common import (
     Outcome,
     add_common,
     add_robot,
-    command_line,
+    format_command_line,
+    get_robot_file,
     list_written_files,
     load_robot_from,
-    robot_file,
     show_progress,
 )
-from tau_dyn.cli.kinds import csv_file, not_negative, positive, positive_large
+from tau_dyn.cli.kinds import not_negative, positive, positive_large, read_csv_file_name
 from tau_dyn.exceptions import InputError
 
 HELP = "where the tool can be, and how well it works there"
@@ -80,7 +80,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="N/m or N m/rad; default rigid",
     )
     parser.add_argument(
-        "--out", metavar="POINTS.csv", type=csv_file, help="write the judged points with their reasons here"
+        "--out", metavar="POINTS.csv", type=read_csv_file_name, help="write the judged points with their reasons here"
     )
     add_common(parser)
 
@@ -89,10 +89,10 @@ def run(args: argparse.Namespace) -> Outcome:
     """Find the workspace."""
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.workspace.study import study
+        from tau_dyn.kinematics.workspace.study import study_workspace
 
         robot = load_robot_from(args)
-        found = study(
+        found = study_workspace(
             robot,
             demands=_demands(args),
             resolution=args.resolution,
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> Outcome:
     return Outcome(
         result=found.to_dict(),
         warnings=[*robot.warnings, *found.warnings],
-        inputs=[*robot_file(args), *([args.obstacles] if args.obstacles else [])],
+        inputs=[*get_robot_file(args), *([args.obstacles] if args.obstacles else [])],
         show=lambda console: _show(console, found, args),
         files={args.out: lambda path: _save(path, found)} if args.out else {},
         report=lambda: _page(found),
@@ -118,13 +118,13 @@ def run(args: argparse.Namespace) -> Outcome:
 def _demands(args: argparse.Namespace):
     import numpy as np
 
-    from tau_dyn.kinematics.obstacles import Surroundings, read_surroundings, with_limits
+    from tau_dyn.kinematics.obstacles import Surroundings, add_limits, read_surroundings
     from tau_dyn.kinematics.workspace import PoseRequirements
 
     around = read_surroundings(args.obstacles) if args.obstacles else Surroundings()
     return PoseRequirements(
         ball_angle=None if args.ball_angle is None else float(np.deg2rad(args.ball_angle)),
-        surroundings=with_limits(around, args.tool_limit),
+        surroundings=add_limits(around, args.tool_limit),
         collisions=not args.no_collisions,
         clearance=args.clearance,
         condition=args.condition,
@@ -144,9 +144,9 @@ def _stiffnesses(given: list[str]) -> dict[str, float]:
 
 
 def _save(path: Path, found) -> None:
-    from tau_dyn.kinematics.workspace.table import points_table
+    from tau_dyn.kinematics.workspace.table import build_points_table
 
-    points_table(found).to_csv(path, index=False, float_format="%.9g")
+    build_points_table(found).to_csv(path, index=False, float_format="%.9g")
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
@@ -156,6 +156,6 @@ def _show(console, found, args: argparse.Namespace) -> None:
 
 
 def _page(found) -> str:
-    from tau_dyn.report.workspace_page import workspace_page
+    from tau_dyn.report.workspace_page import build_workspace_page
 
-    return workspace_page(found, command_line=command_line())
+    return build_workspace_page(found, command_line=format_command_line())

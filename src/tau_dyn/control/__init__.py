@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 from tau_dyn.deprecated_names import get_deprecated
 
 if TYPE_CHECKING:
-    from tau_dyn.control.export_c import c_source
-    from tau_dyn.control.export_c_kinematics import kinematics_source
+    from tau_dyn.control.export_c import write_c_source
+    from tau_dyn.control.export_c_kinematics import write_kinematics_source
     from tau_dyn.control.export_kinematics import KinematicsProgram, build_kinematics
-    from tau_dyn.control.export_learning import learning_source
+    from tau_dyn.control.export_learning import write_learning_source
     from tau_dyn.control.export_model import Program, build_program
-    from tau_dyn.control.export_observer import observer_source
-    from tau_dyn.control.export_python import python_source
+    from tau_dyn.control.export_observer import write_observer_source
+    from tau_dyn.control.export_python import write_python_source
     from tau_dyn.control.feedforward import Feedforward
     from tau_dyn.control.interface import (
         CommandLimits,
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
         ToolSide,
         ZeroPhase,
         analyse_convergence,
+        build_notch,
+        chain_filters,
         compute_frequency_condition,
-        controlled_actuators,
         design_band_stop,
         design_low_pass,
         design_robust_filter,
-        dip,
         learn,
-        product,
         require_convergence,
+        stack_controlled_actuators,
     )
     from tau_dyn.control.lead_through import ForceLoop, ForceSensor, LeadThrough, LeadThroughSettings
     from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
@@ -57,20 +57,20 @@ if TYPE_CHECKING:
         KalmanToolObserver,
         KalmanTuning,
         Whiteness,
+        check_whiteness,
         log_likelihood,
         tune_complementary,
         tune_kalman,
-        whiteness,
     )
 
 _PLACES = {
-    "export_c": ("c_source",),
-    "export_c_kinematics": ("kinematics_source",),
+    "export_c": ("write_c_source",),
+    "export_c_kinematics": ("write_kinematics_source",),
     "export_kinematics": ("KinematicsProgram", "build_kinematics"),
-    "export_learning": ("learning_source",),
+    "export_learning": ("write_learning_source",),
     "export_model": ("Program", "build_program"),
-    "export_observer": ("observer_source",),
-    "export_python": ("python_source",),
+    "export_observer": ("write_observer_source",),
+    "export_python": ("write_python_source",),
     "feedforward": ("Feedforward",),
     "interface": (
         "Correction", "CommandLimits", "check_motion", "apply_correction", "build_correction", "format_rapid_motion",
@@ -79,15 +79,16 @@ _PLACES = {
     ),
     "iterative": (
         "Convergence", "LearningHistory", "LearningLaw", "MotorSide", "NormOptimalLaw", "Reference", "TimeShift", "ToolSide",
-        "ZeroPhase", "design_band_stop", "controlled_actuators", "analyse_convergence", "dip", "learn", "design_low_pass",
-        "compute_frequency_condition", "product",
+        "ZeroPhase", "design_band_stop", "stack_controlled_actuators", "analyse_convergence", "build_notch", "learn",
+        "design_low_pass",
+        "compute_frequency_condition", "chain_filters",
         "require_convergence", "design_robust_filter",
     ),
     "lead_through": ("ForceLoop", "ForceSensor", "LeadThrough", "LeadThroughSettings"),
     "motion": ("MotionLimits", "MotionPlan", "plan_motion"),
     "observers": (
         "ComplementaryToolObserver", "KalmanToolObserver", "KalmanTuning", "Whiteness", "log_likelihood",
-        "tune_complementary", "tune_kalman", "whiteness",
+        "tune_complementary", "tune_kalman", "check_whiteness",
     ),
 }  # fmt: skip
 """What each module offers here; it is loaded when one of its names is first used."""
@@ -123,32 +124,32 @@ __all__ = [
     "apply_correction",
     "build_correction",
     "build_kinematics",
+    "build_notch",
     "build_program",
     "build_reference",
-    "c_source",
+    "chain_filters",
     "check_motion",
+    "check_whiteness",
     "compute_frequency_condition",
-    "controlled_actuators",
     "design_band_stop",
     "design_low_pass",
     "design_robust_filter",
-    "dip",
     "format_rapid_motion",
-    "kinematics_source",
     "learn",
-    "learning_source",
     "log_likelihood",
-    "observer_source",
     "plan_motion",
-    "product",
-    "python_source",
     "read_correction",
     "read_reference",
     "require_convergence",
+    "stack_controlled_actuators",
     "tune_complementary",
     "tune_kalman",
-    "whiteness",
+    "write_c_source",
     "write_correction",
+    "write_kinematics_source",
+    "write_learning_source",
+    "write_observer_source",
+    "write_python_source",
     "write_reference",
 ]
 

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tau_dyn.control.export_c_graph import graph_lines, guard_lines, output_lines, unused_lines
-from tau_dyn.control.export_c_loops import closing_lines
+from tau_dyn.control.export_c_graph import guard_lines, yield_graph_lines, yield_output_lines, yield_unused_lines
+from tau_dyn.control.export_c_loops import yield_closing_lines
 from tau_dyn.control.export_c_newton import ITERATIONS, STEP, STEPS
-from tau_dyn.control.export_c_text import checked_name, header, source
+from tau_dyn.control.export_c_text import format_header, format_source, require_c_name
 from tau_dyn.control.export_model import Program
-from tau_dyn.control.export_text import about
+from tau_dyn.control.export_text import yield_description
 
 _TAKEN = frozenset({"factor", "solve", "solve_t", "closure", "home", "solved", "newton", "closed"})
 """Functions and tables of the source itself."""
 
 
-def c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
+def write_c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
     """Return a feedforward as C: the source and its header.
 
     Args:
@@ -29,11 +29,11 @@ def c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
     Raises:
         InputError: The name is no identifier of C, or means something else there.
     """
-    checked_name(name, _TAKEN)
-    words = list(about(program))
+    require_c_name(name, _TAKEN)
+    words = list(yield_description(program))
     joints = f"#define {name.upper()}_JOINTS {program.feedforward.model.robot.na}"
-    declared = header(name, [*words, "", *_returns(program)], [joints, *_declared(program, name)])
-    return source(name, words[0], _body(program, name)), declared
+    declared = format_header(name, [*words, "", *_returns(program)], [joints, *_declared(program, name)])
+    return format_source(name, words[0], _body(program, name)), declared
 
 
 def _returns(program: Program) -> list[str]:
@@ -74,15 +74,15 @@ def _body(program: Program, name: str) -> Iterator[str]:
         yield f"int {name}({_arguments(program)})"
         yield "{"
     else:
-        yield from closing_lines(program, name)
+        yield from yield_closing_lines(program, name)
         yield ""
         yield f"int {name}(double start[{name.upper()}_START], {_arguments(program)})"
         yield "{"
         yield f"    const double *p = start + {program.feedforward.model.robot.na};"
         yield "    if (!closed(start, q)) return 2;"
-    yield from unused_lines(program.graph, program.outputs, ["q", "v", "a", *program.signals])
-    yield from graph_lines(program.graph, program.outputs)
+    yield from yield_unused_lines(program.graph, program.outputs, ["q", "v", "a", *program.signals])
+    yield from yield_graph_lines(program.graph, program.outputs)
     yield from guard_lines(program.graph)
-    yield from output_lines("tau", program.outputs)
+    yield from yield_output_lines("tau", program.outputs)
     yield "    return 0;"
     yield "}"

@@ -31,7 +31,7 @@ static double one_step(const double *f, double *state, double in)
 }"""
 
 
-def third_order(b: np.ndarray, a: np.ndarray) -> np.ndarray:
+def pad_to_third_order(b: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Return a filter of order 3 at most as 8 numbers, b then a, with a[0] = 1."""
     out = np.zeros(8)
     out[: len(b)], out[4 : 4 + len(a)] = np.asarray(b) / a[0], np.asarray(a) / a[0]

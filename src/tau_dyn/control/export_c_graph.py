@@ -17,7 +17,7 @@ _FORM: Mapping[str, str] = {
 _TRUTHS = frozenset({"lt", "le", "eq", "and", "or", "not"})
 
 
-def graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
+def yield_graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
     """Yield one line a node that outputs and guards need; an input `q3` is read as `q[3]`, node 7 is called `t7`."""
 
     def show(k: int) -> str:
@@ -43,7 +43,7 @@ def graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
 
 def _shown(node: Node) -> str:
     if node.op == "const":
-        return number(node.args[0])
+        return format_number(node.args[0])
     if node.op == "input":
         name = node.args[0].rstrip("0123456789")
         return f"{name}[{node.args[0][len(name) :]}]"
@@ -54,10 +54,10 @@ def _shown(node: Node) -> str:
 
 def _named(x: Any) -> str:
     """Return a node's name, or a number, as C."""
-    return _shown(x) if isinstance(x, Node) else number(float(x))
+    return _shown(x) if isinstance(x, Node) else format_number(float(x))
 
 
-def number(x: float) -> str:
+def format_number(x: float) -> str:
     """Return a number as C reads it back to the last digit."""
     text = repr(float(x))
     return f"({text})" if x < 0 else text
@@ -69,12 +69,12 @@ def guard_lines(graph: Graph, status: int = 1) -> Iterator[str]:
         yield f"    if ({'!' if answer else ''}t{index}) return {status};"
 
 
-def output_lines(array: str, outputs: Sequence[Any]) -> Iterator[str]:
+def yield_output_lines(array: str, outputs: Sequence[Any]) -> Iterator[str]:
     """Yield the assignments of an output array."""
     yield from (f"    {array}[{k}] = {_named(x)};" for k, x in enumerate(outputs))
 
 
-def unused_lines(graph: Graph, outputs: Sequence[Any], arrays: Sequence[str]) -> Iterator[str]:
+def yield_unused_lines(graph: Graph, outputs: Sequence[Any], arrays: Sequence[str]) -> Iterator[str]:
     """Yield a line for each input array that does not matter, so that no compiler warns of it."""
     used = {node.args[0].rstrip("0123456789") for node in graph.needed(outputs) if node.op == "input"}
     yield from (f"    (void){x}; /* does not matter */" for x in arrays if x not in used)

@@ -8,15 +8,15 @@ import numpy as np
 
 from tau_dyn.control import export_c_inverse as search
 from tau_dyn.control import export_c_newton as text
-from tau_dyn.control.export_c_graph import graph_lines, guard_lines, output_lines, unused_lines
+from tau_dyn.control.export_c_graph import guard_lines, yield_graph_lines, yield_output_lines, yield_unused_lines
 from tau_dyn.control.export_c_linear import FACTOR, SOLVE
-from tau_dyn.control.export_c_text import checked_name, header, numbers, source
+from tau_dyn.control.export_c_text import format_header, format_numbers, format_source, require_c_name
 from tau_dyn.control.export_kinematics import KinematicsProgram, TracedFunction
-from tau_dyn.control.export_kinematics_text import about_kinematics, list_declarations, needs_start
+from tau_dyn.control.export_kinematics_text import list_declarations, needs_start, yield_kinematics_description
 from tau_dyn.version import __version__
 
 
-def kinematics_source(program: KinematicsProgram, name: str = "robot") -> tuple[str, str]:
+def write_kinematics_source(program: KinematicsProgram, name: str = "robot") -> tuple[str, str]:
     """Return kinematics as C: the source and its header.
 
     Args:
@@ -26,11 +26,11 @@ def kinematics_source(program: KinematicsProgram, name: str = "robot") -> tuple[
     Raises:
         InputError: The name is no identifier of C.
     """
-    checked_name(name)
+    require_c_name(name)
     body = "\n\n".join(_filled(part, program, name) for part in _parts(program, name))
     first = f"Kinematics of {program.robot.name}, written by tau-dyn {__version__}."
-    words = [first, *about_kinematics(program, name)]
-    return source(name, first, body.splitlines()), header(name, words, list_declarations(program, name))
+    words = [first, *yield_kinematics_description(program, name)]
+    return format_source(name, first, body.splitlines()), format_header(name, words, list_declarations(program, name))
 
 
 def _parts(program: KinematicsProgram, name: str) -> Iterator[str]:
@@ -88,10 +88,10 @@ def _function(head: str, piece: TracedFunction, outputs: Sequence[str], kind: st
     if head.endswith("tool") and "z" not in piece.arguments:
         lines.append("    (void)z; /* there are no passive joints */")
     values = [x for name in outputs for x in piece.outputs[name]]
-    lines += [*unused_lines(piece.graph, values, list(piece.arguments)), *graph_lines(piece.graph, values)]
+    lines += [*yield_unused_lines(piece.graph, values, list(piece.arguments)), *yield_graph_lines(piece.graph, values)]
     lines += guard_lines(piece.graph) if kind == "int" else []
     for name in outputs:
-        lines += output_lines(name, piece.outputs[name])
+        lines += yield_output_lines(name, piece.outputs[name])
     return "\n".join([*lines, *(["    return 0;"] if kind == "int" else []), "}"])
 
 
@@ -170,4 +170,4 @@ def _cost(program: KinematicsProgram) -> np.ndarray:
 
 
 def _numbers(values: Sequence[float] | np.ndarray) -> str:
-    return ", ".join(numbers(values))
+    return ", ".join(format_numbers(values))

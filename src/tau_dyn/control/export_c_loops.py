@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tau_dyn.control.export_c_graph import graph_lines, output_lines
+from tau_dyn.control.export_c_graph import yield_graph_lines, yield_output_lines
 from tau_dyn.control.export_c_linear import FACTOR, SOLVE, SOLVE_T
 from tau_dyn.control.export_c_newton import ITERATIONS, STEP, STEPS
-from tau_dyn.control.export_c_text import numbers
+from tau_dyn.control.export_c_text import format_numbers
 from tau_dyn.control.export_model import Program
 
 CLOSED = 1e-9
 """Largest gap left [m]."""
 
 
-def closing_lines(program: Program, name: str) -> Iterator[str]:
+def yield_closing_lines(program: Program, name: str) -> Iterator[str]:
     """Yield the functions that close the loops: `closed(start, q)` is the one to call, `name_start` sets home."""
     loops, graph = program.loops, program.closure
     assert loops is not None and graph is not None
@@ -29,14 +29,14 @@ def closing_lines(program: Program, name: str) -> Iterator[str]:
     yield f"static void closure(const double q[{robot.na}], const double p[{n}], {outputs})"
     yield "{"
     flat = [x for row in program.jacobian for x in row]
-    yield from graph_lines(graph, [*program.gap, *flat])
-    yield from output_lines("gap", program.gap)
-    yield from output_lines("J", flat)
+    yield from yield_graph_lines(graph, [*program.gap, *flat])
+    yield from yield_output_lines("gap", program.gap)
+    yield from yield_output_lines("J", flat)
     yield "}"
     yield ""
     home = [*robot.home, *loops.home[loops.passive]]
     text = _CLOSE.replace("@NAME@", name).replace("@NA@", str(robot.na)).replace("@NP@", str(n))
-    text = text.replace("@NG@", str(len(program.gap))).replace("@HOME@", ", ".join(numbers(home)))
+    text = text.replace("@NG@", str(len(program.gap))).replace("@HOME@", ", ".join(format_numbers(home)))
     text = text.replace("@ROWS@", ", ".join(str(r) for r in loops.rows)).replace("@STEP@", repr(STEP))
     text = (
         text.replace("@STEPS@", str(STEPS)).replace("@ITERATIONS@", str(ITERATIONS)).replace("@CLOSED@", repr(CLOSED))

@@ -24,7 +24,7 @@ _MATH = frozenset(
 """What `math.h` declares or defines; each function also with `f` and `l` behind it."""
 
 
-def checked_name(name: str, taken: Collection[str] | None = None) -> str:
+def require_c_name(name: str, taken: Collection[str] | None = None) -> str:
     """Return a name for a function of C, or for the beginning of several.
 
     Args:
@@ -41,7 +41,7 @@ def checked_name(name: str, taken: Collection[str] | None = None) -> str:
     return name
 
 
-def identifiers(names: Iterable[str]) -> list[str]:
+def build_identifiers(names: Iterable[str]) -> list[str]:
     """Return names as parts of C identifiers, each different: other characters become `_`, repetitions get a number."""
     out: list[str] = []
     for name in names:
@@ -53,7 +53,7 @@ def identifiers(names: Iterable[str]) -> list[str]:
     return out
 
 
-def harmless(line: str) -> str:
+def escape_comment_line(line: str) -> str:
     """Return one line of a comment that nothing in it ends, and that is plain ASCII."""
     plain = line.encode("ascii", "backslashreplace").decode("ascii")
     plain = re.sub(r"[\x00-\x1f\x7f]", " ", plain)
@@ -63,26 +63,26 @@ def harmless(line: str) -> str:
     return plain.rstrip("\\ ")
 
 
-def comment(lines: Iterable[str]) -> str:
+def format_comment(lines: Iterable[str]) -> str:
     """Return lines as a block comment without its ends; whatever they hold, the comment goes on.
 
     `*/` ends a comment, `/*` and trigraphs draw warnings, invisible characters can make text look like code.
     """
-    return "\n".join(f" * {harmless(line)}".rstrip() for line in lines)
+    return "\n".join(f" * {escape_comment_line(line)}".rstrip() for line in lines)
 
 
-def header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
+def format_header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
     """Return a header: what it is, then declarations that C and C++ read."""
     guard = f"{name.upper()}_H"
     frame = ["#ifdef __cplusplus", 'extern "C" {', "#endif"], ["#ifdef __cplusplus", "}", "#endif"]
-    top = ["/*", comment(words), " */", f"#ifndef {guard}", f"#define {guard}", ""]
+    top = ["/*", format_comment(words), " */", f"#ifndef {guard}", f"#define {guard}", ""]
     return "\n".join([*top, *frame[0], "", *declared, "", *frame[1], f"#endif /* {guard} */", ""])
 
 
-def source(name: str, first: str, body: Iterable[str]) -> str:
+def format_source(name: str, first: str, body: Iterable[str]) -> str:
     """Return a source file that includes its header and `math.h`."""
     top = [
-        f"/* {harmless(first)} Units, joints and provenance: {name}.h */",
+        f"/* {escape_comment_line(first)} Units, joints and provenance: {name}.h */",
         f'#include "{name}.h"',
         "",
         "#include <math.h>",
@@ -91,12 +91,12 @@ def source(name: str, first: str, body: Iterable[str]) -> str:
     return "\n".join([*top, *body, ""])
 
 
-def numbers(values: np.ndarray | Sequence[float]) -> list[str]:
+def format_numbers(values: np.ndarray | Sequence[float]) -> list[str]:
     """Return numbers as C reads them back to the last digit."""
     return [repr(float(x)) for x in np.ravel(values)]
 
 
-def table(kind: str, name: str, values: Iterable[str], size: str = "") -> str:
+def format_table(kind: str, name: str, values: Iterable[str], size: str = "") -> str:
     """Return a constant array, wrapped at the usual width."""
     rows, row = [], ""
     for x in values:
@@ -109,7 +109,7 @@ def table(kind: str, name: str, values: Iterable[str], size: str = "") -> str:
     return f"static const {kind} {name}[{size}] = {{\n    {text}\n}};"
 
 
-def header_beside(source: Path) -> Path:
+def locate_header(source: Path) -> Path:
     """Return where the header of a source file goes.
 
     Raises:
@@ -123,7 +123,7 @@ def header_beside(source: Path) -> Path:
     return header
 
 
-def including(text: str, name: str, header: Path) -> str:
+def include_header(text: str, name: str, header: Path) -> str:
     """Return a source's text that includes its header under the name of its file."""
     return text.replace(f'#include "{name}.h"', f'#include "{header.name}"', 1).replace(
         f": {name}.h */", f": {header.name} */", 1

@@ -10,12 +10,12 @@ import numpy as np
 from tau_dyn.control.graph import Graph, Node
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import Rods, forward_kinematics
-from tau_dyn.kinematics.solvers import robot_of
+from tau_dyn.kinematics.solvers import get_robot
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
 
-def random_states(model: Model, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def draw_random_states(model: Model, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return random states (n, na) around home that the robot can reach, slow and fast ones."""
     robot, found = model.robot, []
     for _ in range(50 * n):
@@ -29,7 +29,7 @@ def random_states(model: Model, n: int, rng: np.random.Generator) -> tuple[np.nd
 
 def draw_reachable_positions(robot: Robot | Rods, n: int, rng: np.random.Generator, share: float = 0.4) -> np.ndarray:
     """Return random positions (n, na) around home that have a tool pose; `share` of the way to the limits, or of 1 rad or m."""
-    owner = robot_of(robot)
+    owner = get_robot(robot)
     q = owner.home + rng.uniform(-1, 1, (4 * n, owner.na)) * _room(owner, share, min(1.0, 1.25 * share))
     return _some(owner, q[forward_kinematics(robot, q).ok][:n])
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.export_rods import points, rod_equations, squares
-from tau_dyn.control.export_tree import exact
-from tau_dyn.control.expression_arrays import as_expression_array, cross
+from tau_dyn.control.export_rods import compute_chain_points, compute_rod_gaps, compute_squared_lengths
+from tau_dyn.control.export_tree import remove_rounding
+from tau_dyn.control.expression_arrays import as_expression_array, compute_cross_product
 from tau_dyn.control.graph import Node
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.chain_inverse import RootChain, chains_of
+from tau_dyn.kinematics.chain_inverse import RootChain, build_chains
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.sliding_plate import SlidingPlate
 
@@ -26,52 +26,56 @@ _FLAT = 1e-12  # squared height over the centres' plane by the squared longest r
 
 def is_closed(rods: Rods) -> bool:
     """Return whether forward kinematics has a closed form here: three rods and a plate that only translates."""
-    return rods.translates and rods.n == 3 and rods.na == 3 and inverse_is_closed(rods)
+    return rods.translates and rods.n == 3 and rods.na == 3 and has_closed_inverse(rods)
 
 
-def inverse_is_closed(rods: Rods) -> bool:
+def has_closed_inverse(rods: Rods) -> bool:
     """Return whether each drive moves one rod of its own and the pose determines them all."""
     whole = rods.translates or rods.na == 6
-    return whole and rods.n == rods.na and all(isinstance(c, RootChain) for c in chains_of(rods))
+    return whole and rods.n == rods.na and all(isinstance(c, RootChain) for c in build_chains(rods))
 
 
-def forward(rods: Rods, q: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def solve_forward(rods: Rods, q: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the tool's place (3,) [m], rotation (3, 3) and Jacobian (3, 3) at positions (3,)."""
     plate = SlidingPlate(rods)
-    centres = points(rods.numbers, q).at - exact(rods.on_plate @ rods.rotation.T)
-    square, _ = squares(rods.numbers, q)
+    centres = compute_chain_points(rods.numbers, q).at - remove_rounding(rods.on_plate @ rods.rotation.T)
+    square, _ = compute_squared_lengths(rods.numbers, q)
     c, s = centres[plate.three], [square[k] for k in plate.three]
     u, w = c[1] - c[0], c[2] - c[0]
-    normal = cross(u, w)
+    normal = compute_cross_product(u, w)
     inverse = 1.0 / (normal @ normal)
     a, b = (inverse * 0.5) * (u @ u + (s[0] - s[1])), (inverse * 0.5) * (w @ w + (s[0] - s[2]))
-    foot = cross(w, normal) * a + cross(normal, u) * b
+    foot = compute_cross_product(w, normal) * a + compute_cross_product(normal, u) * b
     height = s[0] - foot @ foot
     _require(height > _FLAT * float(np.max(rods.lengths)) ** 2)
     p = foot + normal * (plate.side * _root(height * inverse)) + c[0]
-    at = rod_equations(rods.numbers, q, p, exact(rods.rotation))
+    at = compute_rod_gaps(rods.numbers, q, p, remove_rounding(rods.rotation))
     J = np.linalg.inv(as_expression_array(-at.by[:, 3:6])) @ at.by[:, :3]
-    return p + exact(rods.rotation @ rods.tool.translation), exact(rods.rotation @ rods.tool.rotation), np.asarray(J)
+    return (
+        p + remove_rounding(rods.rotation @ rods.tool.translation),
+        remove_rounding(rods.rotation @ rods.tool.rotation),
+        np.asarray(J),
+    )
 
 
-def inverse(rods: Rods, p: Any, R: Any) -> list[Any]:
+def solve_inverse(rods: Rods, p: Any, R: Any) -> list[Any]:
     """Return the drives' positions (na,) with the tool at p (3,), R (3, 3); a translating plate keeps its own rotation.
 
     Raises:
         InputError: The drives do not each move one rod of their own.
     """
-    if not inverse_is_closed(rods):
+    if not has_closed_inverse(rods):
         raise InputError(f"{rods.robot.source}: its inverse kinematics has no closed form")
     if rods.translates:
-        R_plate = exact(rods.rotation)
-        p_plate = p - exact(rods.rotation @ rods.tool.translation)
+        R_plate = remove_rounding(rods.rotation)
+        p_plate = p - remove_rounding(rods.rotation @ rods.tool.translation)
     else:
-        R_plate = R @ exact(rods.tool.rotation.T)
+        R_plate = R @ remove_rounding(rods.tool.rotation.T)
         p_plate = p - R_plate @ rods.tool.translation
     q: list[Any] = [0.0] * rods.na
-    for chain in chains_of(rods):
+    for chain in build_chains(rods):
         assert isinstance(chain, RootChain)
-        B = p_plate + R_plate @ exact(rods.on_plate[chain.rods[0]])
+        B = p_plate + R_plate @ remove_rounding(rods.on_plate[chain.rods[0]])
         q[chain.actuators[0]] = _root_of(chain, B)
     if rods.translates:
         _require_side(rods, q, p_plate)
@@ -108,8 +112,8 @@ def _angle(chain: RootChain, e: np.ndarray) -> Any:
 def _require_side(rods: Rods, q: Sequence[Any], p: np.ndarray) -> None:
     """Ask that the plate is on home's side of a parallel singularity."""
     at_home = rods.gap_by_pose(rods.robot.home[None], rods.home)[0, :, :3]
-    D = rod_equations(rods.numbers, q, p, exact(rods.rotation)).by[:, 3:6]
-    _require((D[0] @ cross(D[1], D[2])) * float(np.sign(np.linalg.det(at_home))) > 0.0)
+    D = compute_rod_gaps(rods.numbers, q, p, remove_rounding(rods.rotation)).by[:, 3:6]
+    _require((D[0] @ compute_cross_product(D[1], D[2])) * float(np.sign(np.linalg.det(at_home))) > 0.0)
 
 
 def _root(x: Any) -> Any:

@@ -15,13 +15,13 @@ import numpy as np
 
 from tau_dyn.control import export_closed_kinematics as closed_form
 from tau_dyn.control.export_check import draw_reachable_positions
-from tau_dyn.control.export_rods import rod_equations
+from tau_dyn.control.export_rods import compute_rod_gaps
 from tau_dyn.control.export_tree_kinematics import TreeKinematics
-from tau_dyn.control.expression_arrays import inputs
+from tau_dyn.control.expression_arrays import build_inputs
 from tau_dyn.control.graph import Graph
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import Rods, forward_kinematics, jacobian
-from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
+from tau_dyn.kinematics.solvers import get_robot, get_rods, get_solver
 from tau_dyn.robot import Robot
 
 _SEED = 3  # any; states that are drawn once decide about ranks only
@@ -95,7 +95,7 @@ def build_kinematics(robot: Robot | Rods) -> KinematicsProgram:
     """
     from tau_dyn.control.export_kinematics_check import compare_with_python
 
-    rods, owner = get_rods(robot), robot_of(robot)
+    rods, owner = get_rods(robot), get_robot(robot)
     if rods is None:
         program = _of_tree(owner)
     elif closed_form.is_closed(rods):
@@ -108,7 +108,7 @@ def build_kinematics(robot: Robot | Rods) -> KinematicsProgram:
 def trace_function(arguments: dict[str, np.ndarray], make: Callable[..., dict[str, Any]]) -> TracedFunction:
     """Trace a function of input arrays, given with their values at the reference state."""
     graph = Graph()
-    made = make(*(inputs(graph, name, value) for name, value in arguments.items()))
+    made = make(*(build_inputs(graph, name, value) for name, value in arguments.items()))
     outputs = {name: tuple(np.ravel(np.asarray(x, dtype=object))) for name, x in made.items()}
     return TracedFunction(graph, {name: len(value) for name, value in arguments.items()}, outputs)
 
@@ -117,7 +117,7 @@ def _closed(rods: Rods) -> KinematicsProgram:
     robot = rods.robot
 
     def forward(q: Any) -> dict[str, Any]:
-        return dict(zip(("p", "R", "J"), closed_form.forward(rods, np.asarray(q)), strict=True))
+        return dict(zip(("p", "R", "J"), closed_form.solve_forward(rods, np.asarray(q)), strict=True))
 
     return KinematicsProgram(
         robot,
@@ -134,7 +134,7 @@ def _inverse(rods: Rods) -> TracedFunction:
     home = forward_kinematics(rods, rods.robot.home[None]).poses
     values = {"p": home.position[0], "R": home.rotation[0].ravel()}
     return trace_function(
-        values, lambda p, R: {"q": closed_form.inverse(rods, np.asarray(p), np.asarray(R).reshape(3, 3))}
+        values, lambda p, R: {"q": closed_form.solve_inverse(rods, np.asarray(p), np.asarray(R).reshape(3, 3))}
     )
 
 
@@ -148,7 +148,7 @@ def _of_rods(rods: Rods) -> KinematicsProgram:
     z = np.concatenate([rods.home.position[0], rods.home.rotation[0].ravel()])
 
     def equations(q: Any, z: Any) -> dict[str, Any]:
-        at = rod_equations(rods.numbers, np.asarray(q), np.asarray(z[:3]), np.asarray(z[3:]).reshape(3, 3))
+        at = compute_rod_gaps(rods.numbers, np.asarray(q), np.asarray(z[:3]), np.asarray(z[3:]).reshape(3, 3))
         return {"gap": at.gap, "G": at.by}
 
     rank, idle = _freedoms(rods)
@@ -158,7 +158,7 @@ def _of_rods(rods: Rods) -> KinematicsProgram:
         "rods",
         np.concatenate([robot.home, z]),
         equations=trace_function({"q": robot.home, "z": z}, equations),
-        inverse=_inverse(rods) if closed_form.inverse_is_closed(rods) else None,
+        inverse=_inverse(rods) if closed_form.has_closed_inverse(rods) else None,
         freedoms=6,
         rank=rank,
         idle=idle,
@@ -199,7 +199,7 @@ def _freedoms(robot: Robot | Rods) -> tuple[int, bool]:
     """Return how many freedoms the drives give the tool, and whether some motion of theirs gives it none."""
     q = draw_reachable_positions(robot, 8, np.random.default_rng(_SEED))
     ranks = [int(np.linalg.matrix_rank(J, tol=_RANK * max(1.0, np.abs(J).max()))) for J in jacobian(robot, q)]
-    return max(ranks), robot_of(robot).na > max(ranks)
+    return max(ranks), get_robot(robot).na > max(ranks)
 
 
 def _why_no_inverse(program: KinematicsProgram) -> str:

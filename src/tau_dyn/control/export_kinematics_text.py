@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from tau_dyn.control import export_c_inverse as search
 from tau_dyn.control import export_c_newton as text
-from tau_dyn.control.export_c_text import identifiers
+from tau_dyn.control.export_c_text import build_identifiers
 from tau_dyn.control.export_kinematics import KinematicsProgram
 
 
@@ -21,7 +21,7 @@ def list_declarations(program: KinematicsProgram, name: str) -> list[str]:
     follows, searches = needs_start(program)
     start = f"double start[{upper}_START], "
     lines = [f"#define {upper}_JOINTS {na}", f"#define {upper}_ROWS {program.rows}"]
-    lines += [f"#define {upper}_JOINT_{x} {k}" for k, x in enumerate(identifiers(program.robot.actuated))]
+    lines += [f"#define {upper}_JOINT_{x} {k}" for k, x in enumerate(build_identifiers(program.robot.actuated))]
     if follows or searches:
         lines += [f"#define {upper}_START {len(program.home)}", f"void {name}_start(double start[{upper}_START]);"]
     one = start if follows else ""
@@ -33,7 +33,7 @@ def list_declarations(program: KinematicsProgram, name: str) -> list[str]:
     return lines
 
 
-def about_kinematics(program: KinematicsProgram, name: str) -> Iterator[str]:
+def yield_kinematics_description(program: KinematicsProgram, name: str) -> Iterator[str]:
     """Yield what the header says: drives and units, what the functions return, how long they may take."""
     robot = program.robot
     follows, searches = needs_start(program)

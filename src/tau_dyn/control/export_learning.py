@@ -11,13 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.control.export_c_filters import SECTIONS
-from tau_dyn.control.export_c_text import checked_name, header, numbers, source, table
+from tau_dyn.control.export_c_text import format_header, format_numbers, format_source, format_table, require_c_name
 from tau_dyn.control.iterative import LearningLaw
 from tau_dyn.exceptions import InputError
 from tau_dyn.version import __version__
 
 
-def learning_source(law: LearningLaw, limit: float | Sequence[float], name: str = "learning") -> tuple[str, str]:
+def write_learning_source(law: LearningLaw, limit: float | Sequence[float], name: str = "learning") -> tuple[str, str]:
     """Return the filters of a law as C: the source and its header.
 
     Args:
@@ -28,7 +28,7 @@ def learning_source(law: LearningLaw, limit: float | Sequence[float], name: str 
     Raises:
         InputError: The law is no pair of filters, a limit is not positive, or the name is no identifier of C.
     """
-    checked_name(name)
+    require_c_name(name)
     if not isinstance(law, LearningLaw):
         raise InputError(
             f"{type(law).__name__} is no pair of filters; its matrices over a whole trial are not written out"
@@ -42,9 +42,14 @@ def learning_source(law: LearningLaw, limit: float | Sequence[float], name: str 
     body = [
         f"enum {{ M = {m}, SHIFT = {law.learning.samples} }};",
         "",
-        table("double", "forgetting", numbers(np.concatenate([q.sections for q in law.forgetting])), str(6 * ends[-1])),
-        table("int", "first", [str(k) for k in ends], "M + 1"),
-        table("double", "limit", numbers(limits), "M"),
+        format_table(
+            "double",
+            "forgetting",
+            format_numbers(np.concatenate([q.sections for q in law.forgetting])),
+            str(6 * ends[-1]),
+        ),
+        format_table("int", "first", [str(k) for k in ends], "M + 1"),
+        format_table("double", "limit", format_numbers(limits), "M"),
         "",
         SECTIONS,
         "",
@@ -57,7 +62,7 @@ def learning_source(law: LearningLaw, limit: float | Sequence[float], name: str 
     ]
     shown = [f"#define {name.upper()}_CHANNELS {m}", *(line.replace("@NAME@", name) for line in _DECLARED)]
     lines = [line for part in body for line in (part.splitlines() or [""])]
-    return source(name, first, lines), header(name, [*said, *_WORDS], shown)
+    return format_source(name, first, lines), format_header(name, [*said, *_WORDS], shown)
 
 
 _WORDS = (

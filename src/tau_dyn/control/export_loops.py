@@ -17,7 +17,7 @@ import pinocchio as pin
 from scipy.linalg import qr
 
 from tau_dyn.control.export_tree import LinkMotion, Tree
-from tau_dyn.control.expression_arrays import cross
+from tau_dyn.control.expression_arrays import compute_cross_product
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.robot import Robot
 
@@ -74,11 +74,11 @@ class Loops:
 
     def full(self, active: Any, passive: Any) -> list[Any]:
         """Return one position a joint; joints that are not solved for stay at home's."""
-        return spread(list(self.home), (self.active, active), (self.passive, passive))
+        return spread_over_joints(list(self.home), (self.active, active), (self.passive, passive))
 
     def rates(self, active: Any, passive: Any) -> list[Any]:
         """Return one speed or acceleration a joint; joints that are not solved for rest."""
-        return spread([0.0] * len(self.tree.joints), (self.active, active), (self.passive, passive))
+        return spread_over_joints([0.0] * len(self.tree.joints), (self.active, active), (self.passive, passive))
 
     def closure(self, q: Any, v: Any = None) -> Closure:
         """Return the loops' equations at positions and, for the drift, speeds of all joints."""
@@ -104,11 +104,15 @@ class Loops:
         place, m = p + R @ r, motions[k]
         for j in self.tree.chain(k):
             axis = places[j][0] @ self.tree.joints[j].axis
-            jacobian[:, j] = axis if self.tree.joints[j].slides else cross(axis, place - places[j][1])
-        return place, jacobian, R @ (m.c + cross(m.dw, r) + cross(m.w, cross(m.w, r)))
+            jacobian[:, j] = axis if self.tree.joints[j].slides else compute_cross_product(axis, place - places[j][1])
+        return (
+            place,
+            jacobian,
+            R @ (m.c + compute_cross_product(m.dw, r) + compute_cross_product(m.w, compute_cross_product(m.w, r))),
+        )
 
 
-def spread(out: list[Any], *parts: tuple[list[int], Any]) -> list[Any]:
+def spread_over_joints(out: list[Any], *parts: tuple[list[int], Any]) -> list[Any]:
     """Put values at their places among the joints of a tree, and return all."""
     for places, values in parts:
         for k, x in zip(places, values, strict=True):

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.export_check import evaluate_graph, random_states
+from tau_dyn.control.export_check import draw_random_states, evaluate_graph
 from tau_dyn.control.export_forms import ClosedForm, LoopForm, TracedModel, TreeForm
 from tau_dyn.control.export_loops import Loops
 from tau_dyn.control.export_tree import Tree
-from tau_dyn.control.expression_arrays import inputs
+from tau_dyn.control.expression_arrays import build_inputs
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.graph import Graph
 from tau_dyn.dynamics import GantryTauMechanism, Mechanism
-from tau_dyn.effects.state import beyond_a_state
+from tau_dyn.effects.state import describe_missing_state
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE
 
@@ -69,7 +69,7 @@ def build_program(feedforward: Feedforward) -> Program:
     """
     model = feedforward.model
     for effect in model.effects:
-        why = beyond_a_state(effect, BY_STATE | set(ARGUMENTS))
+        why = describe_missing_state(effect, BY_STATE | set(ARGUMENTS))
         if why:
             raise InputError(f"effect {effect.name} cannot be exported: {why}; --steady leaves such effects out")
     signals = tuple(n for n in ARGUMENTS if any(n in effect.needs for effect in model.effects))
@@ -77,15 +77,17 @@ def build_program(feedforward: Feedforward) -> Program:
     closed = isinstance(model.mechanism, GantryTauMechanism)
     loops = Loops(robot, Tree(robot)) if robot.loops and not closed else None
     graph, rng = Graph(), np.random.default_rng(_SEED)
-    q, v, a = (inputs(graph, name, x[0])[None] for name, x in zip("qva", random_states(model, 1, rng), strict=True))
-    felt = {name: inputs(graph, name, np.full(robot.na, 25.0))[None] for name in signals}
+    q, v, a = (
+        build_inputs(graph, name, x[0])[None] for name, x in zip("qva", draw_random_states(model, 1, rng), strict=True)
+    )
+    felt = {name: build_inputs(graph, name, np.full(robot.na, 25.0))[None] for name in signals}
     if closed:
         form: Mechanism = ClosedForm(robot)
     elif loops is None:
         form = TreeForm(model)
     else:
         start = loops.closed(np.array([x.value for x in q[0]]))[loops.passive]
-        form = LoopForm(model, loops, graph, inputs(graph, "p", start))
+        form = LoopForm(model, loops, graph, build_inputs(graph, "p", start))
     outputs = _forces(feedforward, form, (q, v, a), felt)
     program = Program(feedforward, graph, outputs, signals, loops)
     if loops is not None:
@@ -107,7 +109,7 @@ def _forces(feedforward: Feedforward, form: Mechanism, state: tuple, felt: dict[
 
 def _with_closure(program: Program, loops: Loops, q: np.ndarray) -> Program:
     graph = Graph()
-    place = loops.full(inputs(graph, "q", q), inputs(graph, "p", loops.closed(q)[loops.passive]))
+    place = loops.full(build_inputs(graph, "q", q), build_inputs(graph, "p", loops.closed(q)[loops.passive]))
     closure = loops.closure(place)
     jacobian = tuple(tuple(row) for row in closure.jacobian[np.ix_(loops.rows, loops.passive)])
     return replace(program, closure=graph, gap=tuple(closure.gap), jacobian=jacobian)
@@ -120,7 +122,7 @@ def _compared(program: Program) -> float:
         InputError: They disagree: some effect decides in a way that tracing did not see.
     """
     feedforward, rng = program.feedforward, np.random.default_rng(_SEED + 1)
-    q, v, a = random_states(feedforward.model, _STATES, rng)
+    q, v, a = draw_random_states(feedforward.model, _STATES, rng)
     felt = {name: rng.uniform(10, 60, q.shape) for name in program.signals}
     passive = None
     if program.loops is not None:

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tau_dyn.control.export_c_filters import ONE_STEP, third_order
-from tau_dyn.control.export_c_text import checked_name, header, numbers, source, table
+from tau_dyn.control.export_c_filters import ONE_STEP, pad_to_third_order
+from tau_dyn.control.export_c_text import format_header, format_numbers, format_source, format_table, require_c_name
 from tau_dyn.control.observers import ComplementaryToolObserver, KalmanToolObserver
 from tau_dyn.version import __version__
 
 Observer = ComplementaryToolObserver | KalmanToolObserver
 
 
-def observer_source(observer: Observer, name: str = "observer") -> tuple[str, str]:
+def write_observer_source(observer: Observer, name: str = "observer") -> tuple[str, str]:
     """Return a tool observer as C: the source and its header.
 
     Args:
@@ -26,7 +26,7 @@ def observer_source(observer: Observer, name: str = "observer") -> tuple[str, st
     Raises:
         InputError: The name is no identifier of C.
     """
-    checked_name(name)
+    require_c_name(name)
     first = f"{_what(observer)}, written by tau-dyn {__version__}."
     if isinstance(observer, KalmanToolObserver):
         body, declared, words = _kalman(observer), _stepping(name, _size(observer)), _STEP_WORDS
@@ -38,7 +38,7 @@ def observer_source(observer: Observer, name: str = "observer") -> tuple[str, st
     said = [first, f"Sampling step {observer.dt!r} s; {observer.axes} axes [m], [m/s^2] without gravity.", "", *words]
     lines = [line.replace("@NAME@", name) for part in body for line in part.splitlines()]
     shown = [line.replace("@NAME@", name).replace("@M@", str(observer.axes)) for line in [axes, *declared]]
-    return source(name, first, lines), header(name, said, shown)
+    return format_source(name, first, lines), format_header(name, said, shown)
 
 
 _STEP_WORDS = (
@@ -71,10 +71,10 @@ def _stepping(name: str, size: int) -> list[str]:
 
 
 def _causal(observer: ComplementaryToolObserver) -> Iterator[str]:
-    rows = [third_order(*passes.forwards) for pair in observer.pairs() for passes in pair]
+    rows = [pad_to_third_order(*passes.forwards) for pair in observer.pairs() for passes in pair]
     yield f"enum {{ M = {observer.axes} }};"
     yield ""
-    yield table("double", "filters", [x for row in rows for x in numbers(row)], "16 * M")
+    yield format_table("double", "filters", [x for row in rows for x in format_numbers(row)], "16 * M")
     yield ""
     yield ONE_STEP
     yield ""
@@ -96,7 +96,7 @@ def _kalman(observer: KalmanToolObserver) -> Iterator[str]:
         ("Cz", e.position),
         ("K", observer.correction),
     ):
-        yield table("double", name, numbers(matrix), str(matrix.size))
+        yield format_table("double", name, format_numbers(matrix), str(matrix.size))
     yield ""
     text = _KALMAN.replace("@U@", "kinematic[j] - rest[j]" if e.ahead else "last[j]")
     text = text.replace("@Y@", "felt[i]" if observer.aligned else "acceleration[i]")
@@ -108,10 +108,10 @@ def _zero_phase(observer: ComplementaryToolObserver) -> Iterator[str]:
     for pair in observer.pairs():
         for passes in pair:
             assert passes.backwards is not None
-            rows += [third_order(*passes.forwards), third_order(*passes.backwards)]
+            rows += [pad_to_third_order(*passes.forwards), pad_to_third_order(*passes.backwards)]
     yield f"enum {{ M = {observer.axes} }};"
     yield ""
-    yield table("double", "filters", [x for row in rows for x in numbers(row)], "32 * M")
+    yield format_table("double", "filters", [x for row in rows for x in format_numbers(row)], "32 * M")
     yield ""
     yield ONE_STEP
     yield ""

@@ -15,7 +15,7 @@ from typing import Any
 from tau_dyn.control.export_c_loops import CLOSED
 from tau_dyn.control.export_c_newton import ITERATIONS, STEP, STEPS
 from tau_dyn.control.export_model import Program
-from tau_dyn.control.export_text import about
+from tau_dyn.control.export_text import yield_description
 from tau_dyn.control.graph import Graph, Node
 from tau_dyn.exceptions import InputError
 
@@ -31,7 +31,7 @@ _FORM = {
 _TAKEN = ("np", "HOME", "ROWS")
 
 
-def python_source(program: Program, name: str = "tau_ff") -> str:
+def write_python_source(program: Program, name: str = "tau_ff") -> str:
     """Return a feedforward as the text of a Python module with one public function.
 
     Args:
@@ -47,7 +47,7 @@ def python_source(program: Program, name: str = "tau_ff") -> str:
         )
     if name in _TAKEN or hasattr(builtins, name):
         raise InputError(f"'{name}' cannot name a function in Python, where it means something else; take another name")
-    words = "\n".join(about(program)).replace("\\", "/").replace('"""', "'''")
+    words = "\n".join(yield_description(program)).replace("\\", "/").replace('"""', "'''")
     more = "".join(f", {signal}" for signal in program.signals)
     lines = [f'"""{words}', '"""', "", "import numpy as np", ""]
     if program.loops is not None:

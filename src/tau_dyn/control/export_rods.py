@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.control.export_tree import exact, turn
-from tau_dyn.control.expression_arrays import cross
+from tau_dyn.control.export_tree import remove_rounding, turn
+from tau_dyn.control.expression_arrays import compute_cross_product
 from tau_dyn.kinematics import chains
 from tau_dyn.kinematics.rod_dimensions import RodDimensions
 
@@ -48,15 +48,15 @@ def trace_joint_frames(numbers: RodDimensions, q: Any) -> list[ExpressionFrame]:
         above = out[joint.parent] if joint.parent >= 0 else ExpressionFrame(np.eye(3), np.zeros(3), np.zeros(3))
         d, p = above.R @ joint.direction, above.p + above.R @ joint.origin
         if joint.slides:
-            out.append(ExpressionFrame(above.R @ exact(joint.rotation), p + d * q[joint.actuator], d))
+            out.append(ExpressionFrame(above.R @ remove_rounding(joint.rotation), p + d * q[joint.actuator], d))
         else:
             gain = float(np.linalg.norm(joint.direction))
-            R = exact(turn(joint.direction / gain, q[joint.actuator] * gain) @ joint.rotation)
+            R = remove_rounding(turn(joint.direction / gain, q[joint.actuator] * gain) @ joint.rotation)
             out.append(ExpressionFrame(above.R @ R, p, d))
     return out
 
 
-def points(numbers: RodDimensions, q: Any) -> Points:
+def compute_chain_points(numbers: RodDimensions, q: Any) -> Points:
     """Return the points that the chains carry, and how they move, at positions (na,)."""
     at = trace_joint_frames(numbers, q)
     n = len(numbers.carried.carrier)
@@ -64,13 +64,15 @@ def points(numbers: RodDimensions, q: Any) -> Points:
     for k, carrier in enumerate(numbers.carried.carrier):
         local = numbers.carried.local[k]
         places[k] = at[carrier].p + at[carrier].R @ local if carrier >= 0 else local
-        for j in chains.path(numbers.joints, carrier):
+        for j in chains.list_path(numbers.joints, carrier):
             joint = numbers.joints[j]
-            by_q[k, :, joint.actuator] += at[j].d if joint.slides else cross(at[j].d, places[k] - at[j].p)
+            by_q[k, :, joint.actuator] += (
+                at[j].d if joint.slides else compute_cross_product(at[j].d, places[k] - at[j].p)
+            )
     return Points(places, by_q)
 
 
-def squares(numbers: RodDimensions, q: Any) -> tuple[list[Any], np.ndarray]:
+def compute_squared_lengths(numbers: RodDimensions, q: Any) -> tuple[list[Any], np.ndarray]:
     """Return the rods' squared lengths (n,) [m^2], and half of their derivatives by the drives (n, na) [m]."""
     out: list[Any] = [float(x) ** 2 for x in numbers.lengths]
     by_q = np.zeros((len(out), len(q)), dtype=object)
@@ -81,13 +83,13 @@ def squares(numbers: RodDimensions, q: Any) -> tuple[list[Any], np.ndarray]:
     return out, by_q
 
 
-def rod_equations(numbers: RodDimensions, q: Any, p: Any, R: Any) -> RodEquations:
+def compute_rod_gaps(numbers: RodDimensions, q: Any, p: Any, R: Any) -> RodEquations:
     """Return how far the rods are from closed with the plate at p (3,), R (3, 3)."""
-    A, (square, half) = points(numbers, q), squares(numbers, q)
+    A, (square, half) = compute_chain_points(numbers, q), compute_squared_lengths(numbers, q)
     gap, by = [], np.zeros((len(square), len(q) + 6), dtype=object)
     for k, b in enumerate(numbers.on_plate):
-        r, scale = R @ exact(b), 1.0 / float(numbers.lengths[k])
+        r, scale = R @ remove_rounding(b), 1.0 / float(numbers.lengths[k])
         d = A.at[k] - p - r
         gap.append((d @ d - square[k]) * (0.5 * scale))
-        by[k] = np.concatenate([d @ A.by_q[k] - half[k], -d, -cross(r, d)]) * scale
+        by[k] = np.concatenate([d @ A.by_q[k] - half[k], -d, -compute_cross_product(r, d)]) * scale
     return RodEquations(np.array(gap, dtype=object), by)

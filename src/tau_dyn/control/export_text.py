@@ -8,7 +8,7 @@ from tau_dyn.control.export_model import Program
 from tau_dyn.version import __version__
 
 
-def about(program: Program) -> Iterator[str]:
+def yield_description(program: Program) -> Iterator[str]:
     """Yield lines of plain text for the head of an exported file."""
     feedforward = program.feedforward
     model, robot = feedforward.model, feedforward.model.robot

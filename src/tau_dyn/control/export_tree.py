@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.control.expression_arrays import as_expression_array, cross
+from tau_dyn.control.expression_arrays import as_expression_array, compute_cross_product
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot import Robot
 
@@ -96,14 +96,18 @@ class Tree:
         for k, joint in enumerate(self.joints):
             above = out[joint.parent] if joint.parent >= 0 else LinkMotion(still, still, -gravity, np.eye(3), still)
             u = joint.axis
-            R = joint.R if joint.slides else exact(joint.R @ turn(u, q[k]))
+            R = joint.R if joint.slides else remove_rounding(joint.R @ turn(u, q[k]))
             p = joint.p + joint.R @ u * q[k] if joint.slides else joint.p
             w, dw = R.T @ above.w, R.T @ above.dw
-            c = R.T @ (above.c + cross(above.dw, p) + cross(above.w, cross(above.w, p)))
+            c = R.T @ (
+                above.c
+                + compute_cross_product(above.dw, p)
+                + compute_cross_product(above.w, compute_cross_product(above.w, p))
+            )
             if joint.slides:
-                c = c + u * a[k] + 2.0 * cross(w, u * v[k])
+                c = c + u * a[k] + 2.0 * compute_cross_product(w, u * v[k])
             else:
-                dw = dw + cross(w, u * v[k]) + u * a[k]
+                dw = dw + compute_cross_product(w, u * v[k]) + u * a[k]
                 w = w + u * v[k]
             out.append(LinkMotion(w, dw, c, R, p))
         return out
@@ -116,7 +120,7 @@ class Tree:
         for frame, mass in self.weights:
             k = frame.parentJoint - 1
             pull = self._down(motions, k) * -mass
-            f[k], n[k] = f[k] + pull, n[k] + cross(frame.placement.translation, pull)
+            f[k], n[k] = f[k] + pull, n[k] + compute_cross_product(frame.placement.translation, pull)
         beyond = [np.zeros(3, dtype=object) for _ in self.joints]
         tau: list[Any] = [0.0] * len(self.joints)
         for k in reversed(range(len(self.joints))):
@@ -126,7 +130,7 @@ class Tree:
                 turned = m.R @ f[k]
                 beyond[joint.parent] = beyond[joint.parent] - turned
                 f[joint.parent] = f[joint.parent] + turned
-                n[joint.parent] = n[joint.parent] + m.R @ n[k] + cross(m.p, turned)
+                n[joint.parent] = n[joint.parent] + m.R @ n[k] + compute_cross_product(m.p, turned)
         return tau, beyond
 
     def places(self, motions: list[LinkMotion]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -162,9 +166,15 @@ def _joint(robot: Robot, data: pin.Data, j: int, pi: np.ndarray) -> TreeJoint:
     S = np.asarray(data.joints[j].S).reshape(6)
     slides = bool(np.linalg.norm(S[:3]) > np.linalg.norm(S[3:]))
     place = model.jointPlacements[j]
-    axis = exact(np.array(S[:3] if slides else S[3:]))
+    axis = remove_rounding(np.array(S[:3] if slides else S[3:]))
     return TreeJoint(
-        model.names[j], model.parents[j] - 1, axis, slides, exact(place.rotation), exact(place.translation), pi
+        model.names[j],
+        model.parents[j] - 1,
+        axis,
+        slides,
+        remove_rounding(place.rotation),
+        remove_rounding(place.translation),
+        pi,
     )
 
 
@@ -179,9 +189,9 @@ def _inertial(robot: Robot) -> dict[int, np.ndarray]:
 
 def turn(u: np.ndarray, angle: Any) -> np.ndarray:
     """Return the rotation by an angle about a unit axis: `1 + sin K + (1 - cos) K K` (Rodrigues)."""
-    K = exact(np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]], float))
+    K = remove_rounding(np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]], float))
     sine, cosine = np.sin(as_expression_array([angle]))[0], np.cos(as_expression_array([angle]))[0]
-    along = exact(np.outer(u, u))
+    along = remove_rounding(np.outer(u, u))
     return along + (np.eye(3) - along) * cosine + K * sine
 
 
@@ -189,11 +199,11 @@ def _needed(pi: np.ndarray, m: LinkMotion) -> tuple[np.ndarray, np.ndarray]:
     """Return the force and moment (3,), (3,) about its origin that a link needs for its motion."""
     mass, s = pi[0], pi[1:4]
     inertia = np.array([[pi[4], pi[5], pi[7]], [pi[5], pi[6], pi[8]], [pi[7], pi[8], pi[9]]])
-    f = m.c * mass + cross(m.dw, s) + cross(m.w, cross(m.w, s))
-    return f, inertia @ m.dw + cross(m.w, inertia @ m.w) + cross(s, m.c)
+    f = m.c * mass + compute_cross_product(m.dw, s) + compute_cross_product(m.w, compute_cross_product(m.w, s))
+    return f, inertia @ m.dw + compute_cross_product(m.w, inertia @ m.w) + compute_cross_product(s, m.c)
 
 
-def exact(x: np.ndarray) -> np.ndarray:
+def remove_rounding(x: np.ndarray) -> np.ndarray:
     """Return plain numbers with what is only rounding of 0, 1 and -1 taken away; expressions stay."""
     x = np.array(x)
     if x.dtype == object:

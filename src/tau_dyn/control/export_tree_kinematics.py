@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.control.export_loops import Loops, spread
-from tau_dyn.control.export_tree import Tree, exact
-from tau_dyn.control.expression_arrays import cross
+from tau_dyn.control.export_loops import Loops, spread_over_joints
+from tau_dyn.control.export_tree import Tree, remove_rounding
+from tau_dyn.control.expression_arrays import compute_cross_product
 from tau_dyn.robot import Robot
 
 
@@ -41,7 +41,7 @@ class TreeKinematics:
     def place(self, q: Any, z: Any) -> list[Any]:
         """Return one position a joint of the tree."""
         rest = [0.0] * len(self.tree.joints) if self.loops is None else list(self.loops.home)
-        return spread(rest, (self.active, q), (self.passive, z))
+        return spread_over_joints(rest, (self.active, q), (self.passive, z))
 
     def gaps(self, q: Any, z: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the solved equations' gaps (np,) [m] and their derivatives (np, na + np)."""
@@ -55,11 +55,11 @@ class TreeKinematics:
         places = tree.places(tree.motions(self.place(q, z), still, still, np.zeros(3)))
         k = self._frame.parentJoint - 1
         R, p = places[k] if k >= 0 else (np.eye(3), np.zeros(3))
-        at, order = p + R @ exact(self._frame.placement.translation), [*self.active, *self.passive]
+        at, order = p + R @ remove_rounding(self._frame.placement.translation), [*self.active, *self.passive]
         twist = np.zeros((6, len(order)), dtype=object)
         for j in set(tree.chain(k)) & set(order):
             axis, column = places[j][0] @ tree.joints[j].axis, order.index(j)
             slides = tree.joints[j].slides
-            twist[:3, column] = axis if slides else cross(axis, at - places[j][1])
+            twist[:3, column] = axis if slides else compute_cross_product(axis, at - places[j][1])
             twist[3:, column] = 0.0 if slides else axis
-        return ToolOnTree(at, R @ exact(self._frame.placement.rotation), twist)
+        return ToolOnTree(at, R @ remove_rounding(self._frame.placement.rotation), twist)

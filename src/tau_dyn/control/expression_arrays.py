@@ -88,7 +88,7 @@ def as_expression_array(x: Any) -> Any:
     return np.asarray(x, dtype=object).view(ExpressionArray)
 
 
-def inputs(graph: Graph, name: str, values: np.ndarray) -> ExpressionArray:
+def build_inputs(graph: Graph, name: str, values: np.ndarray) -> ExpressionArray:
     """Return inputs `name0`, `name1`, ... (n,) with their values at the reference state."""
     return as_expression_array([graph.input(f"{name}{k}", float(x)) for k, x in enumerate(values)])
 
@@ -145,11 +145,11 @@ def _inverse_of(A: np.ndarray, n: int) -> np.ndarray:
         return cofactors * _op("div")(1.0, A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
     if n > 3:
         raise TypeError("the inverse of a matrix larger than 3 by 3")
-    rows = [cross(A[1], A[2]), cross(A[2], A[0]), cross(A[0], A[1])]
+    rows = [compute_cross_product(A[1], A[2]), compute_cross_product(A[2], A[0]), compute_cross_product(A[0], A[1])]
     return np.array(rows, dtype=object).T * _op("div")(1.0, A[0] @ rows[0])
 
 
-def cross(a: Any, b: Any) -> np.ndarray:
+def compute_cross_product(a: Any, b: Any) -> np.ndarray:
     """Return the vector product of two vectors (3,) of numbers and nodes."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], dtype=object)
 

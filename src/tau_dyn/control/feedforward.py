@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from tau_dyn.effects import Effect, Motion
-from tau_dyn.effects.state import beyond_a_state
+from tau_dyn.effects.state import describe_missing_state
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import BY_STATE, Model
 
@@ -61,7 +61,7 @@ class Feedforward:
         if not np.all(np.isfinite(widths) & (widths > 0)):
             raise InputError(f"the width of the smoothed sign must be a positive speed, not {width}")
         self.model, self.width, self.shape = model, widths, shape
-        why = {effect: beyond_a_state(effect, BY_STATE) for effect in model.effects}
+        why = {effect: describe_missing_state(effect, BY_STATE) for effect in model.effects}
         self.left_out = tuple(effect for effect, reason in why.items() if reason)
         self.warnings = tuple(f"the feedforward leaves out {e.name}: {why[e]}" for e in self.left_out)
         self._parts = {frozenset(): self._sorted(frozenset())}

@@ -29,7 +29,7 @@ from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors, Unexplaine
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.diagnose.unexplained import build_unexplained
 from tau_dyn.diagnose.unknown_structure import find_structure
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.words import format_quantity
 from tau_dyn.model import Model
 
 
@@ -90,7 +90,9 @@ def _sentence(
 ) -> str:
     """Return what a colleague would say first."""
     one, other = (
-        ", ".join(f"{quantity(float(r), u)} at {o}" for r, u, o in zip(e.rms, channel.units, e.outputs, strict=True))
+        ", ".join(
+            f"{format_quantity(float(r), u)} at {o}" for r, u, o in zip(e.rms, channel.units, e.outputs, strict=True)
+        )
         for e in (before, after)
     )
     text = f"The {channel.name} is {one} (rms)"

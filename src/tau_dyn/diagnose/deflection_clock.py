@@ -16,7 +16,7 @@ import numpy as np
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 LOAD_SPEED = "load_speed"
@@ -46,4 +46,4 @@ class ClockOffset(JointwiseDisplacement):
         p = values["clock_offset"]
         later, sooner = ("load", "motor") if p.value >= 0 else ("motor", "load")
         size = Parameter(p.name, abs(p.value), p.unit, stderr=p.stderr)
-        return f"the {later}-side encoder's reading is {amount(size)} older than the {sooner} side's"
+        return f"the {later}-side encoder's reading is {format_amount(size)} older than the {sooner} side's"

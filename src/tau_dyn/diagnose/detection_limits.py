@@ -19,7 +19,7 @@ from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Limit, Untestable
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
 from tau_dyn.effects import Effect
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.words import format_quantity
 
 POWER = 0.95  # of the test at the detection limit, by convention
 OWNED = 1e-9  # share of a column's power left beside the null model; less is rounding
@@ -85,11 +85,13 @@ def _limit(
         (found if plausible else beyond).append((amplitude, first.unit, "+".join(fit.effect.joints)))
     if not found and beyond:
         amplitude, unit, joint = min(beyond)
-        return f"it would be seen from {quantity(amplitude, unit)} at {joint}, which is more than it plausibly has"
+        return (
+            f"it would be seen from {format_quantity(amplitude, unit)} at {joint}, which is more than it plausibly has"
+        )
     if not found:
         return None
     amplitude, unit, joint = max(found)
-    phrase = f"{candidate.cause.replace('_', ' ')} of {quantity(amplitude, unit)} at {joint}"
+    phrase = f"{candidate.cause.replace('_', ' ')} of {format_quantity(amplitude, unit)} at {joint}"
     return Limit(candidate.cause, amplitude, unit, phrase)
 
 

@@ -15,7 +15,7 @@ from tau_dyn.diagnose.result import Finding, Gain, Signature
 from tau_dyn.diagnose.settings_refinement import differentiate_settings
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.effects import Effect
-from tau_dyn.effects.words import spelled
+from tau_dyn.effects.words import spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -109,7 +109,7 @@ def estimate_uncertainty(
         owner, unit = "+".join(effect.joints), effect.units[effect.joints[0]]
         for key in effect.refined:
             name = f"{owner}.{key}{effect.label}"
-            text = spelled(effect.setting_units.get(key, "1"), unit)
+            text = spell_unit(effect.setting_units.get(key, "1"), unit)
             rows.append(Parameter(name, effect.settings[key], text, stderr=next(stderr), origin=effect.name))
     return Parameters(rows)
 

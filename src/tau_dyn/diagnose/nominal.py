@@ -22,7 +22,7 @@ from tau_dyn.diagnose.payload import (
     find_explanation,
 )
 from tau_dyn.diagnose.result import Finding
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.words import format_quantity
 from tau_dyn.estimate import Estimate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -86,7 +86,7 @@ def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) ->
     low, high = ranges.get(finding.cause, (-np.inf, np.inf))
     if low <= first.value <= high:
         return finding
-    why = f"{first.name} = {quantity(first.value, first.unit)} is outside of its plausible range ({low:.3g} to {high:.3g})"
+    why = f"{first.name} = {format_quantity(first.value, first.unit)} is outside of its plausible range ({low:.3g} to {high:.3g})"
     return replace(finding, status="suspected", why_not_confirmed=why)
 
 
@@ -142,7 +142,7 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
         joint = str(robot.model.names[link.joint_id]) if link is not None else ""
         parameters = compute_payload_parameters(found, joint)
         mass, *centre = parameters
-        sentence = f"The robot carries {quantity(mass.value, 'kg', mass.stderr)}"
+        sentence = f"The robot carries {format_quantity(mass.value, 'kg', mass.stderr)}"
         if centre:
             place = ", ".join(f"{c.value:.3f}" for c in centre)
             errors = [c.stderr for c in centre if c.stderr is not None]
@@ -152,7 +152,7 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
         experiment = "record the same motion without the payload"
     elif found.cause == "link_mass":
         parameters = (Parameter(f"{found.place}.mass_error", float(found.amplitudes[0]), "kg", stderr=stderr),)
-        sentence = f"{found.place} is off its nominal mass by {quantity(parameters[0].value, 'kg', stderr)}"
+        sentence = f"{found.place} is off its nominal mass by {format_quantity(parameters[0].value, 'kg', stderr)}"
         where = (found.place,)
         experiment = f"weigh {found.place}"
     else:
@@ -163,7 +163,7 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
             factor, stderr, name = 1 / (1 - share), stderr / (1 - share) ** 2, "force_scale"
         parameters = (Parameter(f"{owner}.{name}", factor, "1", stderr=stderr, origin="bodies over nominal bodies"),)
         whose = f"logged force of {owner} is" if found.place else "logged forces are"
-        sentence = f"The {whose} {quantity(factor, '1', stderr)} times what the nominal bodies need"
+        sentence = f"The {whose} {format_quantity(factor, '1', stderr)} times what the nominal bodies need"
         where = (found.place,) if found.place else ()
         experiment = "record the motion without and with a weighed payload, its mass fixed by --fix"
     return Finding(

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from tau_dyn.effects import Effect, JointScales, Scene
-from tau_dyn.effects.words import quantity, spelled
+from tau_dyn.effects.words import format_quantity, spell_unit
 from tau_dyn.parameters import Parameters
 
 SEARCH_MARGIN = 5.0
@@ -76,10 +76,13 @@ def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
             values = sorted({setting[key] for setting in grid if key in setting})
             if len(values) < 2 or key not in effect.settings:
                 continue
-            x, unit = effect.settings[key], spelled(effect.setting_units.get(key, "1"), effect.units[effect.joints[0]])
+            x, unit = (
+                effect.settings[key],
+                spell_unit(effect.setting_units.get(key, "1"), effect.units[effect.joints[0]]),
+            )
             low, high = values[0] * (1 + EDGE_TOLERANCE), values[-1] * (1 - EDGE_TOLERANCE)
             if (end != "high" and x <= low) or (end != "low" and x >= high):
-                return f"{key} = {quantity(x, unit)} is at the edge of what was searched"
+                return f"{key} = {format_quantity(x, unit)} is at the edge of what was searched"
     return ""
 
 
@@ -109,7 +112,7 @@ def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: flo
     scatter = float(np.sum(weight * (x - mean) ** 2))
     if len(own) < 2 or stats.chi2.sf(scatter, len(own) - 1) > INCONSISTENT_LEVEL:
         return ""
-    listed = ", ".join(f"{p.name.rpartition('.')[0]} {quantity(p.value, p.unit)}" for p in own)
+    listed = ", ".join(f"{p.name.rpartition('.')[0]} {format_quantity(p.value, p.unit)}" for p in own)
     return f"one recording has one {effects[0].name.replace('_', ' ')}, and here it differs between joints ({listed})"
 
 

@@ -32,7 +32,7 @@ from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.residuals import compute_aic_bic, compute_log_det_loss, count_free_parameters
-from tau_dyn.modes.subspace import subspace_factors
+from tau_dyn.modes.subspace import compress_subspace_data
 from tau_dyn.parameters import Parameter
 
 ORDERS = (2, 4, 6, 8)
@@ -150,7 +150,7 @@ def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
     )[1]
     best: RefinedModel | None = None
     try:
-        factors = subspace_factors(records)
+        factors = compress_subspace_data(records)
     except TauDynError:
         return None
     for order in (o for o in ORDERS if o <= factors.largest_order):

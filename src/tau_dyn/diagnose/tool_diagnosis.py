@@ -31,7 +31,7 @@ from tau_dyn.diagnose.resonances import add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, select_causes
 from tau_dyn.diagnose.tool import ToolChannel, build_tool_channel
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.words import format_quantity
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 
@@ -112,9 +112,15 @@ def _open(channel: ToolChannel, one: SelectedCause, finding: Finding, periods: t
     effect = one.candidate.effects[0]
     joint = effect.joints[0]
     unit = "m" if effect.units[joint] == "N" else "rad"
-    listed = ", ".join(quantity(p, unit) for p in periods[:_LISTED])
-    more = f" and {len(periods) - _LISTED} more down to {quantity(periods[-1], unit)}" if len(periods) > _LISTED else ""
-    step, finer = (quantity(x, unit) for x in (compute_position_spacing(channel, joint), periods[-1] / _PER_PERIOD))
+    listed = ", ".join(format_quantity(p, unit) for p in periods[:_LISTED])
+    more = (
+        f" and {len(periods) - _LISTED} more down to {format_quantity(periods[-1], unit)}"
+        if len(periods) > _LISTED
+        else ""
+    )
+    step, finer = (
+        format_quantity(x, unit) for x in (compute_position_spacing(channel, joint), periods[-1] / _PER_PERIOD)
+    )
     return replace(
         finding,
         status="suspected",
@@ -126,7 +132,7 @@ def _open(channel: ToolChannel, one: SelectedCause, finding: Finding, periods: t
 
 def _sentence(before: OutputErrors, after: OutputErrors, named: Sequence[Finding], aliased: Sequence[Finding]) -> str:
     """Return what a colleague would say first."""
-    one, other = (quantity(float(np.linalg.norm(e.rms)), "m") for e in (before, after))
+    one, other = (format_quantity(float(np.linalg.norm(e.rms)), "m") for e in (before, after))
     text = f"The measured tool is {one} (rms) from forward kinematics"
     if named:
         causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in named)

@@ -18,10 +18,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.dynamics.body_columns import BodyMotion, body_columns, body_wrench, momentum
+from tau_dyn.dynamics.body_columns import BodyMotion, compute_body_columns, compute_body_wrench, compute_momentum
 from tau_dyn.kinematics.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.kinematics.loops import LoopSolver
-from tau_dyn.kinematics.tree_arrays import Joint, Motion, Vector, cross, into, joints_of, motion, plus, point
+from tau_dyn.kinematics.tree_arrays import (
+    FrameMotion,
+    Joint,
+    Vector,
+    add_vectors,
+    compute_cross_product,
+    compute_motion,
+    list_joints,
+    rotate_into_frame,
+    transform_point,
+)
 from tau_dyn.robot import Robot
 
 _BLOCK = 1024
@@ -66,13 +76,13 @@ class BatchedTree:
     @classmethod
     def of(cls, robot: Robot, solver: LoopSolver) -> BatchedTree | None:
         """Return the batched dynamics of a robot, or None where a joint has more than one degree of freedom."""
-        joints = joints_of(solver.model)
+        joints = list_joints(solver.model)
         return None if joints is None else cls(robot, solver, joints)
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p), laid out in memory as (na, p, N)."""
         Y = np.zeros((self.robot.na, len(self.robot.parameters), len(q)))
-        for part in blocks(len(q)):
+        for part in iterate_blocks(len(q)):
             self._fill(Y[:, :, part], q[part], v[part], a[part])
         joints = range(self.robot.na)
         Y[joints, [self._armature + j for j in joints]] = a.T
@@ -81,11 +91,11 @@ class BatchedTree:
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return actuated forces (N, na)."""
         tau = (self.drive * a).T.copy()
-        for part in blocks(len(q)):
+        for part in iterate_blocks(len(q)):
             closed, moving, partials = self._moving(q[part], v[part], a[part])
             for link, _, _ in self._links:
                 body = self._body(closed, moving, partials[link.joint_id], link.joint_id)
-                tau[body.movers, part] += body.power(*body_wrench(body, self.pi[link.joint_id]))
+                tau[body.movers, part] += body.power(*compute_body_wrench(body, self.pi[link.joint_id]))
             for weight in self.weights:
                 partial = partials[weight.joint]
                 tau[partial.movers, part] += weight.mass * self._held(closed, partial, weight)
@@ -94,7 +104,7 @@ class BatchedTree:
     def inertia(self, q: np.ndarray) -> np.ndarray:
         """Return the mass matrix (N, na, na)."""
         M = np.zeros((self.robot.na, self.robot.na, len(q)))
-        for part in blocks(len(q)):
+        for part in iterate_blocks(len(q)):
             closed = self.loops.close(q[part])
             partials = self._partials(closed)
             for link, _, _ in self._links:
@@ -102,7 +112,7 @@ class BatchedTree:
                 body = self._body(closed, None, partial, link.joint_id)
                 for k, other in enumerate(partial.movers):
                     one = body.linear[:, k], None if body.angular is None else body.angular[:, k]
-                    M[partial.movers, other, part] += body.power(*momentum(*one, self.pi[link.joint_id]))
+                    M[partial.movers, other, part] += body.power(*compute_momentum(*one, self.pi[link.joint_id]))
         M[range(self.robot.na), range(self.robot.na)] += self.drive[:, None]
         return M.transpose(2, 0, 1)
 
@@ -110,21 +120,21 @@ class BatchedTree:
         """Return the tool's position (N, 3) [m] and velocity per actuated speed (N, 3, na), in base axes."""
         frame = self.solver.model.frames[self.robot.tool_frame]
         place, J = np.empty((3, len(q))), np.zeros((3, self.robot.na, len(q)))
-        for part in blocks(len(q)):
+        for part in iterate_blocks(len(q)):
             closed = self.loops.close(q[part])
             partial = self._partials(closed)[frame.parentJoint]
-            place[:, part] = point(closed.at, frame.parentJoint, frame.placement.translation)
+            place[:, part] = transform_point(closed.at, frame.parentJoint, frame.placement.translation)
             J[:, partial.movers, part] = self._velocity(closed, partial, frame.parentJoint, place[:, part])
         return place.T, J.transpose(2, 0, 1)
 
-    def moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, Motion]:
+    def moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, FrameMotion]:
         """Return closed configurations and their motion, accelerations minus gravity, for at most one block of samples."""
         closed = self.loops.close(q)
         speeds = np.einsum("van,na->vn", closed.G, v)
         accelerations = self.loops.accelerations(closed, speeds, a.T)
-        return closed, motion(self.joints, closed.at, speeds, accelerations, -self.gravity)
+        return closed, compute_motion(self.joints, closed.at, speeds, accelerations, -self.gravity)
 
-    def _moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, Motion, list[Partial]]:
+    def _moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, FrameMotion, list[Partial]]:
         closed, moving = self.moving(q, v, a)
         return closed, moving, self._partials(closed)
 
@@ -132,7 +142,7 @@ class BatchedTree:
         closed, moving, partials = self._moving(q, v, a)
         for link, map_, first in self._links:
             body = self._body(closed, moving, partials[link.joint_id], link.joint_id)
-            basis = body_columns(body, np.flatnonzero(map_.any(axis=1)).tolist())
+            basis = compute_body_columns(body, np.flatnonzero(map_.any(axis=1)).tolist())
             movers = _as_slice(body.movers)
             for k, pi in enumerate(map_.T):
                 terms = [(pi[n], x) for n, x in enumerate(basis) if x is not None and pi[n]]
@@ -142,18 +152,18 @@ class BatchedTree:
             partial = partials[weight.joint]
             Y[partial.movers, weight.column] += self._held(closed, partial, weight)
 
-    def _body(self, closed: ClosedLoops, moving: Motion | None, partial: Partial, joint: int) -> BodyMotion:
+    def _body(self, closed: ClosedLoops, moving: FrameMotion | None, partial: Partial, joint: int) -> BodyMotion:
         """Return a body's partial velocities and motion in its own axes; without motion where none is given."""
         rotation = closed.at.rotation[joint]
 
         def own(x: Vector) -> Vector:
-            return None if x is None else into(rotation[:, :, None] if x.ndim == 3 else rotation, x)
+            return None if x is None else rotate_into_frame(rotation[:, :, None] if x.ndim == 3 else rotation, x)
 
         turning = (None, None, None)
         if moving is not None:
             turning = moving.acceleration[joint], moving.turning[joint], moving.spinning_up[joint]
         a, w, dw = (own(x) for x in turning)
-        linear = into(rotation[:, :, None], partial.linear)
+        linear = rotate_into_frame(rotation[:, :, None], partial.linear)
         return BodyMotion(partial.movers, linear, own(partial.angular), a, w, dw)
 
     def _partials(self, closed: ClosedLoops) -> list[Partial]:
@@ -164,7 +174,7 @@ class BatchedTree:
         for joint in self.joints:
             parent = found[joint.parent]
             arm = closed.at.origin[joint.index] - closed.at.origin[joint.parent]
-            carried = plus(parent.linear, cross(parent.angular, arm[:, None]))
+            carried = add_vectors(parent.linear, compute_cross_product(parent.angular, arm[:, None]))
             z = closed.at.axis[joint.index][:, None]
             if joint.v in driven:
                 own, rate = np.array([driven[joint.v]]), z
@@ -187,11 +197,11 @@ class BatchedTree:
     def _velocity(self, closed: ClosedLoops, partial: Partial, joint: int, place: np.ndarray) -> np.ndarray:
         """Return how a point (3, N) that a joint carries moves per actuated speed (3, n, N)."""
         arm = place - closed.at.origin[joint]
-        return plus(partial.linear, cross(partial.angular, arm[:, None]))
+        return add_vectors(partial.linear, compute_cross_product(partial.angular, arm[:, None]))
 
     def _held(self, closed: ClosedLoops, partial: Partial, weight: Weight) -> np.ndarray:
         """Return the actuated forces (n, N) that hold 1 kg against gravity."""
-        place = point(closed.at, weight.joint, weight.local)
+        place = transform_point(closed.at, weight.joint, weight.local)
         return -np.einsum("xan,x->an", self._velocity(closed, partial, weight.joint, place), self.gravity)
 
 
@@ -210,7 +220,7 @@ def _sum(terms: list[tuple[float, np.ndarray]]) -> np.ndarray:
     return out
 
 
-def blocks(n: int) -> Iterator[slice]:
+def iterate_blocks(n: int) -> Iterator[slice]:
     """Yield slices of at most one block that together make n samples."""
     for start in range(0, n, _BLOCK):
         yield slice(start, min(start + _BLOCK, n))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.tree_arrays import Vector, cross, plus
+from tau_dyn.kinematics.tree_arrays import Vector, add_vectors, compute_cross_product
 from tau_dyn.robot.robot import compute_inertia_matrix
 
 
@@ -43,7 +43,7 @@ class BodyMotion(NamedTuple):
         return np.zeros(self.linear.shape[1:]) if out is None else out
 
 
-def body_columns(body: BodyMotion, wanted: list[int]) -> list[np.ndarray | None]:
+def compute_body_columns(body: BodyMotion, wanted: list[int]) -> list[np.ndarray | None]:
     """Return the actuated forces (n, N) per unit of each of the ten inertial numbers; None for zero, and for those not wanted."""
     out: list[np.ndarray | None] = [None] * 10
     a, A = body.acceleration, body.angular
@@ -51,36 +51,38 @@ def body_columns(body: BodyMotion, wanted: list[int]) -> list[np.ndarray | None]
         out[0] = body.power(a, None)
     S = _spin_matrix(body)
     if set(wanted) & {1, 2, 3}:
-        lever = None if a is None or A is None else cross(a[:, None], A)
+        lever = None if a is None or A is None else compute_cross_product(a[:, None], A)
         for k in range(3):
             part = None if S is None else _product([row[k] for row in S], body.linear)
-            out[1 + k] = plus(part, None if lever is None else lever[k])
+            out[1 + k] = add_vectors(part, None if lever is None else lever[k])
     if S is not None and A is not None and set(wanted) & set(range(4, 10)):
         out[4:] = _inertia_columns(body, S, A)
     return out
 
 
-def body_wrench(body: BodyMotion, pi: np.ndarray) -> tuple[Vector, Vector]:
+def compute_body_wrench(body: BodyMotion, pi: np.ndarray) -> tuple[Vector, Vector]:
     """Return the force and the moment (3, N) about its origin that move a body of ten inertial numbers, in its axes."""
     m, h, a = pi[0], pi[1:4, None], body.acceleration
     force: Vector = None if a is None else m * a
-    moment: Vector = None if a is None or not h.any() else cross(np.broadcast_to(h, a.shape), a)
+    moment: Vector = None if a is None or not h.any() else compute_cross_product(np.broadcast_to(h, a.shape), a)
     S = _spin_matrix(body)
     if S is None:
         return force, moment
-    force = plus(force, np.stack([row[0] * pi[1] + row[1] * pi[2] + row[2] * pi[3] for row in S]))
+    force = add_vectors(force, np.stack([row[0] * pi[1] + row[1] * pi[2] + row[2] * pi[3] for row in S]))
     inertia = compute_inertia_matrix(pi)
     w, dw = body.turning, body.spinning_up
     spin = None if dw is None else inertia @ dw
-    return force, plus(moment, plus(spin, None if w is None else cross(w, inertia @ w)))
+    return force, add_vectors(moment, add_vectors(spin, None if w is None else compute_cross_product(w, inertia @ w)))
 
 
-def momentum(linear: np.ndarray, angular: Vector, pi: np.ndarray) -> tuple[np.ndarray, Vector]:
+def compute_momentum(linear: np.ndarray, angular: Vector, pi: np.ndarray) -> tuple[np.ndarray, Vector]:
     """Return linear and angular momentum (3, N) about a body's origin, at its velocities (3, N), all in its axes."""
     if angular is None:
         return pi[0] * linear, None
     h = np.broadcast_to(pi[1:4, None], linear.shape)
-    return pi[0] * linear + cross(angular, h), cross(h, linear) + compute_inertia_matrix(pi) @ angular  # type: ignore[operator]
+    return pi[0] * linear + compute_cross_product(angular, h), compute_cross_product(
+        h, linear
+    ) + compute_inertia_matrix(pi) @ angular  # type: ignore[operator]
 
 
 def _product(column: list[np.ndarray], partial: np.ndarray) -> np.ndarray:

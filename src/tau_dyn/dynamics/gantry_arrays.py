@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.tree_arrays import cross
+from tau_dyn.kinematics.tree_arrays import compute_cross_product
 
 BLOCK = 2048
 """Samples computed at once, so that they stay in the processor's cache."""
@@ -33,7 +33,7 @@ class Pose(NamedTuple):
     along: np.ndarray
 
 
-def carts(origin: np.ndarray, direction: np.ndarray, q: np.ndarray) -> np.ndarray:
+def compute_cart_positions(origin: np.ndarray, direction: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return the carts' positions (3 carts, 3, N) [m] at `q` (3, N)."""
     return origin[:, :, None] + direction[:, :, None] * q[:, None]
 
@@ -47,41 +47,43 @@ def intersect(A: np.ndarray, lengths: np.ndarray, side: float) -> tuple[np.ndarr
     """
     u: np.ndarray = A[1] - A[0]
     w: np.ndarray = A[2] - A[0]
-    normal = cross(u, w)
-    n2, L2 = dot(normal, normal), lengths**2
-    p = (0.5 / n2) * (dot(u, u) + (L2[0] - L2[1]))
-    r = (0.5 / n2) * (dot(w, w) + (L2[0] - L2[2]))
-    foot = p * cross(w, normal) + r * cross(normal, u)
-    height2 = (L2[0] - dot(foot, foot)) / n2
+    normal = compute_cross_product(u, w)
+    n2, L2 = compute_dot_products(normal, normal), lengths**2
+    p = (0.5 / n2) * (compute_dot_products(u, u) + (L2[0] - L2[1]))
+    r = (0.5 / n2) * (compute_dot_products(w, w) + (L2[0] - L2[2]))
+    foot = p * compute_cross_product(w, normal) + r * compute_cross_product(normal, u)
+    height2 = (L2[0] - compute_dot_products(foot, foot)) / n2
     with np.errstate(invalid="ignore"):
         return A[0] + foot + side * np.sqrt(height2) * normal, height2
 
 
-def pose(A: np.ndarray, tool: np.ndarray, direction: np.ndarray) -> Pose:
+def solve_pose(A: np.ndarray, tool: np.ndarray, direction: np.ndarray) -> Pose:
     """Return rods and Jacobian with the tool (3, N) at this place."""
     d: list[np.ndarray] = list(tool - A)
-    crosses = np.stack([cross(d[1], d[2]), cross(d[2], d[0]), cross(d[0], d[1])])
-    inverse = crosses / dot(d[0], crosses[0])
-    along = np.stack([weighted(direction[i], d[i]) for i in range(3)])
+    crosses = np.stack(
+        [compute_cross_product(d[1], d[2]), compute_cross_product(d[2], d[0]), compute_cross_product(d[0], d[1])]
+    )
+    inverse = crosses / compute_dot_products(d[0], crosses[0])
+    along = np.stack([compute_weighted_sum(direction[i], d[i]) for i in range(3)])
     return Pose(tool, np.stack(d), inverse, inverse * along[:, None], along)
 
 
-def tool_acceleration(at: Pose, direction: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+def compute_tool_acceleration(at: Pose, direction: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Return the tool's acceleration (3, N) at cart velocities and accelerations (3, N)."""
     velocity = at.J[0] * v[0] + at.J[1] * v[1] + at.J[2] * v[2]
     total = np.zeros_like(velocity)
     for i in range(3):
         relative = velocity - direction[i][:, None] * v[i]
-        total += at.inverse[i] * (at.along[i] * a[i] - dot(relative, relative))
+        total += at.inverse[i] * (at.along[i] * a[i] - compute_dot_products(relative, relative))
     return total
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def compute_dot_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the scalar products (N,) of vectors (3, N)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def weighted(constant: np.ndarray, x: np.ndarray) -> np.ndarray:
+def compute_weighted_sum(constant: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the scalar products (N,) of a constant (3,) and vectors (3, N), without multiplying by zeros."""
     out = np.zeros(x.shape[1])
     for c, row in zip(constant, x, strict=True):

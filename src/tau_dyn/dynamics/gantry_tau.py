@@ -19,7 +19,16 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.dynamics.gantry_arrays import BLOCK, Pose, carts, dot, intersect, pose, tool_acceleration, weighted
+from tau_dyn.dynamics.gantry_arrays import (
+    BLOCK,
+    Pose,
+    compute_cart_positions,
+    compute_dot_products,
+    compute_tool_acceleration,
+    compute_weighted_sum,
+    intersect,
+    solve_pose,
+)
 from tau_dyn.dynamics.mechanism import Mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.robot import Robot
@@ -87,25 +96,27 @@ class GantryTauMechanism(Mechanism):
         """Write the columns (3, p, N) at carts (N, 3), their velocities and accelerations (3, N)."""
         at = self._pose(q)
         e, g, n = self.direction, self.gravity, self.robot.parameters.names
-        acceleration = tool_acceleration(at, e, v, a)
-        moved = np.stack([dot(at.J[j], acceleration) for j in range(3)])  # J' T''
-        weight = np.stack([weighted(g, at.J[j]) for j in range(3)])  # J' g
+        acceleration = compute_tool_acceleration(at, e, v, a)
+        moved = np.stack([compute_dot_products(at.J[j], acceleration) for j in range(3)])  # J' T''
+        weight = np.stack([compute_weighted_sum(g, at.J[j]) for j in range(3)])  # J' g
         for i, arm in enumerate(self.robot.arms):
             alpha, beta, gamma, c = self.ends[i]
             Y[i, n.index(f"{arm.cart_link}.mass")] = a[i] - e[i] @ g
             Y[i, n.index(f"{arm.cart_joint}.armature")] = a[i]
             rod = n.index(f"{arm.rod_link}.mass")
             for j in range(3):
-                Y[j, rod] = beta * a[i] * weighted(e[i], at.J[j]) + gamma * moved[j] - c * weight[j]
-            Y[i, rod] += alpha * (e[i] @ e[i]) * a[i] + beta * weighted(e[i], acceleration) - (1 - c) * (e[i] @ g)
+                Y[j, rod] = beta * a[i] * compute_weighted_sum(e[i], at.J[j]) + gamma * moved[j] - c * weight[j]
+            Y[i, rod] += (
+                alpha * (e[i] @ e[i]) * a[i] + beta * compute_weighted_sum(e[i], acceleration) - (1 - c) * (e[i] @ g)
+            )
         Y[:, n.index(f"{self.robot.plate}.mass")] = moved - weight
         if f"{self.robot.plate}.gravity_mass" in n:
             Y[:, n.index(f"{self.robot.plate}.gravity_mass")] = -weight
 
     def _pose(self, q: np.ndarray) -> Pose:
         """Return where carts at `q` (N, 3) put the tool."""
-        A = carts(self.origin, self.direction, np.ascontiguousarray(q.T))
-        return pose(A, np.ascontiguousarray(self._trilaterate(q).T), self.direction)
+        A = compute_cart_positions(self.origin, self.direction, np.ascontiguousarray(q.T))
+        return solve_pose(A, np.ascontiguousarray(self._trilaterate(q).T), self.direction)
 
     def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `M` and `h` of one sample; see `Mechanism.mass_and_bias`."""
@@ -192,7 +203,7 @@ class GantryTauMechanism(Mechanism):
 
     def _kinematics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _Kinematics:
         at = self._pose(q)
-        acceleration = tool_acceleration(at, self.direction, v.T, a.T)
+        acceleration = compute_tool_acceleration(at, self.direction, v.T, a.T)
         D, inverse, J = at.rods.transpose(2, 0, 1), at.inverse.transpose(2, 1, 0), at.J.transpose(2, 1, 0)
         return _Kinematics(D, inverse, J, acceleration.T)
 
@@ -202,7 +213,9 @@ class GantryTauMechanism(Mechanism):
             A = self.origin + q[:, :, None] * self.direction
             return np.array([self._tool_of(*one) for one in zip(A, q, strict=True)]).reshape(-1, 3)
         tool, height2 = intersect(
-            carts(self.origin, self.direction, np.ascontiguousarray(q.T)), self.length, float(self._side)
+            compute_cart_positions(self.origin, self.direction, np.ascontiguousarray(q.T)),
+            self.length,
+            float(self._side),
         )
         if not np.all(height2 > 0):
             self._out_of_reach(q[int(np.argmin(np.where(np.isfinite(height2), height2, -np.inf)))])

@@ -11,11 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.dynamics.batched import BatchedTree, blocks
-from tau_dyn.dynamics.body_columns import BodyMotion, body_wrench
-from tau_dyn.dynamics.pairs import Pair
+from tau_dyn.dynamics.batched import BatchedTree, iterate_blocks
+from tau_dyn.dynamics.body_columns import BodyMotion, compute_body_wrench
+from tau_dyn.dynamics.pairs import BearingPair
 from tau_dyn.kinematics.loop_arrays import ClosedLoops
-from tau_dyn.kinematics.tree_arrays import Motion, Vector, cross, into, plus, point
+from tau_dyn.kinematics.tree_arrays import (
+    FrameMotion,
+    Vector,
+    add_vectors,
+    compute_cross_product,
+    rotate_into_frame,
+    transform_point,
+)
 
 
 class _Load(NamedTuple):
@@ -25,18 +32,18 @@ class _Load(NamedTuple):
     moment: Vector
 
 
-def guide_force(tree: BatchedTree, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+def compute_guide_force(tree: BatchedTree, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Return the force across each prismatic joint's axis (N, na, 3); see `Mechanism.guide_force`."""
     out = np.zeros((tree.robot.na, 3, len(q)))
-    for part in blocks(len(q)):
+    for part in iterate_blocks(len(q)):
         _fill(tree, out[:, :, part], q[part], v[part], a[part])
     return out.transpose(2, 0, 1)
 
 
-def passive_rates(tree: BatchedTree, pairs: tuple[Pair, ...], q: np.ndarray) -> np.ndarray:
+def compute_passive_rates(tree: BatchedTree, pairs: tuple[BearingPair, ...], q: np.ndarray) -> np.ndarray:
     """Return how fast passive bearings turn per actuated speed (N, n, 3, na); see `pairs.py`."""
     out = np.zeros((len(pairs), 3, tree.robot.na, len(q)))
-    for part in blocks(len(q) if pairs else 0):
+    for part in iterate_blocks(len(q) if pairs else 0):
         closed = tree.loops.close(q[part])
         turns = {j.v: closed.at.axis[j.index][:, None] * closed.G[j.v] for j in tree.joints if not j.slides}
         for k, pair in enumerate(pairs):
@@ -70,18 +77,20 @@ def _fill(tree: BatchedTree, out: np.ndarray, q: np.ndarray, v: np.ndarray, a: n
         out[i] = beyond - (beyond * axis).sum(axis=0) * axis
 
 
-def _inertial(tree: BatchedTree, closed: ClosedLoops, moving: Motion, joint: int) -> _Load:
+def _inertial(tree: BatchedTree, closed: ClosedLoops, moving: FrameMotion, joint: int) -> _Load:
     """Return what accelerates and carries a body."""
     rotation = closed.at.rotation[joint]
 
     def own(x: Vector) -> Vector:
-        return None if x is None else into(rotation, x)
+        return None if x is None else rotate_into_frame(rotation, x)
 
     blank = np.zeros((3, 0, rotation.shape[2]))
     a, w, dw = moving.acceleration[joint], moving.turning[joint], moving.spinning_up[joint]
-    force, moment = body_wrench(BodyMotion(np.zeros(0, int), blank, None, own(a), own(w), own(dw)), tree.pi[joint])
+    force, moment = compute_body_wrench(
+        BodyMotion(np.zeros(0, int), blank, None, own(a), own(w), own(dw)), tree.pi[joint]
+    )
     back = rotation.transpose(1, 0, 2)
-    return _Load(*(None if x is None else into(back, x) for x in (force, moment)))
+    return _Load(*(None if x is None else rotate_into_frame(back, x) for x in (force, moment)))
 
 
 def _pulls(tree: BatchedTree, closed: ClosedLoops, inertial: dict[int, _Load]) -> dict[int, np.ndarray]:
@@ -107,9 +116,9 @@ def _open_tree(tree: BatchedTree, closed: ClosedLoops, inertial: dict[int, _Load
         force[joint], moment[joint] = load
     for weight in tree.weights:
         held = np.repeat(-weight.mass * tree.gravity[:, None], n, axis=1)
-        arm = point(at, weight.joint, weight.local) - at.origin[weight.joint]
-        force[weight.joint] = plus(force[weight.joint], held)
-        moment[weight.joint] = plus(moment[weight.joint], cross(arm, held))
+        arm = transform_point(at, weight.joint, weight.local) - at.origin[weight.joint]
+        force[weight.joint] = add_vectors(force[weight.joint], held)
+        moment[weight.joint] = add_vectors(moment[weight.joint], compute_cross_product(arm, held))
     tau = np.zeros((tree.solver.model.nv, n))
     for joint in reversed(tree.joints):
         f, m = force[joint.index], moment[joint.index]
@@ -117,6 +126,6 @@ def _open_tree(tree: BatchedTree, closed: ClosedLoops, inertial: dict[int, _Load
         if acting is not None:
             tau[joint.v] = (at.axis[joint.index] * acting).sum(axis=0)
         arm = at.origin[joint.index] - at.origin[joint.parent]
-        force[joint.parent] = plus(force[joint.parent], f)
-        moment[joint.parent] = plus(moment[joint.parent], plus(m, cross(arm, f)))
+        force[joint.parent] = add_vectors(force[joint.parent], f)
+        moment[joint.parent] = add_vectors(moment[joint.parent], add_vectors(m, compute_cross_product(arm, f)))
     return tau

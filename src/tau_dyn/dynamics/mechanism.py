@@ -123,7 +123,8 @@ class Mechanism(ABC):
     def gravity_turn(self, q: np.ndarray) -> np.ndarray:
         """Return how the forces at rest (N, na, 2) change per turn [rad] of gravity about each of two axes across it.
 
-        The axes are `axes_across` gravity: the base's x and y where it points along z. Forces at rest are linear in gravity, so
+        The axes are `compute_perpendicular_axes` gravity: the base's x and y where it points along z. Forces at rest are
+        linear in gravity, so
         they are those under the gravity `axis x g`.
         """
         (q,) = self._checked(q)
@@ -135,7 +136,7 @@ class Mechanism(ABC):
         """The same mechanism under the two gravities `axis x g`."""
         gravity = np.asarray(self.robot.model.gravity.linear, float)
         found = []
-        for axis in axes_across(gravity):
+        for axis in compute_perpendicular_axes(gravity):
             model = pin.Model(self.robot.model)
             model.gravity.linear = np.cross(axis, gravity)
             found.append(type(self)(replace(self.robot, model=model)))
@@ -153,7 +154,7 @@ class Mechanism(ABC):
             if kind == "prismatic":
                 joint = model.getJointId(name)
                 jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), joint)
-                out[k] = axes_across(data.oMi[joint].rotation @ jacobian[:3, model.joints[joint].idx_v])
+                out[k] = compute_perpendicular_axes(data.oMi[joint].rotation @ jacobian[:3, model.joints[joint].idx_v])
         return out
 
     def reachable(self, q: np.ndarray) -> bool:
@@ -199,7 +200,7 @@ class Mechanism(ABC):
         return checked
 
 
-def axes_across(direction: np.ndarray) -> np.ndarray:
+def compute_perpendicular_axes(direction: np.ndarray) -> np.ndarray:
     """Return two unit vectors (2, 3) across a direction (3,): the base axes most across it, made perpendicular.
 
     Of a direction along a base axis they are the other two.

@@ -15,7 +15,7 @@ import pinocchio as pin
 from tau_dyn.robot import Robot
 
 
-class Pair(NamedTuple):
+class BearingPair(NamedTuple):
     """One passive bearing.
 
     Attributes:
@@ -29,18 +29,18 @@ class Pair(NamedTuple):
     hinge: int | None
 
 
-def passive_pairs(robot: Robot, model: pin.Model) -> tuple[Pair, ...]:
+def find_passive_pairs(robot: Robot, model: pin.Model) -> tuple[BearingPair, ...]:
     """Return the passive bearings of a robot; none without loops."""
     if not robot.loops:
         return ()
     pairs = [_of_chain(model, chain) for chain in _chains(robot, model) if _turns(model, chain)]
     for loop in robot.loops:
         a, b = (_carries(model, model.frames[k].parentJoint) for k in (loop.frame_a, loop.frame_b))
-        pairs.append(Pair(loop.name.replace("_link", ""), a - b, None))
+        pairs.append(BearingPair(loop.name.replace("_link", ""), a - b, None))
     return tuple(pairs)
 
 
-def turning(pairs: tuple[Pair, ...], jacobian: np.ndarray, G: np.ndarray) -> np.ndarray:
+def compute_turning_rates(pairs: tuple[BearingPair, ...], jacobian: np.ndarray, G: np.ndarray) -> np.ndarray:
     """Return angular velocities per actuated speed (n, 3, na).
 
     Args:
@@ -75,13 +75,13 @@ def _turns(model: pin.Model, chain: list[int]) -> bool:
     return all(kind.startswith(("JointModelR", "JointModelSpherical")) for kind in kinds)
 
 
-def _of_chain(model: pin.Model, chain: list[int]) -> Pair:
+def _of_chain(model: pin.Model, chain: list[int]) -> BearingPair:
     weights = np.zeros(model.nv)
     for j in chain:
         weights[model.joints[j].idx_v :][: model.joints[j].nv] = 1.0
     only = model.joints[chain[0]] if len(chain) == 1 else None
     hinge = only.idx_v if only is not None and only.nv == 1 else None
-    return Pair("+".join(model.names[j] for j in chain), weights, hinge)
+    return BearingPair("+".join(model.names[j] for j in chain), weights, hinge)
 
 
 def _carries(model: pin.Model, joint: int) -> np.ndarray:

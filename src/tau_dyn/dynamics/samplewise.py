@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.dynamics.mechanism import Mechanism
-from tau_dyn.dynamics.pairs import passive_pairs, turning
+from tau_dyn.dynamics.pairs import compute_turning_rates, find_passive_pairs
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.kinematics.constraints import Constraints
@@ -34,7 +34,7 @@ class SamplewiseTree(Mechanism):
         self._unplaced = not np.isfinite(centres).all()  # a first moment without mass, which Pinocchio cannot hold
         self._upper = np.triu(np.ones((self.model.nv, self.model.nv))) - 0.5 * np.eye(self.model.nv)  # crba's half
         self._constraints = Constraints(self.model, self.data, robot.loops)
-        self._pairs = passive_pairs(robot, self.model)
+        self._pairs = find_passive_pairs(robot, self.model)
         self._sliding = [k for k, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
         if robot.loops:
             self._refuse_free_motion()
@@ -150,7 +150,9 @@ class SamplewiseTree(Mechanism):
         out = np.zeros((len(q), len(self._pairs), 3, self.robot.na))
         for k in range(len(q) if self._pairs else 0):
             state = self.solver.state(q[k], rest, rest)
-            out[k] = turning(self._pairs, pin.computeJointJacobians(self.model, self.data, state.q)[3:], state.G)
+            out[k] = compute_turning_rates(
+                self._pairs, pin.computeJointJacobians(self.model, self.data, state.q)[3:], state.G
+            )
         return tuple(pair.name for pair in self._pairs), out
 
     def condition(self, q: np.ndarray) -> np.ndarray:

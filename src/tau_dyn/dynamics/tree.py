@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.dynamics.batched import BatchedTree, blocks
-from tau_dyn.dynamics.guide_arrays import guide_force, passive_rates
+from tau_dyn.dynamics.batched import BatchedTree, iterate_blocks
+from tau_dyn.dynamics.guide_arrays import compute_guide_force, compute_passive_rates
 from tau_dyn.dynamics.samplewise import SamplewiseTree
-from tau_dyn.kinematics.pseudo_inverse import lengths_of
+from tau_dyn.kinematics.pseudo_inverse import measure_column_lengths
 from tau_dyn.robot import Robot
 
 _FEW = 12
@@ -50,14 +50,16 @@ class TreeMechanism(SamplewiseTree):
     def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force across each prismatic joint's axis (N, na, 3); see `Mechanism.guide_force`."""
         batched = self._many(q)
-        return super().guide_force(q, v, a) if batched is None else guide_force(batched, *self._checked(q, v, a))
+        return (
+            super().guide_force(q, v, a) if batched is None else compute_guide_force(batched, *self._checked(q, v, a))
+        )
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return how fast passive bearings turn (N, n, 3, na); see `Mechanism.passive_rates`."""
         batched = self._many(q)
         if batched is None:
             return super().passive_rates(q)
-        return tuple(pair.name for pair in self._pairs), passive_rates(batched, self._pairs, *self._checked(q))
+        return tuple(pair.name for pair in self._pairs), compute_passive_rates(batched, self._pairs, *self._checked(q))
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (N, 3) [m]; see `Mechanism.tool_position`."""
@@ -80,9 +82,9 @@ class TreeMechanism(SamplewiseTree):
             return super().condition(q)
         (q,) = self._checked(q)
         found = []
-        for part in blocks(len(q)):
+        for part in iterate_blocks(len(q)):
             J = batched.loops.jacobian(batched.loops.close(q[part]).at)
-            s = np.linalg.svd(J / lengths_of(J)[:, None, :], compute_uv=False)
+            s = np.linalg.svd(J / measure_column_lengths(J)[:, None, :], compute_uv=False)
             singular = s[:, -1] <= 1e-10 * s[:, 0]
             found.append(np.divide(s[:, 0], s[:, -1], out=np.full(len(s), np.inf), where=~singular))
         return np.concatenate(found)

@@ -16,7 +16,7 @@ import numpy as np
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 
@@ -41,4 +41,4 @@ class Armature(JointwiseEffect):
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the difference."""
         p = values["armature_error"]
-        return f"a drive inertia that differs from the robot file's by {amount(p)}"
+        return f"a drive inertia that differs from the robot file's by {format_amount(p)}"

@@ -15,9 +15,9 @@ import numpy as np
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.plausible import slide_and_hinge
+from tau_dyn.effects.plausible import build_slide_and_hinge_ranges
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 _SHARES = (1e-5, 1e-4, 1e-3)
@@ -33,7 +33,7 @@ class Backlash(JointwiseDisplacement):
     reveals = "the tool or the load side measured at the same places, approached from both directions"
     mistaken_for = ("joint_compliance", "hysteresis", "coulomb_asymmetry")
     # Gears of machine tools stay below 0.1 mm and 1 mrad; worn or hobby servos reach 1 mm and 1 degree (Nordin & Gutman 2002)
-    plausible = tuple(slide_and_hinge("backlash", "Q", (0.0, 0.0), (1e-3, 2e-2)))
+    plausible = tuple(build_slide_and_hinge_ranges("backlash", "Q", (0.0, 0.0), (1e-3, 2e-2)))
     needs = (*JointwiseDisplacement.needs, "reversal")
     nonnegative = True
     quantities = (("backlash", "Q"),)
@@ -49,7 +49,7 @@ class Backlash(JointwiseDisplacement):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the play."""
-        return f"a play of {amount(values['backlash'])} between encoder and load"
+        return f"a play of {format_amount(values['backlash'])} between encoder and load"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

@@ -17,7 +17,7 @@ from tau_dyn.effects.cart_shift import CartShift
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import quantity
+from tau_dyn.effects.words import format_quantity
 from tau_dyn.parameters import Parameter, Parameters
 
 _AXES = ("x", "y", "z")
@@ -59,11 +59,11 @@ class CartTilt(CartShift):
 
     def describe(self, parameters: Parameters) -> str:
         """Return the size of the wave and its length."""
-        period = quantity(self.settings["period"], "m")
+        period = format_quantity(self.settings["period"], "m")
         said = []
         for joint in self.joints:
             values = [p.value for p in parameters if p.name.startswith(f"{joint}.tilt_") and p.name in self.parameters]
-            size = quantity(float(np.linalg.norm(values)), "m")
+            size = format_quantity(float(np.linalg.norm(values)), "m")
             where = f" at {joint}" if len(self.joints) > 1 else ""
             said.append(
                 f"the rod's end is carried off its line by {size}{where}, in a wave of {period} along the guideway"

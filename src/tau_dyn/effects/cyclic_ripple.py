@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tau_dyn.effects.motion import Motion
-from tau_dyn.effects.periodic import PeriodicEffect, periods
+from tau_dyn.effects.periodic import PeriodicEffect, list_periods
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.parameters import Parameter
@@ -43,4 +43,4 @@ class CyclicRipple(PeriodicEffect):
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return periods from a quarter of the range down to what speed and low-pass still show."""
-        return periods(scene, joints[0])
+        return list_periods(scene, joints[0])

@@ -19,7 +19,7 @@ import numpy as np
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.timing import TimingEffect
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
@@ -83,4 +83,6 @@ class Delay(TimingEffect):
         """Return by how much forces are late or early."""
         p = parameters[self.parameters.names[0]]
         which = "forces" if len(self.joints) == 1 else f"forces of {', '.join(self.joints)}"
-        return f"{which} logged {amount(p)} after the positions" + (" (negative: before them)" if p.value < 0 else "")
+        return f"{which} logged {format_amount(p)} after the positions" + (
+            " (negative: before them)" if p.value < 0 else ""
+        )

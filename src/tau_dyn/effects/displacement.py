@@ -36,9 +36,11 @@ class DisplacementEffect(Effect):
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p); none without a clock."""
         made = self.displacement(motion)
-        speed = derivative(made, motion.t)
+        speed = differentiate_columns(made, motion.t)
         return (
-            of_load(motion, self._indices(motion), made, speed, derivative(speed, motion.t)) if speed.any() else speed
+            compute_load_force(motion, self._indices(motion), made, speed, differentiate_columns(speed, motion.t))
+            if speed.any()
+            else speed
         )
 
     def tool_columns(self, motion: Motion, tool_jacobian: np.ndarray) -> np.ndarray:
@@ -55,7 +57,7 @@ class DisplacementEffect(Effect):
         return out
 
 
-def of_load(
+def compute_load_force(
     motion: Motion, joints: Sequence[int], displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
 ) -> np.ndarray:
     """Return the force (N, na, p) that loads' displacement, its speed and acceleration (N, na, p) take off the actuators.
@@ -74,7 +76,7 @@ def of_load(
     return force.transpose(2, 0, 1)
 
 
-def derivative(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
+def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
     """Return the time derivative of (N, ...) on an even clock (N,) [s], as positions are differentiated.
 
     Zeros without a clock or of too few samples.

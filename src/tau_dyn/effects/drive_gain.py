@@ -15,7 +15,7 @@ import numpy as np
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import percent
+from tau_dyn.effects.words import format_percent
 from tau_dyn.parameters import Parameter
 
 
@@ -39,4 +39,4 @@ class DriveGain(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the gain's error in percent."""
-        return f"a drive whose reported force is off by {percent(values['gain_error'])}"
+        return f"a drive whose reported force is off by {format_percent(values['gain_error'])}"

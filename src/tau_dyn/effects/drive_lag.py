@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
 from tau_dyn.effects.timing import TimingEffect
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameters
 
 _ABOUT_MS = (5.0, 10.0, 20.0, 45.0, 100.0)
@@ -71,7 +71,7 @@ class DriveLag(TimingEffect):
         """Return the time constant."""
         p = parameters[self.parameters.names[0]]
         which = "forces" if len(self.joints) == 1 else f"forces of {', '.join(self.joints)}"
-        return f"{which} logged behind a low-pass with a time constant of {amount(p)}"
+        return f"{which} logged behind a low-pass with a time constant of {format_amount(p)}"
 
 
 def apply_first_order_lowpass(x: np.ndarray, t: np.ndarray, time_constant: float) -> np.ndarray:

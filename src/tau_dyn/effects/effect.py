@@ -21,7 +21,7 @@ import numpy as np
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.plausible import JointScales, PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount, quantity
+from tau_dyn.effects.words import format_amount, format_quantity
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 
@@ -147,7 +147,7 @@ class Effect(ABC):
             bounds = np.array([row.bounds(joint, scales) for joint in owner.split("+")])
             low, high = margin * bounds[:, 0].min(), margin * bounds[:, 1].max()
             if not low <= p.value <= high:
-                return f"{p.name} = {quantity(p.value, p.unit)} is outside of its plausible range ({row.describe()})"
+                return f"{p.name} = {format_quantity(p.value, p.unit)} is outside of its plausible range ({row.describe()})"
         for row in (row for row in self.plausible if row.setting):
             for key in (key for key in self.refined if row.covers(key, "")):
                 if not row.low <= self.settings[key] <= margin * row.high:
@@ -178,7 +178,7 @@ class Effect(ABC):
 
     def describe(self, parameters: Parameters) -> str:
         """Return the effect at these values in words, with units and standard errors where they are known."""
-        found = ", ".join(f"{p.name} = {amount(p)}" for p in parameters.select(self.parameters.names))
+        found = ", ".join(f"{p.name} = {format_amount(p)}" for p in parameters.select(self.parameters.names))
         return f"{self.name.replace('_', ' ')}: {found}"
 
     def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
@@ -198,7 +198,7 @@ class Effect(ABC):
 
 
 @contextmanager
-def naming(effect: Effect) -> Iterator[None]:
+def name_effect_in_errors(effect: Effect) -> Iterator[None]:
     """Name an effect in what is said while it is asked; a motion that lacks a signal does not know who wants it."""
     try:
         yield

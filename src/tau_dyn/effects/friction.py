@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 
@@ -68,4 +68,4 @@ class TorqueOffset(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the force."""
-        return f"a constant force of {amount(values['offset'])}"
+        return f"a constant force of {format_amount(values['offset'])}"

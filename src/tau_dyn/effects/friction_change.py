@@ -15,7 +15,7 @@ from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 
@@ -47,7 +47,7 @@ class FrictionChange(JointwiseEffect):
         coulomb, viscous = values["coulomb_change"], values["viscous_change"]
         return (
             f"friction in log {1 + int(self.settings['number'])} that differs from the others' by "
-            f"{amount(coulomb)} and {amount(viscous)}"
+            f"{format_amount(coulomb)} and {format_amount(viscous)}"
         )
 
     @classmethod

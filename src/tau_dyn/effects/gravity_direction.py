@@ -2,7 +2,8 @@ r"""A base that is not level: gravity acts in another direction than the robot f
 
     tau += G(phi x g) tilt,     G(g) = tau at rest under gravity g
 
-with `phi` two unit axes across gravity (the base's x and y where it points along z, see `axes_across`) and `tilt` [rad] the
+with `phi` two unit axes across gravity (the base's x and y where it points along z, see `compute_perpendicular_axes`) and
+`tilt` [rad] the
 angles by which gravity is turned about them (the base is turned the other way). `G` is linear in gravity and comes from the
 fitted masses (`Mechanism.gravity_turn`). To first order in the tilt, so up to 0.2 rad; a robot on a wall or a ceiling is an
 error of the file. Where all hinges about a horizontal axis have free first moments the refit absorbs a turn about that axis.
@@ -17,7 +18,7 @@ from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter, Parameters
 
 GRAVITY_TURN = "gravity_turn"
@@ -59,4 +60,4 @@ class GravityDirection(Effect):
     def describe(self, parameters: Parameters) -> str:
         """Return the turns."""
         x, y = parameters.select(self.parameters.names)
-        return f"gravity turned by {amount(x)} and {amount(y)} about x and y: the base is not level"
+        return f"gravity turned by {format_amount(x)} and {format_amount(y)} about x and y: the base is not level"

@@ -14,7 +14,7 @@ import numpy as np
 from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter, Parameters
 
 SIDE_FORCE = "side_force"
@@ -55,5 +55,5 @@ class GuidewayCompliance(CartShift):
         """Return the compliances in words."""
         several = len(self.joints) > 1
         rows = zip(self.joints, parameters.select(self.parameters.names), strict=True)
-        each = " and ".join(amount(p) + (f" at {joint}" if several else "") for joint, p in rows)
+        each = " and ".join(format_amount(p) + (f" at {joint}" if several else "") for joint, p in rows)
         return f"the cart yields across its guideway by {each}"

@@ -2,7 +2,8 @@ r"""A guideway that points elsewhere than the robot file says.
 
     u = q (direction_y d_y + direction_z d_z)
 
-with `d_y`, `d_z` two unit directions across the guideway (y and z of one along x, see `axes_across`). Angles [rad] from the
+with `d_y`, `d_z` two unit directions across the guideway (y and z of one along x, see `compute_perpendicular_axes`). Angles
+[rad] from the
 guideway's origin. A turn along itself is none, and a scale along it is `pinion_scale`. Reference: Dressler 2012, 4.1 and 5.2
 (guideways that are not parallel, calibrated by a laser tracker).
 """
@@ -14,7 +15,7 @@ import numpy as np
 from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter, Parameters
 
 GUIDE_ACROSS = "guide_across"
@@ -54,7 +55,7 @@ class GuidewayNonparallel(CartShift):
         said = []
         for k, joint in enumerate(self.joints):
             names = self.parameters.names[2 * k : 2 * k + 2]
-            y, z = (amount(parameters[name]) for name in names)
+            y, z = (format_amount(parameters[name]) for name in names)
             said.append(
                 f"the guideway is off its direction by {y} and {z}" + (f" at {joint}" if len(self.joints) > 1 else "")
             )

@@ -20,9 +20,9 @@ from tau_dyn.effects.displacement import DisplacementEffect
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.jointwise_displacement import SEEN_DIRECTLY, JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.plausible import PlausibleRange, slide_and_hinge
+from tau_dyn.effects.plausible import PlausibleRange, build_slide_and_hinge_ranges
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
@@ -45,7 +45,7 @@ class Hysteresis(JointwiseDisplacement):
     # Presliding cannot hold more than friction; lost motion is that of gears (see backlash)
     plausible = (
         PlausibleRange("hysteresis", 0.0, 1.5, of="coulomb"),
-        *slide_and_hinge("lost_motion", "Q", (0.0, 0.0), (1e-3, 2e-2)),
+        *build_slide_and_hinge_ranges("lost_motion", "Q", (0.0, 0.0), (1e-3, 2e-2)),
     )
     needs = (*JointwiseDisplacement.needs, "reversal")
     nonnegative = True
@@ -80,7 +80,7 @@ class Hysteresis(JointwiseDisplacement):
         x = joint.signal("reversal")
         if joint.t is None:
             return joint.sign * (1 - 2 * np.exp(-x / self.settings["distance"]))
-        return bristle(joint.q, self.settings["distance"])
+        return integrate_bristle(joint.q, self.settings["distance"])
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p)."""
@@ -102,10 +102,8 @@ class Hysteresis(JointwiseDisplacement):
         """Return the loop and the distance that it takes."""
         way = self.setting("distance", joint)
         if self.measured:
-            return (
-                f"a loop of {amount(values['lost_motion'])} to either side between encoder and load, entered over {way}"
-            )
-        return f"{amount(values['hysteresis'])} of the friction that builds up over {way} after a reversal"
+            return f"a loop of {format_amount(values['lost_motion'])} to either side between encoder and load, entered over {way}"
+        return f"{format_amount(values['hysteresis'])} of the friction that builds up over {way} after a reversal"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
@@ -118,7 +116,7 @@ class Hysteresis(JointwiseDisplacement):
         return [{"distance": float(x) * way, "displaced": displaced} for x in np.geomspace(*_SHARES, _N_TRIALS)]
 
 
-def bristle(q: np.ndarray, distance: float) -> np.ndarray:
+def integrate_bristle(q: np.ndarray, distance: float) -> np.ndarray:
     """Return z (N,) along positions (N,) in order, exact where a joint does not turn between two samples.
 
     It starts from the other side, as if it had just turned. With x the way travelled over `distance`,

@@ -16,9 +16,9 @@ import numpy as np
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.plausible import slide_and_hinge
+from tau_dyn.effects.plausible import build_slide_and_hinge_ranges
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount, quantity, spelled
+from tau_dyn.effects.words import format_amount, format_quantity, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
@@ -33,7 +33,7 @@ class JointCompliance(JointwiseDisplacement):
     reveals = "changing forces of known size at one place, with the load side or the tool measured"
     mistaken_for = ("backlash", "hysteresis", "structural_compliance", "delay")
     # Drives from 1e5 N/m and, for small harmonic drives, from 100 N m/rad up
-    plausible = tuple(slide_and_hinge("compliance", "Q/F", (0.0, 0.0), (1e-5, 1e-2)))
+    plausible = tuple(build_slide_and_hinge_ranges("compliance", "Q/F", (0.0, 0.0), (1e-5, 1e-2)))
     needs = (*JointwiseDisplacement.needs, "force", "rigid_force")
     nonnegative = True
     quantities = (("compliance", "Q/F"),)
@@ -59,10 +59,8 @@ class JointCompliance(JointwiseDisplacement):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return compliance and stiffness."""
-        p, unit = values["compliance"], spelled("F/Q", self.units[joint])
+        p, unit = values["compliance"], spell_unit("F/Q", self.units[joint])
         stiff = ""
         if p.value > 0:
-            stiff = (
-                f", a stiffness of {quantity(1 / p.value, unit, None if p.stderr is None else p.stderr / p.value**2)}"
-            )
-        return f"a drive that yields by {amount(p)}{stiff}"
+            stiff = f", a stiffness of {format_quantity(1 / p.value, unit, None if p.stderr is None else p.stderr / p.value**2)}"
+        return f"a drive that yields by {format_amount(p)}{stiff}"

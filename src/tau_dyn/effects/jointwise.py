@@ -10,7 +10,7 @@ import numpy as np
 
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.words import amount, quantity, spelled
+from tau_dyn.effects.words import format_amount, format_quantity, spell_unit
 from tau_dyn.parameters import Parameter, Parameters
 
 
@@ -34,7 +34,7 @@ class JointwiseEffect(Effect):
         rows = []
         for joint in self.joints:
             for term, unit in self.terms:
-                text = spelled(unit, self.units[joint])
+                text = spell_unit(unit, self.units[joint])
                 name = f"{joint}.{term}{self.label}"
                 rows.append(Parameter(name, 0.0, text, self.lower(term), origin=self.name))
         return Parameters(rows)
@@ -66,8 +66,8 @@ class JointwiseEffect(Effect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return what `describe` says of one joint, whose parameters are given by quantity."""
-        return " and ".join(f"{name.replace('_', ' ')} of {amount(p)}" for name, p in values.items())
+        return " and ".join(f"{name.replace('_', ' ')} of {format_amount(p)}" for name, p in values.items())
 
     def setting(self, key: str, joint: str) -> str:
         """Return a setting in words, such as `20.9 mm`."""
-        return quantity(self.settings[key], spelled(self.setting_units.get(key, ""), self.units[joint]))
+        return format_quantity(self.settings[key], spell_unit(self.setting_units.get(key, ""), self.units[joint]))

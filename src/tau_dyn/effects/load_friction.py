@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import percent
+from tau_dyn.effects.words import format_percent
 from tau_dyn.parameters import Parameter
 
 
@@ -42,4 +42,4 @@ class LoadFriction(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the coefficient."""
-        return f"friction of {percent(values['load_friction'])} of the load that its guide or reducer carries"
+        return f"friction of {format_percent(values['load_friction'])} of the load that its guide or reducer carries"

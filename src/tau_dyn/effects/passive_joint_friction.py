@@ -18,7 +18,7 @@ from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter, Parameters
 
 
@@ -67,7 +67,7 @@ class PassiveJointFriction(Effect):
 
     def describe(self, parameters: Parameters) -> str:
         """Return both coefficients in words."""
-        viscous, coulomb = (amount(p) for p in parameters.select(self.parameters.names))
+        viscous, coulomb = (format_amount(p) for p in parameters.select(self.parameters.names))
         return f"friction of {coulomb} and {viscous} in every joint without a motor"
 
     def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:

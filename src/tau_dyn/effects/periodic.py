@@ -14,7 +14,7 @@ import numpy as np
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 MIN_PERIODS = 4.0
@@ -50,22 +50,22 @@ class PeriodicEffect(JointwiseEffect):
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return sine and cosine of each harmonic."""
-        return waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
+        return build_waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
 
     def sizes(self, values: Mapping[str, Parameter]) -> tuple[str, str]:
         """Return the first harmonic's amplitude, and what is to be said of the others' after it."""
         p = list(values.values())
-        sizes = [amount(amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
+        sizes = [format_amount(compute_amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
         return sizes[0], f", with harmonics of {', '.join(sizes[1:])}" if len(sizes) > 1 else ""
 
 
-def waves(q: np.ndarray, period: float, harmonics: int) -> list[np.ndarray]:
+def build_waves(q: np.ndarray, period: float, harmonics: int) -> list[np.ndarray]:
     """Return sine and cosine of `2 pi k q / period` for k = 1 .. harmonics, in pairs, each in the shape of `q`."""
     phase = 2 * np.pi * q / period
     return [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.sin, np.cos)]
 
 
-def periods(scene: Scene, joint: str, fewest: float = MIN_PERIODS) -> list[dict[str, float]]:
+def list_periods(scene: Scene, joint: str, fewest: float = MIN_PERIODS) -> list[dict[str, float]]:
     """Return the periods [m or rad] worth trying, the longest first, of which the range holds `fewest`.
 
     There are none where the joint hardly moves.
@@ -81,7 +81,7 @@ def periods(scene: Scene, joint: str, fewest: float = MIN_PERIODS) -> list[dict[
     return [{"period": float(1 / line)} for line in lines]
 
 
-def amplitude(sine: Parameter, cosine: Parameter) -> Parameter:
+def compute_amplitude(sine: Parameter, cosine: Parameter) -> Parameter:
     """Return the amplitude `hypot(sine, cosine)` as a parameter; its error is first order in theirs, taken as independent."""
     size = float(np.hypot(sine.value, cosine.value))
     known = sine.stderr is not None and cosine.stderr is not None and size > 0

@@ -15,7 +15,7 @@ import numpy as np
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import percent
+from tau_dyn.effects.words import format_percent
 from tau_dyn.parameters import Parameter
 
 
@@ -39,4 +39,4 @@ class PinionScale(JointwiseDisplacement):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the scale's error in percent."""
-        return f"positions read too long by {percent(values['pinion_scale'])}"
+        return f"positions read too long by {format_percent(values['pinion_scale'])}"

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.effects.words import quantity as in_words
-from tau_dyn.effects.words import spelled
+from tau_dyn.effects.words import format_quantity as in_words
+from tau_dyn.effects.words import spell_unit
 
 REFERENCES = {
     "coulomb": "the joint's Coulomb friction",
@@ -76,12 +76,12 @@ def describe_ranges(ranges: Iterable[PlausibleRange]) -> str:
     return "; ".join(one.describe() for one in ranges)
 
 
-def slide_and_hinge(
+def build_slide_and_hinge_ranges(
     quantity: str, unit: str, low: tuple[float, float], high: tuple[float, float]
 ) -> list[PlausibleRange]:
     """Return two ranges of one quantity, for a slide and for a hinge; `unit` holds Q and F for position and force."""
     kinds = zip(("N", "N m"), low, high, strict=True)
-    return [PlausibleRange(quantity, one, other, spelled(unit, force)) for force, one, other in kinds]
+    return [PlausibleRange(quantity, one, other, spell_unit(unit, force)) for force, one, other in kinds]
 
 
 def _share(x: float) -> str:

@@ -19,7 +19,7 @@ from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import quantity, spelled
+from tau_dyn.effects.words import format_quantity, spell_unit
 from tau_dyn.parameters import Parameter
 
 _DEGREES = (2, 5, 8, 12)
@@ -58,11 +58,11 @@ class PositionFriction(JointwiseEffect):
         """Return where friction is lowest and highest, relative to its mean over the range."""
         q = self.settings["middle"] + self.settings["half"] * np.linspace(-1, 1, 201)
         friction = self._polynomials(q) @ np.array([p.value for p in values.values()])
-        force, place = self.units[joint], spelled("Q", self.units[joint])
+        force, place = self.units[joint], spell_unit("Q", self.units[joint])
         low, high = int(np.argmin(friction)), int(np.argmax(friction))
         return (
-            f"friction {quantity(float(friction[high] - friction[low]), force)} higher at "
-            f"{quantity(float(q[high]), place)} than at {quantity(float(q[low]), place)}"
+            f"friction {format_quantity(float(friction[high] - friction[low]), force)} higher at "
+            f"{format_quantity(float(q[high]), place)} than at {format_quantity(float(q[low]), place)}"
         )
 
     def lookalikes(self) -> list[Effect]:

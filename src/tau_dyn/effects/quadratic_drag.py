@@ -14,7 +14,7 @@ import numpy as np
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 
@@ -38,4 +38,4 @@ class QuadraticDrag(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the coefficient."""
-        return f"a drag of {amount(values['quadratic_drag'])} times the speed squared"
+        return f"a drag of {format_amount(values['quadratic_drag'])} times the speed squared"

@@ -15,8 +15,8 @@ import numpy as np
 from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.motion import Motion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.scene import Scene, pairs
-from tau_dyn.effects.words import amount, spelled
+from tau_dyn.effects.scene import Scene, list_joint_pairs
+from tau_dyn.effects.words import format_amount, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -41,12 +41,14 @@ class ReducerCoupling(Effect):
     @classmethod
     def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
         """Return all pairs of joints with one force unit."""
-        return pairs(scene)
+        return list_joint_pairs(scene)
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
         """Return that no motor can drive two joints, where none are neighbours."""
-        return super().untestable(scene) if pairs(scene) else ("no two joints can share a motor", cls.reveals)
+        return (
+            super().untestable(scene) if list_joint_pairs(scene) else ("no two joints can share a motor", cls.reveals)
+        )
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Couple exactly two joints, whose forces are in these units."""
@@ -59,7 +61,7 @@ class ReducerCoupling(Effect):
         """Return inertia, viscous and Coulomb friction of the shared motor, named after both joints."""
         owner = "+".join(self.joints)
         unit = self.units[self.joints[0]]
-        place = spelled("Q", unit)
+        place = spell_unit("Q", unit)
         return Parameters(
             Parameter(f"{owner}.{quantity}{self.label}", 0.0, text, 0.0, origin=self.name)
             for quantity, text in (
@@ -71,7 +73,7 @@ class ReducerCoupling(Effect):
 
     def describe(self, parameters: Parameters) -> str:
         """Return the shared motor's inertia and friction."""
-        inertia, viscous, coulomb = (amount(p) for p in parameters.select(self.parameters.names))
+        inertia, viscous, coulomb = (format_amount(p) for p in parameters.select(self.parameters.names))
         return (
             f"a motor shared by {' and '.join(self.joints)}, with inertia {inertia}, viscous friction {viscous} and "
             f"Coulomb friction {coulomb}"

@@ -65,7 +65,7 @@ class Scene:
         return float(low[k]), float(high[k])
 
 
-def pairs(scene: Scene) -> list[tuple[str, ...]]:
+def list_joint_pairs(scene: Scene) -> list[tuple[str, ...]]:
     """Return the pairs of joints with the same force unit that a shared motor may drive."""
     same = {joint: unit for joint, unit in zip(scene.joints, scene.units, strict=True)}
     return [(i, j) for i, j in scene.coupled if same[i] == same[j]]

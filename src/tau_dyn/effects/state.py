@@ -14,14 +14,14 @@ from tau_dyn.effects.effect import Effect
 from tau_dyn.effects.hysteresis import Hysteresis
 
 
-def on_recording(effect: Effect) -> bool:
+def acts_on_recording(effect: Effect) -> bool:
     """Return whether an effect only distorts what is recorded, so that the robot moves as it would without it."""
     return effect.measured or (isinstance(effect, DisplacementEffect) and not isinstance(effect, Hysteresis))
 
 
-def beyond_a_state(effect: Effect, given: Collection[str]) -> str:
+def describe_missing_state(effect: Effect, given: Collection[str]) -> str:
     """Return why a state and the signals given do not determine an effect's force; empty where they do."""
-    if on_recording(effect):
+    if acts_on_recording(effect):
         return "it distorts what is recorded and leaves the robot's force as it is"
     missing = [name for name in effect.needs if name not in given]
     return f"it feels {missing[0]}, which a single state does not give" if missing else ""

@@ -16,7 +16,7 @@ from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount, quantity, spelled
+from tau_dyn.effects.words import format_amount, format_quantity, spell_unit
 from tau_dyn.parameters import Parameter
 
 _POWERS = {1.0: 1.0, 2.0: 3**0.5}
@@ -48,8 +48,10 @@ class Stribeck(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the peak and where 5 % of it are left."""
-        gone = quantity(3 ** (1 / self.settings["power"]) * self.settings["speed"], spelled("V", self.units[joint]))
-        return f"friction {amount(values['stribeck'])} higher at standstill than in motion, gone above {gone}"
+        gone = format_quantity(
+            3 ** (1 / self.settings["power"]) * self.settings["speed"], spell_unit("V", self.units[joint])
+        )
+        return f"friction {format_amount(values['stribeck'])} higher at standstill than in motion, gone above {gone}"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

@@ -23,9 +23,9 @@ from scipy import signal
 
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.plausible import PlausibleRange, slide_and_hinge
+from tau_dyn.effects.plausible import PlausibleRange, build_slide_and_hinge_ranges
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount, spelled
+from tau_dyn.effects.words import format_amount, spell_unit
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -55,7 +55,7 @@ class StructuralCompliance(JointwiseDisplacement):
     # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987)
     # Modes of frames and arms are damped by 0.5 to 5 %, with reducers up to 15 % (Ewins 2000, 3.8); beyond it nothing rings
     plausible = (
-        *slide_and_hinge("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)),
+        *build_slide_and_hinge_ranges("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)),
         PlausibleRange("damping", 0.0, 0.15, setting=True),
     )
     needs = (*JointwiseDisplacement.needs, "rigid_force")
@@ -120,7 +120,7 @@ class StructuralCompliance(JointwiseDisplacement):
         """Return an entry: the load of joint i that yields to the force of joint j; a matrix is bounded as a whole, or not."""
         one, other = self.joints[i], self.joints[j]
         owner = one if i == j else f"{one}+{other}"
-        unit = spelled(f"{spelled('Q', self.units[one])}/F", self.units[other])
+        unit = spell_unit(f"{spell_unit('Q', self.units[one])}/F", self.units[other])
         return Parameter(f"{owner}.structural_compliance{end}{self.label}", 0.0, unit, origin=self.name)
 
     def columns(self, motion: Motion) -> np.ndarray:
@@ -135,7 +135,7 @@ class StructuralCompliance(JointwiseDisplacement):
         if not self._coupled:
             return super().displacement(motion)
         index, made = self._indices(motion), []
-        answers = [swinging(_felt(motion, f)[:, index], motion.t, f, z) for f, z in self._modes()]
+        answers = [compute_swinging_response(_felt(motion, f)[:, index], motion.t, f, z) for f, z in self._modes()]
         answers += [motion.signal("rigid_force")[:, index]] if self.settings["rest"] else []
         for d in answers:
             for i, j in self._places:
@@ -148,7 +148,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the swinging response of each mode to the force; at rest, the force itself."""
-        return [swinging(_felt(joint, f)[:, None], joint.t, f, z)[:, 0] for f, z in self._modes()]
+        return [compute_swinging_response(_felt(joint, f)[:, None], joint.t, f, z)[:, 0] for f, z in self._modes()]
 
     def _modes(self) -> list[tuple[float, float]]:
         """Return frequency [Hz] and damping ratio of each mode."""
@@ -164,13 +164,13 @@ class StructuralCompliance(JointwiseDisplacement):
             own = {(i, j): x for (i, j), x in zip(self._places, entries, strict=True)}
             top = max(range(n), key=lambda i: abs(own[i, i]))
             p = parameters[self._entry(end, top, top).name]
-            said.append(f"{self._resonance(end, self.joints[top])}; {p.name.split('.')[0]} by {amount(p)}")
+            said.append(f"{self._resonance(end, self.joints[top])}; {p.name.split('.')[0]} by {format_amount(p)}")
         return f"the structure yields and rings, all of it together: {'; '.join(said)}"
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return frequency, damping and compliance of each mode."""
         said = [
-            f"{self._resonance(end, joint)}, of a part that yields by {amount(values[f'structural_compliance{end}'])}"
+            f"{self._resonance(end, joint)}, of a part that yields by {format_amount(values[f'structural_compliance{end}'])}"
             for end in self._ends
         ]
         return " and ".join(said)
@@ -213,7 +213,7 @@ def _whole(scene: Scene) -> dict[str, float]:
     return {"coupled": 1, "rest": 1, "reciprocal": 0 if "tool" in scene.signals else 1}
 
 
-def swinging(F: np.ndarray, t: np.ndarray | None, frequency: float, damping: float) -> np.ndarray:
+def compute_swinging_response(F: np.ndarray, t: np.ndarray | None, frequency: float, damping: float) -> np.ndarray:
     """Return the response (N, n) of unit springs and masses to forces (N, n) that go in straight lines from sample to sample.
 
     Args:

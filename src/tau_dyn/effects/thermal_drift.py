@@ -18,7 +18,7 @@ from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount, quantity
+from tau_dyn.effects.words import format_amount, format_quantity
 from tau_dyn.parameters import Parameter
 
 _MIN_TIME_CONSTANT_S = 3.0  # s; a quicker drift is no matter of temperature
@@ -48,15 +48,17 @@ class ThermalDrift(JointwiseEffect):
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the sign and the speed, times the temperature above the reference."""
-        warmth = lagged(joint.signal("temperature"), joint.t, self.settings["lag"]) - self.settings["reference"]
+        warmth = (
+            filter_first_order(joint.signal("temperature"), joint.t, self.settings["lag"]) - self.settings["reference"]
+        )
         return [joint.sign * warmth, joint.v * warmth]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the change a kelvin and the lag."""
         lag = self.settings["lag"]
-        late = f", {quantity(lag, 's')} behind the sensor" if lag > 0 else ""
+        late = f", {format_quantity(lag, 's')} behind the sensor" if lag > 0 else ""
         coulomb, viscous = values["thermal_coulomb"], values["thermal_viscous"]
-        return f"friction that changes with temperature by {amount(coulomb)} and {amount(viscous)}{late}"
+        return f"friction that changes with temperature by {format_amount(coulomb)} and {format_amount(viscous)}{late}"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
@@ -70,7 +72,7 @@ class ThermalDrift(JointwiseEffect):
         return [{"lag": 0.0}, *({"lag": float(x)} for x in np.geomspace(_MIN_TIME_CONSTANT_S, longest, count))]
 
 
-def lagged(temperature: np.ndarray, t: np.ndarray | None, lag: float) -> np.ndarray:
+def filter_first_order(temperature: np.ndarray, t: np.ndarray | None, lag: float) -> np.ndarray:
     """Return temperatures (N,) after a first-order lag [s], in equilibrium at the first sample of the even clock (N,) [s]."""
     if t is None or lag <= 0 or len(t) < 2:
         return temperature

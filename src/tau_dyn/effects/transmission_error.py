@@ -13,11 +13,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.displacement import of_load
+from tau_dyn.effects.displacement import compute_load_force
 from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
 from tau_dyn.effects.motion import JointMotion, Motion
-from tau_dyn.effects.periodic import PeriodicEffect, periods
-from tau_dyn.effects.plausible import slide_and_hinge
+from tau_dyn.effects.periodic import PeriodicEffect, list_periods
+from tau_dyn.effects.plausible import build_slide_and_hinge_ranges
 from tau_dyn.effects.scene import Scene
 from tau_dyn.parameters import Parameter
 
@@ -36,7 +36,7 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
     mistaken_for = ("resolver_error", "cyclic_ripple")
     equivalent = ("resolver_error",)
     # Pinions and spindles stay below 0.1 mm, geared joints below 2 mrad (Dressler 2012, 4.2)
-    plausible = tuple(slide_and_hinge("error", "Q", (-1e-4, -2e-3), (1e-4, 2e-3)))
+    plausible = tuple(build_slide_and_hinge_ranges("error", "Q", (-1e-4, -2e-3), (1e-4, 2e-3)))
     wave = ("error", "Q")
 
     def columns(self, motion: Motion) -> np.ndarray:
@@ -52,7 +52,7 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
             acceleration = slope * joint.a[:, None] - w**2 * d * joint.v[:, None] ** 2
             only = np.zeros((3, *motion.v.shape, n))
             only[:, :, index] = d, slope * joint.v[:, None], acceleration
-            out[:, :, n * place : n * (place + 1)] = of_load(motion, [index], *only)
+            out[:, :, n * place : n * (place + 1)] = compute_load_force(motion, [index], *only)
         return out
 
     def local_frequency(self, motion: Motion) -> np.ndarray:
@@ -69,4 +69,4 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return periods from two thirds of the range down to what speed and low-pass still show."""
-        return periods(scene, joints[0], _MIN_PERIODS)
+        return list_periods(scene, joints[0], _MIN_PERIODS)

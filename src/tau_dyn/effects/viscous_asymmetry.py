@@ -14,7 +14,7 @@ import numpy as np
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import one_sided
+from tau_dyn.effects.words import describe_one_sided
 from tau_dyn.parameters import Parameter
 
 
@@ -37,4 +37,4 @@ class ViscousAsymmetry(JointwiseEffect):
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return how much more viscous friction one direction has."""
-        return one_sided("viscous friction", values["viscous_asymmetry"])
+        return describe_one_sided("viscous friction", values["viscous_asymmetry"])

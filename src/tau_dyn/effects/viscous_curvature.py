@@ -18,7 +18,7 @@ from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion
 from tau_dyn.effects.plausible import PlausibleRange
 from tau_dyn.effects.scene import Scene
-from tau_dyn.effects.words import amount
+from tau_dyn.effects.words import format_amount
 from tau_dyn.parameters import Parameter
 
 _MEMORY_PERIODS = 4.0
@@ -65,7 +65,7 @@ class ViscousCurvature(JointwiseEffect):
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
         """Return the part of the friction that is not in proportion to the speed, and from which speed."""
         how, knee = "more" if self.settings["power"] > 1 else "less", self.setting("knee", joint)
-        size = amount(values["viscous_curvature"])
+        size = format_amount(values["viscous_curvature"])
         return f"viscous friction of {size} that grows {how} than the speed does above {knee}"
 
     @classmethod

@@ -22,12 +22,12 @@ _PREFIXES = {
 }
 
 
-def amount(parameter: Parameter) -> str:
+def format_amount(parameter: Parameter) -> str:
     """Return a parameter's value with its standard error, where it has one, and its unit."""
-    return quantity(parameter.value, parameter.unit, parameter.stderr)
+    return format_quantity(parameter.value, parameter.unit, parameter.stderr)
 
 
-def quantity(value: float, unit: str, stderr: float | None = None) -> str:
+def format_quantity(value: float, unit: str, stderr: float | None = None) -> str:
     """Return a value [unit] to the digits that its standard error leaves, or to three."""
     unit = "" if unit == "1" else unit
     scale, unit = _prefixed(max(abs(value), stderr or 0.0), unit)
@@ -42,12 +42,12 @@ def quantity(value: float, unit: str, stderr: float | None = None) -> str:
     return f"{value:.{decimals}f} ± {stderr:.{decimals}f} {unit}".strip()
 
 
-def percent(parameter: Parameter) -> str:
+def format_percent(parameter: Parameter) -> str:
     """Return a parameter that is a share, with its standard error, in per cent."""
-    return quantity(100 * parameter.value, "%", None if parameter.stderr is None else 100 * parameter.stderr)
+    return format_quantity(100 * parameter.value, "%", None if parameter.stderr is None else 100 * parameter.stderr)
 
 
-def spelled(unit: str, force: str) -> str:
+def spell_unit(unit: str, force: str) -> str:
     """Return a unit with its letters F, V and Q written out for a joint whose force unit is given."""
     position = "m" if force == "N" else "rad"
     if " " in force:
@@ -56,10 +56,10 @@ def spelled(unit: str, force: str) -> str:
     return "".join(letters.get(c, c) for c in unit)
 
 
-def one_sided(friction: str, half: Parameter) -> str:
+def describe_one_sided(friction: str, half: Parameter) -> str:
     """Return by how much a friction of one direction exceeds the other's, of which the parameter is half the difference."""
     way = "forward" if half.value >= 0 else "backward"
-    more = quantity(2 * abs(half.value), half.unit, None if half.stderr is None else 2 * half.stderr)
+    more = format_quantity(2 * abs(half.value), half.unit, None if half.stderr is None else 2 * half.stderr)
     return f"{friction} {more} higher when moving {way} than the other way"
 
 

@@ -12,7 +12,7 @@ import zipfile
 from dataclasses import dataclass
 from html import escape
 
-from tau_dyn.effects.state import on_recording
+from tau_dyn.effects.state import acts_on_recording
 from tau_dyn.exchange.content import list_nominal_parameters
 from tau_dyn.exchange.fmu_build import compile_library, find_compiler, get_library_path
 from tau_dyn.exchange.fmu_check import compute_largest_difference
@@ -54,10 +54,10 @@ def build_fmu(model: Model) -> ExportedFmu:
     left_out += [
         f"effect {e.name} is left out: it distorts what is recorded, not the motion"
         for e in model.effects
-        if on_recording(e)
+        if acts_on_recording(e)
     ]
     beyond = [e for e, _ in list_unsupported_effects(model)]
-    kept = model.only(e for e in model.effects if e not in beyond and not on_recording(e))
+    kept = model.only(e for e in model.effects if e not in beyond and not acts_on_recording(e))
     equations = build_equations(kept)
     difference = compute_largest_difference(equations)
     identifier = format_identifier(kept.robot.name)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.export_check import evaluate_graph, random_states
+from tau_dyn.control.export_check import draw_random_states, evaluate_graph
 from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.fmu_equations import EquationFunction, Equations
 from tau_dyn.simulate.forces import SampledForces
@@ -22,7 +22,7 @@ def compute_largest_difference(equations: Equations) -> float:
         InputError: They disagree: some effect decides in a way that tracing did not see.
     """
     model, worst = equations.model, 0.0
-    q, v, a = random_states(model, STATES, np.random.default_rng(2))
+    q, v, a = draw_random_states(model, STATES, np.random.default_rng(2))
     known = {"q": q, "v": v, "a": a, "theta": np.tile(model.parameters.values, (len(q), 1))}
     if equations.loops is not None:
         known["p"] = np.array([equations.loops.closed(x) for x in q])[:, equations.loops.passive]

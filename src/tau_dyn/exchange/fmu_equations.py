@@ -15,15 +15,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.control.export_check import random_states
+from tau_dyn.control.export_check import draw_random_states
 from tau_dyn.control.export_forms import ClosedForm, LoopForm, TreeForm
 from tau_dyn.control.export_loops import Loops
 from tau_dyn.control.export_tree import Tree
-from tau_dyn.control.expression_arrays import ExpressionArray, as_expression_array, inputs
+from tau_dyn.control.expression_arrays import ExpressionArray, as_expression_array, build_inputs
 from tau_dyn.control.graph import Graph, Node
 from tau_dyn.dynamics import GantryTauMechanism, Mechanism
 from tau_dyn.effects import Motion
-from tau_dyn.effects.state import on_recording
+from tau_dyn.effects.state import acts_on_recording
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 
@@ -82,7 +82,7 @@ def _built(model: Model) -> Equations:
     closed = isinstance(model.mechanism, GantryTauMechanism)
     loops = Loops(robot, Tree(robot)) if robot.loops and not closed else None
     dynamics = _dynamics(_Inputs(model, loops))
-    friction = _friction(_Inputs(model, loops)) if any(not on_recording(e) for e in model.effects) else None
+    friction = _friction(_Inputs(model, loops)) if any(not acts_on_recording(e) for e in model.effects) else None
     tool = _tool(_Inputs(model, loops)) if robot.tool_frame is not None else None
     closure = _closure(_Inputs(model, loops)) if loops is not None else None
     parts = [part for part in (dynamics, friction, tool) if part is not None]
@@ -100,11 +100,11 @@ class _Inputs:
 
     def __init__(self, model: Model, loops: Loops | None) -> None:
         self.model, self.loops, self.graph = model, loops, Graph()
-        q, v, a = (x[0] for x in random_states(model, 1, np.random.default_rng(1)))
-        self.q, self.v, self.a = (inputs(self.graph, n, x)[None] for n, x in zip("qva", (q, v, a), strict=True))
+        q, v, a = (x[0] for x in draw_random_states(model, 1, np.random.default_rng(1)))
+        self.q, self.v, self.a = (build_inputs(self.graph, n, x)[None] for n, x in zip("qva", (q, v, a), strict=True))
         self.rest = as_expression_array(np.zeros((1, model.robot.na)))
-        self.theta = inputs(self.graph, "theta", model.parameters.values)
-        self.passive = inputs(self.graph, "p", loops.closed(q)[loops.passive]) if loops is not None else None
+        self.theta = build_inputs(self.graph, "theta", model.parameters.values)
+        self.passive = build_inputs(self.graph, "p", loops.closed(q)[loops.passive]) if loops is not None else None
         self.takes = ("q", "p") if loops is not None else ("q",)
 
     def value(self, name: str) -> Node:
@@ -169,7 +169,7 @@ def _dynamics(given: _Inputs) -> EquationFunction:
 def _friction(given: _Inputs) -> EquationFunction:
     """Return the effects' forces at both signs, and what they add to the mass matrix; see `simulate/forces.py`."""
     form, n = given.form(), given.model.robot.na
-    effects = [effect for effect in given.model.effects if not on_recording(effect)]
+    effects = [effect for effect in given.model.effects if not acts_on_recording(effect)]
     plain = [effect for effect in effects if "force" not in effect.needs]
     scaled = [effect for effect in effects if "force" in effect.needs]
     asked = _Asked(given, form)
@@ -247,6 +247,6 @@ def list_unsupported_effects(model: Model) -> Sequence[tuple[Any, str]]:
     found = []
     for effect in model.effects:
         missing = [name for name in effect.needs if name not in BY_STATE - {"damping"}]
-        if missing and not on_recording(effect):
+        if missing and not acts_on_recording(effect):
             found.append((effect, missing[0]))
     return found

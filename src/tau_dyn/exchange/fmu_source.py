@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from tau_dyn.control.export_c_graph import graph_lines, guard_lines, number, output_lines, unused_lines
-from tau_dyn.control.export_c_loops import closing_lines
-from tau_dyn.control.export_c_text import harmless
+from tau_dyn.control.export_c_graph import (
+    format_number,
+    guard_lines,
+    yield_graph_lines,
+    yield_output_lines,
+    yield_unused_lines,
+)
+from tau_dyn.control.export_c_loops import yield_closing_lines
+from tau_dyn.control.export_c_text import escape_comment_line
 from tau_dyn.control.export_model import Program
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.exchange.content import list_nominal_parameters
@@ -27,7 +33,7 @@ def _lines(equations: Equations, guid: str) -> Iterator[str]:
     model, loops = equations.model, equations.loops
     na, nt = model.robot.na, max(1, len(equations.parameters))
     passive = len(loops.passive) if loops is not None else 0
-    yield f"/* {harmless(describe_fmu(model))} FMI 2.0 for co-simulation; C99. */"
+    yield f"/* {escape_comment_line(describe_fmu(model))} FMI 2.0 for co-simulation; C99. */"
     yield from ("#include <math.h>", "#include <stddef.h>", "#include <stdlib.h>", "#include <string.h>", "")
     sizes = {
         "NA": na,
@@ -45,12 +51,12 @@ def _lines(equations: Equations, guid: str) -> Iterator[str]:
     names = model.parameters.names
     values = model.parameters.values
     yield ""
-    yield f"/* Parameters: {harmless(', '.join(names[k] for k in equations.parameters)) or 'none'}. */"
+    yield f"/* Parameters: {escape_comment_line(', '.join(names[k] for k in equations.parameters)) or 'none'}. */"
     yield _array("nominal", [float(values[k]) for k in equations.parameters] or [0.0])
     yield _array("home_position", [float(x) for x in model.robot.home])
     yield ""
     if loops is not None:
-        yield from closing_lines(_closing(equations), "plant")
+        yield from yield_closing_lines(_closing(equations), "plant")
         yield ""
     place = {f"theta{k}": f"theta[{i}]" for i, k in enumerate(equations.parameters)}
     parts = {"dynamics": equations.dynamics, "friction": equations.friction, "tool": equations.tool}
@@ -77,11 +83,11 @@ def _function(name: str, part: EquationFunction, na: int, passive: int, place: d
     gives = [f"double {array}[{len(values)}]" for array, values in part.gives.items()]
     yield f"static int {name}({', '.join([*takes, *gives])})"
     yield "{"
-    yield from unused_lines(part.graph, part.outputs, part.takes)
-    for line in (*graph_lines(part.graph, part.outputs), *guard_lines(part.graph)):
+    yield from yield_unused_lines(part.graph, part.outputs, part.takes)
+    for line in (*yield_graph_lines(part.graph, part.outputs), *guard_lines(part.graph)):
         yield _renamed(line, place)
     for array, values in part.gives.items():
-        yield from (_renamed(line, place) for line in output_lines(array, values))
+        yield from (_renamed(line, place) for line in yield_output_lines(array, values))
     yield "    return 0;"
     yield "}"
 
@@ -113,4 +119,4 @@ def _closing(equations: Equations) -> Program:
 
 
 def _array(name: str, values: Sequence[float]) -> str:
-    return f"static const double {name}[{len(values)}] = {{{', '.join(number(x) for x in values)}}};"
+    return f"static const double {name}[{len(values)}] = {{{', '.join(format_number(x) for x in values)}}};"

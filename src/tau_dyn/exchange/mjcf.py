@@ -26,7 +26,7 @@ from tau_dyn.exchange.content import (
     split,
 )
 from tau_dyn.kinematics import LoopSolver
-from tau_dyn.kinematics.tree_arrays import Joint, joints_of
+from tau_dyn.kinematics.tree_arrays import Joint, list_joints
 from tau_dyn.model import Model
 
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
@@ -40,7 +40,7 @@ def build_mjcf(model: Model) -> Exported:
         InputError: A joint has more than one degree of freedom.
     """
     robot = model.robot
-    joints = joints_of(robot.model)
+    joints = list_joints(robot.model)
     if joints is None:
         raise InputError(f"{robot.source}: MJCF is written for robots of joints with one degree of freedom each")
     root = Element("mujoco", model=robot.name)

@@ -16,7 +16,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import LoopSolver
 from tau_dyn.kinematics.loop_arrays import LoopArrays
-from tau_dyn.kinematics.tree_arrays import joints_of
+from tau_dyn.kinematics.tree_arrays import list_joints
 from tau_dyn.model import Model
 from tau_dyn.simulate.limits import compute_condition_bound
 from tau_dyn.simulate.profiles import MotionProfile
@@ -140,7 +140,7 @@ class Bounds:
     @cached_property
     def _closer(self) -> tuple[LoopSolver, LoopArrays | None]:
         solver = LoopSolver(self.model.robot)
-        joints = joints_of(solver.model)
+        joints = list_joints(solver.model)
         return solver, None if joints is None else LoopArrays(solver, joints)
 
     @cached_property

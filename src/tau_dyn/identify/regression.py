@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion
-from tau_dyn.effects.effect import naming
+from tau_dyn.effects.effect import name_effect_in_errors
 from tau_dyn.estimate import Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.gate import compute_gate, find_excluded_samples, hold_closed, refuse_jumps
@@ -169,7 +169,7 @@ def compute_columns(model: Model, motion: Motion) -> np.ndarray:
     out[:, :first] = rigid.transpose(1, 2, 0)
     for effect in model.effects:
         last = first + len(effect.parameters)
-        with naming(effect):
+        with name_effect_in_errors(effect):
             _fill(out[:, first:last], effect, motion)
         first = last
     return out.transpose(2, 0, 1)

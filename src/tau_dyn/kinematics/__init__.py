@@ -1,18 +1,24 @@
 """The closed loops solved: actuated motion -> motion of the whole mechanism, poses of the tool, and back."""
 
 from tau_dyn.deprecated_names import get_deprecated
-from tau_dyn.kinematics.forward import ForwardResult, forward_kinematics, forward_solutions
+from tau_dyn.kinematics.forward import ForwardResult, forward_kinematics, solve_both_forward
 from tau_dyn.kinematics.inverse import (
     InverseResult,
-    configurations,
-    home_configuration,
+    get_home_configuration,
     inverse_kinematics,
-    inverse_solutions,
+    list_configurations,
+    solve_all_configurations,
 )
-from tau_dyn.kinematics.jacobians import Singularity, acceleration_bias, inverse_jacobian, jacobian, singularity
+from tau_dyn.kinematics.jacobians import (
+    Singularity,
+    compute_acceleration_bias,
+    compute_inverse_jacobian,
+    jacobian,
+    measure_singularity,
+)
 from tau_dyn.kinematics.loops import LoopSolver, TreeState
 from tau_dyn.kinematics.path_following import FollowedPath, follow_path
-from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
+from tau_dyn.kinematics.poses import Poses, convert_from_quaternions, convert_to_quaternions
 from tau_dyn.kinematics.rods import NotRods, Rods, build_rods
 
 __all__ = [
@@ -25,20 +31,20 @@ __all__ = [
     "Rods",
     "Singularity",
     "TreeState",
-    "acceleration_bias",
     "build_rods",
-    "configurations",
+    "compute_acceleration_bias",
+    "compute_inverse_jacobian",
+    "convert_from_quaternions",
+    "convert_to_quaternions",
     "follow_path",
     "forward_kinematics",
-    "forward_solutions",
-    "from_quaternions",
-    "home_configuration",
-    "inverse_jacobian",
+    "get_home_configuration",
     "inverse_kinematics",
-    "inverse_solutions",
     "jacobian",
-    "quaternions",
-    "singularity",
+    "list_configurations",
+    "measure_singularity",
+    "solve_all_configurations",
+    "solve_both_forward",
 ]
 
 

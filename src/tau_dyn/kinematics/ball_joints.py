@@ -51,7 +51,7 @@ class BallJoints:
         )
 
 
-def ball_joints(rods: Rods, *, angle: float | None = None) -> BallJoints:
+def find_ball_joints(rods: Rods, *, angle: float | None = None) -> BallJoints:
     """Return a robot's ball joints.
 
     Args:

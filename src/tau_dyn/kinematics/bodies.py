@@ -57,7 +57,7 @@ def read_bodies(robot: Robot) -> tuple[list[Body], list[str]]:
     return found, meshes
 
 
-def rod_radius(bodies: list[Body], name: str) -> float:
+def measure_rod_radius(bodies: list[Body], name: str) -> float:
     """Return the radius [m] in which the file draws a rod; a numbered rod of one link takes the link's."""
     for wanted in (name, name.rpartition("_")[0]):
         for body in bodies:
@@ -66,7 +66,7 @@ def rod_radius(bodies: list[Body], name: str) -> float:
     return ROD_RADIUS
 
 
-def rod_body(name: str, radius: float, length: float, index: int) -> Body:
+def build_rod_body(name: str, radius: float, length: float, index: int) -> Body:
     """Return a rod; its joint is -1, since it lies between two points."""
     return Body(name, -1, Capsule(radius, length), pin.SE3.Identity(), index)
 

@@ -22,11 +22,11 @@ from tau_dyn.kinematics.chains import Carried, ChainJoint
 from tau_dyn.kinematics.rod_dimensions import RodDimensions
 from tau_dyn.kinematics.rods import Rods
 
-_ROUNDS = 30  # Newton steps; quadratic convergence needs five to eight
+_MAX_ITERATIONS = 30  # Newton steps; quadratic convergence needs five to eight
 _DONE = 1e-13  # m, relative to the robot's size: rounding
 _REACHED = 1e-10  # relative to the rod: what `(|d|^2 - L^2) / 2 L^2` may be
 _TURNS = 6  # starting angles a turn when all solutions of a chain are looked for
-_SAME = 1e-6  # [m or rad] closer solutions are one
+_EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
 
 
 class RootChain:
@@ -108,7 +108,7 @@ class NewtonChain:
             q = self.newton(here, q, rounds=6)
         return self.wrapped(self.newton(B, q))
 
-    def newton(self, B: np.ndarray, q: np.ndarray, rounds: int = _ROUNDS) -> np.ndarray:
+    def newton(self, B: np.ndarray, q: np.ndarray, rounds: int = _MAX_ITERATIONS) -> np.ndarray:
         """Return positions (m, N) that put the points A at a rod's length from `B`, from a start; nan where it fails."""
         q = q.copy()
         squares = self.scale**2
@@ -139,7 +139,7 @@ class NewtonChain:
             q = self.wrapped(self.newton(B, start, rounds=15))
             for k, known in enumerate(found):
                 empty = np.isnan(known[0])
-                same = np.abs(known - q).max(axis=0) < _SAME
+                same = np.abs(known - q).max(axis=0) < _EQUALITY_TOLERANCE
                 found[k] = np.where(empty & ~np.isnan(q[0]), q, known)
                 q = np.where(same | empty, np.nan, q)
             if np.isfinite(q[0]).any():
@@ -155,14 +155,14 @@ class NewtonChain:
         """Return `f` (m, N) and `df/dq` (m, m, N)."""
         joints, carried = self.numbers.joints, self.numbers.carried
         at = chains.compute_joint_frames(joints, q)
-        places = chains.points(joints, carried, q)
+        places = chains.compute_points(joints, carried, q)
         d = places - B
-        lengths = rod_dimensions.leg_lengths(self.numbers, q)
+        lengths = rod_dimensions.compute_leg_lengths(self.numbers, q)
         f = 0.5 * (np.sum(d * d, axis=1) - lengths**2)
         J = np.zeros((len(f), len(self.actuators), q.shape[1]))
-        for (k, actuator), column in chains.velocities(joints, carried, at, places).items():
+        for (k, actuator), column in chains.compute_velocities(joints, carried, at, places).items():
             J[k, actuator] += np.sum(column * d[k], axis=0)
-        slides, rates = np.flatnonzero(self.numbers.slides >= 0), rod_dimensions.leg_rates(self.numbers, q)
+        slides, rates = np.flatnonzero(self.numbers.slides >= 0), rod_dimensions.compute_leg_rates(self.numbers, q)
         for k in slides:
             J[k, self.numbers.slides[k]] -= lengths[k] * rates[k]
         return f, J
@@ -186,8 +186,8 @@ class NewtonChain:
     def _moved(self, B: np.ndarray, q: np.ndarray, slides: np.ndarray) -> np.ndarray:
         """Return how far slides (s, N) must go so that the points are nearest to `B`."""
         joints, carried = self.numbers.joints, self.numbers.carried
-        at, places = chains.compute_joint_frames(joints, q), chains.points(joints, carried, q)
-        columns = chains.velocities(joints, carried, at, places)
+        at, places = chains.compute_joint_frames(joints, q), chains.compute_points(joints, carried, q)
+        columns = chains.compute_velocities(joints, carried, at, places)
         out = np.zeros((len(slides), q.shape[1]))
         for row, slide in enumerate(slides):
             column = columns.get((0, int(slide)))
@@ -196,7 +196,7 @@ class NewtonChain:
         return out
 
 
-def chains_of(rods: Rods) -> list[RootChain | NewtonChain]:
+def build_chains(rods: Rods) -> list[RootChain | NewtonChain]:
     """Return a robot's chains, in the order of its first rods."""
     found: list[RootChain | NewtonChain] = []
     for own, actuators in rods.groups:
@@ -208,7 +208,7 @@ def chains_of(rods: Rods) -> list[RootChain | NewtonChain]:
 def _cut(numbers: RodDimensions, own: tuple[int, ...], actuators: tuple[int, ...]) -> RodDimensions:
     """Return the numbers of some rods, with joints and actuators numbered anew."""
     rows = list(own)
-    used = sorted({i for k in own for i in chains.path(numbers.joints, numbers.carried.carrier[k])})
+    used = sorted({i for k in own for i in chains.list_path(numbers.joints, numbers.carried.carrier[k])})
     index = {-1: -1} | {old: new for new, old in enumerate(used)}
     number = {old: new for new, old in enumerate(actuators)} | {-1: -1}
     joints = tuple(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.tree_arrays import combined, cross, times
+from tau_dyn.kinematics.tree_arrays import combine_rotated, compute_cross_product, multiply_by_rotation
 
 
 class ChainJoint(NamedTuple):
@@ -61,14 +61,16 @@ def compute_joint_frames(joints: Sequence[ChainJoint], q: np.ndarray) -> list[Pl
         direction = rotate_vectors(parent.rotation, joint.direction)
         origin = parent.origin + rotate_vectors(parent.rotation, joint.origin)
         if joint.slides:
-            here = Placed(product(parent.rotation, joint.rotation), origin + direction * q[joint.actuator], direction)
+            here = Placed(
+                multiply_by_constant(parent.rotation, joint.rotation), origin + direction * q[joint.actuator], direction
+            )
         else:
             here = Placed(_rotated(parent.rotation, joint, q[joint.actuator]), origin, direction)
         found.append(here)
     return found
 
 
-def path(joints: Sequence[ChainJoint], carrier: int) -> list[int]:
+def list_path(joints: Sequence[ChainJoint], carrier: int) -> list[int]:
     """Return the joints between the world and a carrier, that one included, first to last."""
     found = []
     while carrier >= 0:
@@ -79,12 +81,12 @@ def path(joints: Sequence[ChainJoint], carrier: int) -> list[int]:
 
 def rotate_vectors(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return `R c` (3, N) of rotations (3, 3, N) and a constant (3,), without negative zeros."""
-    return combined(rotation, vector) + 0.0
+    return combine_rotated(rotation, vector) + 0.0
 
 
-def product(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
+def multiply_by_constant(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
     """Return `R C` (3, 3, N) of rotations (3, 3, N) and a constant (3, 3), without negative zeros unless `C` is one."""
-    return rotation if np.array_equal(constant, np.eye(3)) else times(rotation, constant) + 0.0
+    return rotation if np.array_equal(constant, np.eye(3)) else multiply_by_rotation(rotation, constant) + 0.0
 
 
 def _rotated(parent: np.ndarray, joint: ChainJoint, angle: np.ndarray) -> np.ndarray:
@@ -112,7 +114,7 @@ class Carried(NamedTuple):
     local: np.ndarray
 
 
-def points(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray) -> np.ndarray:
+def compute_points(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray) -> np.ndarray:
     """Return the points (n, 3, N) [m] at `q` (na, N)."""
     at = compute_joint_frames(joints, q)
     out = np.empty((len(carried.carrier), 3, q.shape[1]))
@@ -122,49 +124,53 @@ def points(joints: Sequence[ChainJoint], carried: Carried, q: np.ndarray) -> np.
     return out
 
 
-def velocities(
+def compute_velocities(
     joints: Sequence[ChainJoint], carried: Carried, at: Sequence[Placed], places: np.ndarray
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return how points (n, 3, N) move per actuator: those of `(point, actuator)` that are not zero, each (3, N or 1)."""
     found: dict[tuple[int, int], np.ndarray] = {}
     for k, carrier in enumerate(carried.carrier):
-        for index in path(joints, carrier):
+        for index in list_path(joints, carrier):
             joint, here = joints[index], at[index]
             column: np.ndarray = here.direction
             if not joint.slides:
                 arm: np.ndarray = places[k] - here.origin
                 axis: np.ndarray = np.broadcast_to(here.direction, arm.shape)
-                column = cross(axis, arm)
+                column = compute_cross_product(axis, arm)
             key = (k, joint.actuator)
             found[key] = found[key] + column if key in found else column
     return found
 
 
-def accelerations(
+def compute_accelerations(
     joints: Sequence[ChainJoint], carried: Carried, at: Sequence[Placed], places: np.ndarray, v: np.ndarray
 ) -> np.ndarray:
     """Return the points' accelerations (n, 3, N) at velocities `v` (na, N) without actuated acceleration."""
     out = np.zeros(places.shape)
     for k, carrier in enumerate(carried.carrier):
         w, total = np.zeros(places[k].shape), np.zeros(places[k].shape)
-        steps = [joints[i] for i in path(joints, carrier)]
-        heres = [at[i] for i in path(joints, carrier)]
+        steps = [joints[i] for i in list_path(joints, carrier)]
+        heres = [at[i] for i in list_path(joints, carrier)]
         if all(joint.slides for joint in steps):
             continue
         # outward: acceleration of each joint's origin, then of the point (Featherstone, ch. 2.11)
         origin, spin = np.zeros((3, 1)), np.zeros(places[k].shape)
         for joint, here in zip(steps, heres, strict=True):
             arm = here.origin - origin
-            total = total + cross(spin, _wide(arm, w)) + cross(w, cross(w, _wide(arm, w)))
+            total = (
+                total
+                + compute_cross_product(spin, _wide(arm, w))
+                + compute_cross_product(w, compute_cross_product(w, _wide(arm, w)))
+            )
             rate = _wide(here.direction * v[joint.actuator], w)
             if joint.slides:
-                total = total + 2 * cross(w, rate)
+                total = total + 2 * compute_cross_product(w, rate)
             else:
-                spin = spin + cross(w, rate)
+                spin = spin + compute_cross_product(w, rate)
                 w = w + rate
             origin = here.origin
         arm = _wide(places[k] - origin, w)
-        out[k] = total + cross(spin, arm) + cross(w, cross(w, arm))
+        out[k] = total + compute_cross_product(spin, arm) + compute_cross_product(w, compute_cross_product(w, arm))
     return out
 
 

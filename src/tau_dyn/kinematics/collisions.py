@@ -80,12 +80,12 @@ class PlacedSolid(NamedTuple):
         return shape, coal.Transform3s(np.ascontiguousarray(turn), np.ascontiguousarray(place))
 
 
-def standing(shape: Shape, placement: pin.SE3) -> PlacedSolid:
+def build_standing_solid(shape: Shape, placement: pin.SE3) -> PlacedSolid:
     """Return a solid that does not move."""
     return PlacedSolid(shape, placement.rotation[None].copy(), placement.translation[None].copy())
 
 
-def moved(body: Body, rotation: np.ndarray, position: np.ndarray) -> PlacedSolid:
+def move_solid(body: Body, rotation: np.ndarray, position: np.ndarray) -> PlacedSolid:
     """Return a link's solid from its joint's frames: rotations (N, 3, 3), origins (N, 3)."""
     at = body.placement
     return PlacedSolid(body.shape, rotation @ at.rotation, position + rotation @ at.translation)
@@ -141,7 +141,7 @@ def _near(a: PlacedSolid, b: PlacedSolid, k: int, margin: float) -> bool:
     return bool(coal.collide(*a.for_coal(k), *b.for_coal(k), request, result))
 
 
-def thickness(shape: Shape) -> float:
+def measure_thickness(shape: Shape) -> float:
     """Return the least extent of a solid [m], inf of a half-space: what a coarser lattice may miss."""
     if isinstance(shape, HalfSpace):
         return np.inf
@@ -154,9 +154,9 @@ def thickness(shape: Shape) -> float:
     return min(shape.size)
 
 
-def touched_obstacle(obstacle: Obstacle, solids: Sequence[PlacedSolid], n: int) -> np.ndarray:
+def find_touched_obstacle(obstacle: Obstacle, solids: Sequence[PlacedSolid], n: int) -> np.ndarray:
     """Return at which poses (n,) any of a robot's solids comes too close to an obstacle."""
-    wall, out = standing(obstacle.shape, obstacle.placement), np.zeros(n, bool)
+    wall, out = build_standing_solid(obstacle.shape, obstacle.placement), np.zeros(n, bool)
     for solid in solids:
         left = np.flatnonzero(~out)
         if len(left):

@@ -82,7 +82,7 @@ def is_serial(rates: Rates) -> bool:
     return n == d and bool(np.array_equal(rates.tool, np.broadcast_to(np.eye(n), rates.tool.shape)))
 
 
-def dexterity(rates: Rates) -> Dexterity:
+def compute_dexterity(rates: Rates) -> Dexterity:
     """Return the measures at every pose; nan rates give nan."""
     tool, actuators = homogenise_jacobians(rates)
     sound = np.isfinite(tool).all(axis=(1, 2)) & np.isfinite(actuators).all(axis=(1, 2))
@@ -106,7 +106,7 @@ def _measures(tool: np.ndarray, actuators: np.ndarray) -> np.ndarray:
     return np.array([condition, manipulability, parallel, serial, _sign(tool), _sign(actuators)])
 
 
-def tool_jacobian(rates: Rates) -> np.ndarray:
+def compute_tool_jacobian(rates: Rates) -> np.ndarray:
     """Return `J` (N, d, na): tool twist per actuator speed [m or rad per m or rad]; nan where `J_x` is singular."""
     J = np.full((len(rates.tool), rates.tool.shape[2], rates.actuators.shape[2]), np.nan)
     sound = np.asarray(np.isfinite(rates.tool).all(axis=(1, 2)) & np.isfinite(rates.actuators).all(axis=(1, 2)))
@@ -117,7 +117,7 @@ def tool_jacobian(rates: Rates) -> np.ndarray:
     return J
 
 
-def worst_speed(rates: Rates, limits: np.ndarray) -> np.ndarray:
+def compute_worst_speed(rates: Rates, limits: np.ndarray) -> np.ndarray:
     """Return the tool speed (N,) [m/s] that is reached in every direction without turning, at speed limits (na,).
 
     `v = K d` for a unit direction `d`, so actuator i allows `limit_i / |K_i|` in its own worst direction.
@@ -128,16 +128,16 @@ def worst_speed(rates: Rates, limits: np.ndarray) -> np.ndarray:
         per[sound] = np.linalg.pinv(rates.actuators[sound], rcond=1e-9) @ rates.tool[sound][:, :, :3]
     with np.errstate(divide="ignore"):
         speed = (limits / np.linalg.norm(per, axis=2)).min(axis=1)
-    gone = sound & (dexterity(rates).serial < 1e-9)
+    gone = sound & (compute_dexterity(rates).serial < 1e-9)
     return np.where(gone, 0.0, speed)
 
 
-def worst_force(rates: Rates, limits: np.ndarray) -> np.ndarray:
+def compute_worst_force(rates: Rates, limits: np.ndarray) -> np.ndarray:
     """Return the force at the tool (N,) [N] that actuators with force limits (na,) hold in every direction; no gravity.
 
     `tau = J' F`, so actuator i allows `limit_i / |J_i|` along its own column of the linear rows.
     """
-    J = tool_jacobian(rates)[:, :3]
+    J = compute_tool_jacobian(rates)[:, :3]
     with np.errstate(divide="ignore"):
         return (limits / np.linalg.norm(J, axis=1)).min(axis=1)
 

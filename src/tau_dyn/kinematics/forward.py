@@ -10,14 +10,14 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.kinematics_result import ForwardResult
-from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.poses import Poses, require_poses
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.sliding_plate import SlidingPlate
-from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
+from tau_dyn.kinematics.solvers import get_robot, get_rods, get_solver
 from tau_dyn.robot import Robot
 
-__all__ = ["ForwardResult", "forward_kinematics", "forward_solutions"]
+__all__ = ["ForwardResult", "forward_kinematics", "solve_both_forward"]
 
 
 def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | None = None) -> ForwardResult:
@@ -36,10 +36,10 @@ def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | Non
         InputError: Arrays of the wrong shape.
         LoopClosureError: The robot cannot be closed even at home.
     """
-    q = checked_positions(robot_of(robot), q)
+    q = require_positions(get_robot(robot), q)
     engine, rods = get_solver(robot), get_rods(robot)
     if start is not None:
-        start = checked_poses(start)
+        start = require_poses(start)
         if len(start.position) not in (1, len(q)):
             raise InputError(f"start must hold one pose or {len(q)}, one a sample, not {len(start.position)}")
         start = start if rods is None else rods.plate_poses(start)
@@ -47,7 +47,7 @@ def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | Non
     return ForwardResult(plate if rods is None else rods.tool_poses(plate), plate, code)
 
 
-def forward_solutions(rods: Rods, q: np.ndarray) -> np.ndarray:
+def solve_both_forward(rods: Rods, q: np.ndarray) -> np.ndarray:
     """Return both tool positions (N, 2, 3) [m] of a translating plate, home's first; nan where the spheres do not meet.
 
     Raises:
@@ -56,5 +56,5 @@ def forward_solutions(rods: Rods, q: np.ndarray) -> np.ndarray:
     engine = get_solver(rods)
     if not isinstance(engine, SlidingPlate):
         raise InputError(f"{rods.robot.source}: two closed solutions are for plates that translate only")
-    positions = engine.both(checked_positions(rods.robot, q))
+    positions = engine.both(require_positions(rods.robot, q))
     return positions + rods.rotation @ rods.tool.translation

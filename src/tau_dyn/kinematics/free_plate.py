@@ -17,15 +17,22 @@ import numpy as np
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.kinematics import chains, rod_dimensions
 from tau_dyn.kinematics.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
-from tau_dyn.kinematics.plate_arrays import Plate, SixRods, dense, lapack, residual, rows
+from tau_dyn.kinematics.plate_arrays import (
+    Plate,
+    SixRods,
+    build_dense,
+    compute_equation_rows,
+    compute_residual,
+    solve_with_lapack,
+)
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
 _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad for turns
 _FROZEN = 1e-5  # after a step this small (relative to the rods) one with the same factors is the last
-_ROUNDS = 8  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
-_FAR = 1000  # cells from home beyond which positions are taken for a mistake of units
+_MAX_ITERATIONS = 8  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
+_MAX_CELLS_FROM_HOME = 1000  # cells from home beyond which positions are taken for a mistake of units
 _TOLERANCE = 1e-9  # [m] what the last step may be; of the rods' length where that is above one metre
 _SINGULAR = 1e-7  # of home's determinant
 _ASTRAY = 0.2  # relative to the rods: what Newton may move a plate away from where its cell puts it
@@ -60,7 +67,11 @@ class FreePlate:
         self._cells: dict[tuple[int, ...], _Cell] = {}
         nominal = Plate(rods.home.position.T.copy(), np.moveaxis(rods.home.rotation, 0, 2).copy())
         points, squares = self._given(rods.robot.home[:, None])
-        self._six = SixRods(dense(rows(points, rods.on_plate, squares, nominal))[0]) if rods.n == 6 else None
+        self._six = (
+            SixRods(build_dense(compute_equation_rows(points, rods.on_plate, squares, nominal))[0])
+            if rods.n == 6
+            else None
+        )
         self._reference = 1.0
         solved = self._newton(points, squares, nominal)
         if not solved.found[0]:
@@ -132,9 +143,9 @@ class FreePlate:
         """Return the poses at `goal` (na, N) reached in small steps from `start`; nan where the way is barred."""
         away = np.abs(goal - start) / self.cell[:, None]
         distance = np.where(np.isfinite(away).all(axis=0), away.max(axis=0), np.inf)
-        steps = int(np.ceil(distance[distance < _FAR].max(initial=0.0)))
+        steps = int(np.ceil(distance[distance < _MAX_CELLS_FROM_HOME].max(initial=0.0)))
         plate = Plate(plate.position.copy(), plate.rotation.copy())
-        plate.position[:, ~(distance < _FAR)] = np.nan
+        plate.position[:, ~(distance < _MAX_CELLS_FROM_HOME)] = np.nan
         with np.errstate(all="ignore"):
             for step in range(steps):
                 plate = self._stepped(start, goal, step / steps, (step + 1) / steps, plate)
@@ -158,20 +169,20 @@ class FreePlate:
     def slope(self, q: np.ndarray, plate: Plate) -> np.ndarray:
         """Return the plate's twist per actuated velocity (6, na, N)."""
         points, squares = self._given(q)
-        at = rows(points, self.rods.on_plate, squares, plate)
-        sides = rod_dimensions.closure_by_q(self.numbers, q, points, at.d)
-        return self._six.accurate(at, sides) if self._six else lapack(dense(at), sides)
+        at = compute_equation_rows(points, self.rods.on_plate, squares, plate)
+        sides = rod_dimensions.compute_closure_by_q(self.numbers, q, points, at.d)
+        return self._six.accurate(at, sides) if self._six else solve_with_lapack(build_dense(at), sides)
 
     def _given(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        points = chains.points(self.numbers.joints, self.numbers.carried, q)
-        return points, rod_dimensions.leg_lengths(self.numbers, q) ** 2
+        points = chains.compute_points(self.numbers.joints, self.numbers.carried, q)
+        return points, rod_dimensions.compute_leg_lengths(self.numbers, q) ** 2
 
     def _started(self, q: np.ndarray) -> Plate:
         """Return a first guess: the cell's middle, moved along its slope."""
         home = self.rods.robot.home
         index = np.round((q - home[:, None]) / self.cell[:, None])
-        index = np.where(np.abs(index) < _FAR, index, np.nan)
-        whole = np.nan_to_num(index, nan=10.0 * _FAR).astype(np.int64)
+        index = np.where(np.abs(index) < _MAX_CELLS_FROM_HOME, index, np.nan)
+        whole = np.nan_to_num(index, nan=10.0 * _MAX_CELLS_FROM_HOME).astype(np.int64)
         names, which = _unique_columns(whole)
         if len(self._cells) > _KEPT:
             self._cells.clear()
@@ -209,7 +220,7 @@ class FreePlate:
         if left.size < n:
             now, A = guess.take(left), points[:, :, left]
         begun = now.position
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             if not left.size:
                 break
             sq = squares if squares.shape[1] == 1 else squares[:, left]
@@ -231,22 +242,22 @@ class FreePlate:
         After a small step a second one reuses its factors.
         """
         B = self.rods.on_plate
-        at = rows(points, B, squares, plate)
+        at = compute_equation_rows(points, B, squares, plate)
         f = np.stack(at.f)
         if self._six is None:
-            twist = lapack(dense(at), f)
+            twist = solve_with_lapack(build_dense(at), f)
             return plate.moved(twist), _size(twist, self.scale), np.ones(len(f[0]))
         factor = self._six.factor(at)
         if factor is None:
-            twist = lapack(dense(at), f)
-            return plate.moved(twist), _size(twist, self.scale), np.linalg.det(dense(at)) / self._reference
+            twist = solve_with_lapack(build_dense(at), f)
+            return plate.moved(twist), _size(twist, self.scale), np.linalg.det(build_dense(at)) / self._reference
         twist = factor.solve(f)
         with np.errstate(all="ignore"):
             det = 1.0 / (np.prod(list(factor.inverses.values()), axis=0) * self._reference)
         plate = plate.moved(twist)
         size = _size(twist, self.scale)
         if np.all(size < _FROZEN * self.scale):
-            twist = factor.solve(residual(points, B, squares, plate))
+            twist = factor.solve(compute_residual(points, B, squares, plate))
             plate, size = plate.moved(twist), _size(twist, self.scale)
         return plate, size, det
 

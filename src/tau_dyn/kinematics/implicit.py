@@ -15,9 +15,9 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.trilateration import intersect_spheres, side_of
+from tau_dyn.kinematics.trilateration import find_side, intersect_spheres
 
 _EQUAL = 0.01  # by how much the lengths of parallel rods may differ, relative
 
@@ -29,7 +29,7 @@ class Implicit(NamedTuple):
     defect: np.ndarray
 
 
-def implicit_forward(rods: Rods, q: np.ndarray) -> Implicit:
+def solve_implicit_forward(rods: Rods, q: np.ndarray) -> Implicit:
     """Return the tool's poses as if the rods of each arm were parallel.
 
     Args:
@@ -39,7 +39,7 @@ def implicit_forward(rods: Rods, q: np.ndarray) -> Implicit:
     Raises:
         InputError: The rods do not form three arms of equally long ones.
     """
-    q = checked_positions(rods.robot, q)
+    q = require_positions(rods.robot, q)
     arms = _arms(rods)
     A = rods.base_points(q)
     on_base = np.concatenate([A[:, list(arm[1:])] - A[:, arm[:1]] for arm in arms], axis=1)
@@ -49,7 +49,7 @@ def implicit_forward(rods: Rods, q: np.ndarray) -> Implicit:
     first = [arm[0] for arm in arms]
     centres = (A[:, first] - rods.on_plate[first] @ np.swapaxes(rotation, 1, 2)).transpose(1, 2, 0)
     home = rods.base_points(rods.robot.home[None])[:, first] - rods.on_plate[first] @ rods.rotation.T
-    side = float(side_of(home.transpose(1, 2, 0), rods.home.position.T)[0])
+    side = float(find_side(home.transpose(1, 2, 0), rods.home.position.T)[0])
     position = intersect_spheres(centres, rods.lengths[first][:, None], side).position.T
     return Implicit(rods.tool_poses(Poses(position, rotation)), defect)
 

@@ -18,20 +18,26 @@ from itertools import product
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.joint_limits import check_limits, limited
+from tau_dyn.kinematics.joint_limits import check_limits, refuse_beyond_limits
 from tau_dyn.kinematics.kinematics_result import InverseResult
-from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.poses import Poses, require_poses
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.kinematics.rod_inverse import RodInverse
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.solver_cache import get_cached
-from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
-from tau_dyn.kinematics.tree_inverse import tree_inverse, tree_solutions
+from tau_dyn.kinematics.solvers import get_robot, get_rods, get_solver
+from tau_dyn.kinematics.tree_inverse import find_tree_solutions, solve_tree_inverse
 from tau_dyn.kinematics.tree_newton import TreeNewton
 from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.robot import Robot
 
-__all__ = ["InverseResult", "configurations", "home_configuration", "inverse_kinematics", "inverse_solutions"]
+__all__ = [
+    "InverseResult",
+    "list_configurations",
+    "get_home_configuration",
+    "inverse_kinematics",
+    "solve_all_configurations",
+]
 
 
 def inverse_kinematics(
@@ -47,7 +53,7 @@ def inverse_kinematics(
     Args:
         robot: A robot, or its rods (perhaps with another geometry).
         poses: Of the tool (N).
-        configuration: One of `configurations`, a sign for each chain; by default home's.
+        configuration: One of `list_configurations`, a sign for each chain; by default home's.
         start: Positions (N or 1, na) from which to search, where a chain has no closed form, by default home. Where actuators
             can move without the tool (a telescopic arm, a serial arm with a joint to spare), the positions nearest to it
             are taken, where the search for them comes to rest. It does not choose the configuration; `follow` does.
@@ -56,32 +62,34 @@ def inverse_kinematics(
     Raises:
         InputError: Arrays of the wrong shape, an unknown configuration, or joint limits that are the wrong way round.
     """
-    rods, poses = get_rods(robot), checked_poses(poses)
-    owner = robot_of(robot)
+    rods, poses = get_rods(robot), require_poses(poses)
+    owner = get_robot(robot)
     start = None if start is None else _starts(owner, start, len(poses.position))
     if limits:
         check_limits(owner)
     if rods is None:
         if configuration is not None:
             raise InputError(f"{owner.source}: has no rods, hence no named configurations; give a start instead")
-        return limited(owner, tree_inverse(_tree(robot), poses, start, limits), limits)
+        return refuse_beyond_limits(owner, solve_tree_inverse(_tree(robot), poses, start, limits), limits)
     solver = _solver(rods)
-    return limited(owner, solver.inverse(poses, solver.signs(configuration), start, configuration is None), limits)
+    return refuse_beyond_limits(
+        owner, solver.inverse(poses, solver.signs(configuration), start, configuration is None), limits
+    )
 
 
-def inverse_solutions(robot: Robot | Rods, poses: Poses) -> np.ndarray:
+def solve_all_configurations(robot: Robot | Rods, poses: Poses) -> np.ndarray:
     """Return the positions of all configurations (N, n_configurations, na), nan where complex; joint limits are not looked at.
 
-    Rods in closed form: rows as `configurations`. Chains of several actuators and trees: what many starts find, nearest to
+    Rods in closed form: rows as `list_configurations`. Chains of several actuators and trees: what many starts find, nearest to
     home first, not certified to be all.
     """
-    rods, poses = get_rods(robot), checked_poses(poses)
+    rods, poses = get_rods(robot), require_poses(poses)
     if rods is None:
-        return tree_solutions(_tree(robot), poses)
+        return find_tree_solutions(_tree(robot), poses)
     return _solver(rods).all(poses)
 
 
-def configurations(robot: Robot | Rods) -> np.ndarray:
+def list_configurations(robot: Robot | Rods) -> np.ndarray:
     """Return the configurations by name (n, chains): -1 or 1 of a chain with two solutions, 1 of a leg, 0 by Newton.
 
     Raises:
@@ -90,12 +98,12 @@ def configurations(robot: Robot | Rods) -> np.ndarray:
     return np.array(list(product(*(chain.signs for chain in _solver(_rods(robot)).chains))))
 
 
-def nearest_configuration(rods: Rods, poses: Poses, q: np.ndarray) -> np.ndarray:
+def find_nearest_configuration(rods: Rods, poses: Poses, q: np.ndarray) -> np.ndarray:
     """Return the configuration (chains,) that has positions (na,) at or near a pose (1 sample)."""
-    return np.array(_solver(rods).signs_near(checked_poses(poses), q))
+    return np.array(_solver(rods).signs_near(require_poses(poses), q))
 
 
-def home_configuration(robot: Robot | Rods) -> np.ndarray:
+def get_home_configuration(robot: Robot | Rods) -> np.ndarray:
     """Return home's configuration (chains,)."""
     return np.array(_solver(_rods(robot)).signs(None))
 
@@ -113,12 +121,12 @@ def _tree(robot: Robot | Rods) -> TreeNewton:
 def _rods(robot: Robot | Rods) -> Rods:
     rods = get_rods(robot)
     if rods is None:
-        raise InputError(f"{robot_of(robot).source}: has no rods, hence no named configurations")
+        raise InputError(f"{get_robot(robot).source}: has no rods, hence no named configurations")
     return rods
 
 
 def _starts(robot: Robot, start: np.ndarray, n: int) -> np.ndarray:
-    start = checked_positions(robot, start)
+    start = require_positions(robot, start)
     if len(start) not in (1, n):
         raise InputError(f"start must hold one row of positions or {n}, one a pose, not {len(start)}")
     return np.repeat(start, n, axis=0) if len(start) != n else start

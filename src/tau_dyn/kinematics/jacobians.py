@@ -19,11 +19,11 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import chains
 from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.plate_arrays import lapack
-from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.plate_arrays import solve_with_lapack
+from tau_dyn.kinematics.poses import Poses, require_poses
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.solvers import get_rods, get_solver, robot_of
+from tau_dyn.kinematics.solvers import get_robot, get_rods, get_solver
 from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.robot import Robot
 
@@ -53,14 +53,14 @@ def jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> 
     Returns:
         (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan where there is no pose.
     """
-    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
+    rods, q = get_rods(robot), require_positions(get_robot(robot), q)
     if rods is None:
         return _of_tree(robot, q)
     plate = _plate(rods, q, poses)
     return -_solved(_by_tool(rods, q, plate), rods.gap_by_q(q, plate))
 
 
-def inverse_jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+def compute_inverse_jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
     """Return `G_x`: how fast each gap opens per tool twist, (N, n rods, 6), or (N, n rods, 3) for a translating plate.
 
     For the legs of a Stewart platform this is the inverse Jacobian but for the sign; rods on carts need `gap_by_q` too:
@@ -69,16 +69,18 @@ def inverse_jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = N
     Raises:
         InputError: The robot has no rods.
     """
-    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
+    rods, q = get_rods(robot), require_positions(get_robot(robot), q)
     if rods is None:
-        raise InputError(f"{robot_of(robot).source}: has no rods; invert its Jacobian instead")
+        raise InputError(f"{get_robot(robot).source}: has no rods; invert its Jacobian instead")
     return _by_tool(rods, q, _plate(rods, q, poses))
 
 
-def acceleration_bias(robot: Robot | Rods, q: np.ndarray, v: np.ndarray, poses: Poses | None = None) -> np.ndarray:
+def compute_acceleration_bias(
+    robot: Robot | Rods, q: np.ndarray, v: np.ndarray, poses: Poses | None = None
+) -> np.ndarray:
     """Return the tool's acceleration (N, 6 or 3) at actuated velocities `v` (N, na) without actuated acceleration: `dJ/dt v`."""
-    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
-    v = checked_positions(robot_of(robot), v)
+    rods, q = get_rods(robot), require_positions(get_robot(robot), q)
+    v = require_positions(get_robot(robot), v)
     if len(v) != len(q):
         raise InputError(f"as many velocities as positions are needed, not {len(v)} and {len(q)}")
     if rods is None:
@@ -91,9 +93,9 @@ def acceleration_bias(robot: Robot | Rods, q: np.ndarray, v: np.ndarray, poses: 
     return _bias(rods, q, v, _plate(rods, q, poses))
 
 
-def singularity(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> Singularity:
+def measure_singularity(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) -> Singularity:
     """Return how near the robot is to singularities of both kinds; of a tree, by its loops and by its tool's Jacobian."""
-    rods, q = get_rods(robot), checked_positions(robot_of(robot), q)
+    rods, q = get_rods(robot), require_positions(get_robot(robot), q)
     if rods is None:
         return _tree_singularity(robot, q)
     plate = _plate(rods, q, poses)
@@ -108,7 +110,7 @@ def singularity(robot: Robot | Rods, q: np.ndarray, poses: Poses | None = None) 
 def _plate(rods: Rods, q: np.ndarray, poses: Poses | None) -> Poses:
     if poses is None:
         return forward_kinematics(rods, q).plate
-    poses = checked_poses(poses)
+    poses = require_poses(poses)
     if len(poses.position) != len(q):
         raise InputError(f"as many poses as positions are needed, not {len(poses.position)} and {len(q)}")
     return rods.plate_poses(poses)
@@ -126,7 +128,7 @@ def _by_tool(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
 
 def _solved(by_pose: np.ndarray, sides: np.ndarray) -> np.ndarray:
     sides = sides[:, :, None] if sides.ndim == 2 else sides
-    return lapack(by_pose, np.moveaxis(sides, 0, 2)).transpose(2, 0, 1)
+    return solve_with_lapack(by_pose, np.moveaxis(sides, 0, 2)).transpose(2, 0, 1)
 
 
 def _bias(rods: Rods, q: np.ndarray, v: np.ndarray, plate: Poses) -> np.ndarray:
@@ -142,10 +144,10 @@ def _bias(rods: Rods, q: np.ndarray, v: np.ndarray, plate: Poses) -> np.ndarray:
     r = rods.plate_points(plate) - plate.position[:, None]
     rate = np.einsum("nkia,na->nki", rods.base_jacobian(q), v) - twist[:, None, :3] - np.cross(w[:, None], r)
     joints, carried, qt = rods.numbers.joints, rods.numbers.carried, q.T
-    places = chains.points(joints, carried, qt)
-    pushed = chains.accelerations(joints, carried, chains.compute_joint_frames(joints, qt), places, v.T).transpose(
-        2, 0, 1
-    )
+    places = chains.compute_points(joints, carried, qt)
+    pushed = chains.compute_accelerations(
+        joints, carried, chains.compute_joint_frames(joints, qt), places, v.T
+    ).transpose(2, 0, 1)
     pushed = pushed - np.cross(w[:, None], np.cross(w[:, None], r))
     d = places.transpose(2, 0, 1) - rods.plate_points(plate)
     right = np.sum(rate**2, axis=2) + np.sum(d * pushed, axis=2)

@@ -12,7 +12,7 @@ SLACK = 1e-9
 """Rounding at a joint limit [m or rad]."""
 
 
-def unwound(q: np.ndarray, turns: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def unwind_turns(q: np.ndarray, turns: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return positions (N, na) with those outside their limits moved by a whole turn where that fits.
 
     Args:
@@ -44,12 +44,12 @@ def check_limits(robot: Robot) -> None:
             )
 
 
-def limited(robot: Robot, found: InverseResult, limits: bool) -> InverseResult:
+def refuse_beyond_limits(robot: Robot, found: InverseResult, limits: bool) -> InverseResult:
     """Return the positions with those outside joint limits refused; a turn may be a whole one away."""
     if not limits:
         return found
     turns = np.array([kind == "revolute" for kind in robot.joint_kinds])
-    q = unwound(found.q, turns, robot.lower, robot.upper)
+    q = unwind_turns(found.q, turns, robot.lower, robot.upper)
     with np.errstate(invalid="ignore"):
         beyond = np.any([q < robot.lower - SLACK, q > robot.upper + SLACK], axis=0)
     bad = beyond.any(axis=1)

@@ -15,14 +15,26 @@ import pinocchio as pin
 
 from tau_dyn.kinematics.elimination import Elimination, Entries
 from tau_dyn.kinematics.loops import LoopSolver
-from tau_dyn.kinematics.pseudo_inverse import ILL, inverses
-from tau_dyn.kinematics.tree_arrays import Frames, Joint, Motion, Vector, cross, frames, motion, plus, point
+from tau_dyn.kinematics.pseudo_inverse import ILL, invert_matrices
+from tau_dyn.kinematics.tree_arrays import (
+    FrameMotion,
+    Frames,
+    Joint,
+    Vector,
+    add_vectors,
+    compute_cross_product,
+    compute_frames,
+    compute_motion,
+    transform_point,
+)
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
 _DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square
-_ROUNDS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
-_LARGEST = 0.5  # [m or rad] what Newton may move a passive joint away from its guess; more may be another assembly mode
-_FAR = 2000  # cells from home beyond which positions are taken for a mistake of units
+_MAX_ITERATIONS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
+_MAX_PASSIVE_STEP = (
+    0.5  # [m or rad] what Newton may move a passive joint away from its guess; more may be another assembly mode
+)
+_MAX_CELLS_FROM_HOME = 2000  # cells from home beyond which positions are taken for a mistake of units
 _TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPACK
 
 
@@ -109,7 +121,7 @@ class LoopArrays:
         """Return the tree's accelerations (nv, N) at its velocities `v` (nv, N) and actuated accelerations `a` (na, N)."""
         total = np.einsum("van,an->vn", closed.G, a)
         if self._ends:
-            gap = self._gap_acceleration(closed.at, motion(self.joints, closed.at, v, None, np.zeros(3)))
+            gap = self._gap_acceleration(closed.at, compute_motion(self.joints, closed.at, v, None, np.zeros(3)))
             total[self.passive] -= closed.inverse.solve(gap)
         return total
 
@@ -119,12 +131,14 @@ class LoopArrays:
         G = np.zeros((*x.shape[:1], len(self.active), 1))
         G[self.active, range(len(self.active))] = 1.0
         G = np.broadcast_to(G, (*G.shape[:2], len(q)))
-        return ClosedLoops(x, frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
+        return ClosedLoops(x, compute_frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
 
     def _started(self, q: np.ndarray) -> np.ndarray:
         """Return a first guess of all positions (nv, N): the cell's middle, moved along its `G`."""
         away = self._reduced(q - self.solver.robot.home)
-        nearest = np.clip(np.round(away / _CELL), -_FAR - 1, _FAR + 1)  # what is farther has no closure anyway
+        nearest = np.clip(
+            np.round(away / _CELL), -_MAX_CELLS_FROM_HOME - 1, _MAX_CELLS_FROM_HOME + 1
+        )  # what is farther has no closure anyway
         cells, which = np.unique(nearest.astype(int), axis=0, return_inverse=True)
         self._learn(cells[[tuple(cell) not in self._cells for cell in cells.tolist()]])
         known = [self._cells[tuple(cell)] for cell in cells.tolist()]
@@ -144,8 +158,8 @@ class LoopArrays:
             return
         x = np.repeat(self._positions(self.solver.close(self.solver.robot.home))[:, None], len(cells), axis=1)
         distance = np.abs(cells).max(axis=1)
-        x[:, distance > _FAR] = np.nan
-        steps = int(distance[distance <= _FAR].max(initial=0))
+        x[:, distance > _MAX_CELLS_FROM_HOME] = np.nan
+        steps = int(distance[distance <= _MAX_CELLS_FROM_HOME].max(initial=0))
         with np.errstate(all="ignore"):
             for step in range(steps + 1):
                 G = self._linearised(x).G
@@ -159,22 +173,22 @@ class LoopArrays:
         """Return closed positions (nv, N), started at `x`, and where that worked (N,)."""
         guess, x, found = x, x.copy(), np.zeros(x.shape[1], bool)
         left = np.flatnonzero(np.isfinite(x).all(axis=0))
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             if not left.size:
                 break
             now = x[:, left]
-            at = frames(self.joints, now)
+            at = compute_frames(self.joints, now)
             step = -self._inverse(self.entries(at))[0].solve(self._gap(at))
             now[self.passive] += step
             x[:, left] = now
             done = np.abs(step).max(axis=0) < _DONE
             found[left[done]] = True
-            astray = ~(np.abs(now - guess[:, left]).max(axis=0) < _LARGEST)
+            astray = ~(np.abs(now - guess[:, left]).max(axis=0) < _MAX_PASSIVE_STEP)
             left = left[~done & ~astray]
         return x, found
 
     def _linearised(self, x: np.ndarray) -> ClosedLoops:
-        at = frames(self.joints, x)
+        at = compute_frames(self.joints, x)
         entries = self.entries(at)
         J_a = np.zeros((3 * len(self._ends), len(self.active), x.shape[1]))
         for k, v in enumerate(self.active):
@@ -197,14 +211,14 @@ class LoopArrays:
             x = factor.solve(probe)
             if np.all(factor.residual(x, probe) < _TRUSTED):
                 return factor, x
-        return Dense(inverses(self._dense(passive, len(self.passive)))), None
+        return Dense(invert_matrices(self._dense(passive, len(self.passive)))), None
 
     def _planned(self) -> Elimination | None:
         """Return how to eliminate at home and near it; None where the passive Jacobian has no inverse."""
         if not self._ends or 3 * len(self._ends) != len(self.passive):
             return None
         home = self._positions(self.solver.close(self.solver.robot.home))
-        passive = self._passive(self.entries(frames(self.joints, home[:, None])))
+        passive = self._passive(self.entries(compute_frames(self.joints, home[:, None])))
         J = self._dense(passive, len(self.passive))[0]
         return None if np.linalg.cond(J) > ILL else Elimination.plan(set(passive), J)
 
@@ -228,10 +242,10 @@ class LoopArrays:
         found: Entries = {}
         for k, ends in enumerate(self._ends):
             for end, sign in zip(ends, (1.0, -1.0), strict=True):
-                place = point(at, end.joint, end.local)
+                place = transform_point(at, end.joint, end.local)
                 for index in end.carriers:
                     joint, z = self._by_index[index], at.axis[index]
-                    column = sign * (z if joint.slides else cross(z, place - at.origin[index]))
+                    column = sign * (z if joint.slides else compute_cross_product(z, place - at.origin[index]))
                     for r in range(3):
                         before = found.get((3 * k + r, joint.v))
                         found[3 * k + r, joint.v] = column[r] if before is None else before + column[r]
@@ -239,18 +253,24 @@ class LoopArrays:
 
     def _gap(self, at: Frames) -> np.ndarray:
         """Return `p_A - p_B` of all loops (3 * loops, N) [m]."""
-        return np.concatenate([point(at, a.joint, a.local) - point(at, b.joint, b.local) for a, b in self._ends])
+        return np.concatenate(
+            [transform_point(at, a.joint, a.local) - transform_point(at, b.joint, b.local) for a, b in self._ends]
+        )
 
-    def _gap_acceleration(self, at: Frames, moving: Motion) -> np.ndarray:
+    def _gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
         """Return the gaps' accelerations (3 * loops, N) [m/s^2]."""
         zero = np.zeros_like(at.origin[0])
 
         def of(end: _Ends) -> np.ndarray:
             j = end.joint
-            arm = point(at, j, end.local) - at.origin[j]
+            arm = transform_point(at, j, end.local) - at.origin[j]
             w = moving.turning[j]
-            total: Vector = plus(
-                moving.acceleration[j], plus(cross(moving.spinning_up[j], arm), cross(w, cross(w, arm)))
+            total: Vector = add_vectors(
+                moving.acceleration[j],
+                add_vectors(
+                    compute_cross_product(moving.spinning_up[j], arm),
+                    compute_cross_product(w, compute_cross_product(w, arm)),
+                ),
             )
             return zero if total is None else total
 

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.kinematics.constraints import Constraints
-from tau_dyn.kinematics.pseudo_inverse import inverse, lengths_of
+from tau_dyn.kinematics.pseudo_inverse import invert_matrix, measure_column_lengths
 from tau_dyn.robot import Robot
 
 _TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
@@ -97,7 +97,7 @@ class LoopSolver:
         if not self.robot.loops:
             return 1.0
         J_p = self._constraints.jacobian(self.close(q_a))[:, self.passive_v]
-        s = np.linalg.svd(J_p / lengths_of(J_p), compute_uv=False)
+        s = np.linalg.svd(J_p / measure_column_lengths(J_p), compute_uv=False)
         return float(s[0] / s[-1]) if s[-1] > 1e-10 * s[0] else np.inf
 
     def free_motions(self) -> np.ndarray:
@@ -184,7 +184,7 @@ class LoopSolver:
     def _linearise(self, q: np.ndarray) -> None:
         """Keep the inverse of `J_p` and `G` at this configuration."""
         jacobian = self._constraints.jacobian(q)
-        self._inverse = inverse(jacobian[:, self.passive_v])
+        self._inverse = invert_matrix(jacobian[:, self.passive_v])
         self._G = self._identity.copy()
         self._G[self.passive_v] = -self._inverse @ jacobian[:, self.active_v]
 

@@ -20,11 +20,11 @@ from tau_dyn.kinematics import chains as chain_points
 from tau_dyn.kinematics import rod_dimensions
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain
 from tau_dyn.kinematics.least_motion import Progress, solve_least_motion_step, solve_with_pseudo_inverse
-from tau_dyn.kinematics.plate_arrays import Plate, log_of, rows, turned_by
+from tau_dyn.kinematics.plate_arrays import Plate, compute_equation_rows, log_of, rotate_by_vector
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
-_ROUNDS = 60  # Newton steps, damped far from the solution
+_MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 5  # rounds without progress after which a sample is given up
 _DONE, _NEAR = 1e-13, 1e-8
 _CLOSED = 1e-11  # [m]
@@ -52,7 +52,7 @@ class ManifoldInverse:
         by_q = rods.gap_by_q(rods.robot.home[None], rods.home)[0] * self._unit
         self.idle = rods.na - int(np.linalg.matrix_rank(by_q, tol=_RANK * np.linalg.norm(by_q)))
         self._weight = np.concatenate([np.zeros(self._turns), _DAMPING / self._unit**2])
-        self._near = rod_dimensions.nearest_rails(rods.numbers)
+        self._near = rod_dimensions.measure_rail_distances(rods.numbers)
         self._far = np.where(rods.numbers.slides >= 0, np.inf, rods.lengths) + (
             np.zeros(rods.n) if rods.translates else np.linalg.norm(self._local, axis=1)
         )
@@ -108,7 +108,7 @@ class ManifoldInverse:
         return q
 
     def newton(
-        self, tool: Poses, q: np.ndarray, rotation: np.ndarray, toward: np.ndarray, rounds: int = _ROUNDS
+        self, tool: Poses, q: np.ndarray, rotation: np.ndarray, toward: np.ndarray, rounds: int = _MAX_ITERATIONS
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return closed positions and rotations from a start; nan where Newton does not come to rest.
 
@@ -124,9 +124,9 @@ class ManifoldInverse:
             size = np.maximum(np.abs(w).max(axis=1), np.abs(dq).max(axis=1) / max(self.scale, 1.0))
             share = np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]
             q[left] += share * dq
-            rotation[left] = np.moveaxis(turned_by((share * w).T, np.moveaxis(rotation[left], 0, 2)), 2, 0)
+            rotation[left] = np.moveaxis(rotate_by_vector((share * w).T, np.moveaxis(rotation[left], 0, 2)), 2, 0)
             tight = gap < _CLOSED
-            closed[left] = (tight & (size < 1e-7)) if rounds == _ROUNDS else gap < _ROUGH * self.scale
+            closed[left] = (tight & (size < 1e-7)) if rounds == _MAX_ITERATIONS else gap < _ROUGH * self.scale
             over = (tight & progress.rests(left, size, _DONE, _NEAR)) | (progress.stalled(left, gap) & ~tight)
             left = left[~over & np.isfinite(size)]
         q[~closed], rotation[~closed] = np.nan, np.nan
@@ -156,7 +156,7 @@ class ManifoldInverse:
             if not on.size:
                 break
             share = step / steps[on]
-            wanted = turned_by(share * turn[:, on], np.repeat(np.moveaxis(home.rotation, 0, 2), len(on), axis=2))
+            wanted = rotate_by_vector(share * turn[:, on], np.repeat(np.moveaxis(home.rotation, 0, 2), len(on), axis=2))
             place = home.position + share[:, None] * (tool.position[on] - home.position)
             here = Poses(place, np.moveaxis(wanted, 2, 0))
             q[on], rotation[on] = self.newton(here, q[on], rotation[on], near[on], rounds=3)
@@ -167,14 +167,14 @@ class ManifoldInverse:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the largest gap (N,) [m], the turn (N, 3) and the actuated step (N, na)."""
         numbers, qt = self.rods.numbers, q.T
-        points = chain_points.points(numbers.joints, numbers.carried, qt)
-        lengths = rod_dimensions.leg_lengths(numbers, qt)
-        at = rows(points, self._local, lengths**2, Plate(tool.position.T, np.moveaxis(rotation, 0, 2)))
+        points = chain_points.compute_points(numbers.joints, numbers.carried, qt)
+        lengths = rod_dimensions.compute_leg_lengths(numbers, qt)
+        at = compute_equation_rows(points, self._local, lengths**2, Plate(tool.position.T, np.moveaxis(rotation, 0, 2)))
         f = (np.stack(at.f) / lengths).T
         C = np.empty((len(q), self.rods.n, self._turns + self.rods.na))
         if self._turns:
             C[:, :, :3] = -np.stack(at.moment).transpose(2, 0, 1)
-        C[:, :, self._turns :] = rod_dimensions.closure_by_q(numbers, qt, points, at.d).transpose(2, 0, 1)
+        C[:, :, self._turns :] = rod_dimensions.compute_closure_by_q(numbers, qt, points, at.d).transpose(2, 0, 1)
         C /= np.broadcast_to(lengths, (self.rods.n, len(q))).T[:, :, None]
         if C.shape[1] == C.shape[2]:
             y = solve_with_pseudo_inverse(C, -f)

@@ -81,10 +81,10 @@ def read_surroundings(path: str | Path) -> Surroundings:
     Raises:
         InputError: The file cannot be read, or the message names the obstacle, its key and what would be right.
     """
-    return surroundings_from(read_yaml(path), str(path))
+    return build_surroundings(read_yaml(path), str(path))
 
 
-def surroundings_from(content: Any, where: str) -> Surroundings:
+def build_surroundings(content: Any, where: str) -> Surroundings:
     """Return surroundings from what a YAML file holds; `where` opens the messages."""
     reader = _Reader(where)
     if not isinstance(content, Mapping) or not content:
@@ -202,7 +202,7 @@ def _turn_z_to(direction: np.ndarray) -> np.ndarray:
     return pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).matrix()
 
 
-def with_limits(around: Surroundings, texts: Sequence[str]) -> Surroundings:
+def add_limits(around: Surroundings, texts: Sequence[str]) -> Surroundings:
     """Return surroundings with further limits of the tool, each such as `x=0.5:2.5`; an end may be left empty.
 
     Raises:

@@ -14,12 +14,12 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import inverse_kinematics, nearest_configuration
+from tau_dyn.kinematics.inverse import find_nearest_configuration, inverse_kinematics
 from tau_dyn.kinematics.jacobians import jacobian
-from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.poses import Poses, require_poses
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.solvers import get_rods, robot_of
+from tau_dyn.kinematics.solvers import get_robot, get_rods
 from tau_dyn.robot import Robot
 
 _MAX_STEP_RATIO = 0.3  # of the mean rod's length, or m or rad without rods: no path of neighbouring poses asks for this
@@ -61,14 +61,14 @@ def follow_path(robot: Robot | Rods, path: Poses | np.ndarray, *, start: np.ndar
     Raises:
         InputError: Wrong shapes, no samples, or a start together with actuated positions.
     """
-    owner, by_pose = robot_of(robot), isinstance(path, Poses)
+    owner, by_pose = get_robot(robot), isinstance(path, Poses)
     if start is not None and not by_pose:
         raise InputError("a path of actuated positions needs no start: its first sample is one")
-    asked = checked_poses(path) if isinstance(path, Poses) else checked_positions(owner, path)
+    asked = require_poses(path) if isinstance(path, Poses) else require_positions(owner, path)
     if not len(asked[0] if isinstance(asked, Poses) else asked):
         raise InputError("a path needs at least one sample")
     if isinstance(asked, Poses):
-        here = None if start is None else checked_positions(owner, start)[0]
+        here = None if start is None else require_positions(owner, start)[0]
         q, poses, reason = _solved(robot, asked, here)
     else:
         found = forward_kinematics(robot, asked)
@@ -87,9 +87,9 @@ def follow_path(robot: Robot | Rods, path: Poses | np.ndarray, *, start: np.ndar
 
 def _solved(robot: Robot | Rods, asked: Poses, here: np.ndarray | None) -> tuple[np.ndarray, Poses, np.ndarray]:
     """Return positions, poses reached and reasons; all samples at once, and from the first jump on one after the other."""
-    rods, owner = get_rods(robot), robot_of(robot)
+    rods, owner = get_rods(robot), get_robot(robot)
     near = owner.home if here is None else here
-    signs = None if rods is None else nearest_configuration(rods, asked.take(slice(1)), near)
+    signs = None if rods is None else find_nearest_configuration(rods, asked.take(slice(1)), near)
     found = inverse_kinematics(robot, asked, configuration=signs, start=here, limits=False)
     q, rotation, reason = found.q.copy(), found.rotation.copy(), found.reason.astype(object)
     jumps = np.flatnonzero(~(_moved(robot, np.diff(q, axis=0)) < _MAX_STEP_RATIO)) + 1
@@ -106,7 +106,7 @@ def _solved(robot: Robot | Rods, asked: Poses, here: np.ndarray | None) -> tuple
 def _moved(robot: Robot | Rods, step: np.ndarray) -> np.ndarray:
     """Return the largest actuated step: slides by the rods' mean length, turns in rad without whole ones."""
     rods = get_rods(robot)
-    turning = np.array([kind == "revolute" for kind in robot_of(robot).joint_kinds])
+    turning = np.array([kind == "revolute" for kind in get_robot(robot).joint_kinds])
     scale = 1.0 if rods is None else float(np.mean(rods.lengths))
     turned = np.abs((step + np.pi) % (2 * np.pi) - np.pi)
     return np.max(np.where(turning, turned, np.abs(step) / scale), axis=-1)
@@ -124,7 +124,7 @@ def _crossing(robot: Robot | Rods, q: np.ndarray, poses: Poses, home: bool, seri
     for name, rows in here.items():
         before = rows[:1]
         if home:
-            owner, rods = robot_of(robot), get_rods(robot)
+            owner, rods = get_robot(robot), get_rods(robot)
             at = forward_kinematics(robot, owner.home[None]).poses if rods is None else rods.tool_poses(rods.home)
             before = _determinants(robot, owner.home[None], at)[name]
         other = np.flatnonzero((rows * before < 0).any(axis=1)) if rows.size else np.zeros(0, int)

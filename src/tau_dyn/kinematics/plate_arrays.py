@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics.elimination import Elimination, Factor
-from tau_dyn.kinematics.tree_arrays import combined, cross
+from tau_dyn.kinematics.tree_arrays import combine_rotated, compute_cross_product
 
 _TRUSTED = 1e-10  # relative residual of a solution by LU; worse ones are solved again by SVD
 
@@ -36,7 +36,7 @@ class Plate(NamedTuple):
 
     def moved(self, twist: np.ndarray) -> Plate:
         """Return the poses after small displacements (6, N)."""
-        return Plate(self.position + twist[:3], turned_by(twist[3:], self.rotation))
+        return Plate(self.position + twist[:3], rotate_by_vector(twist[3:], self.rotation))
 
 
 class Rows(NamedTuple):
@@ -47,7 +47,7 @@ class Rows(NamedTuple):
     f: list[np.ndarray]
 
 
-def rows(points: np.ndarray, on_plate: np.ndarray, squares: np.ndarray, plate: Plate) -> Rows:
+def compute_equation_rows(points: np.ndarray, on_plate: np.ndarray, squares: np.ndarray, plate: Plate) -> Rows:
     """Return the rods' equations.
 
     Args:
@@ -58,21 +58,21 @@ def rows(points: np.ndarray, on_plate: np.ndarray, squares: np.ndarray, plate: P
     """
     d, moment, f = [], [], []
     for k in range(len(on_plate)):
-        r = combined(plate.rotation, on_plate[k])
+        r = combine_rotated(plate.rotation, on_plate[k])
         rod = points[k] - plate.position
         rod -= r
         d.append(rod)
-        moment.append(cross(r, rod))
+        moment.append(compute_cross_product(r, rod))
         f.append(_half_square(rod, squares[k]))
     return Rows(d, moment, f)
 
 
-def residual(points: np.ndarray, on_plate: np.ndarray, squares: np.ndarray, plate: Plate) -> np.ndarray:
+def compute_residual(points: np.ndarray, on_plate: np.ndarray, squares: np.ndarray, plate: Plate) -> np.ndarray:
     """Return `f` (n, N) [m^2] alone."""
     out = np.empty((len(on_plate), plate.position.shape[1]))
     for k in range(len(on_plate)):
         rod = points[k] - plate.position
-        rod -= combined(plate.rotation, on_plate[k])
+        rod -= combine_rotated(plate.rotation, on_plate[k])
         out[k] = _half_square(rod, squares[k])
     return out
 
@@ -86,7 +86,7 @@ def _half_square(rod: np.ndarray, square: np.ndarray) -> np.ndarray:
     return total
 
 
-def dense(at: Rows) -> np.ndarray:
+def build_dense(at: Rows) -> np.ndarray:
     """Return the matrices `[d, r x d]` (N, n, 6)."""
     return np.concatenate([np.stack(at.d), np.stack(at.moment)], axis=1).transpose(2, 0, 1)
 
@@ -110,32 +110,32 @@ class SixRods:
         """Return the twists (6, N) for right sides (6, N); a sample that elimination spoils goes to LAPACK."""
         factor = self.factor(at) if factor is None else factor
         if factor is None:
-            return lapack(dense(at), b)
+            return solve_with_lapack(build_dense(at), b)
         x = factor.solve(b)
         bad = ~(np.abs(x).max(axis=0) < np.inf)
         if bad.any():
             part = np.flatnonzero(bad)
-            x[:, part] = lapack(dense(taken(at, part)), b[:, part])
+            x[:, part] = solve_with_lapack(build_dense(take_samples(at, part)), b[:, part])
         return x
 
     def accurate(self, at: Rows, b: np.ndarray) -> np.ndarray:
         """Return the twists (6, ..., N), each sample checked for what elimination left."""
         factor = self.factor(at)
         if factor is None:
-            return lapack(dense(at), b)
+            return solve_with_lapack(build_dense(at), b)
         x = factor.solve(b)
         bad = np.flatnonzero(~(factor.residual(x, b) < _TRUSTED))
         if bad.size:
-            x[..., bad] = lapack(dense(taken(at, bad)), b[..., bad])
+            x[..., bad] = solve_with_lapack(build_dense(take_samples(at, bad)), b[..., bad])
         return x
 
 
-def taken(at: Rows, index: np.ndarray) -> Rows:
+def take_samples(at: Rows, index: np.ndarray) -> Rows:
     """Return some of the samples."""
     return Rows([x[:, index] for x in at.d], [x[:, index] for x in at.moment], [x[index] for x in at.f])
 
 
-def lapack(matrices: np.ndarray, b: np.ndarray) -> np.ndarray:
+def solve_with_lapack(matrices: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return least-squares solutions (c, ..., N) of matrices (N, n, c) and right sides (n, ..., N); nan where there is none."""
     sides = np.moveaxis(b.reshape(len(b), -1, b.shape[-1]), 2, 0)
     out = np.full((len(matrices), matrices.shape[2], sides.shape[2]), np.nan)
@@ -150,15 +150,15 @@ def lapack(matrices: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.moveaxis(out, 0, 2).reshape(matrices.shape[2], *b.shape[1:])
 
 
-def turned_by(w: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def rotate_by_vector(w: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return `Exp(w) R` (3, 3, N) for rotation vectors (3, N), by Rodrigues' formula."""
     square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
     s, c = _sine_and_cosine(square)
     out = np.empty(rotation.shape)
     for k in range(3):
         column = rotation[:, k]
-        first = cross(w, column)
-        out[:, k] = cross(w, first)
+        first = compute_cross_product(w, column)
+        out[:, k] = compute_cross_product(w, first)
         out[:, k] *= c
         first *= s
         out[:, k] += first

@@ -10,15 +10,15 @@ import pandas as pd
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import configurations, inverse_kinematics, inverse_solutions
+from tau_dyn.kinematics.inverse import inverse_kinematics, list_configurations, solve_all_configurations
 from tau_dyn.kinematics.kinematics_result import JOINT_LIMIT, OK, REASONS, InverseResult
-from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
+from tau_dyn.kinematics.poses import Poses, convert_from_quaternions, convert_to_quaternions
 from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
 TOOL = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")
-_FAR = 50.0  # [m] no robot is larger, and millimetres are
+_MAX_REACH_M = 50.0  # [m] no robot is larger, and millimetres are
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
 
 
@@ -89,7 +89,7 @@ class PoseTable(Shown):
         }
 
 
-def forward_table(robot: Robot, q: np.ndarray) -> PoseTable:
+def build_forward_table(robot: Robot, q: np.ndarray) -> PoseTable:
     """Return where positions (N, na) put the tool.
 
     Raises:
@@ -107,7 +107,7 @@ def forward_table(robot: Robot, q: np.ndarray) -> PoseTable:
     return _table(robot, False, q, found.poses, found.reason, warnings=[*warnings, *_lost(found.reason)])
 
 
-def inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = False) -> PoseTable:
+def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = False) -> PoseTable:
     """Return which positions put the tool at poses, in home's configuration or in all.
 
     Raises:
@@ -133,28 +133,28 @@ def inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = Fals
 
 def read_positions(columns: dict[str, np.ndarray], robot: Robot, where: str) -> np.ndarray:
     """Return actuated positions (N, na) from a table's columns `q_<joint>`."""
-    return picked(columns, [f"q_{joint}" for joint in robot.actuated], where)
+    return pick_columns(columns, [f"q_{joint}" for joint in robot.actuated], where)
 
 
 def read_poses(columns: dict[str, np.ndarray], robot: Robot, where: str) -> Poses:
     """Return tool poses from a table's columns `x_tool`..; without a quaternion the orientation is home's."""
-    position = picked(columns, list(TOOL[:3]), where)
+    position = pick_columns(columns, list(TOOL[:3]), where)
     if not any(name in columns for name in TOOL[3:]):
-        return poses_at(robot, position)
-    return from_quaternions(position, picked(columns, list(TOOL[3:]), where))
+        return place_home_orientation(robot, position)
+    return convert_from_quaternions(position, pick_columns(columns, list(TOOL[3:]), where))
 
 
-def poses_at(robot: Robot, position: np.ndarray) -> Poses:
+def place_home_orientation(robot: Robot, position: np.ndarray) -> Poses:
     """Return poses at positions (N, 3) [m] with home's orientation."""
     home = forward_kinematics(robot, robot.home[None]).poses.rotation[0]
     return Poses(position, np.repeat(home[None], len(position), axis=0))
 
 
 def _all(robot: Robot, poses: Poses) -> PoseTable:
-    found = inverse_solutions(robot, poses)
+    found = solve_all_configurations(robot, poses)
     rods = get_rods(robot)
-    named = rods is not None and len(configurations(rods)) == found.shape[1]
-    names = [_name(c) for c in configurations(rods)] if rods is not None and named else []
+    named = rods is not None and len(list_configurations(rods)) == found.shape[1]
+    names = [_name(c) for c in list_configurations(rods)] if rods is not None and named else []
     names = names or [str(k + 1) for k in range(found.shape[1])]
     n, m = found.shape[:2]
     q, pose, name = found.reshape(n * m, -1), np.repeat(np.arange(n), m), np.array(names * n)
@@ -188,11 +188,11 @@ def _table(
 ) -> PoseTable:
     numbers = np.arange(len(q)) if pose is None else pose
     names = np.full(len(q), "") if configuration is None else configuration
-    position, quaternion = poses.position, quaternions(poses)
+    position, quaternion = poses.position, convert_to_quaternions(poses)
     return PoseTable(robot, inverse, numbers + 1, q, position, quaternion, reason, names, tuple(warnings))
 
 
-def picked(columns: dict[str, np.ndarray], names: list[str], where: str) -> np.ndarray:
+def pick_columns(columns: dict[str, np.ndarray], names: list[str], where: str) -> np.ndarray:
     """Return columns of a table, side by side (N, n), as numbers.
 
     Raises:
@@ -244,7 +244,7 @@ def _place(poses: Poses) -> str:
 
 
 def _millimetres(poses: Poses) -> str:
-    return "; positions are in m (do they stand in mm?)" if np.abs(poses.position[0]).max() > _FAR else ""
+    return "; positions are in m (do they stand in mm?)" if np.abs(poses.position[0]).max() > _MAX_REACH_M else ""
 
 
 def _listed(robot: Robot, q: np.ndarray) -> str:

@@ -45,7 +45,7 @@ class Poses(NamedTuple):
         return Poses(position, self.rotation @ placement.rotation)
 
 
-def quaternions(poses: Poses) -> np.ndarray:
+def convert_to_quaternions(poses: Poses) -> np.ndarray:
     """Return `x y z w` (N, 4) with `w >= 0`, as the columns qx_tool.. of a log; nan where a pose is."""
     out = np.full((len(poses.position), 4), np.nan)
     sound = np.isfinite(poses.rotation).all(axis=(1, 2))
@@ -54,7 +54,7 @@ def quaternions(poses: Poses) -> np.ndarray:
     return out
 
 
-def from_quaternions(position: np.ndarray, quaternion: np.ndarray) -> Poses:
+def convert_from_quaternions(position: np.ndarray, quaternion: np.ndarray) -> Poses:
     """Return poses from positions (N, 3) [m] and quaternions `x y z w` (N, 4); nan stays nan.
 
     Raises:
@@ -78,7 +78,7 @@ def from_quaternions(position: np.ndarray, quaternion: np.ndarray) -> Poses:
     return Poses(position, rotation)
 
 
-def checked_poses(poses: Poses) -> Poses:
+def require_poses(poses: Poses) -> Poses:
     """Return poses as arrays of the right shape; one pose may come without its first axis.
 
     Raises:

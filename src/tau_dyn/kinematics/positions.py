@@ -8,7 +8,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.robot import Robot
 
 
-def checked_positions(robot: Robot, q: np.ndarray) -> np.ndarray:
+def require_positions(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Return actuated positions as an array (N, na); one sample may come without its first axis.
 
     Raises:

@@ -14,7 +14,7 @@ _ROUNDING = 1e-10
 """Singular values and columns smaller than this beside the largest are rounding."""
 
 
-def inverse(J: np.ndarray) -> np.ndarray:
+def invert_matrix(J: np.ndarray) -> np.ndarray:
     """Return the inverse (n, m) of a matrix (m, n) by LU; of one that is singular or not square, the pseudo-inverse."""
     if J.shape[0] == J.shape[1]:
         lu, pivots, fault = dgetrf(J)
@@ -22,16 +22,16 @@ def inverse(J: np.ndarray) -> np.ndarray:
             found = dgetri(lu, pivots)[0]
             if np.abs(J).sum(axis=0).max() * np.abs(found).sum(axis=0).max() < ILL:
                 return found
-    lengths = lengths_of(J)
+    lengths = measure_column_lengths(J)
     u, s, vt = np.linalg.svd(J / lengths, full_matrices=False)
     keep = s > _ROUNDING * s[0]  # a rod's free spin has no influence on anything we report: least norm
     return (vt[keep].T / s[keep]) @ u[:, keep].T / lengths[:, None]
 
 
-def inverses(J: np.ndarray) -> np.ndarray:
+def invert_matrices(J: np.ndarray) -> np.ndarray:
     """Return inverses (N, n, m) of matrices (N, m, n); of one that is singular or not square, the pseudo-inverse.
 
-    Pseudo-inverses are those of unit columns, as of `inverse`.
+    Pseudo-inverses are those of unit columns, as of `invert_matrix`.
     """
     if J.shape[1] != J.shape[2]:
         return _pseudo_inverses(J)
@@ -55,14 +55,14 @@ def _pseudo_inverses(J: np.ndarray) -> np.ndarray:
 
 
 def _sound_pseudo_inverses(J: np.ndarray) -> np.ndarray:
-    lengths = lengths_of(J)
+    lengths = measure_column_lengths(J)
     u, s, vt = np.linalg.svd(J / lengths[:, None, :], full_matrices=False)
     kept = s > _ROUNDING * s[:, :1]  # a rod's free spin has no influence on anything we report: least norm
     weight = np.divide(1.0, s, out=np.zeros_like(s), where=kept)
     return (vt.transpose(0, 2, 1) * weight[:, None, :]) @ u.transpose(0, 2, 1) / lengths[:, :, None]
 
 
-def lengths_of(J: np.ndarray) -> np.ndarray:
+def measure_column_lengths(J: np.ndarray) -> np.ndarray:
     """Return the columns' lengths (..., n) of matrices (..., m, n), 1 for those that are zero but for rounding."""
     lengths = np.linalg.norm(J, axis=-2)
     return np.where(lengths > _ROUNDING * lengths.max(axis=-1, keepdims=True, initial=0.0), lengths, 1.0)

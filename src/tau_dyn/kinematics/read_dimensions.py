@@ -9,7 +9,7 @@ import numpy as np
 from tau_dyn.kinematics.chains import Carried, ChainJoint
 from tau_dyn.kinematics.recognise import Found
 from tau_dyn.kinematics.rod_dimensions import RodDimensions
-from tau_dyn.kinematics.tree_arrays import subspace, without_rounding
+from tau_dyn.kinematics.tree_arrays import compute_subspace, remove_rounding
 from tau_dyn.robot import Robot
 
 
@@ -40,7 +40,7 @@ def _chain_joints(robot: Robot, found: Found) -> tuple[list[ChainJoint], dict[in
         index[j] = len(joints)
         kind, placement = model.joints[j].shortname(), model.jointPlacements[j]
         slides = kind.startswith("JointModelP")
-        motion = subspace(model, j)
+        motion = compute_subspace(model, j)
         joints.append(
             ChainJoint(
                 name=model.names[j],
@@ -56,8 +56,8 @@ def _chain_joints(robot: Robot, found: Found) -> tuple[list[ChainJoint], dict[in
 
 
 def _clean(x: np.ndarray) -> np.ndarray:
-    """Return numbers as `without_rounding` does, and no negative zeros."""
-    return without_rounding(x) + 0.0
+    """Return numbers as `remove_rounding` does, and no negative zeros."""
+    return remove_rounding(x) + 0.0
 
 
 def _as_arms(robot: Robot, found: Found, numbers: RodDimensions) -> RodDimensions:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.exceptions import UnknownName
-from tau_dyn.kinematics.chains import Carried, ChainJoint, Placed, compute_joint_frames, path, velocities
+from tau_dyn.kinematics.chains import Carried, ChainJoint, Placed, compute_joint_frames, compute_velocities, list_path
 from tau_dyn.parameters import Parameter, Parameters
 
 AXES = ("x", "y", "z")
@@ -48,7 +48,7 @@ class RodDimensions:
     arms: tuple[str, ...] = ()
 
 
-def parameters_of(numbers: RodDimensions) -> Parameters:
+def build_parameters(numbers: RodDimensions) -> Parameters:
     """Return the geometry's parameters at these numbers."""
     rows: list[Parameter] = []
     if numbers.arms:
@@ -66,13 +66,13 @@ def parameters_of(numbers: RodDimensions) -> Parameters:
     return Parameters(rows)
 
 
-def with_values(numbers: RodDimensions, parameters: Parameters) -> RodDimensions:
+def replace_values(numbers: RodDimensions, parameters: Parameters) -> RodDimensions:
     """Return the geometry at other values of some or all of its parameters.
 
     Raises:
         UnknownName: A parameter that this geometry does not have.
     """
-    known = parameters_of(numbers)
+    known = build_parameters(numbers)
     for name in parameters.names:
         if name not in known:
             raise UnknownName("geometry parameter", name, known.names)
@@ -100,7 +100,7 @@ def with_values(numbers: RodDimensions, parameters: Parameters) -> RodDimensions
     )
 
 
-def gap_columns(
+def compute_gap_columns(
     numbers: RodDimensions,
     at: Sequence[Placed],
     q: np.ndarray,
@@ -123,7 +123,7 @@ def gap_columns(
         carrier = numbers.carried.carrier[k]
         owner = numbers.arms[k] if numbers.arms else name
         found[k, f"{owner}.length"] = -_stretch(numbers, k, q)
-        for index in path(numbers.joints, carrier):
+        for index in list_path(numbers.joints, carrier):
             joint = numbers.joints[index]
             parent = at[joint.parent].rotation if joint.parent >= 0 else np.eye(3)[:, :, None]
             pushed = _into(parent, unit[k])
@@ -142,7 +142,7 @@ def gap_columns(
     return found
 
 
-def leg_lengths(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
+def compute_leg_lengths(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
     """Return the rods' lengths (n, N or 1) [m] at `q` (na, N)."""
     if not np.any(numbers.slides >= 0):
         return numbers.lengths[:, None]
@@ -153,7 +153,7 @@ def leg_lengths(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
     return out
 
 
-def leg_rates(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
+def compute_leg_rates(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
     """Return how fast each rod grows with its own slide (n, N or 1), zero for rods without one."""
     out = np.zeros((len(numbers.names), q.shape[1] if np.any(numbers.offsets) else 1))
     for k in np.flatnonzero(numbers.slides >= 0).tolist():
@@ -164,7 +164,9 @@ def leg_rates(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
     return out
 
 
-def closure_by_q(numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray]) -> np.ndarray:
+def compute_closure_by_q(
+    numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray]
+) -> np.ndarray:
     """Return the derivative of `(|d|^2 - L^2) / 2` by the positions, `d . dA/dq - L dL/dq` (n, na, N).
 
     Args:
@@ -175,17 +177,17 @@ def closure_by_q(numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: S
     """
     out = np.zeros((len(numbers.names), *q.shape))
     at = compute_joint_frames(numbers.joints, q)
-    for (k, actuator), column in velocities(numbers.joints, numbers.carried, at, points).items():
+    for (k, actuator), column in compute_velocities(numbers.joints, numbers.carried, at, points).items():
         out[k, actuator] += column[0] * d[k][0] + column[1] * d[k][1] + column[2] * d[k][2]
     slides = np.flatnonzero(numbers.slides >= 0)
     if slides.size:
-        lengths, rates = leg_lengths(numbers, q), leg_rates(numbers, q)
+        lengths, rates = compute_leg_lengths(numbers, q), compute_leg_rates(numbers, q)
         for k in slides:
             out[k, numbers.slides[k]] -= lengths[k] * rates[k]
     return out
 
 
-def nearest_rails(numbers: RodDimensions) -> list[Callable[[np.ndarray], np.ndarray] | None]:
+def measure_rail_distances(numbers: RodDimensions) -> list[Callable[[np.ndarray], np.ndarray] | None]:
     """Return for each rod the distance (N,) [m] of places (N, 3) to all that its point A can reach, limits aside.
 
     A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
@@ -266,5 +268,6 @@ def _vector(owner: str, what: str, value: np.ndarray, unit: str) -> list[Paramet
 
 
 __all__ = [
-    "RodDimensions", "closure_by_q", "gap_columns", "leg_lengths", "leg_rates", "nearest_rails", "parameters_of", "with_values",
+    "RodDimensions", "compute_closure_by_q", "compute_gap_columns", "compute_leg_lengths", "compute_leg_rates",
+    "measure_rail_distances", "build_parameters", "replace_values",
 ]  # fmt: skip

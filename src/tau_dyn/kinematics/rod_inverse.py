@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, chains_of
+from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, build_chains
 from tau_dyn.kinematics.kinematics_result import BRANCH_CHANGE, NOT_A_NUMBER, OK, OUT_OF_REACH, InverseResult
 from tau_dyn.kinematics.manifold_inverse import ManifoldInverse
-from tau_dyn.kinematics.plate_arrays import log_of, turned_by
+from tau_dyn.kinematics.plate_arrays import log_of, rotate_by_vector
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
@@ -24,7 +24,7 @@ class RodInverse:
 
     def __init__(self, rods: Rods) -> None:
         """Split the robot into chains."""
-        self.rods, self.chains = rods, chains_of(rods)
+        self.rods, self.chains = rods, build_chains(rods)
         whole = rods.translates or rods.na == 6
         self.separate = whole and all(isinstance(c, RootChain) or len(c.rods) == len(c.actuators) for c in self.chains)
         self.manifold = None if self.separate else ManifoldInverse(rods, self.chains)
@@ -119,7 +119,7 @@ class RodInverse:
         steps = int(np.ceil(min(max(far, np.abs(turn).max(initial=0.0)) / _WAY, 100.0)))
         start = np.repeat(np.moveaxis(home.rotation, 0, 2), len(away), axis=2)
         shares = np.linspace(0, 1, steps + 1)[1:-1]
-        poses = [Poses(home.position + s * away, np.moveaxis(turned_by(s * turn, start), 2, 0)) for s in shares]
+        poses = [Poses(home.position + s * away, np.moveaxis(rotate_by_vector(s * turn, start), 2, 0)) for s in shares]
         return (
             np.stack([self._plate_points(pose) for pose in poses])
             if poses

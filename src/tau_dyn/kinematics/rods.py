@@ -14,9 +14,9 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.kinematics import chains, rod_dimensions
-from tau_dyn.kinematics.home_pose import pose_at_home
+from tau_dyn.kinematics.home_pose import solve_pose_at_home
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.kinematics.read_dimensions import read_dimensions
 from tau_dyn.kinematics.recognise import NotRods, recognise
 from tau_dyn.kinematics.rod_dimensions import RodDimensions
@@ -63,7 +63,7 @@ class Rods:
         Raises:
             LoopClosureError: With this geometry the rods cannot be closed at home.
         """
-        return pose_at_home(self, self.nominal_home)
+        return solve_pose_at_home(self, self.nominal_home)
 
     @property
     def n(self) -> int:
@@ -77,29 +77,29 @@ class Rods:
 
     def base_points(self, q: np.ndarray) -> np.ndarray:
         """Return the points `A(q)` (N, n, 3) [m] at `q` (N, na)."""
-        q = checked_positions(self.robot, q)
-        return chains.points(self.numbers.joints, self.numbers.carried, q.T).transpose(2, 0, 1)
+        q = require_positions(self.robot, q)
+        return chains.compute_points(self.numbers.joints, self.numbers.carried, q.T).transpose(2, 0, 1)
 
     def base_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return `dA/dq` (N, n, 3, na)."""
-        q = checked_positions(self.robot, q).T
+        q = require_positions(self.robot, q).T
         joints, carried = self.numbers.joints, self.numbers.carried
-        at, places = chains.compute_joint_frames(joints, q), chains.points(joints, carried, q)
+        at, places = chains.compute_joint_frames(joints, q), chains.compute_points(joints, carried, q)
         out = np.zeros((q.shape[1], self.n, 3, self.na))
-        for (k, actuator), column in chains.velocities(joints, carried, at, places).items():
+        for (k, actuator), column in chains.compute_velocities(joints, carried, at, places).items():
             out[:, k, :, actuator] = np.broadcast_to(column, (3, q.shape[1])).T
         return out
 
     def leg_lengths(self, q: np.ndarray) -> np.ndarray:
         """Return the rods' lengths (N, n) [m], longer or shorter where a rod has an actuated slide."""
-        q = checked_positions(self.robot, q).T
-        return np.array(np.broadcast_to(rod_dimensions.leg_lengths(self.numbers, q), (self.n, q.shape[1])).T)
+        q = require_positions(self.robot, q).T
+        return np.array(np.broadcast_to(rod_dimensions.compute_leg_lengths(self.numbers, q), (self.n, q.shape[1])).T)
 
     def leg_rates(self, q: np.ndarray) -> np.ndarray:
         """Return `dL/dq` (N, n, na)."""
-        q = checked_positions(self.robot, q).T
+        q = require_positions(self.robot, q).T
         out = np.zeros((q.shape[1], self.n, self.na))
-        rates = rod_dimensions.leg_rates(self.numbers, q)
+        rates = rod_dimensions.compute_leg_rates(self.numbers, q)
         for k in np.flatnonzero(self.numbers.slides >= 0):
             out[:, k, self.numbers.slides[k]] = rates[k]
         return out
@@ -139,21 +139,23 @@ class Rods:
 
     def closure_by_geometry(self, q: np.ndarray, plate: Poses) -> np.ndarray:
         """Return the gaps' derivative by the geometric parameters (N, n, p), columns as `geometry`."""
-        q = checked_positions(self.robot, q)
+        q = require_positions(self.robot, q)
         unit = self.rod_directions(q, plate).transpose(1, 2, 0)
         qt = q.T
         at = chains.compute_joint_frames(self.numbers.joints, qt)
-        places = chains.points(self.numbers.joints, self.numbers.carried, qt)
+        places = chains.compute_points(self.numbers.joints, self.numbers.carried, qt)
         rotation = np.moveaxis(np.asarray(plate.rotation), 0, 2)
         column = {name: k for k, name in enumerate(self.geometry.names)}
         out = np.zeros((len(q), self.n, len(column)))
-        for (k, name), value in rod_dimensions.gap_columns(self.numbers, at, qt, places, unit, rotation).items():
+        for (k, name), value in rod_dimensions.compute_gap_columns(
+            self.numbers, at, qt, places, unit, rotation
+        ).items():
             out[:, k, column[name]] = value
         return out
 
     def with_geometry(self, parameters: Parameters) -> Rods:
         """Return the robot at other values of some or all geometric parameters; `home` follows."""
-        numbers = rod_dimensions.with_values(self.numbers, parameters)
+        numbers = rod_dimensions.replace_values(self.numbers, parameters)
         given = {p.name: {"value": p.value, "stderr": p.stderr, "origin": p.origin} for p in parameters}
         return replace(
             self,
@@ -183,7 +185,7 @@ class Rods:
 
     def _actuators_of(self, rod: int) -> list[int]:
         joints = self.numbers.joints
-        own = [joints[i].actuator for i in chains.path(joints, self.numbers.carried.carrier[rod])]
+        own = [joints[i].actuator for i in chains.list_path(joints, self.numbers.carried.carrier[rod])]
         return own + ([int(self.numbers.slides[rod])] if self.numbers.slides[rod] >= 0 else [])
 
 
@@ -206,7 +208,7 @@ def build_rods(robot: Robot) -> Rods:
         translates=found.translates,
         rotation=home.rotation[0],
         tool=found.tool,
-        geometry=rod_dimensions.parameters_of(numbers),
+        geometry=rod_dimensions.build_parameters(numbers),
         nominal_home=home,
         numbers=numbers,
     )

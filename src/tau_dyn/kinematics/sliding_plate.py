@@ -13,10 +13,10 @@ import numpy as np
 
 from tau_dyn.kinematics import chains, rod_dimensions
 from tau_dyn.kinematics.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH, SINGULAR
-from tau_dyn.kinematics.plate_arrays import lapack
+from tau_dyn.kinematics.plate_arrays import solve_with_lapack
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.trilateration import intersect_spheres, side_of
+from tau_dyn.kinematics.trilateration import find_side, intersect_spheres
 
 BLOCK = 8192  # samples at a time; arrays stay in the processor's cache
 _FLAT = 1e-12
@@ -33,7 +33,7 @@ class SlidingPlate:
         self._shift = rods.on_plate @ rods.rotation.T
         home = self._centres(rods.robot.home[:, None])
         self.three = self._best_three(home, rods.home.position.T)
-        self.side = float(side_of(home[self.three], rods.home.position.T)[0])
+        self.side = float(find_side(home[self.three], rods.home.position.T)[0])
 
     def forward(self, q: np.ndarray, start: Poses | None = None) -> tuple[Poses, np.ndarray]:
         """Return the plate's poses and codes at `q` (N, na); a start chooses the side of its own position."""
@@ -55,7 +55,7 @@ class SlidingPlate:
     def _block(self, q: np.ndarray, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         centres, lengths = self._centres(q), self._lengths(q)
         chosen, radii = (centres, lengths) if self.rods.n == 3 else (centres[self.three], lengths[self.three])
-        side = self.side if start is None else side_of(chosen, start)
+        side = self.side if start is None else find_side(chosen, start)
         found = intersect_spheres(chosen, radii, side)
         position, height = found.position, found.height
         code = np.zeros(q.shape[1], np.int8)
@@ -76,16 +76,16 @@ class SlidingPlate:
         for _ in range(3):
             d = centres - position
             f = 0.5 * (np.einsum("kin,kin->kn", d, d) - lengths**2)
-            position = position + lapack(d.transpose(2, 0, 1), f)
+            position = position + solve_with_lapack(d.transpose(2, 0, 1), f)
         return position
 
     def _centres(self, q: np.ndarray) -> np.ndarray:
         """Return the spheres' centres `A - R b` (n, 3, N) [m]."""
-        points = chains.points(self.numbers.joints, self.numbers.carried, q)
+        points = chains.compute_points(self.numbers.joints, self.numbers.carried, q)
         return points - self._shift[:, :, None] if self._shift.any() else points
 
     def _lengths(self, q: np.ndarray) -> np.ndarray:
-        return rod_dimensions.leg_lengths(self.numbers, q)
+        return rod_dimensions.compute_leg_lengths(self.numbers, q)
 
     def _best_three(self, centres: np.ndarray, position: np.ndarray) -> list[int]:
         d = (centres - position)[:, :, 0]

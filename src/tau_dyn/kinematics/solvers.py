@@ -32,7 +32,7 @@ def get_solver(robot: Robot | Rods) -> Engine:
     return get_cached(known, "engine", lambda: SlidingPlate(known) if known.translates else FreePlate(known))
 
 
-def robot_of(robot: Robot | Rods) -> Robot:
+def get_robot(robot: Robot | Rods) -> Robot:
     """Return the robot itself."""
     return robot.robot if isinstance(robot, Rods) else robot
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.dexterity import Rates, tool_jacobian
+from tau_dyn.kinematics.dexterity import Rates, compute_tool_jacobian
 
 
 class Springs(NamedTuple):
@@ -43,13 +43,13 @@ class Softest(NamedTuple):
     directions: np.ndarray
 
 
-def in_series(*stiffness: float) -> float:
+def combine_in_series(*stiffness: float) -> float:
     """Return the stiffness of springs one after the other; inf is rigid."""
     softness = sum(1.0 / k for k in stiffness)
     return 1.0 / softness if softness > 0 else np.inf
 
 
-def compliance(rates: Rates, springs: Springs) -> np.ndarray:
+def compute_compliance(rates: Rates, springs: Springs) -> np.ndarray:
     """Return `K^-1` (N, d, d): tool displacement per force and torque; nan where the pose is singular.
 
     Raises:
@@ -58,20 +58,20 @@ def compliance(rates: Rates, springs: Springs) -> np.ndarray:
     soft_rods, soft_drives = 1.0 / springs.rods, 1.0 / springs.actuators
     if not soft_rods.any() and not soft_drives.any():
         raise InputError("rods and actuators are rigid; give a stiffness of either")
-    J = tool_jacobian(rates)
+    J = compute_tool_jacobian(rates)
     total = np.einsum("nia,a,nja->nij", J, soft_drives, J)
     if soft_rods.any():
         total = total + _of_rods(rates.tool, soft_rods)
     return total
 
 
-def stiffness_matrix(rates: Rates, springs: Springs) -> np.ndarray:
+def compute_stiffness_matrix(rates: Rates, springs: Springs) -> np.ndarray:
     """Return `K` (N, d, d): linear first [N/m, N/rad, N m/rad]; inf entries never: rigid directions need every spring.
 
     Raises:
         InputError: Too few springs hold the tool: some direction is rigid and has no finite stiffness.
     """
-    C = compliance(rates, springs)
+    C = compute_compliance(rates, springs)
     sound = np.isfinite(C).all(axis=(1, 2))
     K = np.full(C.shape, np.nan)
     if sound.any() and np.linalg.matrix_rank(_scaled(C[sound], rates.length), hermitian=True).min() < C.shape[1]:
@@ -80,7 +80,7 @@ def stiffness_matrix(rates: Rates, springs: Springs) -> np.ndarray:
     return K
 
 
-def softest(C: np.ndarray) -> Softest:
+def find_softest(C: np.ndarray) -> Softest:
     """Return the main stiffnesses and directions from a compliance (N, d, d), d = 3 or 6."""
     there = np.isfinite(C).all(axis=(1, 2))
     values, vectors = np.full((len(C), 3), np.nan), np.full((len(C), 3, 3), np.nan)

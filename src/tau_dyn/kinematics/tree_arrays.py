@@ -50,7 +50,7 @@ class Frames(NamedTuple):
     axis: list[np.ndarray]
 
 
-class Motion(NamedTuple):
+class FrameMotion(NamedTuple):
     """How all joints' frames move: angular velocity and acceleration, and the origin's acceleration, each a `Vector`."""
 
     turning: list[Vector]
@@ -58,24 +58,24 @@ class Motion(NamedTuple):
     acceleration: list[Vector]
 
 
-def joints_of(model: pin.Model) -> list[Joint] | None:
+def list_joints(model: pin.Model) -> list[Joint] | None:
     """Return a model's joints, parents first, or None where one has more than one degree of freedom."""
     found = []
     for index in range(1, model.njoints):
         item, name = model.joints[index], model.joints[index].shortname().removeprefix("JointModel")
         if item.nv != 1 or not name.startswith(("R", "P")) or "Mimic" in name:
             return None
-        way = subspace(model, index)
-        axis = without_rounding(way[:3] if name.startswith("P") else way[3:])
+        way = compute_subspace(model, index)
+        axis = remove_rounding(way[:3] if name.startswith("P") else way[3:])
         along = next((k for k in range(3) if axis[k] == 1.0), None)
         placement = model.jointPlacements[index]
-        rotation, offset = without_rounding(placement.rotation), placement.translation.copy()
+        rotation, offset = remove_rounding(placement.rotation), placement.translation.copy()
         slides, v = name.startswith("P"), int(item.idx_v)
         found.append(Joint(index, int(model.parents[index]), rotation, offset, axis, along, slides, v))
     return found
 
 
-def subspace(model: pin.Model, joint: int) -> np.ndarray:
+def compute_subspace(model: pin.Model, joint: int) -> np.ndarray:
     """Return the twist (6,) of a joint of one degree of freedom in its own frame, linear first."""
     item = model.joints[joint]
     data = item.createData()  # of the joint alone: that of a chain of hundreds takes a second
@@ -83,31 +83,33 @@ def subspace(model: pin.Model, joint: int) -> np.ndarray:
     return np.asarray(data.S).reshape(6, -1)[:, 0]
 
 
-def without_rounding(x: np.ndarray) -> np.ndarray:
+def remove_rounding(x: np.ndarray) -> np.ndarray:
     """Return numbers with the rounding of whole ones taken away, so that zeros are seen as zeros."""
     return np.where(np.abs(x - np.round(x)) < 1e-15, np.round(x), x)
 
 
-def frames(joints: list[Joint], x: np.ndarray) -> Frames:
+def compute_frames(joints: list[Joint], x: np.ndarray) -> Frames:
     """Return where all joints are at positions `x` (nv, N) [m or rad]."""
     n = x.shape[1]
     eye, zero = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n)), np.zeros((3, n))
     rotation, origin, axis = [eye], [zero], [zero]
     for joint in joints:
         parent = rotation[joint.parent]
-        base = times(parent, joint.rotation)
+        base = multiply_by_rotation(parent, joint.rotation)
         here = base if joint.slides else _turned(base, joint, x[joint.v])
-        along = here[:, joint.along] if joint.along is not None else combined(here, joint.axis)
+        along = here[:, joint.along] if joint.along is not None else combine_rotated(here, joint.axis)
         place = origin[joint.parent]
         if joint.offset.any():
-            place = place + combined(parent, joint.offset)
+            place = place + combine_rotated(parent, joint.offset)
         rotation.append(here)
         axis.append(along)
         origin.append(place + along * x[joint.v] if joint.slides else place)
     return Frames(rotation, origin, axis)
 
 
-def motion(joints: list[Joint], at: Frames, v: np.ndarray, a: np.ndarray | None, lift: np.ndarray) -> Motion:
+def compute_motion(
+    joints: list[Joint], at: Frames, v: np.ndarray, a: np.ndarray | None, lift: np.ndarray
+) -> FrameMotion:
     """Return how all joints' frames move.
 
     Args:
@@ -124,31 +126,34 @@ def motion(joints: list[Joint], at: Frames, v: np.ndarray, a: np.ndarray | None,
     for joint in joints:
         w, dw, z = turning[joint.parent], spinning[joint.parent], at.axis[joint.index]
         arm = at.origin[joint.index] - at.origin[joint.parent]
-        here = plus(acceleration[joint.parent], plus(cross(dw, arm), cross(w, cross(w, arm))))
+        here = add_vectors(
+            acceleration[joint.parent],
+            add_vectors(compute_cross_product(dw, arm), compute_cross_product(w, compute_cross_product(w, arm))),
+        )
         rate = z * v[joint.v]
         gain = None if a is None else z * a[joint.v]
         if joint.slides:
-            across = cross(w, rate)
-            here = plus(here, plus(None if across is None else 2 * across, gain))
+            across = compute_cross_product(w, rate)
+            here = add_vectors(here, add_vectors(None if across is None else 2 * across, gain))
             turning.append(w)
             spinning.append(dw)
         else:
-            turning.append(plus(w, rate))
-            spinning.append(plus(dw, plus(cross(w, rate), gain)))
+            turning.append(add_vectors(w, rate))
+            spinning.append(add_vectors(dw, add_vectors(compute_cross_product(w, rate), gain)))
         acceleration.append(here)
-    return Motion(turning, spinning, acceleration)
+    return FrameMotion(turning, spinning, acceleration)
 
 
-def point(at: Frames, joint: int, local: np.ndarray) -> np.ndarray:
+def transform_point(at: Frames, joint: int, local: np.ndarray) -> np.ndarray:
     """Return a point (3, N) that a joint's frame carries at `local` (3,)."""
-    return at.origin[joint] + combined(at.rotation[joint], local)
+    return at.origin[joint] + combine_rotated(at.rotation[joint], local)
 
 
 @overload
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray: ...
+def compute_cross_product(a: np.ndarray, b: np.ndarray) -> np.ndarray: ...
 @overload
-def cross(a: Vector, b: Vector) -> Vector: ...
-def cross(a: Vector, b: Vector) -> Vector:
+def compute_cross_product(a: Vector, b: Vector) -> Vector: ...
+def compute_cross_product(a: Vector, b: Vector) -> Vector:
     """Return `a x b` of components (3, ..., N), which must have as many axes; None where one is zero."""
     if a is None or b is None:
         return None
@@ -160,17 +165,17 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @overload
-def plus(a: np.ndarray, b: Vector) -> np.ndarray: ...
+def add_vectors(a: np.ndarray, b: Vector) -> np.ndarray: ...
 @overload
-def plus(a: Vector, b: Vector) -> Vector: ...
-def plus(a: Vector, b: Vector) -> Vector:
+def add_vectors(a: Vector, b: Vector) -> Vector: ...
+def add_vectors(a: Vector, b: Vector) -> Vector:
     """Return `a + b`."""
     if a is None or b is None:
         return b if a is None else a
     return a + b
 
 
-def into(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def rotate_into_frame(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return world vectors (3, ..., N) in a frame of rotation (3, 3, N)."""
     out = np.empty_like(vector)
     for k in range(3):
@@ -180,7 +185,7 @@ def into(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return out
 
 
-def combined(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
+def combine_rotated(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
     """Return `R c` (3, N) of rotations (3, 3, N) and a constant (3,), without multiplying by zeros."""
     used = [k for k in range(3) if constant[k] != 0.0]
     if not used:
@@ -191,11 +196,11 @@ def combined(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
     return out
 
 
-def times(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
+def multiply_by_rotation(rotation: np.ndarray, constant: np.ndarray) -> np.ndarray:
     """Return `R C` of rotations (3, 3, N) and a constant (3, 3)."""
     if np.array_equal(constant, np.eye(3)):
         return rotation
-    return np.stack([combined(rotation, column) for column in constant.T], axis=1)
+    return np.stack([combine_rotated(rotation, column) for column in constant.T], axis=1)
 
 
 def _turned(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
@@ -203,7 +208,7 @@ def _turned(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
     if joint.along is None:
         third = _completed(joint.axis)
         about_z = joint._replace(along=2)
-        return times(_turned(times(base, third), about_z, angle), third.T)
+        return multiply_by_rotation(_turned(multiply_by_rotation(base, third), about_z, angle), third.T)
     c, s, k = np.cos(angle), np.sin(angle), joint.along
     one, two = _AHEAD[k], _BEHIND[k]
     out = np.empty(base.shape)

@@ -15,14 +15,14 @@ from tau_dyn.robot import Robot
 
 _STARTS = 24  # starts drawn within the limits; a 6R arm has up to 16 solutions
 _STARTS_LOOPS = 2  # closing loops from far away takes its time
-_SAME = 1e-6  # [m or rad] closer solutions are one
+_EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
 _MODE = 1e-6  # [m or 1] by how much forward kinematics may lead elsewhere
 
 Maker = Callable[[TreeNewton, Poses], np.ndarray]
 """Makes starts (nv, N) for poses."""
 
 
-def tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | None, limits: bool) -> InverseResult:
+def solve_tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | None, limits: bool) -> InverseResult:
     """Return positions from home or a start; where that fails or breaks a limit, from the way and from other starts."""
     robot, n = engine.robot, len(poses.position)
     first = np.repeat(robot.home[None], n, axis=0) if start is None else start
@@ -39,7 +39,7 @@ def tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | None, lim
     return found
 
 
-def tree_solutions(engine: TreeNewton, poses: Poses) -> np.ndarray:
+def find_tree_solutions(engine: TreeNewton, poses: Poses) -> np.ndarray:
     """Return distinct solutions (N, n, na) found from many starts, nearest to home first; nan fills up."""
     robot, n = engine.robot, len(poses.position)
     sets: list[list[np.ndarray]] = [[] for _ in range(n)]
@@ -48,7 +48,7 @@ def tree_solutions(engine: TreeNewton, poses: Poses) -> np.ndarray:
     for x in starts:
         q = _solved(engine, poses, x, home).q
         for k in np.flatnonzero(np.isfinite(q[:, 0])):
-            if all(np.abs(q[k] - known).max() > _SAME for known in sets[k]):
+            if all(np.abs(q[k] - known).max() > _EQUALITY_TOLERANCE for known in sets[k]):
                 sets[k].append(q[k])
     out = np.full((n, max([1, *map(len, sets)]), robot.na), np.nan)
     for k, solutions in enumerate(sets):

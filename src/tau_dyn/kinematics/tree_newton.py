@@ -15,13 +15,13 @@ import numpy as np
 
 from tau_dyn.kinematics.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH
 from tau_dyn.kinematics.least_motion import Progress, solve_least_motion_step
-from tau_dyn.kinematics.plate_arrays import log_of, turned_by
+from tau_dyn.kinematics.plate_arrays import log_of, rotate_by_vector
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.tree_arrays import Frames, cross, frames, point
+from tau_dyn.kinematics.tree_arrays import Frames, compute_cross_product, compute_frames, transform_point
 from tau_dyn.kinematics.tree_pose import TreePose
 
 _BLOCK = 512  # samples at a time; arrays stay in the processor's cache
-_ROUNDS = 60  # Newton steps, damped far from the solution
+_MAX_ITERATIONS = 60  # Newton steps, damped far from the solution
 _PATIENCE = 6  # rounds without progress after which a sample is given up
 _STEP = 0.4  # [m or rad] largest step of a joint
 _DONE, _NEAR = 1e-13, 1e-8  # [m or rad]
@@ -49,7 +49,7 @@ class TreeNewton:
         # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
         x = self.close_loops(np.vstack([self.robot.home, self.robot.home + near]))
-        at = frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
+        at = compute_frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
         whole = np.concatenate([self._closure(at), self._twist(at)[:, 3:]], axis=1)
         _, s, vt = np.linalg.svd(whole)
         ranks = np.sum(s > _IDLE * s.max(axis=1, initial=0.0, keepdims=True), axis=1)
@@ -106,7 +106,7 @@ class TreeNewton:
         base = np.repeat(np.moveaxis(home.rotation, 0, 2), n, axis=2)
         x, toward = np.repeat(self.home, n, axis=1), np.repeat(self.robot.home[None], n, axis=0)
         for share in np.linspace(0, 1, _STEPS + 1)[1:-1]:
-            wanted = np.moveaxis(turned_by(share * turn, base), 2, 0)
+            wanted = np.moveaxis(rotate_by_vector(share * turn, base), 2, 0)
             here = Poses(home.position + share * (poses.position - home.position), wanted)
             for first in range(0, n, _BLOCK):
                 part = slice(first, first + _BLOCK)
@@ -114,7 +114,7 @@ class TreeNewton:
         return x
 
     def newton(
-        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rounds: int = _ROUNDS
+        self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rounds: int = _MAX_ITERATIONS
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return closed positions (nv, N), nan where there are none, and the tool's errors (N, 2).
 
@@ -131,7 +131,7 @@ class TreeNewton:
             size = np.abs(dx).max(axis=1)
             x[:, left] += (dx * np.minimum(1.0, _STEP / np.maximum(size, 1e-300))[:, None]).T
             tight = gap < _CLOSED
-            closed[left] = (tight & (size < 1e-6)) if rounds == _ROUNDS else gap < _ROUGH
+            closed[left] = (tight & (size < 1e-6)) if rounds == _MAX_ITERATIONS else gap < _ROUGH
             over = (tight & progress.rests(left, size, _DONE, _NEAR)) | (progress.stalled(left, gap) & ~tight)
             left = left[~over & np.isfinite(size)]
         x[:, ~closed], error[~closed] = np.nan, np.nan
@@ -141,10 +141,12 @@ class TreeNewton:
         self, poses: Poses, x: np.ndarray, toward: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the step (N, nv), the largest gap (N,) [m] and the tool's errors (N, 2)."""
-        at = frames(self.engine.joints, x)
+        at = compute_frames(self.engine.joints, x)
         here, C, T = self.engine.pose_of(at), self._closure(at), self._twist(at)[:, 3:]
         away = here.position - poses.position
-        gap = np.concatenate([*[(point(at, *a) - point(at, *b)).T for a, b in self._ends], away], axis=1)
+        gap = np.concatenate(
+            [*[(transform_point(at, *a) - transform_point(at, *b)).T for a, b in self._ends], away], axis=1
+        )
         turn = log_of(np.moveaxis(poses.rotation @ np.swapaxes(here.rotation, 1, 2), 0, 2)).T
         pull = np.zeros((x.shape[1], x.shape[0]))
         if self._idle and toward is not None:
@@ -176,5 +178,5 @@ class TreeNewton:
                 out[:, :3, joint.v] = z.T
             else:
                 arm: np.ndarray = place - at.origin[joint.index]
-                out[:, :3, joint.v], out[:, 3:, joint.v] = cross(z, arm).T, z.T
+                out[:, :3, joint.v], out[:, 3:, joint.v] = compute_cross_product(z, arm).T, z.T
         return out

@@ -13,7 +13,15 @@ from tau_dyn.kinematics.kinematics_result import NOT_A_NUMBER, OK, OUT_OF_REACH
 from tau_dyn.kinematics.loop_arrays import ClosedLoops, LoopArrays
 from tau_dyn.kinematics.loops import LoopSolver
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.tree_arrays import Frames, cross, frames, joints_of, motion, point, times
+from tau_dyn.kinematics.tree_arrays import (
+    Frames,
+    compute_cross_product,
+    compute_frames,
+    compute_motion,
+    list_joints,
+    multiply_by_rotation,
+    transform_point,
+)
 from tau_dyn.robot import Robot
 
 _BLOCK = 1024  # samples at a time; arrays stay in the processor's cache
@@ -34,7 +42,7 @@ class TreePose:
                 f"{robot.source}: has no evident tool frame whose pose could be computed; name one with --tool FRAME "
                 '(load_robot(..., tool="FRAME"))'
             )
-        joints = joints_of(robot.model)
+        joints = list_joints(robot.model)
         if joints is None:
             raise InputError(f"{robot.source}: kinematics of a tree needs joints of one degree of freedom each")
         self.robot, self.joints = robot, joints
@@ -73,16 +81,16 @@ class TreePose:
 
     def pose_of(self, at: Frames) -> Poses:
         """Return the tool's poses where the joints are."""
-        rotation = times(at.rotation[self._joint], self._tool.rotation)
+        rotation = multiply_by_rotation(at.rotation[self._joint], self._tool.rotation)
         return Poses(self.place_of(at).T.copy(), np.moveaxis(rotation, 2, 0).copy())
 
     def pose_at(self, x: np.ndarray) -> Poses:
         """Return the tool's poses at all joints' positions (nv, N)."""
-        return self.pose_of(frames(self.joints, x))
+        return self.pose_of(compute_frames(self.joints, x))
 
     def place_of(self, at: Frames) -> np.ndarray:
         """Return the tool's positions (3, N) [m]."""
-        return point(at, self._joint, self._tool.translation)
+        return transform_point(at, self._joint, self._tool.translation)
 
     def jacobian(self, closed: ClosedLoops) -> np.ndarray:
         """Return the tool's twist per actuated velocity (N, 6, na), linear first, in world axes at the tool's origin."""
@@ -94,7 +102,7 @@ class TreePose:
                 out[:3] += z[:, None] * closed.G[joint.v][None]
             else:
                 arm: np.ndarray = place - closed.at.origin[joint.index]
-                out[:3] += cross(z, arm)[:, None] * closed.G[joint.v][None]
+                out[:3] += compute_cross_product(z, arm)[:, None] * closed.G[joint.v][None]
                 out[3:] += z[:, None] * closed.G[joint.v][None]
         return out.transpose(2, 0, 1)
 
@@ -102,12 +110,16 @@ class TreePose:
         """Return the tool's acceleration (N, 6) at velocities `v` (N, na) without actuated acceleration."""
         rates = np.einsum("van,na->vn", closed.G, v)
         a = self.loops.accelerations(closed, rates, np.zeros((self.robot.na, len(v))))
-        moving = motion(self.joints, closed.at, rates, a, np.zeros(3))
+        moving = compute_motion(self.joints, closed.at, rates, a, np.zeros(3))
         j = self._joint
-        arm = point(closed.at, j, self._tool.translation) - closed.at.origin[j]
+        arm = transform_point(closed.at, j, self._tool.translation) - closed.at.origin[j]
         w, dw = moving.turning[j], moving.spinning_up[j]
         linear = np.zeros_like(arm)
-        for term in (moving.acceleration[j], cross(dw, arm), cross(w, cross(w, arm))):
+        for term in (
+            moving.acceleration[j],
+            compute_cross_product(dw, arm),
+            compute_cross_product(w, compute_cross_product(w, arm)),
+        ):
             linear = linear if term is None else linear + term
         angular = np.zeros_like(arm) if dw is None else dw
         return np.concatenate([linear, angular]).T

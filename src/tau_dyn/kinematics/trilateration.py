@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.tree_arrays import cross
+from tau_dyn.kinematics.tree_arrays import compute_cross_product
 
 
 class SphereIntersection(NamedTuple):
@@ -32,15 +32,15 @@ def intersect_spheres(centres: np.ndarray, lengths: np.ndarray, side: float | np
     """Intersect spheres around three centres (3, 3, N) [m] with radii (3, N or 1) [m], on one side of their plane."""
     u: np.ndarray = centres[1] - centres[0]
     w: np.ndarray = centres[2] - centres[0]
-    normal = cross(u, w)
+    normal = compute_cross_product(u, w)
     square = lengths * lengths
     with np.errstate(all="ignore"):
         inverse = 1.0 / _dot(normal, normal)
         p = (0.5 * inverse) * (_dot(u, u) + (square[0] - square[1]))
         r = (0.5 * inverse) * (_dot(w, w) + (square[0] - square[2]))
-        foot = cross(w, normal)
+        foot = compute_cross_product(w, normal)
         foot *= p
-        other = cross(normal, u)
+        other = compute_cross_product(normal, u)
         other *= r
         foot += other
         height = square[0] - _dot(foot, foot)
@@ -50,11 +50,11 @@ def intersect_spheres(centres: np.ndarray, lengths: np.ndarray, side: float | np
     return SphereIntersection(foot, height / square.max(axis=0))
 
 
-def side_of(centres: np.ndarray, position: np.ndarray) -> np.ndarray:
+def find_side(centres: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Return on which side (N,) of the plane of three centres (3, 3, N) a point (3, N) is: 1, -1 or 0."""
     u: np.ndarray = centres[1] - centres[0]
     w: np.ndarray = centres[2] - centres[0]
-    normal = cross(u, w)
+    normal = compute_cross_product(u, w)
     return np.sign(_dot(normal, position - centres[0]))
 
 

@@ -75,7 +75,7 @@ def _pair(e: list[np.ndarray], u: list[np.ndarray], j: int, i: int) -> Acausalit
     if n < 400 or not (x.any() and z.any()):
         return Acausality(1.0, 0.0, j, i)
     size = int(next_fast_len(2 * n, real=True) or 2 * n)
-    band, gain = whitening(x, size)
+    band, gain = compute_whitening(x, size)
     gap = _kernel_width(band**2, size, n // 8)
     own = gain * _colour_gain(np.fft.irfft(gain * np.fft.rfft(z, size), size)[:n], size, band)
     white = np.fft.rfft(x, size) * gain
@@ -104,7 +104,7 @@ def _judge(r: np.ndarray, n: int, gap: int) -> tuple[float, float]:
     return best
 
 
-def whitening(x: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+def compute_whitening(x: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the window W and the gain W / |U| of an input's excited band on the grid of a real FFT of `size`."""
     f, density = _density(x)
     excited = np.append(density > EXCITED_SHARE * density.max(), False)

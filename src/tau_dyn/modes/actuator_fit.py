@@ -16,7 +16,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from tau_dyn.estimate import fit_autoregression
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.modes.actuators import Actuator, filtered
+from tau_dyn.modes.actuators import Actuator, filter_at_rest
 from tau_dyn.modes.record import Record
 
 _MAX_START_DELAY_SAMPLES = 64
@@ -115,7 +115,7 @@ def _basis(tests: Tests, dt: float, time_constant: float, delay: float) -> list[
     out = []
     for k, (reference, _) in enumerate(tests):
         columns = np.zeros((len(reference), 1 + 2 * len(tests)))
-        columns[:, 0] = filtered(reference, dt, time_constant, delay) - reference[0]
+        columns[:, 0] = filter_at_rest(reference, dt, time_constant, delay) - reference[0]
         columns[:, 1 + 2 * k] = 1.0
         columns[:, 2 + 2 * k] = np.exp(-np.arange(len(reference)) * dt / time_constant)
         out.append(columns)
@@ -128,7 +128,7 @@ def _errors(tests: Tests, dt: float, time_constant: float, delay: float) -> list
     for reference, position in tests:
         decay = np.exp(-np.arange(len(reference)) * dt / time_constant)
         decay -= decay.mean()
-        pair = np.column_stack([filtered(reference, dt, time_constant, delay), position])
+        pair = np.column_stack([filter_at_rest(reference, dt, time_constant, delay), position])
         pair = pair - pair.mean(axis=0)
         ready.append(pair - np.outer(decay, decay @ pair / max(decay @ decay, 1e-300)))
     gain = sum(x @ y for x, y in (pair.T for pair in ready)) / max(sum(x @ x for x, _ in (p.T for p in ready)), 1e-300)

@@ -37,7 +37,7 @@ class Actuator:
 
     def simulate(self, reference: np.ndarray, dt: float) -> np.ndarray:
         """Return positions (N,) to a reference (N,), at rest at its first value."""
-        return self.gain * filtered(np.asarray(reference, float), dt, self.time_constant, self.delay)
+        return self.gain * filter_at_rest(np.asarray(reference, float), dt, self.time_constant, self.delay)
 
     def discrete(self, dt: float) -> tuple[np.ndarray, float, int]:
         """Return b (2,), a and d of `G(q) = q^-d (b0 + b1 q^-1) / (1 - a q^-1)`; b1 is zero for a delay of whole samples."""
@@ -58,7 +58,7 @@ class Actuator:
         return Actuator(b / (1 - a), -dt / float(np.log(a)), (d - 1) * dt)
 
 
-def filtered(reference: np.ndarray, dt: float, time_constant: float, delay: float) -> np.ndarray:
+def filter_at_rest(reference: np.ndarray, dt: float, time_constant: float, delay: float) -> np.ndarray:
     """Return the response (N,) of unit gain, at rest at the reference's first value."""
     whole, near, far, a = _sampled(dt, time_constant, delay)
     rise = reference - reference[0]

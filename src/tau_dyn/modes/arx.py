@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.hankel import HankelFactor, compress, least_squares, lower_factor
+from tau_dyn.modes.hankel import HankelFactor, compress, reorder_lower_factor, solve_least_squares
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
 
@@ -34,11 +34,11 @@ def arx(records: Sequence[Record], order: int, *, delay: int = 0, direct: bool =
         raise InputError(f"an ARX model needs at least one lag, not {order}")
     scales = Scales.of(records)
     factor = compress([record.aligned(delay).scaled(scales) for record in records], order + 1)
-    lags, D, noise = predictor(factor, order, direct)
-    return observer_form(lags, D, noise, records[0].dt, delay).unscaled(scales)
+    lags, D, noise = fit_predictor(factor, order, direct)
+    return convert_to_observer_form(lags, D, noise, records[0].dt, delay).unscaled(scales)
 
 
-def predictor(factor: HankelFactor, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def fit_predictor(factor: HankelFactor, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the one-step predictor of compressed data.
 
     Returns:
@@ -48,13 +48,13 @@ def predictor(factor: HankelFactor, order: int, direct: bool) -> tuple[np.ndarra
     last, w, p = factor.rows - 1, factor.n_inputs + factor.n_outputs, factor.n_outputs
     y, past, u = factor.outputs(last, last + 1), factor.past(last - order, last), factor.inputs(last, last + 1)
     seen = np.vstack([past, u]) if direct else past
-    found = least_squares(y, seen)
+    found = solve_least_squares(y, seen)
     e = y - found @ seen
     D = found[:, order * w :] if direct else np.zeros((p, factor.n_inputs))
     return found[:, : order * w].reshape(p, order, w).transpose(1, 0, 2)[::-1], D, e @ e.T
 
 
-def observer_form(lags: np.ndarray, D: np.ndarray, noise: np.ndarray, dt: float, delay: int) -> StateSpace:
+def convert_to_observer_form(lags: np.ndarray, D: np.ndarray, noise: np.ndarray, dt: float, delay: int) -> StateSpace:
     """Return the state space of a predictor with lags (order, p, m + p)."""
     order, p, _ = lags.shape
     m = D.shape[1]
@@ -67,7 +67,7 @@ def observer_form(lags: np.ndarray, D: np.ndarray, noise: np.ndarray, dt: float,
     return StateSpace(A, B, np.eye(p, n), D, K, dt, delay, noise)
 
 
-def best_length(factor: HankelFactor, penalty: float = 2.0, least: int = 1) -> int:
+def select_length(factor: HankelFactor, penalty: float = 2.0, least: int = 1) -> int:
     """Return the number of lags, below the factor's rows, with the smallest information criterion.
 
     Args:
@@ -77,7 +77,7 @@ def best_length(factor: HankelFactor, penalty: float = 2.0, least: int = 1) -> i
     """
     last, w, p = factor.rows - 1, factor.n_inputs + factor.n_outputs, factor.n_outputs
     newest_first = [factor.past(k, k + 1) for k in range(last - 1, -1, -1)]
-    L = lower_factor(np.vstack([*newest_first, factor.outputs(last, last + 1)]))[-p:]
+    L = reorder_lower_factor(np.vstack([*newest_first, factor.outputs(last, last + 1)]))[-p:]
     scores = []
     for k in range(least, last + 1):
         rest = L[:, k * w :]

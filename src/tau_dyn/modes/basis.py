@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from tau_dyn.modes.modal_form import ModalForm, layout_of
+from tau_dyn.modes.modal_form import ModalForm, build_layout
 from tau_dyn.modes.record import Record
 
 CHUNK = 8192  # samples at a time; arrays stay in the processor's cache
@@ -36,7 +36,7 @@ class BasisColumns:
     predicted: np.ndarray
 
 
-def columns_of(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = CHUNK) -> Iterator[BasisColumns]:
+def build_columns(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = CHUNK) -> Iterator[BasisColumns]:
     """Walk through a record whose inputs are already aligned by the delay.
 
     Args:
@@ -67,12 +67,12 @@ def columns_of(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = CHU
         yield BasisColumns(slice(start, start + n), np.hstack([flat.real, flat.imag, u]), predicted)
 
 
-def derivative_maps(form: ModalForm, x0: np.ndarray) -> np.ndarray:
+def compute_derivative_maps(form: ModalForm, x0: np.ndarray) -> np.ndarray:
     """Return T (p, q, size + 2 k): the derivative of output o is `real @ T[o]`.
 
     The parameters are the full vector of the form's `Layout`, then Re and Im of each mode's state at the first sample.
     """
-    layout = layout_of(form)
+    layout = build_layout(form)
     k, (p, m) = len(form.poles), form.D.shape
     half = k * (m + 2)
     T = np.zeros((p, 2 * half + m, layout.size + 2 * k))

@@ -83,7 +83,9 @@ def fit_of(measured: Sequence[np.ndarray], simulated: Sequence[np.ndarray]) -> n
     return 100 * (1 - np.sqrt(missed / np.where(moved > 0, moved, np.nan)))
 
 
-def whiteness(errors: Sequence[np.ndarray], outputs: Sequence[str], lags: int = LAGS) -> tuple[CorrelationTest, ...]:
+def check_whiteness(
+    errors: Sequence[np.ndarray], outputs: Sequence[str], lags: int = LAGS
+) -> tuple[CorrelationTest, ...]:
     """Test whether prediction errors have a memory: one test an output (Ljung-Box).
 
     Args:
@@ -103,7 +105,7 @@ def whiteness(errors: Sequence[np.ndarray], outputs: Sequence[str], lags: int = 
     return tuple(tests)
 
 
-def independence(
+def check_independence(
     errors: Sequence[np.ndarray],
     u: Sequence[np.ndarray],
     outputs: Sequence[str],

@@ -19,7 +19,7 @@ from tau_dyn.modes.feedback_test import Feedback
 from tau_dyn.modes.order import OrderChoice, select_parts
 from tau_dyn.modes.preparation import PreparedRecords
 from tau_dyn.modes.residuals import SIMULATED, compute_residuals
-from tau_dyn.modes.simulate import late_inputs
+from tau_dyn.modes.simulate import delay_inputs
 
 ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""
@@ -63,7 +63,7 @@ def check_candidate(candidate: MethodCandidate, data: PreparedRecords) -> Acausa
     if trial is None:
         return Acausality(1.0, 0.0)
     errors = compute_residuals(trial.model, data.train, SIMULATED)
-    return find_acausality(errors, [late_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
+    return find_acausality(errors, [delay_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
 
 
 def settle(

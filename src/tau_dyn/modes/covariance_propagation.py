@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.modes.modal_form import ModalForm, free_numbers, full_vector, layout_of, modal_form, stepped
+from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form, flatten_form, free_numbers, step_form
 from tau_dyn.modes.state_space import StateSpace
 
 OF_STDERR = 1e-3  # step of the derivative, as a part of the standard error ...
@@ -20,7 +20,7 @@ OF_VALUE = 1e-6  # ... and at least this part of the number, where rounding woul
 def propagate_covariance(
     form: ModalForm, covariance: np.ndarray, direct: np.ndarray, change: Callable[[ModalForm], StateSpace]
 ) -> np.ndarray:
-    """Return the covariance (size, size) of the full vector of `modal_form(change(form))`.
+    """Return the covariance (size, size) of the full vector of `build_modal_form(change(form))`.
 
     Rows of a mode that cannot be followed (two poles about to meet on the real axis) are nan.
 
@@ -30,18 +30,18 @@ def propagate_covariance(
         direct: Which entries of its D are free.
         change: Makes the wanted model of a form.
     """
-    reference = modal_form(change(form))
+    reference = build_modal_form(change(form))
     free = np.flatnonzero(free_numbers(form, direct))
-    values = full_vector(form)[free]
+    values = flatten_form(form)[free]
     steps = np.maximum(
         OF_STDERR * np.sqrt(np.maximum(np.diag(covariance), 0)), OF_VALUE * np.maximum(abs(values), 1e-3)
     )
-    jacobian = np.zeros((layout_of(reference).size, len(free)))
+    jacobian = np.zeros((build_layout(reference).size, len(free)))
     for column, (index, h) in enumerate(zip(free, steps, strict=True)):
-        step = np.zeros(layout_of(form).size)
+        step = np.zeros(build_layout(form).size)
         step[index] = h
         with np.errstate(all="ignore"):  # a mode that is lost on the way may divide by zero; it is nan in the end
-            ahead, behind = (_followed(modal_form(change(stepped(form, s))), reference) for s in (step, -step))
+            ahead, behind = (_followed(build_modal_form(change(step_form(form, s))), reference) for s in (step, -step))
         jacobian[:, column] = (ahead - behind) / (2 * h)
     lost = ~np.isfinite(jacobian).all(axis=1)
     jacobian[lost] = 0.0
@@ -60,8 +60,8 @@ def _followed(form: ModalForm, reference: ModalForm) -> np.ndarray:
     factor = c[reference.pivots, np.arange(len(order))]
     factor = np.where((factor == 0) | np.array(lost), 1.0, factor)
     alike = replace(form, poles=form.poles[order], c=c / factor, b=b * factor[:, None], oscillates=reference.oscillates)
-    out = full_vector(alike)
-    width = layout_of(alike).width
+    out = flatten_form(alike)
+    width = build_layout(alike).width
     for k in np.flatnonzero(lost):
         out[k * width : (k + 1) * width] = np.nan
     return out

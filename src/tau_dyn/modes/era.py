@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.modes.input_matrices import input_matrices
+from tau_dyn.modes.input_matrices import fit_input_matrices
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
 
@@ -101,7 +101,7 @@ class EraFactors:
             order: Number of states.
             direct: Whether D may differ from zero; None lets the data choose.
         """
-        point = input_matrices(*self.dynamics(order), self.records, direct)
+        point = fit_input_matrices(*self.dynamics(order), self.records, direct)
         return replace(point.form.state_space(), delay=self.delay, noise=point.covariance).unscaled(self.scales)
 
 
@@ -123,7 +123,7 @@ def era(impulse_response: np.ndarray, dt: float, order: int) -> StateSpace:
     return StateSpace(A, B, C, h[0], np.zeros((order, h.shape[1])), dt)
 
 
-def era_factors(records: Sequence[Record], *, delay: int = 0) -> EraFactors:
+def decompose_pulse_tests(records: Sequence[Record], *, delay: int = 0) -> EraFactors:
     """Decompose pulse tests.
 
     Args:
@@ -143,9 +143,11 @@ def era_factors(records: Sequence[Record], *, delay: int = 0) -> EraFactors:
     return EraFactors(ready, scales, Realisation.of(np.stack([decay[:n] for decay in decays], axis=2)), delay)
 
 
-def era_records(records: Sequence[Record], order: int, *, delay: int = 0, direct: bool | None = None) -> StateSpace:
-    """Return the model of pulse tests; see `era_factors`."""
-    return era_factors(records, delay=delay).model(order, direct)
+def realise_pulse_tests(
+    records: Sequence[Record], order: int, *, delay: int = 0, direct: bool | None = None
+) -> StateSpace:
+    """Return the model of pulse tests; see `decompose_pulse_tests`."""
+    return decompose_pulse_tests(records, delay=delay).model(order, direct)
 
 
 def _heard(decays: Sequence[np.ndarray]) -> int:

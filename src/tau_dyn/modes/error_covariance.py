@@ -13,18 +13,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.modes.arx import best_length, predictor
-from tau_dyn.modes.basis import columns_of, derivative_maps
-from tau_dyn.modes.gauss_newton import FitPoint, normal_equations
+from tau_dyn.modes.arx import fit_predictor, select_length
+from tau_dyn.modes.basis import build_columns, compute_derivative_maps
+from tau_dyn.modes.gauss_newton import FitPoint, assemble_normal_equations
 from tau_dyn.modes.hankel import compress
-from tau_dyn.modes.modal_form import layout_of
+from tau_dyn.modes.modal_form import build_layout
 from tau_dyn.modes.record import Record
 
 MAX_AR_ORDER = 40  # of the autoregression of residuals; BIC chooses below it
 CHUNK = 16384  # errors further apart than a chunk count as independent
 
 
-def error_covariance(
+def estimate_error_covariance(
     point: FitPoint, records: Sequence[Record], free: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
     """Return the covariance of the model's free numbers (f, f) and the residuals record by record.
@@ -36,10 +36,10 @@ def error_covariance(
     """
     weight = np.linalg.inv(point.covariance)
     root = np.linalg.cholesky((weight + weight.T) / 2).T
-    normal = normal_equations(point, free, weight)
+    normal = assemble_normal_equations(point, free, weight)
     inverse = _inverse(normal.H)
-    errors = residuals(point, records)
-    coefficients, noise = autoregression([e @ root.T for e in errors])
+    errors = compute_residuals(point, records)
+    coefficients, noise = fit_autoregression([e @ root.T for e in errors])
     n = normal.n_model
     if len(coefficients) == 0:
         return inverse[:n, :n], errors
@@ -47,15 +47,15 @@ def error_covariance(
     return (inverse @ middle @ inverse)[:n, :n], errors
 
 
-def residuals(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+def compute_residuals(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
     """Return measured minus modelled outputs, record by record."""
     out = []
     for record, x0 in zip(records, point.x0, strict=True):
-        out.append(np.vstack([record.y[c.part] - c.predicted for c in columns_of(point.form, x0, record)]))
+        out.append(np.vstack([record.y[c.part] - c.predicted for c in build_columns(point.form, x0, record)]))
     return tuple(out)
 
 
-def autoregression(errors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def fit_autoregression(errors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return the coefficients (order, p, p) and innovations' covariance of a vector autoregression; order 0 for white errors.
 
     The order is Bayes' choice: it takes white noise for white.
@@ -64,14 +64,14 @@ def autoregression(errors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray
     records = [Record(np.zeros((len(e), 0)), e, 1.0, (), ()) for e in errors]
     longest = int(np.clip(max(map(len, errors)) // (20 * p), 1, MAX_AR_ORDER))
     factor = compress(records, longest + 1)
-    order = best_length(factor, penalty=np.log(factor.n_columns), least=0)
+    order = select_length(factor, penalty=np.log(factor.n_columns), least=0)
     if order == 0:
         return np.zeros((0, p, p)), np.eye(p)
-    lags, _, noise = predictor(factor, order, False)
+    lags, _, noise = fit_predictor(factor, order, False)
     return lags, noise
 
 
-def spectrum(coefficients: np.ndarray, noise: np.ndarray, n: int) -> np.ndarray:
+def compute_spectrum(coefficients: np.ndarray, noise: np.ndarray, n: int) -> np.ndarray:
     """Return the spectral density (n // 2 + 1, p, p) of an autoregression on an FFT's grid of n."""
     p = len(noise)
     polynomial = np.zeros((n, p, p))
@@ -85,18 +85,18 @@ def _middle(
     point: FitPoint, records: Sequence[Record], root: np.ndarray, coefficients: np.ndarray, noise: np.ndarray
 ) -> np.ndarray:
     """The double sum over the full vector and all records' initial states."""
-    size, k = layout_of(point.form).size, len(point.form.poles)
+    size, k = build_layout(point.form).size, len(point.form.poles)
     total = size + 2 * k * len(records)
     middle = np.zeros((total, total))
     for r, (record, x0) in enumerate(zip(records, point.x0, strict=True)):
         n = 1 << (2 * min(CHUNK, record.n_samples) - 1).bit_length()
-        density = spectrum(coefficients, noise, n)
+        density = compute_spectrum(coefficients, noise, n)
         weight = np.where((np.arange(n // 2 + 1) == 0) | (2 * np.arange(n // 2 + 1) == n), 1.0, 2.0) / n
         weighted = density * weight[:, None, None]
-        maps = np.tensordot(root, derivative_maps(point.form, x0), axes=1)
+        maps = np.tensordot(root, compute_derivative_maps(point.form, x0), axes=1)
         where = np.r_[np.arange(size), size + 2 * k * r + np.arange(2 * k)]
         inner = np.zeros((size + 2 * k, size + 2 * k))
-        for columns in columns_of(point.form, x0, record, min(CHUNK, record.n_samples)):
+        for columns in build_columns(point.form, x0, record, min(CHUNK, record.n_samples)):
             inner += _correlated(np.fft.rfft(columns.real, n, axis=0), weighted, maps)
         middle[np.ix_(where, where)] += inner
     return middle

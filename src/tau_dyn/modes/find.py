@@ -17,9 +17,9 @@ from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes.contest import MethodCandidate, settle
 from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay
-from tau_dyn.modes.era import era_factors
+from tau_dyn.modes.era import decompose_pulse_tests
 from tau_dyn.modes.feedback_test import Feedback, detect_feedback
-from tau_dyn.modes.methods import METHODS, build_initial_estimator, first_look
+from tau_dyn.modes.methods import METHODS, build_initial_estimator, estimate_first_poles
 from tau_dyn.modes.model_validation import validate_model
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
 from tau_dyn.modes.preparation import PreparedRecords, prepare_records
@@ -251,13 +251,13 @@ def _late(
     if fixed is not None:
         return DelayChoice(fixed, (), float("nan"), f"a delay of {fixed} samples was asked for")
     orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, 20)})
-    decays = era_factors(data.train, delay=MAX_DELAY_SAMPLES) if method == "era" else None
+    decays = decompose_pulse_tests(data.train, delay=MAX_DELAY_SAMPLES) if method == "era" else None
     most = MAX_DELAY_SAMPLES
     if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
         most = max(0, find_response_onset(data.train, decays, MAX_DELAY_SAMPLES) - (sensor != "acceleration"))
     return choose_delay(
         data.train,
-        lambda records, d: first_look(method, records, delay=d, decays=decays),
+        lambda records, d: estimate_first_poles(method, records, delay=d, decays=decays),
         kind=kind,
         orders=orders,
         most=most,

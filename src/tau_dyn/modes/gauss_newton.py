@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.modes.basis import columns_of, derivative_maps
-from tau_dyn.modes.modal_form import ModalForm, layout_of, stepped
+from tau_dyn.modes.basis import build_columns, compute_derivative_maps
+from tau_dyn.modes.modal_form import ModalForm, build_layout, step_form
 from tau_dyn.modes.record import Record
 
 FLOOR = 1e-13  # errors below this part of the outputs' power are rounding
@@ -61,7 +61,7 @@ def evaluate(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> FitP
     squares, power, grams, cross = np.zeros((p, p)), np.zeros(p), [], []
     for record, start in zip(records, x0, strict=True):
         gram, gradient = 0.0, 0.0
-        for columns in columns_of(form, start, record):
+        for columns in build_columns(form, start, record):
             y = record.y[columns.part]
             error = y - columns.predicted
             squares += error.T @ error
@@ -100,7 +100,7 @@ class NormalEquations:
         return step
 
 
-def normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndarray | None = None) -> NormalEquations:
+def assemble_normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndarray | None = None) -> NormalEquations:
     """Assemble the normal equations.
 
     Args:
@@ -108,14 +108,14 @@ def normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndarray | Non
         free: Which numbers of the model's full vector are free (size,).
         weight: Weight between outputs (p, p); None takes the inverse covariance of the errors.
     """
-    layout = layout_of(point.form)
+    layout = build_layout(point.form)
     weight = np.linalg.inv(point.covariance) if weight is None else weight
     root = np.linalg.cholesky((weight + weight.T) / 2).T  # weight = root' root
     k, n_records = layout.n_modes, len(point.grams)
     total = layout.size + 2 * k * n_records
     H, g = np.zeros((total, total)), np.zeros(total)
     for r, (gram, cross) in enumerate(zip(point.grams, point.cross, strict=True)):
-        T = np.tensordot(root, derivative_maps(point.form, point.x0[r]), axes=1)
+        T = np.tensordot(root, compute_derivative_maps(point.form, point.x0[r]), axes=1)
         where = np.r_[np.arange(layout.size), layout.size + 2 * k * r + np.arange(2 * k)]
         H[np.ix_(where, where)] += sum(part.T @ gram @ part for part in T)
         errors = cross @ root.T
@@ -127,6 +127,6 @@ def normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndarray | Non
 
 def apply_step(point: FitPoint, step: np.ndarray) -> tuple[ModalForm, np.ndarray]:
     """Return the model and the initial states after a full step."""
-    size = layout_of(point.form).size
+    size = build_layout(point.form).size
     start = step[size:].reshape(len(point.grams), -1, 2)
-    return stepped(point.form, step[:size]), point.x0 + start[..., 0] + 1j * start[..., 1]
+    return step_form(point.form, step[:size]), point.x0 + start[..., 0] + 1j * start[..., 1]

@@ -91,12 +91,12 @@ def compress(records: Sequence[Record], rows: int, method: str = "auto") -> Hank
     return HankelFactor(L / np.sqrt(n_columns), records[0].u.shape[1], records[0].y.shape[1], rows, n_columns, used)
 
 
-def lower_factor(L: np.ndarray) -> np.ndarray:
+def reorder_lower_factor(L: np.ndarray) -> np.ndarray:
     """Return the lower triangular factor of compressed data whose rows were taken in another order."""
     return np.asarray(qr(L.T, mode="r", check_finite=False)[0])[: min(L.shape)].T
 
 
-def least_squares(target: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def solve_least_squares(target: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return X of target = X rows + rest, both compressed data; directions without data count as zero."""
     scale = np.linalg.norm(rows, axis=1)
     scale[scale == 0] = 1.0

@@ -16,14 +16,14 @@ from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace
 
 
-def predictor_of(model: StateSpace) -> StateSpace:
+def build_predictor(model: StateSpace) -> StateSpace:
     """Return the one-step predictor as a model from (u, y) to the predicted y."""
     B = np.hstack([model.B - model.K @ model.D, model.K])
     D = np.hstack([model.D, np.zeros((len(model.C), len(model.C)))])
     return replace(model, A=model.A - model.K @ model.C, B=B, D=D, K=np.zeros_like(model.K))
 
 
-def model_of(form: ModalForm) -> StateSpace:
+def build_innovation_model(form: ModalForm) -> StateSpace:
     """Return the innovation form whose predictor has this modal form."""
     predictor = form.state_space()
     m = form.D.shape[1] - form.D.shape[0]
@@ -31,6 +31,6 @@ def model_of(form: ModalForm) -> StateSpace:
     return replace(predictor, A=predictor.A + K @ predictor.C, B=predictor.B[:, :m] + K @ D, D=D, K=K)
 
 
-def predictor_record(record: Record) -> Record:
+def build_predictor_record(record: Record) -> Record:
     """Return a record whose inputs are (u, y)."""
     return replace(record, u=np.hstack([record.u, record.y]), inputs=record.inputs + record.outputs)

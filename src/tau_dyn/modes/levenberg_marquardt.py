@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.modes.gauss_newton import FitPoint, evaluate, normal_equations
+from tau_dyn.modes.gauss_newton import FitPoint, assemble_normal_equations, evaluate
 from tau_dyn.modes.modal_form import ModalForm, free_numbers
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.tangent import Tangent, balanced, tangent_at, with_initial_states, without_initial_states
+from tau_dyn.modes.tangent import Tangent, append_initial_states, balance_model, compute_tangent, split_initial_states
 
 SMALL_STEP = 0.02  # mean step of a parameter over its standard error at which we stop
 SMALL_GAIN = 0.05  # log-likelihood gained by a round; two such in a row end the descent
@@ -54,15 +54,15 @@ def minimise(
         allowed: Says whether a model may be visited at all.
     """
     damping, slow, easy = 1e-12, 0, False
-    model = balanced(with_initial_states(point))
-    point = evaluate(*without_initial_states(model, direct.shape[1]), records)
+    model = balance_model(append_initial_states(point))
+    point = evaluate(*split_initial_states(model, direct.shape[1]), records)
     for rounds in range(maximum_rounds):
-        normal = normal_equations(point, free_numbers(point.form, direct))
-        tangent = tangent_at(model, point, normal)
+        normal = assemble_normal_equations(point, free_numbers(point.form, direct))
+        tangent = compute_tangent(model, point, normal)
         if _mean_step(tangent) < SMALL_STEP:
             return DescentResult(_tried(tangent.step(0.0), point, records, allowed) or point, rounds, True)
         for attempt in range(MAX_DAMPING_TRIALS):
-            model = balanced(_kept_inside(tangent.step(damping), point.form))
+            model = balance_model(_kept_inside(tangent.step(damping), point.form))
             trial = _tried(model, point, records, allowed)
             if trial is not None:
                 easy = attempt == 0
@@ -84,7 +84,7 @@ def _tried(
     """The point of a model, where it may be visited and is better than the last point."""
     if not np.isfinite(model.A).all() or model.spectral_radius() >= 1:
         return None
-    form, x0 = without_initial_states(model, point.form.D.shape[1])
+    form, x0 = split_initial_states(model, point.form.D.shape[1])
     if not allowed(form):
         return None
     trial = evaluate(form, x0, records)

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.modes.mechanical_evidence import Evidence, HasResiduals, evidence_of
+from tau_dyn.modes.mechanical_evidence import Evidence, HasResiduals, build_evidence
 from tau_dyn.modes.mechanical_fit import MechanicalFit, Task, fit_condensed_structure, fit_full_structure
-from tau_dyn.modes.mechanical_validation import MAX_RELATIVE_STDERR, SIGNIFICANCE_LEVEL, asymmetry
-from tau_dyn.modes.places import Places, places_of
-from tau_dyn.modes.second_order import SecondOrder, derivative_of, symmetric_basis, unpack
+from tau_dyn.modes.mechanical_validation import MAX_RELATIVE_STDERR, SIGNIFICANCE_LEVEL, measure_asymmetry
+from tau_dyn.modes.places import Places, find_places
+from tau_dyn.modes.second_order import SecondOrder, build_symmetric_basis, count_derivatives, unpack
 from tau_dyn.modes.state_space import StateSpace
 
 _BOTTOM, _TOP = 0.05, 0.45
@@ -77,7 +77,7 @@ class Mechanical:
         if self.structure is None or self.covariance is None:
             return None
         C = np.linalg.inv(self.structure.K)
-        change = C @ symmetric_basis(len(C)) @ C
+        change = C @ build_symmetric_basis(len(C)) @ C
         size = len(change)
         return np.sqrt(np.einsum("qij,qr,rij->ij", change, self.covariance[2 * size :, 2 * size :], change))
 
@@ -124,14 +124,14 @@ def fit_mechanical(
     """
     model = source if isinstance(source, StateSpace) else source.model
     p, m = model.D.shape
-    derivative, places = derivative_of(output), places_of(p, m, collocated)
+    derivative, places = count_derivatives(output), find_places(p, m, collocated)
     span = band or (0.0, _TOP / model.dt)
     if not 0 <= span[0] < span[1]:
         raise InputError(f"the band {span[0]:g} to {span[1]:g} Hz is empty")
     if not places.pairs:
         return _refused("no collocated pair: name an input and an output at one place and in one direction")
     try:
-        evidence = evidence_of(source, derivative)
+        evidence = build_evidence(source, derivative)
     except CannotAnswer as fault:
         return _refused(str(fault))
     modes_hz = np.abs(evidence.at.poles[evidence.at.oscillating]) / (2 * np.pi)
@@ -168,7 +168,7 @@ def _unfit(evidence: Evidence, places: Places, modes_hz: np.ndarray, tolerance: 
     at_pairs = sizes[:, [i for _, i in places.pairs], [j for j, _ in places.pairs]].max(axis=1)
     if np.any(at_pairs < 1e-9 * sizes.max()):
         return "no information: a mode is at rest at every collocated pair"
-    uneven, stderr = asymmetry(evidence, places)
+    uneven, stderr = measure_asymmetry(evidence, places)
     if uneven > max(2 * tolerance, 4 * stderr):
         return (
             "the named pairs are not collocated, or their units differ: at one mode the response from one place to another and "

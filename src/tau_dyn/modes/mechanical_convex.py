@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.modes.second_order import SecondOrder, pack, symmetric_basis, unpack
+from tau_dyn.modes.second_order import SecondOrder, build_symmetric_basis, pack, unpack
 
 _MAX_ITERATIONS = 8  # convex programmes one after the other; each starts from the last one's weights
 _MARGIN = 1e-6
@@ -59,7 +59,7 @@ def is_physical(structure: SecondOrder) -> bool:
 def _triangle(s: np.ndarray, H: np.ndarray, W: np.ndarray, driven: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the equations as a triangle: `R x = target` in the entries of M, D, K."""
     n = H.shape[1]
-    blocks = np.einsum("kij,qjl,klm->kimq", W, symmetric_basis(n), H)
+    blocks = np.einsum("kij,qjl,klm->kimq", W, build_symmetric_basis(n), H)
     columns = np.concatenate([blocks * s[:, None, None, None] ** power for power in (2, 1, 0)], axis=3)
     rows = columns.reshape(-1, columns.shape[3])
     target = (W @ np.eye(n)[:, list(driven)]).ravel()

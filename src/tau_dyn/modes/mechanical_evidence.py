@@ -77,7 +77,7 @@ class Continuous:
         return Continuous(poles, left.T, left, np.zeros((places.n, places.n)))
 
 
-def continuous(model: StateSpace, derivative: int = 0) -> Continuous:
+def convert_to_continuous(model: StateSpace, derivative: int = 0) -> Continuous:
     """Return the continuous-time model whose held inputs give the sampled one; its delay is left out.
 
     Raises:
@@ -126,7 +126,7 @@ class Evidence:
         return Evidence(self.at.completed(places), near, self.dt)
 
 
-def evidence_of(source: StateSpace | HasResiduals | Any, derivative: int = 0) -> Evidence:
+def build_evidence(source: StateSpace | HasResiduals | Any, derivative: int = 0) -> Evidence:
     """Return the evidence in a model, refined (with covariance) or not.
 
     Args:
@@ -137,10 +137,10 @@ def evidence_of(source: StateSpace | HasResiduals | Any, derivative: int = 0) ->
         CannotAnswer: A pole lies where no continuous-time system puts one.
     """
     if isinstance(source, StateSpace):
-        return Evidence(continuous(source, derivative), (), source.dt)
+        return Evidence(convert_to_continuous(source, derivative), (), source.dt)
     steps = _steps(source.theta, source.covariance, source.model_at)
-    near = tuple((continuous(up, derivative), continuous(down, derivative)) for up, down in steps)
-    return Evidence(continuous(source.model, derivative), near, source.model.dt)
+    near = tuple((convert_to_continuous(up, derivative), convert_to_continuous(down, derivative)) for up, down in steps)
+    return Evidence(convert_to_continuous(source.model, derivative), near, source.model.dt)
 
 
 def _steps(theta: np.ndarray, covariance: np.ndarray, model_at: Callable[[np.ndarray], StateSpace]):

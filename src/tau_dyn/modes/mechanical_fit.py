@@ -13,13 +13,13 @@ import numpy as np
 
 from tau_dyn.modes.mechanical_convex import solve_conic
 from tau_dyn.modes.mechanical_evidence import Evidence
-from tau_dyn.modes.mechanical_likelihood import Target, maximise, split, whitening
+from tau_dyn.modes.mechanical_likelihood import Target, compute_whitening, maximise_likelihood, split
 from tau_dyn.modes.mechanical_validation import (
     Agreement,
     compute_misfit_p_value,
     compute_worst_relative_stderr,
-    covariance_of,
     find_valid_band,
+    get_covariance,
 )
 from tau_dyn.modes.places import Places
 from tau_dyn.modes.second_order import SecondOrder
@@ -100,8 +100,8 @@ def _fit(task: Task, s: np.ndarray, wanted: np.ndarray, weight: np.ndarray | Non
     if weight is not None:
         evidence, places = evidence.completed(places), square
     target, factor = _target(evidence, places, s, units, weight)
-    fitted = maximise(target, start)
-    covariance = covariance_of(target, fitted, factor)
+    fitted = maximise_likelihood(target, start)
+    covariance = get_covariance(target, fitted, factor)
     worst = compute_worst_relative_stderr(fitted, covariance) if covariance is not None else {"M": 0.0, "K": 0.0}
     found = units.restore(fitted)
     agrees = find_valid_band(task.evidence, found, task.places, wanted, task.span_hz, task.tolerance)
@@ -149,7 +149,7 @@ def _target(
     if evidence.has_covariance:
         factor = units.divide(evidence.factor(s).reshape(*H.shape, -1), places)
     if weight is None and factor is not None:
-        return Target(s / units.rate, H, places, whitening(split(factor)), True), factor
+        return Target(s / units.rate, H, places, compute_whitening(split(factor)), True), factor
     relative = (1.0 if weight is None else weight) / np.linalg.norm(H, axis=(1, 2))
     rows = np.tile(np.repeat(relative, H[0].size), 2)
     return Target(s / units.rate, H, places, rows, False), factor

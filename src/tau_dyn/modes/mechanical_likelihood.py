@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tau_dyn.modes.places import Places
-from tau_dyn.modes.second_order import SecondOrder, symmetric_basis
+from tau_dyn.modes.second_order import SecondOrder, build_symmetric_basis
 
 _RANK = 1e-7
 """Directions of the response's error smaller than this part of the largest are rounding, not knowledge."""
@@ -52,7 +52,7 @@ class Target:
         """Return its derivative (r, 3n(n+1)/2) with respect to the entries of M, D, K."""
         G = structure.compliance(self.s)
         left, right = G[:, list(self.places.sensed)], G[:, :, list(self.places.driven)]
-        change = -np.moveaxis(left[:, None] @ symmetric_basis(self.places.n) @ right[:, None], 1, 3)
+        change = -np.moveaxis(left[:, None] @ build_symmetric_basis(self.places.n) @ right[:, None], 1, 3)
         powers = [change * self.s[:, None, None, None] ** power for power in (2, 1, 0)]
         return self.weigh(np.concatenate(powers, axis=3))
 
@@ -63,7 +63,7 @@ def split(values: np.ndarray) -> np.ndarray:
     return np.concatenate([flat.real, flat.imag])
 
 
-def whitening(factor: np.ndarray) -> np.ndarray:
+def compute_whitening(factor: np.ndarray) -> np.ndarray:
     """Return rows `T` with `T C T' = I` on the span of a covariance `C = F F'`.
 
     Args:
@@ -76,7 +76,7 @@ def whitening(factor: np.ndarray) -> np.ndarray:
     return (U[:, keep] / S[keep]).T / size
 
 
-def maximise(target: Target, start: SecondOrder) -> SecondOrder:
+def maximise_likelihood(target: Target, start: SecondOrder) -> SecondOrder:
     """Return the structure of least weighed error, definite throughout."""
     n = target.places.n
 
@@ -101,12 +101,12 @@ def maximise(target: Target, start: SecondOrder) -> SecondOrder:
     return structure(found.x)
 
 
-def relative_frame(structure: SecondOrder) -> np.ndarray:
+def compute_relative_frame(structure: SecondOrder) -> np.ndarray:
     """Return the change (q, q) of entries per unit of `E` in `L (I + E) L'`: units and coordinates drop out of `E`."""
     blocks = []
     for part in (structure.M, structure.D, structure.K):
         L = _factor(part)
-        moved = L @ symmetric_basis(len(part)) @ L.T
+        moved = L @ build_symmetric_basis(len(part)) @ L.T
         blocks.append(moved[:, *np.triu_indices(len(part))].T)
     size = len(blocks[0])
     frame = np.zeros((3 * size, 3 * size))

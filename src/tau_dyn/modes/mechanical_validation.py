@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from tau_dyn.modes.mechanical_evidence import STEP, Evidence
-from tau_dyn.modes.mechanical_likelihood import Target, relative_frame
+from tau_dyn.modes.mechanical_likelihood import Target, compute_relative_frame
 from tau_dyn.modes.places import Places
 from tau_dyn.modes.second_order import SecondOrder
 
@@ -97,7 +97,7 @@ def _last_false(fits: np.ndarray) -> int:
 def compute_worst_relative_stderr(structure: SecondOrder, covariance: np.ndarray) -> dict[str, float]:
     """Return for M and K the standard error of the worst relative direction."""
     size = len(covariance) // 3
-    frame = relative_frame(structure)
+    frame = compute_relative_frame(structure)
     relative = np.linalg.solve(frame, np.linalg.solve(frame, covariance).T)
     worst = {}
     for name, first in (("M", 0), ("K", 2 * size)):
@@ -107,7 +107,7 @@ def compute_worst_relative_stderr(structure: SecondOrder, covariance: np.ndarray
     return worst
 
 
-def covariance_of(target: Target, structure: SecondOrder, factor: np.ndarray | None) -> np.ndarray | None:
+def get_covariance(target: Target, structure: SecondOrder, factor: np.ndarray | None) -> np.ndarray | None:
     """Return the covariance (q, q) of the entries of M, D, K.
 
     Args:
@@ -115,7 +115,7 @@ def covariance_of(target: Target, structure: SecondOrder, factor: np.ndarray | N
         structure: The fit.
         factor: Covariance factor (F, p, m, r) of the response, where the target's weights do not whiten it; None where they do.
     """
-    frame = relative_frame(structure)
+    frame = compute_relative_frame(structure)
     J = target.jacobian(structure) @ frame
     U, S, Vt = np.linalg.svd(J, full_matrices=False)
     if len(S) < len(frame) or S[-1] < 1e-9 * S[0]:
@@ -135,7 +135,7 @@ def compute_misfit_p_value(target: Target, structure: SecondOrder) -> float:
     return float(chi2.sf(np.sum(target.misfit(structure) ** 2), free)) if free > 0 else 1.0
 
 
-def asymmetry(evidence: Evidence, places: Places) -> tuple[float, float]:
+def measure_asymmetry(evidence: Evidence, places: Places) -> tuple[float, float]:
     """Return how far the collocated part of the worst mode's residue is from symmetric, and its standard error."""
     rows, columns = [i for _, i in places.pairs], [j for j, _ in places.pairs]
     if len(rows) < 2:

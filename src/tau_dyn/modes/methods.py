@@ -14,12 +14,12 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.arx import arx
-from tau_dyn.modes.era import EraFactors, era_factors
+from tau_dyn.modes.era import EraFactors, decompose_pulse_tests
 from tau_dyn.modes.pbsid import pbsid
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.reduce import reduce_order
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.subspace import default_horizon, subspace_factors
+from tau_dyn.modes.subspace import choose_default_horizon, compress_subspace_data
 
 METHODS = ("n4sid", "pbsid", "arx", "era")
 ARX_LAGS = 60
@@ -43,7 +43,7 @@ def build_initial_estimator(method: str, records: Sequence[Record], *, delay: in
         InputError: There is no such method, or the records are too short for it.
     """
     if method == "n4sid":
-        factors = subspace_factors(records, delay=delay)
+        factors = compress_subspace_data(records, delay=delay)
         return lambda order: stabilise_poles(factors.model(order))
     if method == "pbsid":
         return lambda order: stabilise_poles(pbsid(records, order, delay=delay))
@@ -51,7 +51,7 @@ def build_initial_estimator(method: str, records: Sequence[Record], *, delay: in
         long = arx(records, _lags(records, highest), delay=delay)
         return lambda order: stabilise_poles(reduce_order(long, order))
     if method == "era":
-        decays = era_factors(records, delay=delay)
+        decays = decompose_pulse_tests(records, delay=delay)
         return lambda order: stabilise_poles(decays.model(order))
     raise InputError(f"--method {method}: there are auto, {', '.join(METHODS)}")
 
@@ -69,7 +69,7 @@ class InitialModels:
     model: Start
 
 
-def first_look(
+def estimate_first_poles(
     method: str,
     records: Sequence[Record],
     *,
@@ -87,11 +87,11 @@ def first_look(
         decays: For `era`, the decays as the longest delay leaves them: their poles are those of every delay.
     """
     if method == "era":
-        late = decays or era_factors(records, delay=delay)
-        here = era_factors(records, delay=delay)
+        late = decays or decompose_pulse_tests(records, delay=delay)
+        here = decompose_pulse_tests(records, delay=delay)
         return InitialModels(lambda n: np.linalg.eigvals(late.dynamics(n)[0]), lambda n: stabilise_poles(here.model(n)))
     aligned = [r.aligned(delay) for r in records]
-    factors = subspace_factors(records, delay=delay, horizon=min(horizon, default_horizon(aligned)))
+    factors = compress_subspace_data(records, delay=delay, horizon=min(horizon, choose_default_horizon(aligned)))
     if method == "pbsid":
         return InitialModels(
             lambda n: np.linalg.eigvals(factors.dynamics(n)[0]), build_initial_estimator(method, records, delay=delay)

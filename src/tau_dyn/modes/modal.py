@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.modes.modal_form import ModalForm, layout_of, modal_form
+from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form
 from tau_dyn.modes.state_space import StateSpace
 
 
@@ -34,28 +34,28 @@ class Mode:
     correlation: float
 
 
-def modes_of(model: StateSpace, covariance: np.ndarray | None = None) -> tuple[Mode, ...]:
+def find_resonances(model: StateSpace, covariance: np.ndarray | None = None) -> tuple[Mode, ...]:
     """Return the resonances (complex pairs of poles) of a model, lowest frequency first.
 
     Args:
         model: The model. Real poles are no resonances and are left out.
-        covariance: Covariance of the full vector of its `modal_form` (`Layout`); None where not known.
+        covariance: Covariance of the full vector of its `build_modal_form` (`Layout`); None where not known.
     """
-    form = modal_form(model)
+    form = build_modal_form(model)
     found = []
     for k in np.flatnonzero(form.oscillates):
-        spread = np.full((2, 2), np.nan) if covariance is None else pole_covariance(form, covariance, int(k))
+        spread = np.full((2, 2), np.nan) if covariance is None else compute_pole_covariance(form, covariance, int(k))
         found.append(_mode(form, int(k), spread))
     return tuple(sorted(found, key=lambda mode: mode.frequency_hz))
 
 
-def pole_covariance(form: ModalForm, covariance: np.ndarray, mode: int) -> np.ndarray:
+def compute_pole_covariance(form: ModalForm, covariance: np.ndarray, mode: int) -> np.ndarray:
     """Return the covariance (2, 2) of Re and Im of a mode's pole."""
-    where = layout_of(form).pole(mode)
+    where = build_layout(form).pole(mode)
     return covariance[where, where]
 
 
-def frequency_and_damping(pole: complex, dt: float) -> np.ndarray:
+def compute_frequency_and_damping(pole: complex, dt: float) -> np.ndarray:
     """Return frequency [Hz] and damping ratio (2,) of a sampled pole."""
     s = np.log(pole) / dt
     return np.array([abs(s) / (2 * np.pi), -s.real / abs(s)])
@@ -63,7 +63,7 @@ def frequency_and_damping(pole: complex, dt: float) -> np.ndarray:
 
 def _mode(form: ModalForm, k: int, spread: np.ndarray) -> Mode:
     pole = complex(form.poles[k])
-    f, zeta = frequency_and_damping(pole, form.dt)
+    f, zeta = compute_frequency_and_damping(pole, form.dt)
     slope = _slopes(pole, form.dt)
     both = slope @ spread @ slope.T
     errors = np.sqrt(np.diag(both))

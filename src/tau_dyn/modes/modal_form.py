@@ -69,12 +69,12 @@ class ModalForm:
         return replace(self, c=self.c / factor, b=self.b * factor[:, None])
 
 
-def modal_form(model: StateSpace) -> ModalForm:
+def build_modal_form(model: StateSpace) -> ModalForm:
     """Return a model's modes, slowest first; the innovations' gain is left behind."""
-    return with_coordinates(model)[0]
+    return build_modal_form_with_coordinates(model)[0]
 
 
-def with_coordinates(model: StateSpace) -> tuple[ModalForm, np.ndarray]:
+def build_modal_form_with_coordinates(model: StateSpace) -> tuple[ModalForm, np.ndarray]:
     """Return a model's modal form and W (n, n): the states of `form.state_space()` are W x."""
     values, vectors = (part.astype(complex) for part in np.linalg.eig(model.A))
     real = np.abs(values.imag) <= 1e-12 * np.abs(values).max(initial=1e-300)
@@ -143,14 +143,14 @@ class ModalLayout:
         return slice(self.n_modes * self.width, self.size)
 
 
-def layout_of(form: ModalForm) -> ModalLayout:
+def build_layout(form: ModalForm) -> ModalLayout:
     """Return the layout of a modal form."""
     return ModalLayout(len(form.poles), *form.D.shape)
 
 
 def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:
     """Say which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
-    layout = layout_of(form)
+    layout = build_layout(form)
     free = np.ones(layout.size, dtype=bool)
     p, m = form.D.shape
     for k, (pair, pivot) in enumerate(zip(form.oscillates, form.pivots, strict=True)):
@@ -162,9 +162,9 @@ def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:
     return free
 
 
-def stepped(form: ModalForm, step: np.ndarray) -> ModalForm:
+def step_form(form: ModalForm, step: np.ndarray) -> ModalForm:
     """Return the form moved by a full vector (size,)."""
-    layout = layout_of(form)
+    layout = build_layout(form)
     p, m = form.D.shape
     poles, c, b = form.poles.copy(), form.c.astype(complex), form.b.astype(complex)
     for k in range(len(poles)):
@@ -175,9 +175,9 @@ def stepped(form: ModalForm, step: np.ndarray) -> ModalForm:
     return replace(form, poles=poles, c=c, b=b, D=form.D + step[layout.D].reshape(p, m))
 
 
-def full_vector(form: ModalForm) -> np.ndarray:
+def flatten_form(form: ModalForm) -> np.ndarray:
     """Return all numbers of a form (size,)."""
-    layout = layout_of(form)
+    layout = build_layout(form)
     out = np.empty(layout.size)
     for k, pole in enumerate(form.poles):
         out[layout.pole(k)] = pole.real, pole.imag

@@ -7,24 +7,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.modes.checks import CorrelationTest, fit_of, independence, whiteness
+from tau_dyn.modes.checks import CorrelationTest, check_independence, check_whiteness, fit_of
 from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.feedback_test import Feedback
 from tau_dyn.modes.fit_quality import FitQuality, Response, Trace
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
-from tau_dyn.modes.noise import NoiseModel, noise_model
+from tau_dyn.modes.noise import NoiseModel, fit_noise_model
 from tau_dyn.modes.order import OrderChoice
-from tau_dyn.modes.poles import poles_of, zeros_of
+from tau_dyn.modes.poles import list_poles, list_zeros
 from tau_dyn.modes.preparation import PreparedRecords
-from tau_dyn.modes.pulses import impulse_responses
+from tau_dyn.modes.pulses import compute_impulse_responses
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refine import RefinedModel
 from tau_dyn.modes.residuals import compute_residuals
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.result_warnings import add_warnings
-from tau_dyn.modes.simulate import late_inputs, predict, simulate
-from tau_dyn.modes.spectra import EmpiricalResponse, empirical_response
-from tau_dyn.modes.stabilisation import stabilisation
+from tau_dyn.modes.simulate import delay_inputs, predict, simulate
+from tau_dyn.modes.spectra import EmpiricalResponse, estimate_empirical_response
+from tau_dyn.modes.stabilisation import build_stabilisation_diagram
 from tau_dyn.modes.state_space import StateSpace
 
 PREDICTION_HORIZONS = (1, 10)
@@ -58,11 +58,11 @@ def validate_model(
     """
     final = final or refined
     model, modes = refined.model, tuple(final.modes)
-    noise = noise_model(compute_residuals(model, data.train))
+    noise = fit_noise_model(compute_residuals(model, data.train))
     held = data.holdout or data.train
     white, free = _tests(model, noise, held, used=0 if data.holdout else model.order)
     narrow = min((2 * m.damping_ratio * m.frequency_hz for m in modes), default=0.0)
-    empirical = empirical_response(data.train, impulses=data.kind == "impulse", resolve=narrow)
+    empirical = estimate_empirical_response(data.train, impulses=data.kind == "impulse", resolve=narrow)
     complete = bool(free) and all(t.passed for t in free)
     mechanical, why_not = _mechanical(final, sensor, collocated, complete)
     first = data.train[0]
@@ -75,8 +75,8 @@ def validate_model(
         method="",
         model=final.model,
         modes=modes,
-        poles=poles_of(final.model, modes),
-        zeros=zeros_of(final.model),
+        poles=list_poles(final.model, modes),
+        zeros=list_zeros(final.model),
         train=_fit(model, noise, data.train),
         holdout=_fit(model, noise, data.holdout) if data.holdout else None,
         whiteness=white,
@@ -85,10 +85,10 @@ def validate_model(
         feedback=feedback,
         delay_choice=delay,
         order_choice=order,
-        stabilisation=stabilisation({t.order: t.modes for t in order.trials}),
+        stabilisation=build_stabilisation_diagram({t.order: t.modes for t in order.trials}),
         empirical=empirical,
         response=_response(final, empirical),
-        impulse=impulse_responses(model, held, modes, kind=data.kind, held_out=bool(data.holdout)),
+        impulse=compute_impulse_responses(model, held, modes, kind=data.kind, held_out=bool(data.holdout)),
         traces=_traces(model, data),
         mechanical=mechanical,
         mechanical_why=why_not,
@@ -130,9 +130,9 @@ def _tests(
     one_step = [e[noise.lags :] for e in compute_prediction_errors(model, noise, long, 1)]
     # in a loop a disturbance reaches the inputs, so that only what is new at each sample can be asked of them
     kept = compute_prediction_errors(model, noise, long, 1) if np.any(model.K) else compute_residuals(model, long)
-    late = [late_inputs(model, r)[model.delay :] for r in long]
+    late = [delay_inputs(model, r)[model.delay :] for r in long]
     outputs, inputs = records[0].outputs, records[0].inputs
-    return whiteness(one_step, outputs), independence(kept, late, outputs, inputs, used=used)
+    return check_whiteness(one_step, outputs), check_independence(kept, late, outputs, inputs, used=used)
 
 
 def _mechanical(

@@ -46,7 +46,7 @@ class NoiseModel:
         return v - late
 
 
-def noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
+def fit_noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
     """Fit the model to a simulation's errors, one (N, p) a record; its length is BIC's choice.
 
     From tapered autocovariances (Yule-Walker), which make it stable whatever the errors are.

@@ -81,7 +81,7 @@ class ShapesOnRobot:
         ]
 
 
-def sensed_places(outputs: Sequence[str]) -> dict[str, dict[int, int]]:
+def find_sensed_places(outputs: Sequence[str]) -> dict[str, dict[int, int]]:
     """Return place -> axis (0, 1, 2) -> output, of outputs such as `x_tool`, `ay_tool`; without a place they are the tool's."""
     found: dict[str, dict[int, int]] = {}
     for k, name in enumerate(outputs):
@@ -91,13 +91,13 @@ def sensed_places(outputs: Sequence[str]) -> dict[str, dict[int, int]]:
     return found
 
 
-def shapes_on_robot(robot: Robot, modes: Sequence[Mode], outputs: Sequence[str]) -> ShapesOnRobot | None:
+def project_shapes_on_robot(robot: Robot, modes: Sequence[Mode], outputs: Sequence[str]) -> ShapesOnRobot | None:
     """Return measured modes on a robot, beside its own; None where no output names a place of it or it cannot be drawn."""
     try:
         figure = MechanismFigure.of(robot)
     except TauDynError:
         return None
-    places = {name: axes for name, axes in sensed_places(outputs).items() if figure.frame(name) is not None}
+    places = {name: axes for name, axes in find_sensed_places(outputs).items() if figure.frame(name) is not None}
     if not places or not modes:
         return None
     rest = figure.points(figure.q)

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
-from tau_dyn.modes.checks import fit_of, whiteness
+from tau_dyn.modes.checks import check_whiteness, fit_of
 from tau_dyn.modes.methods import Start
-from tau_dyn.modes.modal import Mode, modes_of
+from tau_dyn.modes.modal import Mode, find_resonances
 from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refine import refine
 from tau_dyn.modes.residuals import (
@@ -32,7 +32,7 @@ from tau_dyn.modes.residuals import (
     compute_log_det_loss,
     compute_residuals,
     count_free_parameters,
-    spread_of,
+    measure_spread,
 )
 from tau_dyn.modes.state_space import StateSpace
 
@@ -320,12 +320,21 @@ def _judge(model: StateSpace, fitted: Sequence[Record], kept: Sequence[Record], 
         return None
     p, m = model.D.shape
     k = count_free_parameters(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
-    white = min(t.p_value for t in whiteness(errors, [""] * p)) * p > 0.001
+    white = min(t.p_value for t in check_whiteness(errors, [""] * p)) * p > 0.001
     measured = [r.y[model.delay :] for r in kept]
     fit = float(np.mean(fit_of(measured, [y - e for y, e in zip(measured, others, strict=True)])))
     n = sum(len(e) for e in errors)
     return _Row(
-        model.order, k, n, compute_log_det_loss(errors), spread_of(others), others, fit, white, model, modes_of(model)
+        model.order,
+        k,
+        n,
+        compute_log_det_loss(errors),
+        measure_spread(others),
+        others,
+        fit,
+        white,
+        model,
+        find_resonances(model),
     )
 
 

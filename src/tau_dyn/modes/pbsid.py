@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.arx import MAX_LAGS, best_length, predictor
+from tau_dyn.modes.arx import MAX_LAGS, fit_predictor, select_length
 from tau_dyn.modes.hankel import HankelFactor, compress
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.states import matrices_from_states
+from tau_dyn.modes.states import estimate_matrices_from_states
 
 
 def pbsid(
@@ -37,16 +37,16 @@ def pbsid(
     """
     scales = Scales.of(records)
     ready = [record.aligned(delay).scaled(scales) for record in records]
-    factor = predictor_factor(ready, past, least=-(-2 * order // records[0].y.shape[1]))
+    factor = compress_predictor_data(ready, past, least=-(-2 * order // records[0].y.shape[1]))
     past = factor.rows - 1
     if not 1 <= order <= past * factor.n_outputs:
         raise InputError(f"order {order} is not between 1 and {past * factor.n_outputs}; take a longer past")
-    T, _ = states_of_past(factor, order, direct)
-    A, B, C, D, K, noise = matrices_from_states(T, factor, past, direct)
+    T, _ = estimate_states_of_past(factor, order, direct)
+    A, B, C, D, K, noise = estimate_matrices_from_states(T, factor, past, direct)
     return StateSpace(A, B, C, D, K, records[0].dt, delay, noise).unscaled(scales)
 
 
-def predictor_factor(records: Sequence[Record], past: int | None, least: int = 1) -> HankelFactor:
+def compress_predictor_data(records: Sequence[Record], past: int | None, least: int = 1) -> HankelFactor:
     """Return compressed data with past + 1 block rows; where it is None the data choose, but at least `least`."""
     if past is not None:
         return compress(records, past + 1)
@@ -54,14 +54,14 @@ def predictor_factor(records: Sequence[Record], past: int | None, least: int = 1
     samples, longest = sum(r.n_samples for r in records), max(r.n_samples for r in records)
     most = max(least, int(np.clip(min(samples / (10 * w), longest / 4), 2, MAX_LAGS)))
     factor = compress(records, most + 1)
-    chosen = max(least, best_length(factor))
+    chosen = max(least, select_length(factor))
     return factor if chosen == most else compress(records, chosen + 1)
 
 
-def states_of_past(factor: HankelFactor, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
+def estimate_states_of_past(factor: HankelFactor, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return T (n, past w), the states as a function of the past (oldest first), and all singular values."""
     past, w, p = factor.rows - 1, factor.n_inputs + factor.n_outputs, factor.n_outputs
-    lags, _, noise = predictor(factor, past, direct)
+    lags, _, noise = fit_predictor(factor, past, direct)
     white = np.linalg.inv(np.linalg.cholesky(noise + 1e-14 * np.eye(p)))
     oldest_first = lags[::-1].transpose(1, 0, 2).reshape(p, past * w)
     rows = np.zeros((past, p, past * w))

@@ -87,7 +87,7 @@ class Places:
         return shapes
 
 
-def places_of(p: int, m: int, collocated: Sequence[tuple[int, int]] | None) -> Places:
+def find_places(p: int, m: int, collocated: Sequence[tuple[int, int]] | None) -> Places:
     """Return the places of p outputs and m inputs.
 
     Args:

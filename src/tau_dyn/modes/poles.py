@@ -41,7 +41,7 @@ class Pole:
         return {"re": self.s.real, "im": self.s.imag, "covariance": covariance}
 
 
-def poles_of(model: StateSpace, modes: tuple[Mode, ...]) -> tuple[Pole, ...]:
+def list_poles(model: StateSpace, modes: tuple[Mode, ...]) -> tuple[Pole, ...]:
     """Return the poles with Im >= 0, slowest first; those of a mode with standard errors carry a covariance."""
     z = model.poles().astype(complex)
     s = np.log(np.where(z == 0, 1e-300, z)) / model.dt
@@ -64,7 +64,7 @@ def _covariance(s: complex, modes: tuple[Mode, ...]) -> np.ndarray | None:
     return jacobian @ np.array([[sf**2, mixed], [mixed, sz**2]]) @ jacobian.T
 
 
-def zeros_of(model: StateSpace) -> np.ndarray:
+def list_zeros(model: StateSpace) -> np.ndarray:
     """Return the finite transmission zeros in the s plane [rad/s], Im >= 0; empty unless outputs and inputs are as many.
 
     Zeros far beyond the Nyquist frequency are those that sampling adds, and are left out.

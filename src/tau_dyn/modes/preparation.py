@@ -16,7 +16,7 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, resample_segments
-from tau_dyn.modes.record import Record, records_of, truncate_records
+from tau_dyn.modes.record import Record, build_records, truncate_records
 
 TRAIN_SHARE = 0.7  # of each record; the rest is held out
 STEADY_STATE_SHARE = 0.2
@@ -100,7 +100,7 @@ def prepare_records(
     return PreparedRecords(parts, kept, "driven", "the last 30 %", tuple(warnings), whole)
 
 
-def pulses_of(record: Record) -> list[Record]:
+def cut_pulses(record: Record) -> list[Record]:
     """Return a record of pulses cut before each of them, from rest on."""
     away = np.flatnonzero(_away(record))
     first = away[np.flatnonzero(np.diff(away, prepend=-record.n_samples) > PULSE_ROOM // 2)]
@@ -117,12 +117,14 @@ def _away(record: Record) -> np.ndarray:
 
 
 def _is_pulses(record: Record) -> bool:
-    return record.n_samples >= 2 * PULSE_ROOM and bool(np.mean(_away(record)) < PULSE_SHARE) and bool(pulses_of(record))
+    return (
+        record.n_samples >= 2 * PULSE_ROOM and bool(np.mean(_away(record)) < PULSE_SHARE) and bool(cut_pulses(record))
+    )
 
 
 def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> PreparedRecords:
-    pulses = [_settled(p) for r in train for p in pulses_of(r)]
-    kept = [_settled(p) for r in held for p in (pulses_of(r) if _is_pulses(r) else [r])]
+    pulses = [_settled(p) for r in train for p in cut_pulses(r)]
+    kept = [_settled(p) for r in held for p in (cut_pulses(r) if _is_pulses(r) else [r])]
     how, everything = "the logs given", pulses
     if not kept and len(pulses) > 1:
         n = max(1, round((1 - TRAIN_SHARE) * len(pulses)))
@@ -155,7 +157,7 @@ def _records(log: Log, inputs: Sequence[str], outputs: Sequence[str], references
                 f"{log.name}: column '{name}' holds no number in {n} sample(s), first at t = {log.t[first]:.6g} s; "
                 "mend them, or cut the log there"
             )
-    records = records_of(log, inputs, outputs, references)
+    records = build_records(log, inputs, outputs, references)
     for i, one in enumerate(inputs):
         for j, other in enumerate(outputs):
             if all(_alike(r.u[:, i], r.y[:, j]) for r in records):
@@ -222,7 +224,7 @@ def _cut(record: Record) -> tuple[Record, Record]:
     return record.window(slice(0, cut)), record.window(slice(cut, None))
 
 
-def operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
+def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """Return inputs (m,) and outputs (p,) at rest: the inputs' mean, and the outputs that go with it.
 
     Means of both do not belong together, because outputs still ring at a record's ends; what that leaves would be taken
@@ -246,7 +248,7 @@ def operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 def _centred(record: Record, origin: Record) -> Record:
     """Return a record as deviations from another's operating point."""
-    u, y = operating_point(origin)
+    u, y = estimate_operating_point(origin)
     reference = record.reference
     if reference is not None and origin.reference is not None:
         reference = reference - origin.reference.mean(axis=0)

@@ -32,7 +32,7 @@ PERIODS = 12
 MAX_SAMPLES = 200_000  # samples used; a response of some hundred lags is known by then
 
 
-def impulse_responses(
+def compute_impulse_responses(
     model: StateSpace, records: Sequence[Record], modes: Sequence[Mode], *, kind: str, held_out: bool
 ) -> ImpulseResponses | None:
     """Return the response to a unit pulse, measured and of the model.

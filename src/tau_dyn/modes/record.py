@@ -115,7 +115,9 @@ def check_alike(records: Sequence[Record]) -> None:
             raise InputError(f"{record.name or 'a record'} holds numbers that are not finite; cut it there")
 
 
-def records_of(log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str] = ()) -> list[Record]:
+def build_records(
+    log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str] = ()
+) -> list[Record]:
     """Return a log's unbroken stretches as records.
 
     Args:

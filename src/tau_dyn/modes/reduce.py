@@ -12,15 +12,15 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.era import era
-from tau_dyn.modes.gramians import gramians, root
+from tau_dyn.modes.gramians import compute_gramians, compute_root
 from tau_dyn.modes.state_space import StateSpace
 
 MARKOV = 400  # samples of the impulse response of an unstable model
 
 
-def hankel_values(model: StateSpace) -> np.ndarray:
+def compute_hankel_values(model: StateSpace) -> np.ndarray:
     """Return the Hankel singular values (n,) of a stable model, largest first."""
-    controllable, observable = (root(gramian) for gramian in gramians(model))
+    controllable, observable = (compute_root(gramian) for gramian in compute_gramians(model))
     return np.linalg.svd(observable.T @ controllable, compute_uv=False)
 
 
@@ -39,7 +39,7 @@ def reduce_order(model: StateSpace, order: int) -> StateSpace:
     if model.spectral_radius() >= 1:
         small = era(model.markov(MARKOV), model.dt, order)
         return replace(small, delay=model.delay, noise=model.noise)
-    controllable, observable = (root(gramian) for gramian in gramians(model))
+    controllable, observable = (compute_root(gramian) for gramian in compute_gramians(model))
     U, values, Vt = np.linalg.svd(observable.T @ controllable)
     size = np.sqrt(np.maximum(values[:order], 1e-300))
     left, right = (observable @ U[:, :order]) / size, (controllable @ Vt[:order].T) / size

@@ -15,13 +15,13 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.covariance_propagation import propagate_covariance
-from tau_dyn.modes.error_covariance import error_covariance, residuals
+from tau_dyn.modes.error_covariance import compute_residuals, estimate_error_covariance
 from tau_dyn.modes.gauss_newton import FitPoint, evaluate
-from tau_dyn.modes.innovation import model_of, predictor_of, predictor_record
-from tau_dyn.modes.input_matrices import mirrored, solved
+from tau_dyn.modes.innovation import build_innovation_model, build_predictor, build_predictor_record
+from tau_dyn.modes.input_matrices import mirror_unstable_poles, solve_input_matrices
 from tau_dyn.modes.levenberg_marquardt import minimise, normalise_shapes
-from tau_dyn.modes.modal import Mode, modes_of
-from tau_dyn.modes.modal_form import ModalForm, free_numbers, full_vector, layout_of, modal_form, stepped
+from tau_dyn.modes.modal import Mode, find_resonances
+from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form, flatten_form, free_numbers, step_form
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 from tau_dyn.modes.response import ResponseEstimate
@@ -36,7 +36,8 @@ class RefinedModel:
 
     Attributes:
         model: The model; real block-diagonal for output errors.
-        covariance: Of the full vector of `modal_form(model)`, see `Layout` (size, size); fixed numbers have zero rows, modes
+        covariance: Of the full vector of `build_modal_form(model)`, see `Layout` (size, size); fixed numbers have zero rows,
+        modes
             that cannot be told apart (poles about to meet on the real axis) rows of nan.
         modes: Its resonances with standard errors.
         loss: log det of the residuals' covariance, in the outputs' own units.
@@ -62,12 +63,12 @@ class RefinedModel:
     @property
     def theta(self) -> np.ndarray:
         """Full vector (size,) of the model's modal form, the one that `covariance` speaks of."""
-        return full_vector(modal_form(self.model))
+        return flatten_form(build_modal_form(self.model))
 
     def model_at(self, theta: np.ndarray) -> StateSpace:
         """Return the model at another full vector near `theta`."""
-        form = modal_form(self.model)
-        return replace(stepped(form, np.asarray(theta) - full_vector(form)).state_space(), noise=self.model.noise)
+        form = build_modal_form(self.model)
+        return replace(step_form(form, np.asarray(theta) - flatten_form(form)).state_space(), noise=self.model.noise)
 
     def response_covariance(self, frequency: np.ndarray) -> np.ndarray:
         """Return the covariance (F, p, m, 2, 2) of Re and Im of the response at frequencies (F,) [Hz]."""
@@ -110,9 +111,9 @@ def refine(
     point = normalise_shapes(path.point)
     numbers = free_numbers(point.form, free)
     if covariance:
-        found, errors = error_covariance(point, wide, numbers)
+        found, errors = estimate_error_covariance(point, wide, numbers)
     else:
-        found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), residuals(point, wide)
+        found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), compute_residuals(point, wide)
     estimated = np.zeros((len(numbers), len(numbers)))
     estimated[np.ix_(numbers, numbers)] = found
 
@@ -120,14 +121,14 @@ def refine(
         return replace(as_model(form), delay=model.delay, noise=point.covariance).unscaled(scales)
 
     refined = in_own_units(point.form)
-    size = layout_of(modal_form(refined)).size
+    size = build_layout(build_modal_form(refined)).size
     spread = (
         propagate_covariance(point.form, found, free, in_own_units) if covariance else np.full((size, size), np.nan)
     )
     return RefinedModel(
         refined,
         spread,
-        modes_of(refined, spread),
+        find_resonances(refined, spread),
         point.loss + 2 * float(np.log(scales.y).sum()),
         tuple(part * scales.y for part in errors),
         point.n_samples,
@@ -144,23 +145,29 @@ Problem = tuple[FitPoint, list[Record], np.ndarray, Callable[[ModalForm], StateS
 def _output_errors(start: StateSpace, records: list[Record], direct: bool) -> Problem:
     """Where to start, the records, the free entries of D, the model of a form, and which forms are allowed."""
     free = np.full(start.D.shape, direct)
-    return solved(_at(start, records), records, free), records, free, ModalForm.state_space, lambda form: True
+    return (
+        solve_input_matrices(_at(start, records), records, free),
+        records,
+        free,
+        ModalForm.state_space,
+        lambda form: True,
+    )
 
 
 def _prediction_errors(start: StateSpace, records: list[Record], direct: bool) -> Problem:
     """The same for the one-step predictor with inputs (u, y)."""
-    wide = [predictor_record(record) for record in records]
+    wide = [build_predictor_record(record) for record in records]
     free = np.hstack([np.full(start.D.shape, direct), np.zeros((len(start.C), len(start.C)), dtype=bool)])
     limit = max(1.0, start.spectral_radius() * (1 + 1e-9))
 
     def allowed(form: ModalForm) -> bool:
-        return model_of(form).spectral_radius() <= limit
+        return build_innovation_model(form).spectral_radius() <= limit
 
-    first = _at(predictor_of(start), wide)
-    point = solved(first, wide, free)
-    return point if allowed(point.form) else first, wide, free, model_of, allowed
+    first = _at(build_predictor(start), wide)
+    point = solve_input_matrices(first, wide, free)
+    return point if allowed(point.form) else first, wide, free, build_innovation_model, allowed
 
 
 def _at(model: StateSpace, records: Sequence[Record]) -> FitPoint:
-    form = mirrored(modal_form(model))
+    form = mirror_unstable_poles(build_modal_form(model))
     return evaluate(form, np.zeros((len(records), len(form.poles)), dtype=complex), records)

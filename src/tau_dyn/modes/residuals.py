@@ -30,23 +30,23 @@ def compute_residuals(model: StateSpace, records: Sequence[Record], kind: str = 
     return [(r.y - follow(model, r))[model.delay :] for r in records]
 
 
-def covariance(errors: Sequence[np.ndarray]) -> np.ndarray:
+def compute_covariance(errors: Sequence[np.ndarray]) -> np.ndarray:
     """Return the mean of e e' over all records (p, p)."""
     return np.sum([e.T @ e for e in errors], axis=0) / sum(len(e) for e in errors)
 
 
 def compute_log_det_loss(errors: Sequence[np.ndarray]) -> float:
     """Return log det of the errors' covariance; infinite where a simulation ran away."""
-    sigma = covariance(errors)
+    sigma = compute_covariance(errors)
     if not np.all(np.isfinite(sigma)):
         return float("inf")
     sign, value = np.linalg.slogdet(sigma)
     return float(value) if sign > 0 else float("-inf")
 
 
-def spread_of(errors: Sequence[np.ndarray]) -> float:
+def measure_spread(errors: Sequence[np.ndarray]) -> float:
     """Return the sum of the outputs' log mean squares: what fits an output at a time judge; infinite where one ran away."""
-    power = np.diag(covariance(errors))
+    power = np.diag(compute_covariance(errors))
     return float(np.sum(np.log(np.maximum(power, 1e-300)))) if np.all(np.isfinite(power)) else float("inf")
 
 
@@ -66,7 +66,7 @@ def compare_errors_paired(errors: Sequence[np.ndarray], best: Sequence[np.ndarra
     Every output is weighed by its best errors. Blocks of time are compared in pairs, so neither colour nor what
     both miss counts; and in ratios, so that a decay's loud beginning does not hide the rest.
     """
-    weight = 1 / np.maximum(np.diag(covariance(best)), 1e-300)
+    weight = 1 / np.maximum(np.diag(compute_covariance(best)), 1e-300)
     length = max(20, sum(len(e) for e in best) // blocks)
     rows = []
     for e, b in zip(errors, best, strict=True):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.modes.modal_form import ModalForm, layout_of
+from tau_dyn.modes.modal_form import ModalForm, build_layout
 from tau_dyn.modes.record import Scales
 
 
@@ -28,7 +28,7 @@ class ResponseEstimate:
 
     def covariance_at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the covariance (F, p, m, 2, 2) of Re and Im of the response in own units at frequencies (F,) [Hz]."""
-        slopes = response_slopes(replace(self.form, delay=0), frequency)
+        slopes = compute_response_slopes(replace(self.form, delay=0), frequency)
         if self.predictor:
             slopes = self._through_feedback(slopes, frequency)
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.form.dt)
@@ -48,10 +48,10 @@ class ResponseEstimate:
         return np.einsum("fop,fpms->foms", inverse, through)
 
 
-def response_slopes(form: ModalForm, frequency: np.ndarray) -> np.ndarray:
+def compute_response_slopes(form: ModalForm, frequency: np.ndarray) -> np.ndarray:
     """Return the derivatives (F, p, m, size) of the response with respect to the full vector."""
     z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * form.dt)
-    layout = layout_of(form)
+    layout = build_layout(form)
     p, m = form.D.shape
     out = np.zeros((len(z), p, m, layout.size), dtype=complex)
     for k, (pole, pair) in enumerate(zip(form.poles, form.oscillates, strict=True)):

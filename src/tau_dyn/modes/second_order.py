@@ -62,13 +62,13 @@ class SecondOrder:
         n, m = len(self.M), len(driven)
         A, force = self.system_matrix(), np.linalg.solve(self.M, np.eye(n)[:, list(driven)])
         step = expm(dt * np.block([[A, np.vstack([np.zeros((n, m)), force])], [np.zeros((m, 2 * n + m))]]))
-        rows = np.vstack([np.eye(2 * n), A[n:]])[derivative_of(output) * n :][list(sensed)]
+        rows = np.vstack([np.eye(2 * n), A[n:]])[count_derivatives(output) * n :][list(sensed)]
         through = force[list(sensed)] if output == "acceleration" else np.zeros((len(sensed), m))
         gain = np.zeros((2 * n, len(sensed)))
         return StateSpace(step[: 2 * n, : 2 * n], step[: 2 * n, 2 * n :], rows, through, gain, dt)
 
 
-def derivative_of(output: str) -> int:
+def count_derivatives(output: str) -> int:
     """Return how often an output is differentiated: 0, 1 or 2.
 
     Raises:
@@ -79,7 +79,7 @@ def derivative_of(output: str) -> int:
     return OUTPUTS.index(output)
 
 
-def symmetric_basis(n: int) -> np.ndarray:
+def build_symmetric_basis(n: int) -> np.ndarray:
     """Return the symmetric matrices (n(n+1)/2, n, n) with ones at one place of the upper triangle and its mirror."""
     rows, columns = np.triu_indices(n)
     basis = np.zeros((len(rows), n, n))
@@ -96,5 +96,5 @@ def pack(structure: SecondOrder) -> np.ndarray:
 
 def unpack(x: np.ndarray, n: int) -> SecondOrder:
     """Return the structure whose upper triangles are `x`."""
-    M, D, K = np.tensordot(x.reshape(3, -1), symmetric_basis(n), axes=1)
+    M, D, K = np.tensordot(x.reshape(3, -1), build_symmetric_basis(n), axes=1)
     return SecondOrder(M, D, K)

@@ -26,17 +26,17 @@ def simulate(model: StateSpace, record: Record, x0: np.ndarray | None = None) ->
         record: Its inputs are used; before its first sample they are taken to have been what they are there.
         x0: State at the first sample (n,); None takes the one that fits the record's outputs best.
     """
-    u = late_inputs(model, record)
-    x0 = initial_state(model, record) if x0 is None else np.asarray(x0, dtype=float)
-    return states(model.A, u @ model.B.T, x0) @ model.C.T + u @ model.D.T
+    u = delay_inputs(model, record)
+    x0 = estimate_initial_state(model, record) if x0 is None else np.asarray(x0, dtype=float)
+    return simulate_states(model.A, u @ model.B.T, x0) @ model.C.T + u @ model.D.T
 
 
-def initial_state(model: StateSpace, record: Record, predictor: bool = False) -> np.ndarray:
+def estimate_initial_state(model: StateSpace, record: Record, predictor: bool = False) -> np.ndarray:
     """Return the state (n,) at the first sample with which the simulation, or the one-step predictor, fits best."""
-    u = late_inputs(model, record)
+    u = delay_inputs(model, record)
     n = min(record.n_samples, MAX_DECAY_SAMPLES)
     A, drive = (model.A, u @ model.B.T) if not predictor else _predictor(model, u, record.y)
-    rest = record.y - states(A, drive, np.zeros(model.order)) @ model.C.T - u @ model.D.T
+    rest = record.y - simulate_states(A, drive, np.zeros(model.order)) @ model.C.T - u @ model.D.T
     scale = np.sqrt(np.mean(rest**2, axis=0))
     scale[scale == 0] = 1.0
     gamma = _free_responses(A, model.C / scale[:, None], n)
@@ -51,17 +51,17 @@ def predict(model: StateSpace, record: Record, k: int = 1) -> np.ndarray:
     """
     if k < 1:
         raise InputError(f"predictions look at least one sample ahead, not {k}")
-    u = late_inputs(model, record)
+    u = delay_inputs(model, record)
     A, drive = _predictor(model, u, record.y)
-    first = initial_state(model, record, predictor=True)
-    x = states(A, drive, first)
+    first = estimate_initial_state(model, record, predictor=True)
+    x = simulate_states(A, drive, first)
     for _ in range(min(k, len(x)) - 1):  # one sample further without the measured output
         x[1:] = x[:-1] @ model.A.T + u[:-1] @ model.B.T
         x[0] = first
     return x @ model.C.T + u @ model.D.T
 
 
-def states(A: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> np.ndarray:
+def simulate_states(A: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> np.ndarray:
     """Return x (N, n) of x+ = A x + drive, from x0 at the first sample."""
     T, Q = schur(A, output="complex")[:2]
     out, first = np.empty(drive.shape), np.asarray(x0, dtype=complex)
@@ -83,7 +83,7 @@ def _triangular(T: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> tuple[np.nd
     return out[:-1], out[-1]
 
 
-def late_inputs(model: StateSpace, record: Record) -> np.ndarray:
+def delay_inputs(model: StateSpace, record: Record) -> np.ndarray:
     """Return the inputs as the model sees them (N, m): late by its delay, the first one held before the record."""
     if record.u.shape[1] != model.B.shape[1] or record.y.shape[1] != len(model.C):
         raise InputError("the record's inputs or outputs are not those of the model")

@@ -46,7 +46,9 @@ class EmpiricalResponse:
     how: str
 
 
-def empirical_response(records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0) -> EmpiricalResponse:
+def estimate_empirical_response(
+    records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0
+) -> EmpiricalResponse:
     """Return what spectra alone say of the response from inputs to outputs.
 
     Args:

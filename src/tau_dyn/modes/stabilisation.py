@@ -50,7 +50,7 @@ class StabilityPoint:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
-def stabilisation(modes: Mapping[int, Sequence[Mode]]) -> tuple[StabilityPoint, ...]:
+def build_stabilisation_diagram(modes: Mapping[int, Sequence[Mode]]) -> tuple[StabilityPoint, ...]:
     """Return the diagram.
 
     Args:

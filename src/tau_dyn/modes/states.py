@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.modes.hankel import HankelFactor, least_squares
+from tau_dyn.modes.hankel import HankelFactor, solve_least_squares
 
 
-def matrices_from_states(
+def estimate_matrices_from_states(
     T: np.ndarray, factor: HankelFactor, past: int, direct: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return A, B, C, D, K and the innovations' covariance.
@@ -27,14 +27,14 @@ def matrices_from_states(
     x, later = T @ factor.past(0, past), T @ factor.past(1, past + 1)
     u, y = factor.inputs(past, past + 1), factor.outputs(past, past + 1)
     seen = np.vstack([x, u]) if direct else x
-    CD = least_squares(y, seen)
+    CD = solve_least_squares(y, seen)
     e = y - CD @ seen
-    ABK = least_squares(later, np.vstack([x, u, e]))
+    ABK = solve_least_squares(later, np.vstack([x, u, e]))
     D = CD[:, n:] if direct else np.zeros((len(y), m))
     return ABK[:, :n], ABK[:, n : n + m], CD[:, :n], D, ABK[:, n + m :], e @ e.T
 
 
-def innovation_gain(
+def estimate_innovation_gain(
     A: np.ndarray, C: np.ndarray, T: np.ndarray, factor: HankelFactor, past: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return K and the innovations' covariance for given A and C, states T of the past.
@@ -44,8 +44,8 @@ def innovation_gain(
     x, later = T @ factor.past(0, past), T @ factor.past(1, past + 1)
     u, y = factor.inputs(past, past + 1), factor.outputs(past, past + 1)
     rest = y - C @ x
-    e = rest - least_squares(rest, u) @ u if len(u) else rest
-    K = least_squares(later - A @ x, np.vstack([u, e]))[:, len(u) :]
+    e = rest - solve_least_squares(rest, u) @ u if len(u) else rest
+    K = solve_least_squares(later - A @ x, np.vstack([u, e]))[:, len(u) :]
     for _ in range(40):
         if np.abs(np.linalg.eigvals(A - K @ C)).max(initial=0) < 1:
             return K, e @ e.T

@@ -19,12 +19,12 @@ import numpy as np
 from scipy.linalg import eigh
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.hankel import HankelFactor, compress, lower_factor
-from tau_dyn.modes.input_matrices import input_matrices
-from tau_dyn.modes.modal_form import with_coordinates
+from tau_dyn.modes.hankel import HankelFactor, compress, reorder_lower_factor
+from tau_dyn.modes.input_matrices import fit_input_matrices
+from tau_dyn.modes.modal_form import build_modal_form_with_coordinates
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.states import innovation_gain
+from tau_dyn.modes.states import estimate_innovation_gain
 
 WEIGHTINGS = ("cva", "moesp", "n4sid")
 MAX_BLOCK_ROWS = 60  # block rows taken where the horizon is not given
@@ -54,7 +54,7 @@ class SubspaceFactors:
         s, factor = self.horizon, self.factor
         f, w = s * factor.n_inputs, s * (factor.n_inputs + factor.n_outputs)
         rows = [factor.inputs(s, 2 * s), factor.past(0, s), factor.outputs(s, 2 * s)]
-        L = lower_factor(np.vstack(rows))
+        L = reorder_lower_factor(np.vstack(rows))
         a, b = slice(f, f + w), slice(f + w, None)
         return L[a, :f], L[a, a], L[b, a], L[b, b]
 
@@ -123,16 +123,16 @@ class SubspaceFactors:
             direct: Whether D may differ from zero; None lets the data choose.
         """
         A, C = self.dynamics(order, weighting)
-        point = input_matrices(A, C, self.records, direct)
+        point = fit_input_matrices(A, C, self.records, direct)
         model = point.form.state_space()
         past = np.linalg.lstsq(self.observability(order, weighting), self._oblique, rcond=None)[0]
         bare = StateSpace(A, np.zeros((order, 0)), C, np.zeros((len(C), 0)), np.zeros((order, len(C))), model.dt)
-        _, W = with_coordinates(bare)
-        K, _ = innovation_gain(model.A, model.C, W @ past, self.factor, self.horizon)
+        _, W = build_modal_form_with_coordinates(bare)
+        K, _ = estimate_innovation_gain(model.A, model.C, W @ past, self.factor, self.horizon)
         return replace(model, K=K, delay=self.delay, noise=point.covariance).unscaled(self.scales)
 
 
-def subspace_factors(records: Sequence[Record], *, horizon: int | None = None, delay: int = 0) -> SubspaceFactors:
+def compress_subspace_data(records: Sequence[Record], *, horizon: int | None = None, delay: int = 0) -> SubspaceFactors:
     """Compress records for the subspace method.
 
     Args:
@@ -146,13 +146,13 @@ def subspace_factors(records: Sequence[Record], *, horizon: int | None = None, d
     """
     scales = Scales.of(records)
     ready = tuple(record.aligned(delay).scaled(scales) for record in records)
-    horizon = default_horizon(ready) if horizon is None else horizon
+    horizon = choose_default_horizon(ready) if horizon is None else horizon
     if horizon < 2:
         raise InputError("the horizon must be at least 2 samples")
     return SubspaceFactors(ready, scales, compress(ready, 2 * horizon), horizon, delay)
 
 
-def default_horizon(records: Sequence[Record]) -> int:
+def choose_default_horizon(records: Sequence[Record]) -> int:
     """Return a horizon with at least ten samples for every row of data."""
     w = records[0].u.shape[1] + records[0].y.shape[1]
     samples, longest = sum(r.n_samples for r in records), max(r.n_samples for r in records)

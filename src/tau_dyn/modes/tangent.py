@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import LinAlgWarning, qr
 
 from tau_dyn.modes.gauss_newton import FitPoint, NormalEquations
-from tau_dyn.modes.gramians import gramians, root
-from tau_dyn.modes.modal_form import ModalForm, layout_of, with_coordinates
+from tau_dyn.modes.gramians import compute_gramians, compute_root
+from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form_with_coordinates
 from tau_dyn.modes.state_space import StateSpace
 
 MIN_RELATIVE_CURVATURE = 1e-15  # of the largest curvature: directions below it are not moved along
@@ -49,16 +49,16 @@ class Tangent:
         return replace(self.model, A=self.model.A + dA, B=self.model.B + dB, C=self.model.C + dC, D=self.model.D + dD)
 
 
-def tangent_at(model: StateSpace, point: FitPoint, normal: NormalEquations) -> Tangent:
+def compute_tangent(model: StateSpace, point: FitPoint, normal: NormalEquations) -> Tangent:
     """Return the tangent space at a point.
 
     Args:
-        model: Balanced realisation of the point, initial states as further inputs (`with_initial_states`).
+        model: Balanced realisation of the point, initial states as further inputs (`append_initial_states`).
         point: The point; its form is the modal form of `model`.
         normal: Its normal equations.
     """
     m = point.form.D.shape[1]
-    _, W = with_coordinates(model)
+    _, W = build_modal_form_with_coordinates(model)
     changes = _realised(point, normal, W, model)
     orbit = qr(_orbit(model), mode="economic")[0]
     changes = changes - orbit @ (orbit.T @ changes)
@@ -72,30 +72,30 @@ def tangent_at(model: StateSpace, point: FitPoint, normal: NormalEquations) -> T
     return Tangent(model, m, values, vectors.T @ (back.T @ normal.g), U[:, keep] @ vectors)
 
 
-def with_initial_states(point: FitPoint) -> StateSpace:
+def append_initial_states(point: FitPoint) -> StateSpace:
     """Return a point's model with one more input for each record: its initial state as a column of B."""
     form, no_direct = point.form, np.zeros((len(point.form.D), len(point.x0)))
     wide = replace(form, b=np.hstack([form.b, point.x0.T]), D=np.hstack([form.D, no_direct]))
     return wide.state_space()
 
 
-def without_initial_states(model: StateSpace, n_inputs: int) -> tuple[ModalForm, np.ndarray]:
+def split_initial_states(model: StateSpace, n_inputs: int) -> tuple[ModalForm, np.ndarray]:
     """Return the modal form and the initial states (R, k) of such a model."""
-    form, _ = with_coordinates(model)
+    form, _ = build_modal_form_with_coordinates(model)
     return replace(form, b=form.b[:, :n_inputs], D=form.D[:, :n_inputs]), form.b[:, n_inputs:].T
 
 
-def balanced(model: StateSpace) -> StateSpace:
+def balance_model(model: StateSpace) -> StateSpace:
     """Return a stable model with equal, diagonal Gramians, as far as rounding lets it be (weak states are left as they are)."""
     n = model.order
     if not np.isfinite(model.A).all() or model.spectral_radius() >= 1:
         return model
     with warnings.catch_warnings():  # a pole close to the unit circle; the check below sees what matters
         warnings.simplefilter("ignore", LinAlgWarning)
-        controllable, observable = gramians(model)
+        controllable, observable = compute_gramians(model)
     if not (np.isfinite(controllable).all() and np.isfinite(observable).all()):
         return model
-    R, Q = root(controllable, _ROUNDING), root(observable, _ROUNDING)
+    R, Q = compute_root(controllable, _ROUNDING), compute_root(observable, _ROUNDING)
     U, values, Vt = np.linalg.svd(Q.T @ R)
     size = np.sqrt(np.maximum(values, 1e-10 * values[0]))
     T, inverse = (R @ Vt.T) / size, (U / size).T @ Q.T
@@ -106,7 +106,7 @@ def balanced(model: StateSpace) -> StateSpace:
 
 def _realised(point: FitPoint, normal: NormalEquations, W: np.ndarray, model: StateSpace) -> np.ndarray:
     """The changes of A, B, C, D (rows) that a unit of every free number makes (columns)."""
-    form, layout = point.form, layout_of(point.form)
+    form, layout = point.form, build_layout(point.form)
     (p, m), n_records = form.D.shape, len(point.x0)
     first = np.cumsum(np.r_[0, np.where(form.oscillates, 2, 1)])
     n, wide = model.order, m + n_records

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import eigvals
 
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.modes.mechanical_evidence import continuous
-from tau_dyn.modes.second_order import SecondOrder, derivative_of
+from tau_dyn.modes.mechanical_evidence import convert_to_continuous
+from tau_dyn.modes.second_order import SecondOrder, count_derivatives
 from tau_dyn.modes.state_space import StateSpace
 
 PRINTED = SecondOrder(
@@ -59,7 +59,7 @@ class Character:
         return bool(np.all(self.asymmetry < 1e-9) and np.all(self.lowest[[0, 2]] > 0) and self.lowest[1] >= 0)
 
 
-def character(structure: SecondOrder) -> Character:
+def judge_character(structure: SecondOrder) -> Character:
     """Return what matrices M, D, K amount to."""
     roots = np.asarray(eigvals(-structure.K, structure.M))
     roots = roots[np.argsort(np.abs(roots))]
@@ -72,7 +72,7 @@ def character(structure: SecondOrder) -> Character:
     )  # fmt: skip
 
 
-def unconstrained(model: StateSpace, output: str = "displacement") -> SecondOrder:
+def solve_unconstrained(model: StateSpace, output: str = "displacement") -> SecondOrder:
     """Return M, D, K of a model by change of states alone, one input at each output's place.
 
     Args:
@@ -92,8 +92,8 @@ def unconstrained(model: StateSpace, output: str = "displacement") -> SecondOrde
         raise CannotAnswer(
             f"the states (x, x') of {p} outputs are {2 * p}, and the model has {model.order}", "choose that order"
         )
-    found = continuous(model)
-    left = found.left / found.poles ** derivative_of(output)
+    found = convert_to_continuous(model)
+    left = found.left / found.poles ** count_derivatives(output)
     states = np.vstack([left, left * found.poles])
     if np.linalg.cond(states) > 1e12 * np.abs(found.poles).max():
         raise CannotAnswer("the outputs and their rates do not span the model's states", "sense other places")

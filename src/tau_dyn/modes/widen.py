@@ -18,7 +18,7 @@ import numpy as np
 
 from tau_dyn.modes.modal import Mode
 
-SAME_MODE = 0.05
+MODE_EQUALITY_TOLERANCE = 0.05
 """Relative difference in frequency up to which modes of two models are one and the same."""
 
 
@@ -49,7 +49,7 @@ def _widen(mode: Mode, pairs: Sequence[tuple[Sequence[Mode], Sequence[Mode]]]) -
 
 def _near(mode: Mode, others: Sequence[Mode]) -> Mode | None:
     """Return the mode of another model that is the same one; None where there is none."""
-    close = [m for m in others if abs(m.frequency_hz - mode.frequency_hz) < SAME_MODE * mode.frequency_hz]
+    close = [m for m in others if abs(m.frequency_hz - mode.frequency_hz) < MODE_EQUALITY_TOLERANCE * mode.frequency_hz]
     close = [m for m in close if m.damping_ratio < 10 * max(mode.damping_ratio, 1e-4)]
     return min(close, key=lambda m: abs(m.frequency_hz - mode.frequency_hz), default=None)
 

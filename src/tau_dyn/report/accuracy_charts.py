@@ -9,10 +9,10 @@ from markupsafe import Markup
 from tau_dyn.kinematics.accuracy import AccuracyResult, Body
 from tau_dyn.kinematics.assumptions import Guideway, Orientation
 from tau_dyn.report.accuracy_words import scale_of
-from tau_dyn.report.level_plot import Map, level_plot
+from tau_dyn.report.level_plot import Map, draw_level_plot
 from tau_dyn.report.log_chart import LogChart
-from tau_dyn.report.projection import hull_of
-from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, WHOLE, Chart, pad_limits, path_of, tag
+from tau_dyn.report.projection import compute_hull
+from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, WHOLE, Chart, format_path, format_tag, pad_limits
 
 AXES = "xyz"
 COMPARED = {
@@ -25,27 +25,27 @@ COMPARED = {
 """Methods in the chart of enlarged errors and their line styles."""
 
 
-def error_map(found: AccuracyResult, method: str) -> Markup:
+def draw_error_map(found: AccuracyResult, method: str) -> Markup:
     """Return the level plot of one method's largest error over the section (Figures 4.8, 4.10)."""
     a, grid = found.accuracy, found.grid
     assert a is not None and grid is not None
     factor, unit = scale_of(a.largest[method])
-    return level_plot(_map(found, factor * grid.on_grid(a.largest[method]), "largest error", unit))
+    return draw_level_plot(_map(found, factor * grid.on_grid(a.largest[method]), "largest error", unit))
 
 
-def usual_map(found: AccuracyResult) -> Markup:
+def draw_usual_map(found: AccuracyResult) -> Markup:
     """Return the level plot of what 95 % of random errors stay below."""
     a, grid = found.accuracy, found.grid
     assert a is not None and grid is not None
     factor, unit = scale_of(a.usual)
-    return level_plot(_map(found, factor * grid.on_grid(a.usual), "95 % of random errors stay below", unit))
+    return draw_level_plot(_map(found, factor * grid.on_grid(a.usual), "95 % of random errors stay below", unit))
 
 
-def off_map(found: AccuracyResult, method: str) -> Markup:
+def draw_departure_map(found: AccuracyResult, method: str) -> Markup:
     """Return the level plot of a method's departure from the exact worst case [%]."""
     a, grid = found.accuracy, found.grid
     assert a is not None and grid is not None
-    return level_plot(_map(found, 100 * np.abs(grid.on_grid(a.off(method))), f"{method}: off by", "%"))
+    return draw_level_plot(_map(found, 100 * np.abs(grid.on_grid(a.off(method))), f"{method}: off by", "%"))
 
 
 def turn_map(found: AccuracyResult) -> Markup:
@@ -53,7 +53,7 @@ def turn_map(found: AccuracyResult) -> Markup:
     a, grid = found.accuracy, found.grid
     assert a is not None and grid is not None
     method = "exact" if "exact" in a.turned else next(iter(a.turned))
-    return level_plot(_map(found, 1e3 * grid.on_grid(a.turned[method]), "largest change of orientation", "mrad"))
+    return draw_level_plot(_map(found, 1e3 * grid.on_grid(a.turned[method]), "largest change of orientation", "mrad"))
 
 
 def _map(found: AccuracyResult, values: np.ndarray, title: str, unit: str) -> Map:
@@ -86,7 +86,7 @@ def _guideways(found: AccuracyResult) -> tuple[np.ndarray, tuple[str, ...]]:
     return np.array(points).reshape(-1, 2), tuple(names)
 
 
-def growth_chart(found: AccuracyResult) -> Markup:
+def draw_growth_chart(found: AccuracyResult) -> Markup:
     """Return how each bound departs from the exact worst case when all errors are enlarged together."""
     g = found.growth
     if g is None or len(g.factors) < 3:
@@ -108,7 +108,7 @@ def growth_chart(found: AccuracyResult) -> Markup:
     return chart.render(*lines)
 
 
-def body_charts(body: Body) -> list[Markup]:
+def draw_body_charts(body: Body) -> list[Markup]:
     """Return the error body at one pose from three sides: random errors, the parallelepiped, the worst case."""
     everything = np.concatenate([body.cloud, body.corners, body.worst[None]])
     factor, unit = scale_of(np.linalg.norm(everything, axis=1))
@@ -131,16 +131,16 @@ def _body_chart(body: Body, i: int, j: int, factor: float, unit: str, reach: flo
 
 
 def _outline(chart: Chart, corners: np.ndarray) -> Markup:
-    around = hull_of(corners)
+    around = compute_hull(corners)
     if around is None:
         return Markup("")
     ring = corners[around]
-    return tag(
-        "path", d=path_of(np.column_stack([chart.x(ring[:, 0]), chart.y(ring[:, 1])]), closed=True), class_="box"
+    return format_tag(
+        "path", d=format_path(np.column_stack([chart.x(ring[:, 0]), chart.y(ring[:, 1])]), closed=True), class_="box"
     )
 
 
-def guideway_charts(line: Guideway) -> list[Markup]:
+def draw_guideway_charts(line: Guideway) -> list[Markup]:
     """Return a guideway's error along and across it over the travel (Figure 4.4)."""
     order = np.argsort(line.q, kind="stable")
     across = np.linalg.norm(line.across, axis=1)
@@ -154,7 +154,7 @@ def guideway_charts(line: Guideway) -> list[Markup]:
     return charts
 
 
-def orientation_chart(found: Orientation) -> Markup:
+def draw_orientation_chart(found: Orientation) -> Markup:
     """Return the ZYZ Euler angles over the poses, each less its mean (Figure 4.7)."""
     n = np.arange(1, len(found.euler) + 1)
     angles = np.degrees(found.euler - found.euler.mean(axis=0))

@@ -9,15 +9,24 @@ import numpy as np
 
 from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.report import accuracy_charts as charts
-from tau_dyn.report.accuracy_words import METHOD_WORDS, at, headline, pretty, share, size, summary, verdict
-from tau_dyn.report.formatting import number
+from tau_dyn.report.accuracy_words import (
+    METHOD_WORDS,
+    describe_headline,
+    describe_inputs,
+    describe_place,
+    describe_verdict,
+    format_sentence,
+    format_share,
+    format_size,
+)
+from tau_dyn.report.formatting import format_number
 from tau_dyn.report.html_page import PageHeader, render_page
 
 SHOWN_OFF = 0.002
 """Departure from exact below which a map of it would show rounding."""
 
 
-def accuracy_page(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:
+def build_accuracy_page(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:
     """Return accuracy as one HTML page.
 
     Args:
@@ -25,12 +34,14 @@ def accuracy_page(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = (
         files: Name and hash of every measured file.
         command_line: The command that repeats it, for the provenance.
     """
-    judged, badge = verdict(found)
+    judged, badge = describe_verdict(found)
     a = found.accuracy
     return render_page(
         "accuracy.html.j2",
         f"{found.robot.name}: accuracy",
-        PageHeader(f"{headline(found).rstrip('.')}.", judged.level, badge, judged.sentence, summary(found)),
+        PageHeader(
+            f"{describe_headline(found).rstrip('.')}.", judged.level, badge, judged.sentence, describe_inputs(found)
+        ),
         [],
         robot=found.robot,
         logs=[("measured", name, sha256) for name, sha256 in files],
@@ -44,15 +55,15 @@ def accuracy_page(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = (
         left_out={} if a is None else a.left_out,
         samples=0 if a is None else a.samples,
         assumed=_assumed(found),
-        growth=charts.growth_chart(found),
+        growth=charts.draw_growth_chart(found),
         held=_held(found),
         styles=charts.COMPARED,
         bodies=[_body(found, k) for k in range(len(found.bodies))],
-        guideways=[(g, _line_row(g), charts.guideway_charts(g)) for g in found.measured.guideways],
-        sentences=[pretty(s) for s in found.measured.sentences],
+        guideways=[(g, _line_row(g), charts.draw_guideway_charts(g)) for g in found.measured.guideways],
+        sentences=[format_sentence(s) for s in found.measured.sentences],
         orientation=None
         if found.measured.orientation is None
-        else charts.orientation_chart(found.measured.orientation),
+        else charts.draw_orientation_chart(found.measured.orientation),
         near_pole=found.measured.orientation is not None and found.measured.orientation.near_pole,
     )
 
@@ -61,8 +72,8 @@ def _maps(found: AccuracyResult) -> list[Any]:
     a = found.accuracy
     if a is None or found.grid is None:
         return []
-    maps = [charts.error_map(found, a.best_method)]
-    maps += [charts.usual_map(found)] if a.usual.size and np.isfinite(a.usual).any() else []
+    maps = [charts.draw_error_map(found, a.best_method)]
+    maps += [charts.draw_usual_map(found)] if a.usual.size and np.isfinite(a.usual).any() else []
     return [*maps, *([charts.turn_map(found)] if a.turned else [])]
 
 
@@ -71,7 +82,7 @@ def _off_maps(found: AccuracyResult) -> list[Any]:
     if a is None or found.grid is None or "exact" not in a.largest:
         return []
     tried = [m for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest and np.isfinite(a.off(m)).any()]
-    return [charts.off_map(found, m) for m in tried if np.nanmax(np.abs(a.off(m))) > SHOWN_OFF]
+    return [charts.draw_departure_map(found, m) for m in tried if np.nanmax(np.abs(a.off(m))) > SHOWN_OFF]
 
 
 def _row(found: AccuracyResult, method: str) -> dict[str, Any]:
@@ -80,14 +91,20 @@ def _row(found: AccuracyResult, method: str) -> dict[str, Any]:
     off = a.off(method) if "exact" in a.largest and method != "exact" else np.full(1, np.nan)
     there = np.isfinite(off).any()
     return {
-        "name": method, "what": METHOD_WORDS[method], "least": size(s.least), "median": size(s.median), "most": size(s.most),
-        "where": at(a.position[s.worst_pose]) if np.isfinite(s.most) else "–", "unanswered": s.unanswered or "",
-        "low": share(float(np.nanmin(off))) if there else "", "high": share(float(np.nanmax(off))) if there else "",
-    }  # fmt: skip
+        "name": method,
+        "what": METHOD_WORDS[method],
+        "least": format_size(s.least),
+        "median": format_size(s.median),
+        "most": format_size(s.most),
+        "where": describe_place(a.position[s.worst_pose]) if np.isfinite(s.most) else "–",
+        "unanswered": s.unanswered or "",
+        "low": format_share(float(np.nanmin(off))) if there else "",
+        "high": format_share(float(np.nanmax(off))) if there else "",
+    }
 
 
 def _milli(radians: float) -> str:
-    return f"{number(1e3 * float(radians), 3)} mrad" if np.isfinite(radians) else "–"
+    return f"{format_number(1e3 * float(radians), 3)} mrad" if np.isfinite(radians) else "–"
 
 
 def _assumed(found: AccuracyResult) -> list[tuple[str, str]]:
@@ -98,19 +115,19 @@ def _assumed(found: AccuracyResult) -> list[tuple[str, str]]:
     for joint, error in a.errors.actuators.items():
         unit = found.robot.position_units[found.robot.actuated.index(joint)]
         if error.axes is not None:
-            said = ", ".join(f"{size(x)} in {axis}" for axis, x in zip("xyz", error.axes, strict=True))
+            said = ", ".join(f"{format_size(x)} in {axis}" for axis, x in zip("xyz", error.axes, strict=True))
         elif unit == "rad":
-            said = f"{number(1e3 * error.along, 3)} mrad"
+            said = f"{format_number(1e3 * error.along, 3)} mrad"
         elif error.across is None:
-            said = f"{size(error.along)} along its motion"
+            said = f"{format_size(error.along)} along its motion"
         elif error.across == error.along:
-            said = f"{size(error.along)} in all directions"
+            said = f"{format_size(error.along)} in all directions"
         else:
-            said = f"{size(error.along)} along, {size(error.across)} across its motion"
+            said = f"{format_size(error.along)} along, {format_size(error.across)} across its motion"
         rows.append((joint, said))
     for rod, error in a.errors.rods.items():
         parts = (("length", error.length), ("base joint", error.base), ("plate joint", error.plate))
-        rows.append((rod, ", ".join(f"{what} {size(x)}" for what, x in parts if x)))
+        rows.append((rod, ", ".join(f"{what} {format_size(x)}" for what, x in parts if x)))
     return rows
 
 
@@ -124,7 +141,7 @@ def _held(found: AccuracyResult) -> list[tuple[str, str, str]]:
 
 
 def _times(factor: float) -> str:
-    return f"× {number(factor, 4)}" if np.isfinite(factor) else "never"
+    return f"× {format_number(factor, 4)}" if np.isfinite(factor) else "never"
 
 
 def _body(found: AccuracyResult, k: int) -> dict[str, Any]:
@@ -132,19 +149,28 @@ def _body(found: AccuracyResult, k: int) -> dict[str, Any]:
     assert a is not None
     single = len(found.bodies) == 1
     title = "worst pose, nearest home" if single else ("nearest home", "worst pose")[k]
-    return {"title": title, "where": at(a.position[body.pose]), "charts": charts.body_charts(body),
-            "size": size(float(np.linalg.norm(body.worst))), "boxed": len(body.corners) > 0}  # fmt: skip
+    return {"title": title, "where": describe_place(a.position[body.pose]), "charts": charts.draw_body_charts(body),
+            "size": format_size(float(np.linalg.norm(body.worst))), "boxed": len(body.corners) > 0}  # fmt: skip
 
 
 def _line_row(line: Any) -> dict[str, str]:
     along, across = line.bounds()
     scale, stderr = line.scale
     return {
-        "n": str(len(line.q)), "mean": size(float(line.sizes.mean())), "std": size(float(line.sizes.std(ddof=1))),
-        "along": size(along), "across": size(across), "bow": f"{size(line.bow.size)} ± {size(line.bow.stderr)}",
-        "scale": f"{number(1e6 * scale, 3)} ± {number(1e6 * stderr, 2)}",
-        "cycle": "–" if line.cycle is None or line.cycle.p_value > 0.01 else
-        f"amplitude {size(line.cycle.amplitude)}, period {size(line.cycle.period)}",
-        "aliases": "" if line.cycle is None or not line.cycle.aliases else ", ".join(size(x) for x in line.cycle.aliases),
-        "backlash": "–" if line.backlash is None else f"{size(line.backlash.size)} ± {size(line.backlash.stderr)}",
-    }  # fmt: skip
+        "n": str(len(line.q)),
+        "mean": format_size(float(line.sizes.mean())),
+        "std": format_size(float(line.sizes.std(ddof=1))),
+        "along": format_size(along),
+        "across": format_size(across),
+        "bow": f"{format_size(line.bow.size)} ± {format_size(line.bow.stderr)}",
+        "scale": f"{format_number(1e6 * scale, 3)} ± {format_number(1e6 * stderr, 2)}",
+        "cycle": "–"
+        if line.cycle is None or line.cycle.p_value > 0.01
+        else f"amplitude {format_size(line.cycle.amplitude)}, period {format_size(line.cycle.period)}",
+        "aliases": ""
+        if line.cycle is None or not line.cycle.aliases
+        else ", ".join(format_size(x) for x in line.cycle.aliases),
+        "backlash": "–"
+        if line.backlash is None
+        else f"{format_size(line.backlash.size)} ± {format_size(line.backlash.stderr)}",
+    }

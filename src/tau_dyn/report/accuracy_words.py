@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.kinematics.accuracy import AccuracyResult
-from tau_dyn.report.formatting import Recommendation, count, format_list, minus, number, percent
+from tau_dyn.report.formatting import (
+    UseRecommendation,
+    count,
+    format_list,
+    format_number,
+    format_percent,
+    replace_minus_signs,
+)
 
 SMALL_SHARE = 0.1
 """Departure from the exact worst case up to which a linear bound counts as good."""
@@ -20,14 +27,14 @@ METHOD_WORDS = {
 }
 
 
-def size(metres: float, digits: int = 3) -> str:
+def format_size(metres: float, digits: int = 3) -> str:
     """Return a length in um, mm or m, whichever reads best."""
     if not np.isfinite(metres):
         return "none"
     factor, unit = next(
         ((f, u) for f, u, top in ((1e6, "µm", 1e-3), (1e3, "mm", 1.0)) if abs(metres) < top), (1.0, "m")
     )
-    return f"{number(factor * metres, digits)} {unit}"
+    return f"{format_number(factor * metres, digits)} {unit}"
 
 
 def scale_of(values: np.ndarray) -> tuple[float, str]:
@@ -37,29 +44,31 @@ def scale_of(values: np.ndarray) -> tuple[float, str]:
     return (1e6, "µm") if top < 2e-3 else (1e3, "mm") if top < 2 else (1.0, "m")
 
 
-def share(value: float) -> str:
+def format_share(value: float) -> str:
     """Return a departure from the exact value, such as `−12 %`, `< 0.1 %`."""
     if not np.isfinite(value):
         return "–"
     if abs(value) < 0.001:
         return "< 0.1 %"
-    return f"{'+' if value > 0 else '−'}{percent(100 * abs(value))}"
+    return f"{'+' if value > 0 else '−'}{format_percent(100 * abs(value))}"
 
 
-def pretty(sentence: str) -> str:
+def format_sentence(sentence: str) -> str:
     """Return a sentence of a result with the signs that a person would write."""
     return sentence.replace("+-", "±").replace(" um", " µm").replace(" deg", "°")
 
 
-def at(position: np.ndarray) -> str:
+def describe_place(position: np.ndarray) -> str:
     """Return a tool position in words."""
     return (
-        ", ".join(f"{name} {number(round(float(x), 4) + 0.0, 3)}" for name, x in zip("xyz", position, strict=True))
+        ", ".join(
+            f"{name} {format_number(round(float(x), 4) + 0.0, 3)}" for name, x in zip("xyz", position, strict=True)
+        )
         + " m"
     )
 
 
-def headline(found: AccuracyResult) -> str:
+def describe_headline(found: AccuracyResult) -> str:
     """Return the one sentence above everything."""
     a = found.accuracy
     if a is None:
@@ -67,45 +76,50 @@ def headline(found: AccuracyResult) -> str:
     if not np.isfinite(a.largest[a.best_method]).any():
         return "No pose keeps its assembly mode for all errors within the bounds"
     s = found.summary(a.best_method)
-    start = f"The tool is off by {size(s.most)} at most, by {size(s.median)} at the median pose"
+    start = f"The tool is off by {format_size(s.most)} at most, by {format_size(s.median)} at the median pose"
     if found.lost.any():
-        start = f"Where the robot keeps its pose, the tool is off by {size(s.most)} at most, {size(s.median)} at the median pose"
+        start = (
+            f"Where the robot keeps its pose, the tool is off by {format_size(s.most)} at most, "
+            f"{format_size(s.median)} at the median pose"
+        )
     usual = (
-        f"; 95 % of random errors stay below {size(float(np.nanmax(a.usual)))}" if np.isfinite(a.usual).any() else ""
+        f"; 95 % of random errors stay below {format_size(float(np.nanmax(a.usual)))}"
+        if np.isfinite(a.usual).any()
+        else ""
     )
     return start + usual
 
 
-def verdict(found: AccuracyResult) -> tuple[Recommendation, str]:
+def describe_verdict(found: AccuracyResult) -> tuple[UseRecommendation, str]:
     """Return how far the numbers hold, and the badge."""
     a = found.accuracy
     if a is None:
         seen = found.measured
         wrong = any(p.sure for p in seen.parallel) or any(g.shape < 0.01 or g.bow.sure for g in seen.guideways)
         said = "The nominal model's assumptions fail beyond the scatter; the sections below say by how much."
-        return (Recommendation("care", said), "Assumptions fail") if wrong else (
-            Recommendation("good", "No assumption fails beyond the scatter of these points."), "Assumptions hold")  # fmt: skip
+        return (UseRecommendation("care", said), "Assumptions fail") if wrong else (
+            UseRecommendation("good", "No assumption fails beyond the scatter of these points."), "Assumptions hold")  # fmt: skip
     lost = int(found.lost.sum())
     if lost:
         said = f"At {count(lost, 'pose')} of {len(a.q)} errors within the bounds can reach a singularity; no bound exists there."
-        return Recommendation("poor", said), "May lose its pose"
+        return UseRecommendation("poor", said), "May lose its pose"
     if "exact" not in a.largest:
-        return Recommendation(
+        return UseRecommendation(
             "care", "Without the exact worst case nothing here tells how good the other bounds are."
         ), "Not compared"
     off = {m: a.off(m) for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest}
     worst = {m: float(np.nanmax(np.abs(x))) for m, x in off.items() if np.isfinite(x).any()}
     bad = [m for m, x in worst.items() if x > SMALL_SHARE]
     if bad:
-        words = format_list([f"{m} by up to {percent(100 * worst[m])}" for m in bad])
+        words = format_list([f"{m} by up to {format_percent(100 * worst[m])}" for m in bad])
         said = f"Simple bounds are off: {words}; the exact worst case is the one to use."
-        return Recommendation("care", said), "Use the exact bound"
+        return UseRecommendation("care", said), "Use the exact bound"
     said = "The linear bounds are as good as exact here; errors are small against the rods and no singularity is near."
     proved = "certified" in a.largest and bool(np.isfinite(a.largest["certified"]).all())
-    return Recommendation("good", said), "Bound proved" if proved else "Bound not proved"
+    return UseRecommendation("good", said), "Bound proved" if proved else "Bound not proved"
 
 
-def summary(found: AccuracyResult) -> str:
+def describe_inputs(found: AccuracyResult) -> str:
     """Return what went in."""
     a = found.accuracy
     if a is None:
@@ -113,7 +127,7 @@ def summary(found: AccuracyResult) -> str:
     where = (
         count(len(a.q), "pose")
         if found.grid is None
-        else f"{count(len(a.q), 'pose')} of the section {minus(found.grid.section.words)}"
+        else f"{count(len(a.q), 'pose')} of the section {replace_minus_signs(found.grid.section.words)}"
     )
     source = ", from measured points" if found.from_measured else ""
     names = [*a.errors.actuators, *a.errors.rods]

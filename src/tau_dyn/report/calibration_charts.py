@@ -8,14 +8,14 @@ from markupsafe import Markup
 from tau_dyn.calibrate.candidates import CandidateModel
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.report.log_chart import LogChart
-from tau_dyn.report.projection import BOX_EDGES, box_corners, project
-from tau_dyn.report.svg import Chart, pad_limits, tag
+from tau_dyn.report.projection import BOX_EDGES, compute_box_corners, project
+from tau_dyn.report.svg import Chart, format_tag, pad_limits
 
 _ARROW = 0.13
 """Length of the largest error vector, as a share of the picture."""
 
 
-def error_chart(found: Calibration, *, turned: bool = False) -> Markup:
+def draw_error_chart(found: Calibration, *, turned: bool = False) -> Markup:
     """Return absolute errors pose by pose, before and after (thesis, figures 5.1, 5.9, 5.26)."""
     before, after = (found.errors(m) for m in (found.models[0], found.chosen))
     if turned:
@@ -44,7 +44,7 @@ def error_chart(found: Calibration, *, turned: bool = False) -> Markup:
     )
 
 
-def vector_pictures(found: Calibration) -> list[tuple[str, str, Markup]]:
+def draw_vector_pictures(found: Calibration) -> list[tuple[str, str, Markup]]:
     """Return the error vectors in space before and after: title, scale in words, drawing."""
     pictures = []
     for title, model in (("robot file", found.models[0]), ("calibrated", found.chosen)):
@@ -64,7 +64,7 @@ def _vectors(found: Calibration, model: CandidateModel) -> tuple[str, Markup] | 
         return None
     base, error = base[ok], error[ok]
     at, along = project(base), project(error)
-    corners = project(box_corners(base.min(axis=0), base.max(axis=0)))
+    corners = project(compute_box_corners(base.min(axis=0), base.max(axis=0)))
     low, high = corners.min(axis=0), corners.max(axis=0)
     extent = float(np.max(high - low)) or 1.0
     largest = float(np.percentile(np.linalg.norm(error, axis=1), 95)) or 1.0
@@ -76,12 +76,12 @@ def _vectors(found: Calibration, model: CandidateModel) -> tuple[str, Markup] | 
     y = (at + times * along - shift) * scale
     lines = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(x, y, strict=True))
     dots = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in x)
-    svg = tag(
+    svg = format_tag(
         "svg",
-        tag("title", "error vectors at unseen poses"),
+        format_tag("title", "error vectors at unseen poses"),
         _edges(base, shift, scale),
-        tag("path", d=lines, class_="error"),
-        tag("path", d=dots, class_="place"),
+        format_tag("path", d=lines, class_="error"),
+        format_tag("path", d=dots, class_="place"),
         viewBox=f"0 0 {size[0]:.0f} {size[1]:.0f}",
         role="img",
         class_="chart vectors",
@@ -91,12 +91,13 @@ def _vectors(found: Calibration, model: CandidateModel) -> tuple[str, Markup] | 
 
 def _edges(base: np.ndarray, shift: np.ndarray, scale: float) -> Markup:
     """Return the box around the poses, and the base's axes' names at its lower corner."""
-    at = (project(box_corners(base.min(axis=0), base.max(axis=0))) - shift) * scale
+    at = (project(compute_box_corners(base.min(axis=0), base.max(axis=0))) - shift) * scale
     lines = "".join(f"M{at[i][0]:.1f} {at[i][1]:.1f}L{at[j][0]:.1f} {at[j][1]:.1f}" for i, j in BOX_EDGES)
     names = [
-        tag("text", "xyz"[a], x=float(at[1 << a][0]), y=float(at[1 << a][1]) - 4, class_="axis-name") for a in range(3)
+        format_tag("text", "xyz"[a], x=float(at[1 << a][0]), y=float(at[1 << a][1]) - 4, class_="axis-name")
+        for a in range(3)
     ]
-    return tag("path", d=lines, class_="box") + Markup("").join(names)
+    return format_tag("path", d=lines, class_="box") + Markup("").join(names)
 
 
 def _round_down(x: float) -> float:
@@ -104,7 +105,7 @@ def _round_down(x: float) -> float:
     return float(power * max(m for m in (1, 2, 5) if m * power <= x * (1 + 1e-9)))
 
 
-def along_joints(found: Calibration) -> list[Markup]:
+def draw_residuals_along_joints(found: Calibration) -> list[Markup]:
     """Return, joint by joint, what is left over that joint's position: what is still cyclic or crooked would show."""
     poses, after = found.at(), found.errors(found.chosen)
     turn = found.fit.frames.device[0].rotation

@@ -11,25 +11,25 @@ from tau_dyn.calibrate.result import Calibration, build_frame_rows, build_parame
 from tau_dyn.calibrate.sensitivity import CHANGE, compute_sensitivities
 from tau_dyn.report import calibration_charts as charts
 from tau_dyn.report.calibration_words import (
-    angle,
-    finding_words,
-    headline,
-    length,
-    model_words,
-    summary,
-    verdict,
+    describe_finding,
+    describe_headline,
+    describe_inputs,
+    describe_model,
+    describe_verdict,
+    format_angle,
+    format_length,
 )
-from tau_dyn.report.formatting import format_recommendation, minus, number, round_to_stderr
+from tau_dyn.report.formatting import format_number, format_recommendation, replace_minus_signs, round_to_stderr
 from tau_dyn.report.html_page import PageHeader, render_page
-from tau_dyn.report.identification_charts import interval_bar
-from tau_dyn.report.quantities import shown_unit
+from tau_dyn.report.identification_charts import draw_interval_bar
+from tau_dyn.report.quantities import choose_unit
 from tau_dyn.report.waterfall import WaterfallSeries, WaterfallStep
 
 _CORRELATED = 12  # pairs listed at most
 _SENSITIVE = 12  # parameters listed at most
 
 
-def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:
+def build_calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (), command_line: str = "") -> str:
     """Return a calibration as one HTML page.
 
     Args:
@@ -37,9 +37,13 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
         poses: Name and hash of every file of poses.
         command_line: The command that repeats it, for the provenance.
     """
-    judged = verdict(found)
+    judged = describe_verdict(found)
     opening = PageHeader(
-        headline(found), judged.level, format_recommendation(judged.level), judged.sentence, summary(found)
+        describe_headline(found),
+        judged.level,
+        format_recommendation(judged.level),
+        judged.sentence,
+        describe_inputs(found),
     )
     turned = found.errors(found.chosen).rotation is not None
     return render_page(
@@ -55,21 +59,21 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
         provenance={"model": found.chosen.name, "seed": str(found.seed), "residual": found.fit.kind},
         name=found.poses.source,
         found=found,
-        errors=charts.error_chart(found),
-        turns=charts.error_chart(found, turned=True) if turned else Markup(""),
+        errors=charts.draw_error_chart(found),
+        turns=charts.draw_error_chart(found, turned=True) if turned else Markup(""),
         sizes=[_sizes(found, k) for k in range(len(found.models))],
-        vectors=charts.vector_pictures(found),
+        vectors=charts.draw_vector_pictures(found),
         ladder=_ladder(found),
         tried=_tried(found),
-        findings=[(f, finding_words(f)) for f in found.findings],
+        findings=[(f, describe_finding(f)) for f in found.findings],
         groups=_parameters(found),
         frames=[_frame(row) for row in build_frame_rows(found.fit)],
         blind=found.fit.identifiability.to_dict()["not_identifiable"],
         pairs=[
-            (c["parameters"], number(float(c["correlation"]), 3))  # type: ignore[arg-type]
+            (c["parameters"], format_number(float(c["correlation"]), 3))  # type: ignore[arg-type]
             for c in list_correlated_pairs(found.fit)[:_CORRELATED]
         ],
-        left=charts.along_joints(found),
+        left=charts.draw_residuals_along_joints(found),
         sensitive=_sensitive(found),
         change=f"{1e6 * CHANGE:.0f}",
     )
@@ -77,18 +81,18 @@ def calibration_page(found: Calibration, *, poses: Sequence[tuple[str, str]] = (
 
 def _sizes(found: Calibration, k: int) -> dict[str, str]:
     model = found.models[k]
-    name, adds = model_words(model, found.models[k - 1] if k else None)
+    name, adds = describe_model(model, found.models[k - 1] if k else None)
     size, turn = found.errors(model).position_size, found.errors(model).orientation_size
     train = model.fit.errors(found.poses).position_size
     return {
         "name": name,
         "adds": adds,
-        "train": length(train.mean),
-        "mean": length(size.mean),
-        "rms": length(size.rms),
-        "max": length(size.max),
-        "turned": "" if turn is None else angle(turn.mean),
-        "turned_max": "" if turn is None else angle(turn.max),
+        "train": format_length(train.mean),
+        "mean": format_length(size.mean),
+        "rms": format_length(size.rms),
+        "max": format_length(size.max),
+        "turned": "" if turn is None else format_angle(turn.mean),
+        "turned_max": "" if turn is None else format_angle(turn.max),
     }
 
 
@@ -96,11 +100,11 @@ def _ladder(found: Calibration) -> WaterfallSeries:
     """Return the waterfall in micrometres; the first bar is cut where it dwarfs all others."""
     rungs: list[WaterfallStep] = []
     for k, row in enumerate(found.to_dict()["waterfall"]):  # type: ignore[arg-type, var-annotated]
-        label, adds = model_words(found.models[k], found.models[k - 1] if k else None)
+        label, adds = describe_model(found.models[k], found.models[k - 1] if k else None)
         left, (low, high) = 1e6 * float(row["rms"]), (1e6 * float(v) for v in row["ci95"])
         kind = "cause" if k else "start"
         previous = rungs[-1].left if rungs else float("nan")
-        rungs.append(WaterfallStep(label, (adds,), kind, 0, (), left, low, high, previous, length(left / 1e6)))
+        rungs.append(WaterfallStep(label, (adds,), kind, 0, (), left, low, high, previous, format_length(left / 1e6)))
     floor = 1e6 * found.predicted_error()
     rungs.append(
         WaterfallStep(
@@ -113,7 +117,7 @@ def _ladder(found: Calibration) -> WaterfallSeries:
             floor,
             floor,
             float("nan"),
-            length(floor / 1e6),
+            format_length(floor / 1e6),
         )
     )
     others = max([r.high for r in rungs[1:]], default=rungs[0].high)
@@ -126,9 +130,9 @@ def _tried(found: Calibration) -> list[dict[str, str]]:
         {
             "name": s.name,
             "over": s.over,
-            "before": length(s.gain.before),
-            "after": length(s.gain.after),
-            "p": "< 0.001" if s.gain.p_value < 1e-3 else number(s.gain.p_value, 2),
+            "before": format_length(s.gain.before),
+            "after": format_length(s.gain.after),
+            "p": "< 0.001" if s.gain.p_value < 1e-3 else format_number(s.gain.p_value, 2),
             "taken": "taken" if s.taken else "not better",
         }
         for s in found.steps
@@ -154,7 +158,7 @@ def _shown(row: dict[str, Any], group: list[dict[str, Any]]) -> dict[str, Any]:
         max(abs(float(r["value"]) - float(r["nominal"] or 0.0)) + 2 * float(r["stderr"]) for r in group), 1e-300
     )
     low, high = row["ci95"]
-    bar = interval_bar(
+    bar = draw_interval_bar(
         max((low - nominal) / reach, -1.0),
         min((high - nominal) / reach, 1.0),
         change / reach,
@@ -166,7 +170,7 @@ def _shown(row: dict[str, Any], group: list[dict[str, Any]]) -> dict[str, Any]:
         "name": str(row["name"]).rpartition(".")[2],
         "value": round_to_stderr(value, stderr),
         "in": str(row["unit"]) if row["unit"] != "1" else "",
-        "nominal": number(round(nominal, 12) + 0.0, 6),
+        "nominal": format_number(round(nominal, 12) + 0.0, 6),
         "change": f"{round_to_stderr(factor * change, factor * stderr)} ± {round_to_stderr(factor * stderr, factor * stderr)}",
         "unit": unit,
         "bar": bar,
@@ -180,7 +184,7 @@ def _unit(unit: str, size: float) -> tuple[float, str]:
         return 1e6, "10⁻⁶"
     if unit == "m/N":
         return 1e9, "nm/N"
-    return shown_unit(unit, size)
+    return choose_unit(unit, size)
 
 
 def _frame(row: dict[str, object]) -> dict[str, str]:
@@ -188,8 +192,8 @@ def _frame(row: dict[str, object]) -> dict[str, str]:
     quaternion: Any = row["quaternion"]
     return {
         "name": f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}",
-        "translation": minus(", ".join(f"{x:.5f}" for x in translation)),
-        "quaternion": minus(", ".join(f"{x:.6f}" for x in quaternion)),
+        "translation": replace_minus_signs(", ".join(f"{x:.5f}" for x in translation)),
+        "quaternion": replace_minus_signs(", ".join(f"{x:.6f}" for x in quaternion)),
     }
 
 
@@ -199,8 +203,8 @@ def _sensitive(found: Calibration) -> list[dict[str, str]]:
     return [
         {
             "name": s.name,
-            "position": length(s.position / each),
-            "rotation": angle(s.rotation / each) if s.rotation > 0 else "–",
+            "position": format_length(s.position / each),
+            "rotation": format_angle(s.rotation / each) if s.rotation > 0 else "–",
         }
         for s in rows
         if s.position > 0

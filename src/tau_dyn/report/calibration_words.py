@@ -5,8 +5,8 @@ from __future__ import annotations
 from tau_dyn.calibrate.candidates import CandidateModel
 from tau_dyn.calibrate.causes import CalibrationFinding
 from tau_dyn.calibrate.result import Calibration
-from tau_dyn.report.formatting import Recommendation, count, format_list, percent
-from tau_dyn.report.quantities import quantity
+from tau_dyn.report.formatting import UseRecommendation, count, format_list, format_percent
+from tau_dyn.report.quantities import format_quantity
 
 NAMES = {
     "frames": "robot file",
@@ -47,45 +47,50 @@ _EXPLAINED = 1.5
 """Times the predicted error above which the model lacks an effect."""
 
 
-def length(value: float) -> str:
+def format_length(value: float) -> str:
     """Return a small length, such as `17.4 µm`."""
-    return quantity(value, "m")
+    return format_quantity(value, "m")
 
 
-def angle(value: float) -> str:
+def format_angle(value: float) -> str:
     """Return a small angle in mrad or µrad."""
-    return quantity(value, "rad")
+    return format_quantity(value, "rad")
 
 
-def headline(found: Calibration) -> str:
+def describe_headline(found: Calibration) -> str:
     """Return the one sentence above everything."""
     before, after = found.errors(found.models[0]).position_size, found.errors(found.chosen).position_size
-    text = f"The calibrated robot is {length(after.mean)} off on average"
+    text = f"The calibrated robot is {format_length(after.mean)} off on average"
     if found.chosen is not found.models[0]:
-        text += f", {length(before.mean)} before"
+        text += f", {format_length(before.mean)} before"
     turned = found.errors(found.chosen).orientation_size
     if turned is not None and found.fit.geometry.orients:
         start = found.errors(found.models[0]).orientation_size
-        text += f"; turned by {angle(turned.mean)}" + (f", {angle(start.mean)} before" if start is not None else "")
+        text += f"; turned by {format_angle(turned.mean)}" + (
+            f", {format_angle(start.mean)} before" if start is not None else ""
+        )
     return text + "."
 
 
-def verdict(found: Calibration) -> Recommendation:
+def describe_verdict(found: Calibration) -> UseRecommendation:
     """Return how far the geometry may be used."""
     reached, expected = found.errors(found.chosen).position_size.rms, found.predicted_error()
     if not found.fit.converged:
-        return Recommendation("poor", "The fit did not converge; do not use it.")
+        return UseRecommendation("poor", "The fit did not converge; do not use it.")
     if found.chosen is found.models[0]:
-        return Recommendation("care", "No larger model has a smaller held-out error than the robot file.")
+        return UseRecommendation("care", "No larger model has a smaller held-out error than the robot file.")
     if reached > _EXPLAINED * expected:
-        return Recommendation(
+        return UseRecommendation(
             "care",
-            f"Held-out RMS error {length(reached)}, expected from noise {length(expected)}: the model lacks an effect.",
+            f"Held-out RMS error {format_length(reached)}, expected from noise {format_length(expected)}: the model "
+            f"lacks an effect.",
         )
-    return Recommendation("good", f"Held-out RMS error {length(reached)}, as expected from noise ({length(expected)}).")
+    return UseRecommendation(
+        "good", f"Held-out RMS error {format_length(reached)}, as expected from noise ({format_length(expected)})."
+    )
 
 
-def summary(found: Calibration) -> str:
+def describe_inputs(found: Calibration) -> str:
     """Return what went in."""
     what = "position and orientation" if found.poses.rotation is not None else "position"
     judged = {
@@ -95,14 +100,14 @@ def summary(found: Calibration) -> str:
     }[found.split]
     noise = found.fit.noise
     seen = (
-        f"; noise {length(noise[0])}" + (f" and {angle(noise[1])}" if len(noise) > 1 else "")
+        f"; noise {format_length(noise[0])}" + (f" and {format_angle(noise[1])}" if len(noise) > 1 else "")
         if found.fit.kind == "forward"
         else ""
     )
     return f"{count(found.poses.n, 'pose')}, {what}, {judged}; model {found.chosen.name}{seen}."
 
 
-def model_words(model: CandidateModel, before: CandidateModel | None) -> tuple[str, str]:
+def describe_model(model: CandidateModel, before: CandidateModel | None) -> tuple[str, str]:
     """Return a step's name, and what it adds, in words."""
     if before is None:
         return NAMES[model.spec.structure], "device and target placed"
@@ -115,13 +120,13 @@ def model_words(model: CandidateModel, before: CandidateModel | None) -> tuple[s
     return f"+ {format_list(said)}", f"{count(model.fit.n_estimated, 'parameter')}"
 
 
-def finding_words(finding: CalibrationFinding) -> str:
+def describe_finding(finding: CalibrationFinding) -> str:
     """Return a finding as a sentence."""
     where = f" ({format_list(finding.joints)})" if finding.joints else ""
     gain = finding.gain
     return (
-        f"{CAUSES[finding.cause]}{where}: {length(gain.after)} rms with it, {length(gain.before)} without "
-        f"({percent(gain.percent)} less, 95 % interval [{percent(gain.ci95[0])}, {percent(gain.ci95[1])}])."
+        f"{CAUSES[finding.cause]}{where}: {format_length(gain.after)} rms with it, {format_length(gain.before)} without "
+        f"({format_percent(gain.percent)} less, 95 % interval [{format_percent(gain.ci95[0])}, {format_percent(gain.ci95[1])}])."
     )
 
 

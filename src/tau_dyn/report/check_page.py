@@ -9,14 +9,14 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.log import CheckFinding, Log, LogCheck, examine_clock
-from tau_dyn.report.check_words import check_headline, said_of, worst_first
-from tau_dyn.report.formatting import Level, count, format_fixed_digits, format_list, number, percent
+from tau_dyn.report.check_words import check_headline, describe_check, order_worst_first
+from tau_dyn.report.formatting import Level, count, format_fixed_digits, format_list, format_number, format_percent
 from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.svg import THIRD, Chart, pad_limits
-from tau_dyn.report.time_view import Curve, View, even_channels, strip
+from tau_dyn.report.time_view import Curve, View, resample_evenly, strip
 from tau_dyn.robot import Robot
 
-LONGEST_STEPS = 5.0
+MAX_STEP_RATIO = 5.0
 """Steps longer than so many usual ones stand in the histogram's last bar."""
 STEP_DOTS = 1500  # time steps drawn at most, half of them the worst
 
@@ -32,7 +32,7 @@ def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, comma
     """
     joints = list(dict.fromkeys((*log.joints("q"), *log.joints("tau"))))
     units = _units(joints, robot)
-    found = worst_first(checked)
+    found = order_worst_first(checked)
     return render_page(
         "check.html.j2",
         f"{log.name}: check",
@@ -62,7 +62,7 @@ def _opening(log: Log, checked: LogCheck, joints: list[str]) -> PageHeader:
         f"Problems: {topics}." if topics else "Clock, channels, units and motion meet the needs of identification."
     )
     summary = (
-        f"{number(log.duration, 4)} s at {number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
+        f"{format_number(log.duration, 4)} s at {format_number(log.rate_hz, 4)} Hz, {count(log.n_samples, 'sample')}, "
         f"{count(len(joints), 'joint')}: {format_list(joints)}."
     )
     return PageHeader(check_headline(checked, "This log"), level, badge, judgement, summary)
@@ -77,7 +77,7 @@ def _units(joints: list[str], robot: Robot | None) -> dict[str, tuple[str, str]]
 
 def _views(log: Log, joints: list[str], units: dict[str, tuple[str, str]]) -> list[View]:
     wanted = [f"{s}_{j}" for j in joints for s in ("q", "q_ref", "tau") if log.has(s, [j])]
-    t, channels, there = even_channels(log, wanted)
+    t, channels, there = resample_evenly(log, wanted)
     views = []
     for joint in joints:
         curves = {s: channels.get(f"{s}_{joint}") for s in ("q_ref", "q", "tau")}
@@ -93,7 +93,7 @@ def _views(log: Log, joints: list[str], units: dict[str, tuple[str, str]]) -> li
 
 def _said(finding: CheckFinding, log: Log) -> str:
     """Return a finding's sentence with a capital in front, where it begins with a word and not a channel's name."""
-    text = said_of(finding, log.name)
+    text = describe_check(finding, log.name)
     first = text.split(" ", 1)[0]
     return text[:1].upper() + text[1:] if first.isalpha() else text
 
@@ -121,31 +121,31 @@ def _row(log: Log, checked: LogCheck, joint: str, position: str, force: str) -> 
             "range": f"{format_fixed_digits(f['range'][0])} … {format_fixed_digits(f['range'][1])}",
             "speed": format_fixed_digits(f["speed"][1]),
             "reversals": str(f["n_reversals"]),
-            "forward": percent(100 * f["forward_share"]),
-            "noise": number(f["encoder_noise"], 2),
-            "step": number(f["quantisation"], 2) if f["quantisation"] else "none found",
-            "lag": "" if f["lag"] is None else f"{number(1000 * f['lag'], 2)} ms",
+            "forward": format_percent(100 * f["forward_share"]),
+            "noise": format_number(f["encoder_noise"], 2),
+            "step": format_number(f["quantisation"], 2) if f["quantisation"] else "none found",
+            "lag": "" if f["lag"] is None else f"{format_number(1000 * f['lag'], 2)} ms",
             "acceleration": _times(f["acceleration_rms"], f["acceleration_noise"]),
         }
     if tau is not None:
         peak = float(np.max(np.abs(tau)))
-        row |= {"force": number(peak, 3), "force_rms": number(float(np.sqrt(np.mean(tau**2))), 3)}
+        row |= {"force": format_number(peak, 3), "force_rms": format_number(float(np.sqrt(np.mean(tau**2))), 3)}
     return row
 
 
 def _times(signal: float, noise: float) -> str:
-    return f"{number(signal / noise, 3)} ×" if noise > 0 else "no noise found"
+    return f"{format_number(signal / noise, 3)} ×" if noise > 0 else "no noise found"
 
 
 def _clock_words(log: Log) -> str:
     clock = examine_clock(log)
-    text = f"{number(1000 * clock.dt, 6)} ms from sample to sample"
+    text = f"{format_number(1000 * clock.dt, 6)} ms from sample to sample"
     if clock.rounded:
         return f"{text}; uniform clock, rounded stamps."
     if clock.even:
         most = max(1e6 * clock.jitter * clock.dt, 0.01)
-        return f"{text}, off by {number(most, 2)} µs at most; no sample is missing."
-    parts = [f"steps differ by up to {percent(100 * clock.jitter)}"]
+        return f"{text}, off by {format_number(most, 2)} µs at most; no sample is missing."
+    parts = [f"steps differ by up to {format_percent(100 * clock.jitter)}"]
     parts += [f"{count(clock.n_missing, 'sample')} missing"] if clock.n_missing else []
     parts += [count(len(clock.gaps), "gap")] if clock.gaps else []
     return f"{text}; {format_list(parts)}."
@@ -156,7 +156,7 @@ def _step_charts(log: Log) -> list[Markup]:
     clock = examine_clock(log)
     if clock.even and not clock.rounded:
         return []
-    steps, limit = 1000 * np.diff(log.t), 1000 * clock.dt * LONGEST_STEPS
+    steps, limit = 1000 * np.diff(log.t), 1000 * clock.dt * MAX_STEP_RATIO
     shown = np.minimum(steps, limit)
     low, high = pad_limits(shown, share=0.04)
     counts, edges = np.histogram(shown, np.linspace(max(0.0, low), high, 61))

@@ -8,12 +8,12 @@ from tau_dyn.report.formatting import count
 _ORDER = ("fault", "warning", "ok")
 
 
-def worst_first(checked: LogCheck) -> list[CheckFinding]:
+def order_worst_first(checked: LogCheck) -> list[CheckFinding]:
     """Return all findings, faults before warnings before what is fine."""
     return sorted(checked.findings, key=lambda f: _ORDER.index(f.severity))
 
 
-def said_of(finding: CheckFinding, name: str) -> str:
+def describe_check(finding: CheckFinding, name: str) -> str:
     """Return a finding's sentence without the log's name in front."""
     return finding.sentence.removeprefix(f"{name}: ")
 

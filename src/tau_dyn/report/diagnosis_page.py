@@ -13,35 +13,35 @@ import numpy as np
 from tau_dyn.diagnose.result import Diagnosis, Finding, TimeTrace, Unexplained
 from tau_dyn.report import diagnosis_text, formatting, identification_charts, quantities
 from tau_dyn.report import waterfall as fall
-from tau_dyn.report.diagnosis_rows import diagnosed_rows
-from tau_dyn.report.force_series import limits
-from tau_dyn.report.html_page import PageHeader, logs_used, render_page
+from tau_dyn.report.diagnosis_rows import build_diagnosed_rows
+from tau_dyn.report.force_series import compute_limits
+from tau_dyn.report.html_page import PageHeader, list_logs_used, render_page
 from tau_dyn.report.parameter_rows import group_rows
-from tau_dyn.report.signature import signature_charts
+from tau_dyn.report.signature import draw_signature_charts
 from tau_dyn.report.time_view import Curve, Strip, View
 
 PARTS = {1: "confirm", 2: "held"}
 """How the time view shades what each part of the data served; what was trained on stays plain."""
 
 
-def diagnosis_page(diagnosis: Diagnosis, *, command_line: str = "") -> str:
+def build_diagnosis_page(diagnosis: Diagnosis, *, command_line: str = "") -> str:
     """Return a diagnosis as one HTML page.
 
     Args:
         diagnosis: The result.
         command_line: The command that repeats it, for the provenance.
     """
-    robot, (level, badge) = diagnosis.model.robot, diagnosis_text.badge(diagnosis)
-    rows, scale = diagnosed_rows(diagnosis)
+    robot, (level, badge) = diagnosis.model.robot, diagnosis_text.describe_badge(diagnosis)
+    rows, scale = build_diagnosed_rows(diagnosis)
     said = diagnosis_text.recommend_model(diagnosis).sentence
     return render_page(
         "diagnosis.html.j2",
         f"{robot.name}: diagnosis",
-        PageHeader(diagnosis.sentence, level, badge, said, diagnosis_text.summary(diagnosis)),
+        PageHeader(diagnosis.sentence, level, badge, said, diagnosis_text.describe_inputs(diagnosis)),
         [_view(diagnosis, trace, k) for trace in diagnosis.traces for k in range(len(diagnosis.outputs))],
         robot=robot,
         provenance={"seed": str(diagnosis.seed)},
-        logs=logs_used(diagnosis.model.provenance),
+        logs=list_logs_used(diagnosis.model.provenance),
         command_line=command_line,
         named=_joints(diagnosis),
         found=diagnosis,
@@ -50,11 +50,11 @@ def diagnosis_page(diagnosis: Diagnosis, *, command_line: str = "") -> str:
         spread=fall.format_interval,
         cards=[_card(diagnosis, finding) for finding in diagnosis.findings],
         open_ends=[_open_end(item) for item in diagnosis.unexplained],
-        simulated=diagnosis_text.simulation_rows(diagnosis.simulation),
-        settings=diagnosis_text.settings_rows(diagnosis.settings),
+        simulated=diagnosis_text.list_simulation_rows(diagnosis.simulation),
+        settings=diagnosis_text.list_settings(diagnosis.settings),
         groups=group_rows(rows),
-        scale=formatting.percent(100 * scale),
-        bar=identification_charts.row_bar,
+        scale=formatting.format_percent(100 * scale),
+        bar=identification_charts.draw_row_bar,
         said=diagnosis_text,
         shares=_shares(diagnosis),
     )
@@ -70,11 +70,11 @@ def _joints(diagnosis: Diagnosis) -> tuple[str, ...]:
 def _card(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
     return {
         "finding": finding,
-        "title": diagnosis_text.title(finding),
+        "title": diagnosis_text.format_title(finding),
         "level": diagnosis_text.STATUS_LEVEL[finding.status],
-        "parameters": [(p.name, quantities.estimate(p), quantities.interval(p)) for p in finding.parameters],
-        "gain": diagnosis_text.gain_words(finding.gain, _unit(diagnosis, finding)),
-        "charts": [] if finding.signature is None else signature_charts(finding.signature),
+        "parameters": [(p.name, quantities.estimate(p), quantities.format_interval(p)) for p in finding.parameters],
+        "gain": diagnosis_text.describe_gain(finding.gain, _unit(diagnosis, finding)),
+        "charts": [] if finding.signature is None else draw_signature_charts(finding.signature),
     }
 
 
@@ -86,7 +86,7 @@ def _unit(diagnosis: Diagnosis, finding: Finding) -> str:
 
 
 def _open_end(item: Unexplained) -> dict[str, Any]:
-    charts = [] if item.signature is None else signature_charts(item.signature, explained=False)
+    charts = [] if item.signature is None else draw_signature_charts(item.signature, explained=False)
     return {"item": item, "level": diagnosis_text.STATUS_LEVEL[item.status], "charts": charts}
 
 
@@ -95,7 +95,7 @@ def _view(diagnosis: Diagnosis, trace: TimeTrace, k: int) -> View:
     used = trace.usable[:, k]
     three = np.column_stack([trace.measured[:, k], trace.before[:, k], trace.after[:, k]])
     size = float(np.max(np.abs(three[used]), initial=0.0))
-    factor, unit = quantities.shown_unit(diagnosis.units[k], size)
+    factor, unit = quantities.choose_unit(diagnosis.units[k], size)
     measured, before, after = factor * three.T
     above = Strip(
         f"{diagnosis.channel} [{unit}]",
@@ -104,14 +104,14 @@ def _view(diagnosis: Diagnosis, trace: TimeTrace, k: int) -> View:
             Curve("before", "residual", before),
             Curve("after", "predicted", after),
         ),
-        limits(np.concatenate([x[used] for x in (measured, before, after)])),
+        compute_limits(np.concatenate([x[used] for x in (measured, before, after)])),
         270,
     )
     left = np.concatenate([(measured - before)[used], (measured - after)[used]])
     below = Strip(
         f"residual [{unit}]",
         (Curve("before", "residual", measured - before), Curve("after", "predicted", measured - after)),
-        limits(np.concatenate([left, -left]), 0.1),
+        compute_limits(np.concatenate([left, -left]), 0.1),
         200,
         masked=True,
     )
@@ -133,6 +133,6 @@ def _shares(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     whole = sum(diagnosis.n_parts) or 1.0
     names = ("train", "confirm", "held")
     return [
-        (name, f"{formatting.number(s, 3)} s", 100 * s / whole)
+        (name, f"{formatting.format_number(s, 3)} s", 100 * s / whole)
         for name, s in zip(names, diagnosis.n_parts, strict=True)
     ]

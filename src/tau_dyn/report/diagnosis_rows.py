@@ -8,19 +8,26 @@ from typing import Any
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.estimate import MAX_RELATIVE_STDERR
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.report.formatting import Z95, with_uncertainty
-from tau_dyn.report.parameter_rows import ParameterRow, against_nominal, bar_scale, explain_unreliable, group_of, row_of
+from tau_dyn.report.formatting import Z95, format_with_uncertainty
+from tau_dyn.report.parameter_rows import (
+    ParameterRow,
+    compare_with_nominal,
+    compute_bar_scale,
+    describe_row,
+    explain_unreliable,
+    name_group,
+)
 from tau_dyn.robot import Robot, load_robot_from_urdf
 from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
 
 
-def diagnosed_rows(diagnosis: Diagnosis) -> tuple[list[ParameterRow], float]:
+def build_diagnosed_rows(diagnosis: Diagnosis) -> tuple[list[ParameterRow], float]:
     """Return the table's lines for the extended model, and the bars' half-width as a share of the reference."""
     model, before = diagnosis.extended_model, diagnosis.model.parameters
     nominal = _nominal(model.robot)
     raw = [_raw(p, nominal) for p in model.parameters if p.free]
-    scale = bar_scale(raw)
-    rows = [row_of(r, scale, group_of(model, r["name"]), _note(r, before)) for r in raw]
+    scale = compute_bar_scale(raw)
+    rows = [describe_row(r, scale, name_group(model, r["name"]), _note(r, before)) for r in raw]
     return [replace(row, before=_before(row.name, before)) for row in rows], scale
 
 
@@ -52,8 +59,8 @@ def _raw(p: Parameter, nominal: Parameters) -> dict[str, Any]:
 def _note(r: dict[str, Any], before: Parameters) -> str:
     if r["stderr"] is None:
         return "identifiable only in combination; the value is one of many with the same forces"
-    return explain_unreliable(r) or ("new" if r["name"] not in before else against_nominal(r))
+    return explain_unreliable(r) or ("new" if r["name"] not in before else compare_with_nominal(r))
 
 
 def _before(name: str, before: Parameters) -> str:
-    return with_uncertainty(before[name].value, before[name].stderr) if name in before else ""
+    return format_with_uncertainty(before[name].value, before[name].stderr) if name in before else ""

@@ -13,8 +13,18 @@ from rich.table import Table
 
 from tau_dyn.diagnose.result import Diagnosis, Finding
 from tau_dyn.report import diagnosis_text as said
-from tau_dyn.report.formatting import format_list, percent
-from tau_dyn.report.terminal import MARGIN, bare_table, meter, plain, put, room, say, say_opening, say_written
+from tau_dyn.report.formatting import format_list, format_percent
+from tau_dyn.report.terminal import (
+    MARGIN,
+    build_bare_table,
+    draw_meter,
+    escape_control_characters,
+    measure_columns,
+    put,
+    say,
+    say_opening,
+    say_written,
+)
 from tau_dyn.report.waterfall import WaterfallStep, build_total_series, format_finding
 
 BARS = {90: 24, 64: 16, 0: 10}
@@ -31,11 +41,11 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis, written: Mapping[str
         diagnosis: The result.
         written: What was written, such as `{"extended model": "m.yaml"}`, for the last line.
     """
-    level, _ = said.badge(diagnosis)
-    about = f"{diagnosis.model.robot.name} · {said.summary(diagnosis)}"
+    level, _ = said.describe_badge(diagnosis)
+    about = f"{diagnosis.model.robot.name} · {said.describe_inputs(diagnosis)}"
     say_opening(console, about, diagnosis.sentence, level, said.recommend_model(diagnosis).sentence)
-    put(console, _waterfall(diagnosis, room(console)))
-    if text := said.all_samples_words(diagnosis):
+    put(console, _waterfall(diagnosis, measure_columns(console)))
+    if text := said.describe_all_samples(diagnosis):
         say(console, text)
     for title, items in _uncertain(diagnosis):
         if len(items) == 1:
@@ -48,14 +58,14 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis, written: Mapping[str
 def _waterfall(diagnosis: Diagnosis, columns: int) -> Table:
     """Return one line a step: name, bar, percentage, and as many figures as there is room for."""
     whole = build_total_series(diagnosis)
-    table = bare_table()
+    table = build_bare_table()
     table.show_header = False
     table.add_column(no_wrap=True)
     table.add_column(no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
     table.add_column(no_wrap=True)
     width = next(bar for least, bar in BARS.items() if columns >= least)
-    shares = [percent(r.left) for r in whole.rungs]
+    shares = [format_percent(r.left) for r in whole.rungs]
     left = (
         columns
         - MARGINS
@@ -64,14 +74,19 @@ def _waterfall(diagnosis: Diagnosis, columns: int) -> Table:
         - max(map(len, shares), default=0)
     )
     for r, share in zip(whole.rungs, shares, strict=True):
-        bar = plain(_bar(r.left / whole.end, width), _style(r))
-        table.add_row(plain(r.label), bar, plain(share, "bold"), plain(_fitting(r.about, left), "dim"))
+        bar = escape_control_characters(_bar(r.left / whole.end, width), _style(r))
+        table.add_row(
+            escape_control_characters(r.label),
+            bar,
+            escape_control_characters(share, "bold"),
+            escape_control_characters(_fitting(r.about, left), "dim"),
+        )
     return table
 
 
 def _bar(share: float, width: int) -> str:
     """Return a step's bar; one that is longer than the axis shows that it was cut."""
-    return meter(share, width) if share <= 1 else f"{meter(1.0, width - 4)}╱╱{meter(1.0, 2)}"
+    return draw_meter(share, width) if share <= 1 else f"{draw_meter(1.0, width - 4)}╱╱{draw_meter(1.0, 2)}"
 
 
 def _fitting(pieces: Sequence[str], columns: int) -> str:
@@ -92,9 +107,9 @@ def _style(rung: WaterfallStep) -> str:
 def _list(title: str, items: list[str]) -> Table:
     table = Table(box=None, show_header=False, padding=0, pad_edge=False)
     table.add_column(overflow="fold")
-    table.add_row(plain(f"{title}:"))
+    table.add_row(escape_control_characters(f"{title}:"))
     for item in items:
-        table.add_row(Padding(plain(item), MARGIN))
+        table.add_row(Padding(escape_control_characters(item), MARGIN))
     return table
 
 
@@ -103,18 +118,21 @@ def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
     suspected = [f for f in diagnosis.findings if f.status == "suspected"]
     moved = [f for f in diagnosis.findings if f.status == "parameter"]
     twins = [
-        f"{said.title(f)} and {format_list(map(said.plain_name, f.indistinguishable_from))}"
+        f"{said.format_title(f)} and {format_list(map(said.format_cause_name, f.indistinguishable_from))}"
         + (f" ({f.experiment.rstrip('.')})" if f.experiment else "")
         for f in diagnosis.findings
         if f.indistinguishable_from
     ]
     groups = [
         ("Suspected, not confirmed", [_suspicion(f) for f in suspected]),
-        ("Differs significantly from nominal", [said.sentence(f.sentence) for f in moved]),
-        ("Unexplained", [said.unexplained_words(u) for u in diagnosis.unexplained]),
+        ("Differs significantly from nominal", [said.end_sentence(f.sentence) for f in moved]),
+        ("Unexplained", [said.describe_unexplained(u) for u in diagnosis.unexplained]),
         ("Indistinguishable with these data", twins),
-        ("Not detected; detection limit (95 % power)", _joined(said.limits_words(diagnosis.limits))),
-        ("Not testable", [f"{format_list(causes, 9)}: {why}" for why, causes in said.by_reason(diagnosis.untestable)]),
+        ("Not detected; detection limit (95 % power)", _joined(said.list_limits(diagnosis.limits))),
+        (
+            "Not testable",
+            [f"{format_list(causes, 9)}: {why}" for why, causes in said.group_by_reason(diagnosis.untestable)],
+        ),
     ]
     return [(title, items) for title, items in groups if items]
 
@@ -125,5 +143,5 @@ def _joined(texts: list[str]) -> list[str]:
 
 def _suspicion(finding: Finding) -> str:
     """Return a cause that is not confirmed, its figures, and why it is not."""
-    text = f"{said.title(finding)}: {', '.join(format_finding(finding))}"
+    text = f"{said.format_title(finding)}: {', '.join(format_finding(finding))}"
     return f"{text}. Not confirmed: {finding.why_not_confirmed}" if finding.why_not_confirmed else text

@@ -9,8 +9,16 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.diagnose.result import Diagnosis, Finding, Gain, Limit, Status, Unexplained, Untestable
-from tau_dyn.report.formatting import Level, Recommendation, count, format_list, number, percent, pretty_unit
-from tau_dyn.report.quantities import quantity
+from tau_dyn.report.formatting import (
+    Level,
+    UseRecommendation,
+    count,
+    format_list,
+    format_number,
+    format_percent,
+    format_unit,
+)
+from tau_dyn.report.quantities import format_quantity
 
 BADGE: dict[str, tuple[Level, str]] = {
     "named": ("good", "Cause named"),
@@ -24,75 +32,79 @@ FULL_EFFECT_SHARE = 0.8
 """Share of the predicted effect from which held-out data are said to show it all."""
 
 
-def badge(diagnosis: Diagnosis) -> tuple[Level, str]:
+def describe_badge(diagnosis: Diagnosis) -> tuple[Level, str]:
     """Return the verdict's level and its few words; several causes are counted."""
     level, text = BADGE[diagnosis.verdict]
     n = sum(f.status == "confirmed" for f in diagnosis.findings)
     return (level, f"{count(n, 'cause')} named") if diagnosis.verdict == "named" and n > 1 else (level, text)
 
 
-def recommend_model(diagnosis: Diagnosis) -> Recommendation:
+def recommend_model(diagnosis: Diagnosis) -> UseRecommendation:
     """Return what to do with the answer, in a sentence."""
     level, _ = BADGE[diagnosis.verdict]
-    what, floor_ = measured(diagnosis), percent(diagnosis.noise_floor.relative_error_percent)
-    before, after = (percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
+    what, floor_ = describe_error_reference(diagnosis), format_percent(diagnosis.noise_floor.relative_error_percent)
+    before, after = (format_percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
     if diagnosis.recommendation == "neither":
-        return Recommendation("poor", f"Use neither model: {diagnosis.recommendation_why}.")
+        return UseRecommendation("poor", f"Use neither model: {diagnosis.recommendation_why}.")
     if diagnosis.recommendation == "extended":
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
-        return Recommendation(level, f"{text}; noise floor: {floor_}. No joint becomes worse.")
+        return UseRecommendation(level, f"{text}; noise floor: {floor_}. No joint becomes worse.")
     if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
-        return Recommendation("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
+        return UseRecommendation("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
     if diagnosis.verdict == "cannot_tell":
-        return Recommendation(level, f"Experiment that would separate them: {sentence(diagnosis.experiment)}")
+        return UseRecommendation(level, f"Experiment that would separate them: {end_sentence(diagnosis.experiment)}")
     if diagnosis.verdict == "unexplained":
         joints = format_list(dict.fromkeys(u.joint for u in diagnosis.unexplained))
-        return Recommendation(level, f"Significant unexplained structure at {joints}; see its plot.")
+        return UseRecommendation(level, f"Significant unexplained structure at {joints}; see its plot.")
     text = f"Use the refitted model: its residual is {before} of the {what}; noise floor: {floor_}."
     if diagnosis.verdict == "named":
-        return Recommendation(level, text)
-    return Recommendation(level, f"{text} Detection limits are listed below.")
+        return UseRecommendation(level, text)
+    return UseRecommendation(level, f"{text} Detection limits are listed below.")
 
 
-def all_samples_words(diagnosis: Diagnosis) -> str:
+def describe_all_samples(diagnosis: Diagnosis) -> str:
     """Return the errors over all samples, and how much of them the errors above use, in a sentence; empty where not known."""
     before, after = diagnosis.baseline.all_samples, diagnosis.extended.all_samples
     if before is None or after is None:
         return ""
-    more = f", of the extended model {percent(after.relative_error_percent)}" if diagnosis.verdict == "named" else ""
+    more = (
+        f", of the extended model {format_percent(after.relative_error_percent)}"
+        if diagnosis.verdict == "named"
+        else ""
+    )
     shares = diagnosis.baseline.used_shares
-    each = format_list([f"{o} {percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
+    each = format_list([f"{o} {format_percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
     return (
         f"Over all samples, reversals and rests included, the residual of the refitted model is "
-        f"{percent(before.relative_error_percent)}{more}; the errors above use {each}."
+        f"{format_percent(before.relative_error_percent)}{more}; the errors above use {each}."
     )
 
 
-def summary(diagnosis: Diagnosis) -> str:
+def describe_inputs(diagnosis: Diagnosis) -> str:
     """Return what went in: logs, seconds, how they were divided."""
     logs = list(dict.fromkeys(trace.log for trace in diagnosis.traces))
     named = f"{format_list(logs) if len(logs) <= 3 else count(len(logs), 'log')}; " if logs else ""
-    return f"{named}{parts_words(diagnosis)}."
+    return f"{named}{describe_parts(diagnosis)}."
 
 
-def parts_words(diagnosis: Diagnosis) -> str:
+def describe_parts(diagnosis: Diagnosis) -> str:
     """Return how many seconds served what."""
-    train, confirm, judge = (f"{number(s, 3)} s" for s in diagnosis.n_parts)
+    train, confirm, judge = (f"{format_number(s, 3)} s" for s in diagnosis.n_parts)
     return f"training {train}, validation {confirm}, test {judge}"
 
 
-def measured(diagnosis: Diagnosis) -> str:
+def describe_error_reference(diagnosis: Diagnosis) -> str:
     """Return what the errors are a share of."""
     return MEASURED.get(diagnosis.channel, "measurement")
 
 
-def title(finding: Finding) -> str:
+def format_title(finding: Finding) -> str:
     """Return a finding's heading, such as `Cyclic ripple · cart2`."""
     name = finding.cause.replace("_", " ")
     return f"{name[:1].upper()}{name[1:]}{' · ' if finding.joints else ''}{format_list(finding.joints)}"
 
 
-def plain_name(cause: str) -> str:
+def format_cause_name(cause: str) -> str:
     """Return a cause's name as words."""
     return cause.replace("_", " ")
 
@@ -102,18 +114,16 @@ def format_p_value(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value >= 1e-6 else "p < 0.000001"
 
 
-def gain_words(gain: Gain | None, unit: str = "") -> str:
+def describe_gain(gain: Gain | None, unit: str = "") -> str:
     """Return what a cause is worth on data used for nothing else, with its interval."""
     if gain is None:
         return "not measured"
-    low, high = (number(x, 2) for x in gain.ci95)
-    before, after = quantity(gain.rms_before, unit), quantity(gain.rms_after, unit)
-    return (
-        f"{number(gain.reduction_percent, 2)} % less residual, 95 % interval [{low}, {high}] %; {before} → {after} rms"
-    )
+    low, high = (format_number(x, 2) for x in gain.ci95)
+    before, after = format_quantity(gain.rms_before, unit), format_quantity(gain.rms_after, unit)
+    return f"{format_number(gain.reduction_percent, 2)} % less residual, 95 % interval [{low}, {high}] %; {before} → {after} rms"
 
 
-def confirmation_words(confirmation: tuple[float, float] | None) -> str:
+def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
     """Return how much of the predicted effect the second part of the data shows."""
     if confirmation is None:
         return ""
@@ -122,9 +132,9 @@ def confirmation_words(confirmation: tuple[float, float] | None) -> str:
     return f"{text}, weaker than predicted" if share + 2 * sigma < 100 * FULL_EFFECT_SHARE else text
 
 
-def unexplained_words(item: Unexplained) -> str:
+def describe_unexplained(item: Unexplained) -> str:
     """Return what is left and what it depends on, in a sentence."""
-    share = percent(100 * item.share_of_residual_variance)
+    share = format_percent(100 * item.share_of_residual_variance)
     text, on = f"{share} of the residual variance at {item.joint}", format_list(item.depends_on)
     if item.indistinguishable_from:
         on += f" (or equally on {'; or on '.join(format_list(others) for others in item.indistinguishable_from)})"
@@ -133,56 +143,57 @@ def unexplained_words(item: Unexplained) -> str:
     return f"{text} depends on {on}; no known cause explains it."
 
 
-def limits_words(limits: Sequence[Limit]) -> list[str]:
+def list_limits(limits: Sequence[Limit]) -> list[str]:
     """Return the detection limit of each cause."""
     return [
-        pretty_unit(limit.phrase) or f"{plain_name(limit.cause)} {quantity(limit.amplitude, limit.unit, 2)}"
+        format_unit(limit.phrase)
+        or f"{format_cause_name(limit.cause)} {format_quantity(limit.amplitude, limit.unit, 2)}"
         for limit in limits
     ]
 
 
-def by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:
+def group_by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:
     """Return each reason why causes could not be tested, with the names of the causes that it holds for."""
     causes: dict[str, list[str]] = {}
     for item in items:
-        causes.setdefault(item.why, []).append(plain_name(item.cause))
+        causes.setdefault(item.why, []).append(format_cause_name(item.cause))
     return list(causes.items())
 
 
-def sentence(text: str) -> str:
+def end_sentence(text: str) -> str:
     """Return a text that ends in a full stop; nothing stays nothing."""
     return text if not text or text.endswith((".", "!", "?")) else f"{text}."
 
 
-def settings_rows(settings: Mapping[str, Any], owner: str = "") -> list[tuple[str, str]]:
+def list_settings(settings: Mapping[str, Any], owner: str = "") -> list[tuple[str, str]]:
     """Return settings as names and texts, those within others after their owner's name."""
     rows: list[tuple[str, str]] = []
     for key, value in settings.items():
         name = f"{owner}{str(key).replace('_', ' ')}"
         if isinstance(value, Mapping):
-            rows += settings_rows(value, f"{name}: ")
+            rows += list_settings(value, f"{name}: ")
         else:
-            rows.append((name, value_words(value)))
+            rows.append((name, format_value(value)))
     return rows
 
 
-def simulation_rows(simulation: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+def list_simulation_rows(simulation: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
     """Return quantity, before and after of the closed-loop simulation, whatever it compared."""
     before, after = ((simulation or {}).get(key) for key in ("before", "after"))
     if not isinstance(before, Mapping) or not isinstance(after, Mapping):
         return []
-    texts = dict(settings_rows(after))
-    return [(name, text, texts.get(name, "")) for name, text in settings_rows(before)]
+    texts = dict(list_settings(after))
+    return [(name, text, texts.get(name, "")) for name, text in list_settings(before)]
 
 
-def value_words(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return a setting's value as text."""
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if isinstance(value, int | np.integer):
         return str(value)
     if isinstance(value, float | np.floating):
-        return number(float(value), 4) if isfinite(value) else "none"
+        return format_number(float(value), 4) if isfinite(value) else "none"
     if isinstance(value, list | tuple | np.ndarray):
-        return format_list([value_words(item) for item in value], 12)
+        return format_list([format_value(item) for item in value], 12)
     return "none" if value is None else str(value)

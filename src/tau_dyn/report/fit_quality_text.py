@@ -7,12 +7,12 @@ import numpy as np
 from tau_dyn.identify import Identification
 from tau_dyn.report.formatting import (
     count,
+    format_expression,
     format_list,
-    number,
-    percent,
-    pretty_expression,
-    pretty_unit,
-    with_uncertainty,
+    format_number,
+    format_percent,
+    format_unit,
+    format_with_uncertainty,
 )
 from tau_dyn.report.parameter_rows import ParameterRow
 from tau_dyn.report.residuals import ResidualSummary
@@ -21,7 +21,7 @@ WELL, FAIR = 30.0, 200.0
 MIN_REPORTED_CORRELATION = 0.9  # between two parameters; less leaves both readable
 
 
-def preparation_words(found: Identification) -> list[str]:
+def describe_preparation(found: Identification) -> list[str]:
     """Return how logs became a regression, one sentence a step."""
     regression = found.estimate.regression
     p, robot = regression.settings["preparation"], found.model.robot
@@ -31,10 +31,10 @@ def preparation_words(found: Identification) -> list[str]:
         for joint, v, unit in zip(regression.outputs, p.speed_threshold, robot.position_units, strict=True)
     ]
     sentences = [
-        f"Positions pass a zero-phase low-pass of {number(p.position_cutoff_hz, 3)} Hz before they are differentiated; "
-        f"forces and every column of the regression pass the same one of {number(p.force_cutoff_hz, 3)} Hz.",
-        f"Both are then decimated to {number(rate, 3)} Hz.",
-        f"Samples within {number(1000 * p.window_s, 2)} ms of a reversal and of speeds below {format_list(slowest)} "
+        f"Positions pass a zero-phase low-pass of {format_number(p.position_cutoff_hz, 3)} Hz before they are differentiated; "
+        f"forces and every column of the regression pass the same one of {format_number(p.force_cutoff_hz, 3)} Hz.",
+        f"Both are then decimated to {format_number(rate, 3)} Hz.",
+        f"Samples within {format_number(1000 * p.window_s, 2)} ms of a reversal and of speeds below {format_list(slowest)} "
         f"are left out: the sign "
         "of friction is uncertain there. The ends of each log and saturated forces are left out, too.",
     ]
@@ -44,28 +44,26 @@ def preparation_words(found: Identification) -> list[str]:
 
 
 def _speed(v: float, unit: str) -> str:
-    return f"{number(1000 * v, 2)} mm/s" if unit == "m" and v < 0.1 else f"{number(v, 2)} {unit}/s"
+    return f"{format_number(1000 * v, 2)} mm/s" if unit == "m" and v < 0.1 else f"{format_number(v, 2)} {unit}/s"
 
 
-def used_words(found: Identification) -> str:
+def describe_used_data(found: Identification) -> str:
     """Return how much of the data the fit uses, and what the rest looks like."""
     train, n = found.train, found.estimate.regression.n_samples
-    text = f"The fit uses {percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
+    text = f"The fit uses {format_percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
     if train.all_samples is not None:
-        text += (
-            f" Over all samples, reversals included, its error is {percent(train.all_samples.relative_error_percent)}"
-        )
-        text += f" instead of {percent(train.relative_error_percent)}."
+        text += f" Over all samples, reversals included, its error is {format_percent(train.all_samples.relative_error_percent)}"
+        text += f" instead of {format_percent(train.relative_error_percent)}."
     return text
 
 
-def conditioning_words(cond: float) -> str:
+def describe_conditioning(cond: float) -> str:
     """Return how well a motion separates the parameters, by its condition number."""
-    judged = separation_words(cond)
-    return f"Condition number {number(cond, 3)} (below {WELL:g} is good, above {FAIR:g} is poor): {judged}."
+    judged = describe_separation(cond)
+    return f"Condition number {format_number(cond, 3)} (below {WELL:g} is good, above {FAIR:g} is poor): {judged}."
 
 
-def separation_words(cond: float) -> str:
+def describe_separation(cond: float) -> str:
     """Return what a condition number means, as a clause."""
     if cond < WELL:
         return "the parameters are well separated"
@@ -74,7 +72,7 @@ def separation_words(cond: float) -> str:
     return "ill-conditioned; single estimates are sensitive to noise, their combinations are not"
 
 
-def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, str]]:
+def list_correlations(found: Identification, most: int = 8) -> list[tuple[str, str, str]]:
     """Return the strongest correlations above 0.9: both parameters, and the number."""
     base, matrix = found.estimate.base, np.triu(found.estimate.correlation, 1)
     pairs = sorted(np.argwhere(np.abs(matrix) > MIN_REPORTED_CORRELATION), key=lambda ij: -abs(matrix[ij[0], ij[1]]))[
@@ -85,12 +83,12 @@ def correlations(found: Identification, most: int = 8) -> list[tuple[str, str, s
     ]
 
 
-def combinations(found: Identification) -> list[str]:
+def list_combinations(found: Identification) -> list[str]:
     """Return what the data do see of parameters that they cannot see alone, with values; best known (relative error) first."""
     together = [row for row in found.base_rows() if row["expression"] != row["name"]]
     together.sort(key=lambda row: row["stderr"] / max(abs(row["value"]), 1e-300))
     return [
-        f"{pretty_expression(row['expression'])} = {with_uncertainty(row['value'], row['stderr'], row['unit'])}"
+        f"{format_expression(row['expression'])} = {format_with_uncertainty(row['value'], row['stderr'], row['unit'])}"
         for row in together
     ]
 
@@ -108,9 +106,9 @@ def describe_truth_errors(rows: list[ParameterRow]) -> str:
     return text
 
 
-def whiteness_words(residuals: list[ResidualSummary]) -> str:
+def describe_whiteness(residuals: list[ResidualSummary]) -> str:
     """Return what the autocorrelation says."""
-    left = [f"{r.joint} ({number(r.lasts_s, 2)} s)" for r in residuals if not r.white]
+    left = [f"{r.joint} ({format_number(r.lasts_s, 2)} s)" for r in residuals if not r.white]
     if not left:
         return "Residuals are white within the filter band."
     return (
@@ -120,15 +118,19 @@ def whiteness_words(residuals: list[ResidualSummary]) -> str:
     )
 
 
-def fixed_words(found: Identification) -> list[str]:
+def describe_fixed(found: Identification) -> list[str]:
     """Return what was kept at a given value."""
-    return [f"{p.name} = {number(p.value)} {pretty_unit(p.unit)} ({p.origin})" for p in found.parameters if not p.free]
+    return [
+        f"{p.name} = {format_number(p.value)} {format_unit(p.unit)} ({p.origin})"
+        for p in found.parameters
+        if not p.free
+    ]
 
 
-def summary_words(found: Identification) -> str:
+def describe_inputs(found: Identification) -> str:
     """Return what went in, in a line: robot, logs, seconds, rate, how it was judged."""
     runs = found.estimate.regression.runs
     logs = list(dict.fromkeys(run.name for run in runs))
     seconds = sum(float(run.t[-1] - run.t[0]) for run in runs)
     named = format_list(logs, 3) if len(logs) <= 3 else count(len(logs), "log")
-    return f"{named}, {number(seconds, 3)} s; evaluated on {found.holdout_how}"
+    return f"{named}, {format_number(seconds, 3)} s; evaluated on {found.holdout_how}"

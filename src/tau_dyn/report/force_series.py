@@ -44,13 +44,13 @@ class ForcePanel:
     @property
     def force_limits(self) -> tuple[float, float]:
         """Range of the forces over the used samples, with air; filter ends and reversals do not widen it."""
-        return limits(np.concatenate([self.measured[self.usable], self.predicted[self.usable]]))
+        return compute_limits(np.concatenate([self.measured[self.usable], self.predicted[self.usable]]))
 
     @property
     def residual_limits(self) -> tuple[float, float]:
         """Range of the residual over the used samples, equal on both sides of zero, with air."""
         used = np.abs(self.residual[self.usable])
-        return limits(np.concatenate([used, -used]), 0.25)
+        return compute_limits(np.concatenate([used, -used]), 0.25)
 
     @property
     def residual(self) -> np.ndarray:
@@ -58,7 +58,7 @@ class ForcePanel:
         return self.measured - self.predicted
 
 
-def panels(found: Identification) -> list[ForcePanel]:
+def build_panels(found: Identification) -> list[ForcePanel]:
     """Return every stretch and joint there is to look at: logs the fit never saw first."""
     own_logs = bool(found.model.provenance.get("held_out"))
     train = found.estimate.regression
@@ -66,7 +66,7 @@ def panels(found: Identification) -> list[ForcePanel]:
     return shown + _panels(found, train, False, None if own_logs else found.held)
 
 
-def limits(values: np.ndarray, air: float = 0.08) -> tuple[float, float]:
+def compute_limits(values: np.ndarray, air: float = 0.08) -> tuple[float, float]:
     """Return the range of values with some air; -1 to 1 where there are none."""
     if not values.size:
         return -1.0, 1.0
@@ -100,7 +100,7 @@ def decimate_min_max(t: np.ndarray, columns: np.ndarray, most: int) -> tuple[np.
     return t[0] + np.arange(2 * bins) * (t[1] - t[0]) * size / 2, out
 
 
-def gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[tuple[float, float]]:
+def find_gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[tuple[float, float]]:
     """Return the intervals [s] that are not usable, those closer together than `shortest` joined."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (~usable).astype(int), [0]])))
     found: list[tuple[float, float]] = []

@@ -20,8 +20,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tau_dyn.report import formatting
-from tau_dyn.report.robot_picture import joint_labels, robot_picture
-from tau_dyn.report.time_view import View, payload, printed
+from tau_dyn.report.robot_picture import build_joint_labels, draw_robot_picture
+from tau_dyn.report.time_view import View, build_payload, select_printed
 from tau_dyn.robot import Robot
 from tau_dyn.version import __version__
 
@@ -75,10 +75,10 @@ def render_page(
         title=title,
         **opening._asdict(),
         robot=robot,
-        picture=Markup("") if robot is None else robot_picture(robot, named),
+        picture=Markup("") if robot is None else draw_robot_picture(robot, named),
         joints_drawn=[] if robot is None else _joints_drawn(robot),
-        panels=payload(views),
-        printed=printed(views),
+        panels=build_payload(views),
+        printed=select_printed(views),
         provenance=[*_made_with(), *([] if robot is None else _robot_file(robot)), *(provenance or {}).items(), _made_on()],
         logs=list(logs),
         command_line=command_line,
@@ -112,7 +112,7 @@ def _hash(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
 
 
-def logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def list_logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return use, name and hash of each log that a model's provenance names."""
     pairs = (("training", provenance.get("trained_on", [])), ("held out", provenance.get("held_out", [])))
     return [(use, row["path"], row["sha256"] or "not a file") for use, rows in pairs for row in rows]
@@ -120,7 +120,7 @@ def logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 def _joints_drawn(robot: Robot) -> list[str]:
     """Return what the numbers in the drawing stand for; nothing where it shows names."""
-    return [f"{n} {j}" for n, j in zip(joint_labels(robot), robot.actuated, strict=True) if n != j]
+    return [f"{n} {j}" for n, j in zip(build_joint_labels(robot), robot.actuated, strict=True) if n != j]
 
 
 def _made_with() -> list[tuple[str, str]]:

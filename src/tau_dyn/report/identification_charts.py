@@ -10,10 +10,10 @@ from markupsafe import Markup
 from tau_dyn.effects import Motion, TorqueOffset
 from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.identify import Identification
-from tau_dyn.report.formatting import number, pretty_unit
+from tau_dyn.report.formatting import format_number, format_unit
 from tau_dyn.report.parameter_rows import ParameterRow
 from tau_dyn.report.residuals import ResidualSummary
-from tau_dyn.report.svg import THIRD, Chart, pad_limits, tag
+from tau_dyn.report.svg import THIRD, Chart, format_tag, pad_limits
 
 DOTS = 1200  # samples of a friction curve drawn at most
 BINS = 24  # of speed; a curve of 24 points reads as one line
@@ -50,7 +50,7 @@ class Friction:
     threshold: float
 
 
-def friction_curves(found: Identification) -> list[Friction]:
+def build_friction_curves(found: Identification) -> list[Friction]:
     """Return the friction of every joint that has a law of its own speed and moved."""
     effects = [e for e in found.model.effects if isinstance(e, JointwiseEffect) and not isinstance(e, TorqueOffset)]
     joints = found.model.robot.actuated
@@ -90,7 +90,7 @@ def _law(found: Identification, k: int, effects: list[JointwiseEffect], grid: np
     return np.sum([effect.force(motion, found.parameters)[:, k] for effect in effects], axis=0)
 
 
-def friction_chart(curve: Friction) -> Markup:
+def draw_friction_chart(curve: Friction) -> Markup:
     """Return the friction curve: the cloud of samples, their mean in bins of speed, and the identified law."""
     at, mean, deviation = average_in_bins(curve.v, curve.force)
     ylim = pad_limits(np.quantile(curve.force, [0.003, 0.997]), curve.law, mean)
@@ -122,7 +122,7 @@ def average_in_bins(x: np.ndarray, y: np.ndarray, bins: int = BINS) -> tuple[np.
     return at, mean, deviation
 
 
-def histogram_chart(residual: ResidualSummary) -> Markup:
+def draw_histogram(residual: ResidualSummary) -> Markup:
     """Return how the residual is distributed, with the normal distribution of the same width."""
     sigma = float(np.std(residual.values)) or 1.0
     edges = np.linspace(-4, 4, 41) * sigma
@@ -133,14 +133,14 @@ def histogram_chart(residual: ResidualSummary) -> Markup:
     top = 1.15 * max(float(density.max()), 0.4)
     chart = Chart(
         *SMALL, (float(edges[0]), float(edges[-1])), (0, top), residual.joint,
-        f"residual [{pretty_unit(residual.unit)}]", "share [per σ]",
+        f"residual [{format_unit(residual.unit)}]", "share [per σ]",
     )  # fmt: skip
     steps = np.repeat(edges, 2)[1:-1], np.repeat(density, 2)
     area = np.concatenate([[edges[0]], steps[0], [edges[-1]]]), np.concatenate([[0], steps[1], [0]])
     return chart.render(chart.line(*area, "histogram"), chart.line(grid * sigma, normal, "expected"))
 
 
-def correlation_chart(residual: ResidualSummary) -> Markup:
+def draw_correlation_chart(residual: ResidualSummary) -> Markup:
     """Return the residual's autocorrelation with what the filter alone would leave."""
     low = min(-0.3, float(residual.correlation.min()) - 0.05)
     chart = Chart(*SMALL, (0, float(residual.lags[-1])), (low, 1.05), residual.joint, "time lag [s]", "autocorrelation")
@@ -154,34 +154,36 @@ def correlation_chart(residual: ResidualSummary) -> Markup:
     )
 
 
-def interval_bar(low: float, high: float, at: float | None, trust: float, state: str, anchored: bool) -> Markup:
+def draw_interval_bar(low: float, high: float, at: float | None, trust: float, state: str, anchored: bool) -> Markup:
     """Return a parameter's estimate and 95 % interval relative to its nominal value at the middle, cut at the scale."""
 
     def x(share: float) -> float:
         return 70.0 + 64.0 * share
 
-    pieces = [tag("path", d="M6 9H134", class_="bar-axis")]
+    pieces = [format_tag("path", d="M6 9H134", class_="bar-axis")]
     if trust:
-        pieces.append(tag("rect", x=x(-trust), y=4, width=128.0 * trust, height=10, class_="bar-trust"))
+        pieces.append(format_tag("rect", x=x(-trust), y=4, width=128.0 * trust, height=10, class_="bar-trust"))
     if anchored:
-        pieces.append(tag("path", d="M70 2V16", class_="bar-nominal"))
-    pieces.append(tag("path", d=f"M{x(low):.1f} 9H{max(x(high), x(low) + 0.5):.1f}", class_="bar-interval"))
+        pieces.append(format_tag("path", d="M70 2V16", class_="bar-nominal"))
+    pieces.append(format_tag("path", d=f"M{x(low):.1f} 9H{max(x(high), x(low) + 0.5):.1f}", class_="bar-interval"))
     if low <= -1:
-        pieces.append(tag("path", d="M7 5L2 9L7 13", class_="bar-cut"))
+        pieces.append(format_tag("path", d="M7 5L2 9L7 13", class_="bar-cut"))
     if high >= 1:
-        pieces.append(tag("path", d="M133 5L138 9L133 13", class_="bar-cut"))
+        pieces.append(format_tag("path", d="M133 5L138 9L133 13", class_="bar-cut"))
     if at is not None:
-        pieces.append(tag("circle", cx=x(at), cy=9, r=3.4, class_="bar-dot"))
-    return tag("svg", *pieces, viewBox="0 0 140 18", width=140, height=18, class_=f"bar {state}", aria_hidden="true")
+        pieces.append(format_tag("circle", cx=x(at), cy=9, r=3.4, class_="bar-dot"))
+    return format_tag(
+        "svg", *pieces, viewBox="0 0 140 18", width=140, height=18, class_=f"bar {state}", aria_hidden="true"
+    )
 
 
-def row_bar(row: ParameterRow) -> Markup:
+def draw_row_bar(row: ParameterRow) -> Markup:
     """Return the bar of a line of the parameter table; nothing where it has none."""
     if row.bar is None:
         return Markup("")
-    return interval_bar(row.bar.low, row.bar.high, row.bar.at, row.bar.trust, row.state, bool(row.nominal))
+    return draw_interval_bar(row.bar.low, row.bar.high, row.bar.at, row.bar.trust, row.state, bool(row.nominal))
 
 
-def offset_words(curve: Friction) -> str:
+def describe_offset(curve: Friction) -> str:
     """Return what constant force was taken off a friction curve, empty if none."""
-    return f"{curve.joint}: offset {number(curve.offset, 3)} {pretty_unit(curve.unit)}" if curve.offset else ""
+    return f"{curve.joint}: offset {format_number(curve.offset, 3)} {format_unit(curve.unit)}" if curve.offset else ""

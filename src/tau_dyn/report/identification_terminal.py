@@ -8,17 +8,26 @@ from rich.console import Console
 from rich.table import Table
 
 from tau_dyn.identify import Identification
-from tau_dyn.report.fit_quality_text import combinations, summary_words
-from tau_dyn.report.formatting import format_list, number, percent, pretty_unit
-from tau_dyn.report.identification_words import headline, verdict
-from tau_dyn.report.parameter_rows import ParameterRow, parameter_rows
-from tau_dyn.report.terminal import bare_table, meter, plain, put, room, say, say_opening, say_written
+from tau_dyn.report.fit_quality_text import describe_inputs, list_combinations
+from tau_dyn.report.formatting import format_list, format_number, format_percent, format_unit
+from tau_dyn.report.identification_words import describe_headline, describe_verdict
+from tau_dyn.report.parameter_rows import ParameterRow, build_parameter_rows
+from tau_dyn.report.terminal import (
+    build_bare_table,
+    draw_meter,
+    escape_control_characters,
+    measure_columns,
+    put,
+    say,
+    say_opening,
+    say_written,
+)
 
 BAR, SHORT_BAR = 24, 4
 """Longest and shortest bar of an error."""
 FIGURES = 57
 """Columns that an error's figures take, with the gaps between them."""
-_MOST = 4
+_MAX_COMBINATIONS = 4
 """Combinations of parameters that the screen lists."""
 
 
@@ -37,11 +46,11 @@ def print_identification(
         written: What was written, such as `{"model": "m.yaml"}`, for the last line.
         truth: True values by name, where the data were made; they replace the nominal ones in the table.
     """
-    judged = verdict(found, truth)
-    about = f"{found.model.robot.name} · {summary_words(found)}"
-    say_opening(console, about, headline(found, truth), judged.level, judged.sentence)
-    put(console, _error_table(found, room(console)))
-    put(console, _parameter_table(parameter_rows(found), truth or {}))
+    judged = describe_verdict(found, truth)
+    about = f"{found.model.robot.name} · {describe_inputs(found)}"
+    say_opening(console, about, describe_headline(found, truth), judged.level, judged.sentence)
+    put(console, _error_table(found, measure_columns(console)))
+    put(console, _parameter_table(build_parameter_rows(found), truth or {}))
     for title, sentences in _uncertain(found):
         say(console, f"{title}: {'; '.join(sentences)}.")
     say_written(console, written)
@@ -49,7 +58,7 @@ def print_identification(
 
 def _error_table(found: Identification, columns: int) -> Table:
     judged, units = found.holdout or found.train, found.model.robot.force_units
-    table = bare_table()
+    table = build_bare_table()
     table.add_column("error by joint", no_wrap=True)
     table.add_column("")
     every = judged.all_samples
@@ -63,20 +72,20 @@ def _error_table(found: Identification, columns: int) -> Table:
         share = float(judged.per_joint_percent[k])
         cells = [
             joint,
-            meter(share / worst, width),
-            percent(share),
-            f"{number(float(judged.rms[k]), 3)} {pretty_unit(units[k])}",
+            draw_meter(share / worst, width),
+            format_percent(share),
+            f"{format_number(float(judged.rms[k]), 3)} {format_unit(units[k])}",
         ]
-        cells += [percent(float(found.train.per_joint_percent[k]))] if found.holdout else []
+        cells += [format_percent(float(found.train.per_joint_percent[k]))] if found.holdout else []
         if every is not None:
             share_used = judged.used_shares[k] if judged.used_shares else judged.used_share
-            cells += [percent(float(every.per_joint_percent[k])), percent(100 * share_used)]
-        table.add_row(*map(plain, cells))
+            cells += [format_percent(float(every.per_joint_percent[k])), format_percent(100 * share_used)]
+        table.add_row(*map(escape_control_characters, cells))
     return table
 
 
 def _parameter_table(rows: list[ParameterRow], truth: Mapping[str, float]) -> Table:
-    table = bare_table()
+    table = build_bare_table()
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
@@ -84,10 +93,10 @@ def _parameter_table(rows: list[ParameterRow], truth: Mapping[str, float]) -> Ta
     if truth or any(r.nominal for r in rows):
         table.add_column("true" if truth else "nominal", justify="right", no_wrap=True)
     for r in rows:
-        last = (number(truth[r.name], 5) if r.name in truth else "") if truth else r.nominal
+        last = (format_number(truth[r.name], 5) if r.name in truth else "") if truth else r.nominal
         cells = [r.name, r.estimate, r.unit, r.interval or "not seen alone", last]
         style = "" if r.state == "known" else "dim"
-        table.add_row(*(plain(c, style) for c in cells[: len(table.columns)]))
+        table.add_row(*(escape_control_characters(c, style) for c in cells[: len(table.columns)]))
     return table
 
 
@@ -96,10 +105,13 @@ def _uncertain(found: Identification) -> list[tuple[str, list[str]]]:
     rows = found.rows()
     weak = [r["name"] for r in rows if r["stderr"] is not None and not r["determined"]]
     unseen = [r["name"] for r in rows if r["stderr"] is None and not r.get("depends_on")]
-    together = combinations(found)
+    together = list_combinations(found)
     groups = [
         ("Poorly determined (standard error above 30 %)", [format_list(weak)] if weak else []),
-        ("Identifiable only in combination (value ± standard error)", together[:_MOST] + _rest(len(together) - _MOST)),
+        (
+            "Identifiable only in combination (value ± standard error)",
+            together[:_MAX_COMBINATIONS] + _rest(len(together) - _MAX_COMBINATIONS),
+        ),
         ("Not excited, nominal value kept", [format_list(unseen)] if unseen else []),
         ("Equivalent models", list(found.equivalent[:1]) + _more(found.equivalent)),
     ]

@@ -10,13 +10,21 @@ from rich.table import Table
 
 from tau_dyn.kinematics.pose_table import PoseTable
 from tau_dyn.report.html_page import PageHeader, render_page
-from tau_dyn.report.terminal import MARGIN, bare_table, plain, put, room, say, say_written
+from tau_dyn.report.terminal import (
+    MARGIN,
+    build_bare_table,
+    escape_control_characters,
+    measure_columns,
+    put,
+    say,
+    say_written,
+)
 
 _ROWS_SHOWN = 200  # rows of a table on a page at most
 _ROWS_PRINTED = 12  # rows of a table on a terminal at most
 
 
-def kinematics_page(table: PoseTable, *, command_line: str = "") -> str:
+def build_kinematics_page(table: PoseTable, *, command_line: str = "") -> str:
     """Return positions and poses as one HTML page.
 
     Args:
@@ -81,7 +89,7 @@ def print_poses(console: Console, table: PoseTable, written: Mapping[str, str] |
     if len(table.q) == 1:
         _print_one(console, table)
     else:
-        for part in _parts(table, room(console)):
+        for part in _parts(table, measure_columns(console)):
             put(console, part)
         if len(table.q) > _ROWS_PRINTED:
             say(console, f"and {len(table.q) - _ROWS_PRINTED} rows more; --out FILE.csv writes them all", "dim")
@@ -111,9 +119,11 @@ def _parts(table: PoseTable, width: int) -> list[Table]:
 
 
 def _part(heads: list[str], cells: list[list[str]], columns: list[int]) -> Table:
-    printed = bare_table()
+    printed = build_bare_table()
     for k in columns:
-        printed.add_column(plain(heads[k]), justify="left" if heads[k] == "why not" else "right", no_wrap=True)
+        printed.add_column(
+            escape_control_characters(heads[k]), justify="left" if heads[k] == "why not" else "right", no_wrap=True
+        )
     for row in cells:
         printed.add_row(*(row[k] for k in columns))
     return printed
@@ -125,7 +135,7 @@ def _print_one(console: Console, table: PoseTable) -> None:
     for justify in ("left", "right", "left"):
         printed.add_column(no_wrap=True, justify=justify)
     for cells in _single(table):
-        printed.add_row(*(plain(cell) for cell in cells[:3]))
+        printed.add_row(*(escape_control_characters(cell) for cell in cells[:3]))
     put(console, printed)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, Chart, tag, ticks
+from tau_dyn.report.svg import BOTTOM, HALF, LEFT, RIGHT, TOP, Chart, choose_ticks, format_tag
 
 FINE = 4
 """Points drawn between two of the grid, to a side."""
@@ -43,7 +43,7 @@ class Map:
     mark_names: tuple[str, ...] = ()
 
 
-def level_plot(map_: Map, limits: tuple[float, float] | None = None) -> Markup:
+def draw_level_plot(map_: Map, limits: tuple[float, float] | None = None) -> Markup:
     """Return the drawing: one path a band of colour, one a level line, and a legend; both axes to one scale."""
     map_ = _cropped(map_)
     low, high = limits or _limits(map_.values)
@@ -52,7 +52,9 @@ def level_plot(map_: Map, limits: tuple[float, float] | None = None) -> Markup:
     fine_u, fine_v, fine = _refined(map_.u, map_.v, map_.values)
     bands = [_band(chart, fine_u, fine_v, fine, a, b, c, b == levels[-1])
              for a, b, c in zip(levels[:-1], levels[1:], _colours(len(levels) - 1), strict=True)]  # fmt: skip
-    lines = [tag("path", d=_level_line(chart, fine_u, fine_v, fine, level), class_="level") for level in levels[1:-1]]
+    lines = [
+        format_tag("path", d=_level_line(chart, fine_u, fine_v, fine, level), class_="level") for level in levels[1:-1]
+    ]
     return _whole(chart, map_, [*bands, *lines, *_marks(chart, map_)], levels)
 
 
@@ -74,7 +76,7 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
 
 
 def _levels(low: float, high: float) -> np.ndarray:
-    inner = ticks(low, high, about=8)
+    inner = choose_ticks(low, high, about=8)
     step = inner[1] - inner[0] if len(inner) > 1 else high - low
     return np.concatenate([[inner[0] - step], inner, [inner[-1] + step]])
 
@@ -130,7 +132,7 @@ def _band(
     for row, y0, y1 in zip(inside, y[:-1], y[1:], strict=True):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))
         pieces += [f"M{x[a]:.1f} {y0:.1f}H{x[b]:.1f}V{y1:.1f}H{x[a]:.1f}Z" for a, b in edges.reshape(-1, 2)]
-    return tag("path", d="".join(pieces), style=f"fill:{colour};stroke:{colour};stroke-width:.3")
+    return format_tag("path", d="".join(pieces), style=f"fill:{colour};stroke:{colour};stroke-width:.3")
 
 
 def _level_line(chart: Chart, u: np.ndarray, v: np.ndarray, values: np.ndarray, level: float) -> str:
@@ -155,22 +157,24 @@ def _marks(chart: Chart, map_: Map) -> list[Markup]:
     out = []
     for k in np.flatnonzero(_near(marks, map_)):
         x, y = float(chart.x(marks[k, 0])), float(chart.y(marks[k, 1]))
-        out.append(tag("rect", x=x - 4.5, y=y - 4.5, width=9, height=9, class_="place"))
+        out.append(format_tag("rect", x=x - 4.5, y=y - 4.5, width=9, height=9, class_="place"))
         if k < len(map_.mark_names):
-            out.append(tag("text", map_.mark_names[k], x=x + 8, y=y - 6, class_="place-name"))
+            out.append(format_tag("text", map_.mark_names[k], x=x + 8, y=y - 6, class_="place-name"))
     return out
 
 
 def _whole(chart: Chart, map_: Map, content: list[Markup], levels: np.ndarray) -> Markup:
     bottom, right = chart.height - BOTTOM, chart.width + 8
     n, tall = len(levels) - 1, (chart.height - BOTTOM - TOP) / (len(levels) - 1)
-    legend = [tag("text", map_.unit, x=right, y=12, class_="axis-name")]
+    legend = [format_tag("text", map_.unit, x=right, y=12, class_="axis-name")]
     for k, colour in enumerate(_colours(n)):
-        legend.append(tag("rect", x=right, y=bottom - (k + 1) * tall, width=12, height=tall, style=f"fill:{colour}"))
+        legend.append(
+            format_tag("rect", x=right, y=bottom - (k + 1) * tall, width=12, height=tall, style=f"fill:{colour}")
+        )
         if k:
-            legend.append(tag("text", f"{levels[k]:.4g}", x=right + 17, y=bottom - k * tall + 3.5))
+            legend.append(format_tag("text", f"{levels[k]:.4g}", x=right + 17, y=bottom - k * tall + 3.5))
     inner = chart.render(*content)
     start, end = inner.index(">") + 1, inner.rindex("</svg>")
-    return tag(
+    return format_tag(
         "svg", Markup(inner[start:end]), *legend, viewBox=f"0 0 {WIDTH} {chart.height}", role="img", class_="chart map"
     )  # noqa: S704

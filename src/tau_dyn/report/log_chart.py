@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, TOP, Chart, tag, ticks
+from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, TOP, Chart, choose_ticks, format_tag
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class LogChart(Chart):
         pieces = []
         for value, named in log_ticks(*self.xlim, most=max(3, self.width // 70)):
             at = float(self.x(value))
-            pieces.append(tag("path", d=f"M{at:.1f} {TOP}V{bottom}", class_="grid"))
+            pieces.append(format_tag("path", d=f"M{at:.1f} {TOP}V{bottom}", class_="grid"))
             if named:
-                pieces.append(tag("text", f"{value:.5g}", x=at, y=bottom + 14, text_anchor="middle"))
+                pieces.append(format_tag("text", f"{value:.5g}", x=at, y=bottom + 14, text_anchor="middle"))
         return pieces
 
     def _levels(self, right: int) -> list[Markup]:
@@ -49,9 +49,9 @@ class LogChart(Chart):
         pieces = []
         for value, named in log_ticks(*self.ylim, most=max(3, self.height // 40)):
             at = float(self.y(value))
-            pieces.append(tag("path", d=f"M{LEFT} {at:.1f}H{right}", class_="grid"))
+            pieces.append(format_tag("path", d=f"M{LEFT} {at:.1f}H{right}", class_="grid"))
             if named:
-                pieces.append(tag("text", f"{value:.4g}", x=LEFT - 6, y=at + 3.5, text_anchor="end"))
+                pieces.append(format_tag("text", f"{value:.4g}", x=LEFT - 6, y=at + 3.5, text_anchor="end"))
         return pieces
 
     def _power_words(self, limits: tuple[float, float]) -> str:
@@ -75,5 +75,5 @@ def log_ticks(low: float, high: float, most: int = 8) -> list[tuple[float, bool]
         if len(named) <= most:
             break
     if len(inside) < 3:
-        return [(float(v), True) for v in ticks(low, high, about=most)]
+        return [(float(v), True) for v in choose_ticks(low, high, about=most)]
     return [(v, v in named) for v in inside]

@@ -12,63 +12,70 @@ from tau_dyn.modes.checks import CorrelationTest
 from tau_dyn.modes.result import Modes
 from tau_dyn.report.formatting import Z95
 from tau_dyn.report.log_chart import LogChart
-from tau_dyn.report.modes_svg import across, between
-from tau_dyn.report.modes_text import resonances
+from tau_dyn.report.modes_svg import draw_across, draw_between
+from tau_dyn.report.modes_text import select_known_resonances
 from tau_dyn.report.svg import HALF, THIRD, WHOLE, Chart, pad_limits
 
 DOTS = 700  # frequencies drawn at most
 WIDTHS = {1: WHOLE, 2: HALF}
-MOST_PAIRS = 9
+MAX_PAIRS = 9  # of output and input that are drawn
 FLOOR_DB = 70.0
 """Decibels below the highest peak at which a response is cut off."""
 
 
-def pairs(found: Modes) -> list[tuple[int, int]]:
+def list_pairs(found: Modes) -> list[tuple[int, int]]:
     """Return output and input of the responses that are drawn, by output; the strongest where there are too many."""
     p, m = len(found.outputs), len(found.inputs)
     every = [(i, j) for i in range(p) for j in range(m)]
-    if len(every) <= MOST_PAIRS:
+    if len(every) <= MAX_PAIRS:
         return every
     size = np.abs(found.response.value).max(axis=0)
     size = size / size.max(axis=1, keepdims=True)  # outputs may have unlike units
-    return sorted(sorted(every, key=lambda pair: -size[pair])[:MOST_PAIRS])
+    return sorted(sorted(every, key=lambda pair: -size[pair])[:MAX_PAIRS])
 
 
-def columns(found: Modes) -> int:
+def count_chart_columns(found: Modes) -> int:
     """Return how many charts of pairs stand side by side."""
-    return min(len(found.inputs), 3) if len(pairs(found)) == len(found.inputs) * len(found.outputs) else 3
+    return min(len(found.inputs), 3) if len(list_pairs(found)) == len(found.inputs) * len(found.outputs) else 3
 
 
 def _size(found: Modes, height: int) -> tuple[int, int]:
-    width = WIDTHS.get(columns(found), THIRD)
+    width = WIDTHS.get(count_chart_columns(found), THIRD)
     return width, height + (60 if width > THIRD else 0)
 
 
-def bode_chart(found: Modes, i: int, j: int) -> Markup:
+def draw_bode_chart(found: Modes, i: int, j: int) -> Markup:
     """Return magnitude over frequency: the data's own response as dots, the model's with its 95 % band over it."""
     f, g, sigma = found.response.frequency, np.abs(found.response.value[:, i, j]), found.response.deviation[:, i, j]
-    seen = shown(found)
+    seen = select_excited(found)
     dots = np.abs(found.empirical.response[seen, i, j])
     low, high = _decibel_limits(g, dots)
     chart = LogChart(
-        *_size(found, 210), ends(f), (low, high), f"{found.inputs[j]} → {found.outputs[i]}", "frequency [Hz]", "[dB]"
+        *_size(found, 210),
+        select_ends(f),
+        (low, high),
+        f"{found.inputs[j]} → {found.outputs[i]}",
+        "frequency [Hz]",
+        "[dB]",
     )
     spread = Z95 * sigma / np.sqrt(2)  # along the vector: half of the squared radius
     at = found.empirical.frequency[seen]
-    db = decibels(dots)
+    db = convert_to_decibels(dots)
     keep = np.isfinite(_within(db, low, high)) & (at >= chart.xlim[0]) & (at <= chart.xlim[1])
     return chart.render(
-        *mode_lines(found, chart),
+        *draw_mode_lines(found, chart),
         chart.dots(*_thin(at[keep], db[keep]), "data"),
-        between(chart, f, decibels(np.maximum(g - spread, 1e-300)), decibels(g + spread), "sure"),
-        chart.line(f, _within(decibels(g), low, high), "predicted"),
+        draw_between(
+            chart, f, convert_to_decibels(np.maximum(g - spread, 1e-300)), convert_to_decibels(g + spread), "sure"
+        ),
+        chart.line(f, _within(convert_to_decibels(g), low, high), "predicted"),
     )
 
 
-def phase_chart(found: Modes, i: int, j: int) -> Markup:
+def draw_phase_chart(found: Modes, i: int, j: int) -> Markup:
     """Return phase over frequency, data and model."""
-    f, seen = found.response.frequency, shown(found)
-    chart = LogChart(*_size(found, 130), ends(f), (-190.0, 190.0), "", "frequency [Hz]", "phase [°]")
+    f, seen = found.response.frequency, select_excited(found)
+    chart = LogChart(*_size(found, 130), select_ends(f), (-190.0, 190.0), "", "frequency [Hz]", "phase [°]")
     phase = np.degrees(np.angle(found.response.value[:, i, j]))
     phase[1:][np.abs(np.diff(phase)) > 180] = np.nan  # a wrap is no line
     at = found.empirical.frequency[seen]
@@ -77,11 +84,11 @@ def phase_chart(found: Modes, i: int, j: int) -> Markup:
     return chart.render(chart.dots(*_thin(at[keep], dots[keep]), "data"), chart.line(f, phase, "predicted"))
 
 
-def coherence_chart(found: Modes, i: int) -> Markup:
+def draw_coherence_chart(found: Modes, i: int) -> Markup:
     """Return the share of an output's power that the inputs explain, over frequency."""
     chart = LogChart(
         *_size(found, 130),
-        ends(found.response.frequency),
+        select_ends(found.response.frequency),
         (0.0, 1.05),
         found.outputs[i],
         "frequency [Hz]",
@@ -90,12 +97,12 @@ def coherence_chart(found: Modes, i: int) -> Markup:
     at, value = found.empirical.frequency, found.empirical.coherence[:, i]
     keep = (at >= chart.xlim[0]) & (at <= chart.xlim[1])
     return chart.render(
-        *mode_lines(found, chart),
+        *draw_mode_lines(found, chart),
         chart.line(at[keep], value[keep], "mean-line"),
     )
 
 
-def test_chart(found: Modes, test: CorrelationTest) -> Markup:
+def draw_test_chart(found: Modes, test: CorrelationTest) -> Markup:
     """Return a correlation curve with its 99 % band."""
     size = max(1.5 * test.band, float(np.abs(test.values[test.lags != 0]).max(initial=0.0)) * 1.15)
     name = f"{test.input} → {test.output}" if test.input else test.output
@@ -106,13 +113,13 @@ def test_chart(found: Modes, test: CorrelationTest) -> Markup:
     bound = np.full(2, test.band)
     ends = np.array(xlim)
     return chart.render(
-        between(chart, ends, -bound, bound, "sure"),
+        draw_between(chart, ends, -bound, bound, "sure"),
         chart.verticals(lags, np.zeros_like(value), value, "stem"),
         chart.dots(lags, value, "steps" if not test.passed else "mean-small"),
     )
 
 
-def impulse_chart(found: Modes, i: int, j: int) -> Markup:
+def draw_impulse_chart(found: Modes, i: int, j: int) -> Markup:
     """Return the response to a unit pulse, measured and of the model."""
     r = found.impulse
     if r is None:
@@ -132,23 +139,25 @@ def impulse_chart(found: Modes, i: int, j: int) -> Markup:
     )
 
 
-def shown(found: Modes) -> np.ndarray:
+def select_excited(found: Modes) -> np.ndarray:
     """Return which frequencies of the data's own response are drawn: those that were excited."""
     return found.empirical.excited & np.isfinite(found.empirical.response).all(axis=(1, 2))
 
 
-def ends(f: np.ndarray) -> tuple[float, float]:
+def select_ends(f: np.ndarray) -> tuple[float, float]:
     """Return the first and last of frequencies in order."""
     return float(f[0]), float(f[-1])
 
 
-def mode_lines(found: Modes, chart: Chart) -> list[Markup]:
+def draw_mode_lines(found: Modes, chart: Chart) -> list[Markup]:
     """Return a line across a chart over frequency at each resonance within it."""
-    within = [m.frequency_hz for m in resonances(found) if chart.xlim[0] <= m.frequency_hz <= chart.xlim[1]]
-    return [across(chart, f, "mode-line") for f in within]
+    within = [
+        m.frequency_hz for m in select_known_resonances(found) if chart.xlim[0] <= m.frequency_hz <= chart.xlim[1]
+    ]
+    return [draw_across(chart, f, "mode-line") for f in within]
 
 
-def decibels(x: np.ndarray) -> np.ndarray:
+def convert_to_decibels(x: np.ndarray) -> np.ndarray:
     """Return sizes in decibels, minus infinity for zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return 20 * np.log10(x)
@@ -160,9 +169,9 @@ def _within(x: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def _decibel_limits(model: np.ndarray, dots: np.ndarray) -> tuple[float, float]:
-    both = decibels(np.concatenate([model, dots[np.isfinite(dots)]]))
+    both = convert_to_decibels(np.concatenate([model, dots[np.isfinite(dots)]]))
     both = both[np.isfinite(both)]
-    top = float(decibels(model).max())
+    top = float(convert_to_decibels(model).max())
     top = max(top, float(np.quantile(both, 0.995)))
     low = max(float(np.quantile(both, 0.005)) - 3, top - FLOOR_DB)
     return low, top + 6

@@ -11,19 +11,19 @@ from markupsafe import Markup
 from tau_dyn.modes.result import Modes
 from tau_dyn.report.formatting import Z95
 from tau_dyn.report.log_chart import LogChart
-from tau_dyn.report.modes_charts import decibels, ends, mode_lines, shown
-from tau_dyn.report.modes_svg import across, along, between, ellipse, marks
-from tau_dyn.report.svg import THIRD, WHOLE, Chart, pad_limits, tag
+from tau_dyn.report.modes_charts import convert_to_decibels, draw_mode_lines, select_ends, select_excited
+from tau_dyn.report.modes_svg import draw_across, draw_along, draw_between, draw_ellipse, draw_marks
+from tau_dyn.report.svg import THIRD, WHOLE, Chart, format_tag, pad_limits
 
 
-def stabilisation_chart(found: Modes) -> Markup:
+def draw_stabilisation_chart(found: Modes) -> Markup:
     """Return modes of all orders: filled where stable, rings where only the frequency agrees, small where new; 95 % bars."""
     points = found.stabilisation
     orders = [t.order for t in found.order_choice.trials] or [found.order]
-    limits = ends(found.response.frequency)
+    limits = select_ends(found.response.frequency)
     inside = [q for q in points if limits[0] <= q.frequency_hz <= limits[1]]
     chart = LogChart(WHOLE, 470, limits, (0.0, max(orders) + 1.5), "", "frequency [Hz]", "order of the model")
-    drawn = [*mode_lines(found, chart), _skyline(found, chart), along(chart, found.order, "chosen-line")]
+    drawn = [*draw_mode_lines(found, chart), _skyline(found, chart), draw_along(chart, found.order, "chosen-line")]
     for kind in ("new", "frequency", "stable"):
         some = [q for q in inside if q.kind == kind]
         if not some:
@@ -35,7 +35,7 @@ def stabilisation_chart(found: Modes) -> Markup:
         drawn.append(
             chart.dots(f, n, f"pole-{kind}")
             if kind != "frequency"
-            else marks(chart, f, n, "ring", "pole-frequency", 3.5)
+            else draw_marks(chart, f, n, "ring", "pole-frequency", 3.5)
         )
     drawn.append(chart.text(limits[1], found.order + 0.25, "chosen", "chosen-name", "end"))
     return chart.render(*drawn)
@@ -43,22 +43,22 @@ def stabilisation_chart(found: Modes) -> Markup:
 
 def _skyline(found: Modes, chart: LogChart) -> Markup:
     """Return the data's own response, all pairs together, as a pale skyline behind the diagram."""
-    seen = shown(found)
+    seen = select_excited(found)
     at, response = found.empirical.frequency[seen], found.empirical.response[seen]
     size = np.sqrt(np.mean(np.abs(response) ** 2, axis=2))
     size = np.sqrt(np.mean((size / np.nanmax(size, axis=0)) ** 2, axis=1))
-    db = decibels(size)
+    db = convert_to_decibels(size)
     keep = np.isfinite(db) & (at >= chart.xlim[0]) & (at <= chart.xlim[1])
     if keep.sum() < 3:
         return Markup("")
     low, high = float(np.quantile(db[keep], 0.02)), float(db[keep].max())
     height = 0.96 * chart.ylim[1] * np.clip((db[keep] - low) / max(high - low, 1e-9), 0, 1)
-    return between(chart, at[keep], np.zeros(keep.sum()), height, "skyline")
+    return draw_between(chart, at[keep], np.zeros(keep.sum()), height, "skyline")
 
 
 def _bars(chart: Chart, low: np.ndarray, high: np.ndarray, y: np.ndarray, class_: str) -> Markup:
     ends = zip(chart.x(low), chart.x(high), chart.y(y), strict=True)
-    return tag("path", d="".join(f"M{a:.1f} {c:.1f}H{b:.1f}" for a, b, c in ends), class_=class_)
+    return format_tag("path", d="".join(f"M{a:.1f} {c:.1f}H{b:.1f}" for a, b, c in ends), class_=class_)
 
 
 def order_chart(found: Modes) -> Markup:
@@ -71,13 +71,13 @@ def order_chart(found: Modes) -> Markup:
         THIRD, 200, pad_limits(n, share=0.05), pad_limits(np.array([low, best]), share=0.12), "", "order", "fit [%]"
     )
     return chart.render(
-        across(chart, found.order, "chosen-line"),
+        draw_across(chart, found.order, "chosen-line"),
         chart.line(n, np.clip(fit, chart.ylim[0], None), "predicted"),
         chart.dots(n, np.clip(fit, chart.ylim[0], None), "mean"),
     )
 
 
-def criterion_chart(found: Modes) -> Markup:
+def draw_criterion_chart(found: Modes) -> Markup:
     """Return the information criteria over the order, each above its own least value."""
     trials = found.order_choice.trials
     n = np.array([float(t.order) for t in trials])
@@ -94,10 +94,10 @@ def criterion_chart(found: Modes) -> Markup:
         "order",
         "log₁₀(1 + above best)",
     )
-    return chart.render(across(chart, found.order, "chosen-line"), *[chart.line(n, c, ink) for c, ink in above])
+    return chart.render(draw_across(chart, found.order, "chosen-line"), *[chart.line(n, c, ink) for c, ink in above])
 
 
-def delay_chart(found: Modes) -> Markup:
+def draw_delay_chart(found: Modes) -> Markup:
     """Return BIC above the best over the delays that were scanned."""
     d, _, gap = (np.array(c, float) for c in zip(*found.delay_choice.scan, strict=True))
     height = np.log10(1 + gap)
@@ -111,11 +111,13 @@ def delay_chart(found: Modes) -> Markup:
         "log₁₀(1 + BIC above best)",
     )
     return chart.render(
-        across(chart, found.delay, "chosen-line"), chart.line(d, height, "predicted"), chart.dots(d, height, "mean")
+        draw_across(chart, found.delay, "chosen-line"),
+        chart.line(d, height, "predicted"),
+        chart.dots(d, height, "mean"),
     )
 
 
-def pole_chart(found: Modes) -> Markup:
+def draw_pole_chart(found: Modes) -> Markup:
     """Return poles and zeros in the s plane, each pole with its 95 % ellipse."""
     known = [q for q in found.poles if q.oscillates]
     if not known:
@@ -128,15 +130,15 @@ def pole_chart(found: Modes) -> Markup:
     ylim = pad_limits(np.concatenate([im, [0.0]]), share=0.08)
     chart = Chart(WHOLE, 420, xlim, (min(0.0, ylim[0]), ylim[1]), "", "decay, Re s [1/s]", "Im s / 2π [Hz]")
     turn = np.diag([1.0, 1 / (2 * np.pi)])
-    drawn = [across(chart, 0.0, "zero")]
+    drawn = [draw_across(chart, 0.0, "zero")]
     for pole, x, y in zip(known, re, im, strict=True):
         if pole.covariance is not None and x >= xlim[0]:
-            drawn.append(ellipse(chart, (float(x), float(y)), turn @ pole.covariance @ turn, "sure ring"))
+            drawn.append(draw_ellipse(chart, (float(x), float(y)), turn @ pole.covariance @ turn, "sure ring"))
     inside = re >= xlim[0]
     zeros = found.zeros[(found.zeros.real >= xlim[0]) & (found.zeros.real <= xlim[1])]
     zeros = zeros[zeros.imag / (2 * np.pi) <= chart.ylim[1]]
-    drawn.append(marks(chart, zeros.real, zeros.imag / (2 * np.pi), "ring", "pole-frequency", 4.0))
-    drawn.append(marks(chart, re[inside], im[inside], "cross", "pole-cross", 4.5))
+    drawn.append(draw_marks(chart, zeros.real, zeros.imag / (2 * np.pi), "ring", "pole-frequency", 4.0))
+    drawn.append(draw_marks(chart, re[inside], im[inside], "cross", "pole-cross", 4.5))
     for x, y in zip(re[inside], im[inside], strict=True):
         natural = float(np.hypot(x / (2 * np.pi), y))
         drawn.append(

@@ -12,22 +12,22 @@ from tau_dyn.modes.on_robot import ShapesOnRobot
 from tau_dyn.modes.result import Modes, Trace
 from tau_dyn.report import modes_charts as charts
 from tau_dyn.report import modes_model_charts as model_charts
-from tau_dyn.report.formatting import Z95, number, percent, round_to_stderr
+from tau_dyn.report.formatting import Z95, format_number, format_percent, round_to_stderr
 from tau_dyn.report.html_page import PageHeader, render_page
-from tau_dyn.report.identification_charts import interval_bar
-from tau_dyn.report.modes_robot import robot_drawings
-from tau_dyn.report.modes_shapes import shape_drawing, space_axes
+from tau_dyn.report.identification_charts import draw_interval_bar
+from tau_dyn.report.modes_robot import draw_robot_modes
+from tau_dyn.report.modes_shapes import draw_shape, find_space_axes
 from tau_dyn.report.modes_text import (
-    badge,
-    damping,
+    describe_badge,
+    describe_headline,
+    describe_inputs,
+    describe_mechanical,
+    describe_verdict,
     fit_words,
-    frequency,
-    headline,
-    interval,
+    format_damping,
+    format_frequency,
+    format_interval,
     is_resonance,
-    mechanical_words,
-    summary,
-    verdict,
 )
 from tau_dyn.report.time_view import Curve, View, strip
 
@@ -37,7 +37,7 @@ BAR_SPAN = 0.5
 """Relative error of a damping ratio at the end of its bar."""
 
 
-def modes_page(
+def build_modes_page(
     found: Modes, *, on_robot: ShapesOnRobot | None = None, logs: Sequence[tuple[str, str]] = (), command_line: str = ""
 ) -> str:
     """Return resonances as one HTML page.
@@ -48,10 +48,12 @@ def modes_page(
         logs: Name and hash of every log.
         command_line: The command that repeats it, for the provenance.
     """
-    judged = verdict(found)
-    opening = PageHeader(headline(found), judged.level, badge(found), judged.sentence, summary(found))
-    drawn = charts.pairs(found)
-    swinging = robot_drawings(on_robot, [is_resonance(m) for m in found.modes])[:SHAPES]
+    judged = describe_verdict(found)
+    opening = PageHeader(
+        describe_headline(found), judged.level, describe_badge(found), judged.sentence, describe_inputs(found)
+    )
+    drawn = charts.list_pairs(found)
+    swinging = draw_robot_modes(on_robot, [is_resonance(m) for m in found.modes])[:SHAPES]
     names = [t.log for t in found.traces]
     return render_page(
         "modes.html.j2",
@@ -65,38 +67,40 @@ def modes_page(
         found=found,
         modes=[_row(found, k) for k in range(len(found.modes))],
         shapes=[
-            (f"{frequency(m)} Hz", f"{damping(m)} %", shape_drawing(m, found.outputs))
+            (f"{format_frequency(m)} Hz", f"{format_damping(m)} %", draw_shape(m, found.outputs))
             for m in found.modes
             if is_resonance(m) and len(found.outputs) > 1 and not swinging
         ][:SHAPES],
         swinging=swinging,
         robot_name=on_robot.robot.name if on_robot and swinging else "",
-        in_space=bool(space_axes(found.outputs)),
-        bode=[(charts.bode_chart(found, i, j), charts.phase_chart(found, i, j)) for i, j in drawn],
-        columns=charts.columns(found),
+        in_space=bool(find_space_axes(found.outputs)),
+        bode=[(charts.draw_bode_chart(found, i, j), charts.draw_phase_chart(found, i, j)) for i, j in drawn],
+        columns=charts.count_chart_columns(found),
         hidden_pairs=len(found.inputs) * len(found.outputs) - len(drawn),
-        coherence=[charts.coherence_chart(found, i) for i in range(len(found.outputs))] if _coherent(found) else [],
-        stabilisation=model_charts.stabilisation_chart(found) if found.stabilisation else Markup(""),
+        coherence=[charts.draw_coherence_chart(found, i) for i in range(len(found.outputs))]
+        if _coherent(found)
+        else [],
+        stabilisation=model_charts.draw_stabilisation_chart(found) if found.stabilisation else Markup(""),
         choices=_choices(found),
-        poles=model_charts.pole_chart(found),
-        whiteness=[charts.test_chart(found, t) for t in found.whiteness],
-        independence=[charts.test_chart(found, t) for t in _worst(found)],
-        impulse=[charts.impulse_chart(found, i, j) for i, j in drawn] if found.impulse else [],
+        poles=model_charts.draw_pole_chart(found),
+        whiteness=[charts.draw_test_chart(found, t) for t in found.whiteness],
+        independence=[charts.draw_test_chart(found, t) for t in _worst(found)],
+        impulse=[charts.draw_impulse_chart(found, i, j) for i, j in drawn] if found.impulse else [],
         fits=_fits(found),
         mechanical=_mechanical(found),
-        mechanical_words=mechanical_words(found),
-        test_words=test_words(found),
+        mechanical_words=describe_mechanical(found),
+        test_words=describe_tests(found),
         why=[(topic, text[:1].upper() + text[1:]) for topic, text in found.why.items()],
     )
 
 
 def _choices(found: Modes) -> list[Markup]:
     orders = (
-        [model_charts.order_chart(found), model_charts.criterion_chart(found)]
+        [model_charts.order_chart(found), model_charts.draw_criterion_chart(found)]
         if len(found.order_choice.trials) > 1
         else []
     )
-    return [*orders, *([model_charts.delay_chart(found)] if len(found.delay_choice.scan) > 1 else [])]
+    return [*orders, *([model_charts.draw_delay_chart(found)] if len(found.delay_choice.scan) > 1 else [])]
 
 
 def _coherent(found: Modes) -> bool:
@@ -120,12 +124,12 @@ def _row(found: Modes, k: int) -> dict[str, Any]:
     orders = [t.order for t in found.order_choice.trials if t.order >= found.order] or [found.order]
     seen = sum(_appears(found, n, m.frequency_hz) for n in orders)
     return {
-        "frequency": f"{frequency(m)} Hz",
-        "frequency_interval": interval(m.frequency_hz, m.frequency_stderr),
-        "damping": f"{damping(m)} %",
-        "damping_interval": interval(100 * m.damping_ratio, 100 * m.damping_stderr),
-        "bar": interval_bar(max(-spread, -1), min(spread, 1), 0.0, 0.0, "", False) if known else Markup(""),
-        "rings": f"{number(1 / decay, 2)} s" if decay > 0 else "–",
+        "frequency": f"{format_frequency(m)} Hz",
+        "frequency_interval": format_interval(m.frequency_hz, m.frequency_stderr),
+        "damping": f"{format_damping(m)} %",
+        "damping_interval": format_interval(100 * m.damping_ratio, 100 * m.damping_stderr),
+        "bar": draw_interval_bar(max(-spread, -1), min(spread, 1), 0.0, 0.0, "", False) if known else Markup(""),
+        "rings": f"{format_number(1 / decay, 2)} s" if decay > 0 else "–",
         "most": found.outputs[int(np.argmax(sizes))],
         "seen": f"{seen} of {len(orders)}",
         "weak": not is_resonance(m),
@@ -145,7 +149,7 @@ def _fits(found: Modes) -> list[dict[str, Any]]:
             "width": float(np.clip(judged.percent[k], 0, 100)),
             "train": fit_words(float(found.train.percent[k])),
             "ahead": {n: fit_words(float(v[k])) for n, v in judged.ahead.items()},
-            "rms": number(float(judged.rms[k]), 3),
+            "rms": format_number(float(judged.rms[k]), 3),
         }
         for k, name in enumerate(found.outputs)
     ]
@@ -165,7 +169,7 @@ def _entries(values: np.ndarray, spread: np.ndarray | None) -> list[list[str]]:
     def entry(i: int, j: int) -> str:
         value = float(values[i, j])
         if spread is None or not np.isfinite(spread[i, j]) or spread[i, j] <= 0:
-            return number(value, 4)
+            return format_number(value, 4)
         return f"{round_to_stderr(value, float(spread[i, j]))} ± {round_to_stderr(float(spread[i, j]), float(spread[i, j]))}"
 
     return [[entry(i, j) for j in range(values.shape[1])] for i in range(values.shape[0])]
@@ -183,7 +187,7 @@ def _view(found: Modes, trace: Trace, k: int) -> View:
     return View(trace.log, name, trace.t, (both, rest), held_out=trace.held_out)
 
 
-def test_words(found: Modes) -> str:
+def describe_tests(found: Modes) -> str:
     """Return what the tests say, in a sentence or two."""
     on = "held-out" if found.tested_on == "holdout" else "training"
     failed = [t for t in found.independence if not t.passed]
@@ -195,7 +199,7 @@ def test_words(found: Modes) -> str:
         "linear dynamics are missing, or the structure is nonlinear."
     )
     coloured = [t.output for t in found.whiteness if not t.passed]
-    share = percent(100 * max((t.outside for t in found.whiteness), default=0.0))
+    share = format_percent(100 * max((t.outside for t in found.whiteness), default=0.0))
     if coloured:
         return (
             f"{said} One-step errors of {', '.join(coloured)} keep some memory ({share} of the lags outside the band)."

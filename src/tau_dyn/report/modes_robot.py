@@ -14,10 +14,10 @@ from markupsafe import Markup
 
 from tau_dyn.modes.figure import Skeleton
 from tau_dyn.modes.on_robot import ModePair, ModeShape, ShapesOnRobot
-from tau_dyn.report.formatting import number
+from tau_dyn.report.formatting import format_number
 from tau_dyn.report.modes_shapes import PERIOD
-from tau_dyn.report.projection import View, hull_of, project
-from tau_dyn.report.svg import path_of, tag
+from tau_dyn.report.projection import View, compute_hull, project
+from tau_dyn.report.svg import format_path, format_tag
 
 WIDTH, HEIGHT, MARGIN = 330, 250, 30
 REACH = 24.0
@@ -37,7 +37,7 @@ class Drawn(NamedTuple):
     beside: str
 
 
-def robot_drawings(shapes: ShapesOnRobot | None, chosen: Sequence[bool]) -> list[Drawn]:
+def draw_robot_modes(shapes: ShapesOnRobot | None, chosen: Sequence[bool]) -> list[Drawn]:
     """Return the drawings of the modes that are chosen; none without a robot."""
     if shapes is None:
         return []
@@ -56,7 +56,7 @@ def _beside(skeleton: Skeleton, pair: ModePair, view: View) -> tuple[Markup, str
 
 
 def _said(swing: ModeShape) -> str:
-    return f"{number(swing.frequency_hz, 4)} Hz, damping {number(100 * swing.damping_ratio, 2)} %"
+    return f"{format_number(swing.frequency_hz, 4)} Hz, damping {format_number(100 * swing.damping_ratio, 2)} %"
 
 
 def _view(skeleton: Skeleton) -> View:
@@ -65,25 +65,29 @@ def _view(skeleton: Skeleton) -> View:
 
 
 def _drawing(skeleton: Skeleton, swing: ModeShape, view: View, who: str) -> Markup:
-    pieces = [tag("path", d=path_of(view.place(rail)), class_="rail") for rail in skeleton.rails]
+    pieces = [format_tag("path", d=format_path(view.place(rail)), class_="rail") for rail in skeleton.rails]
     order = sorted(range(len(skeleton.links)), key=lambda k: -len(skeleton.links[k]))
-    pieces += [tag("path", d=_outline(view.place(skeleton.links[k])), class_="at-rest") for k in order]
+    pieces += [format_tag("path", d=_outline(view.place(skeleton.links[k])), class_="at-rest") for k in order]
     moving, still = [], []
     for k in order:
         if np.abs(swing.links[k]).max() < 1e-3:
             continue
         class_ = "rod" if len(skeleton.links[k]) == 2 else "plate"
         frames = _frames(skeleton.links[k], swing.links[k], view)
-        still.append(tag("path", d=frames[0], class_=class_))
-        run = tag("animate", attributeName="d", values=";".join(frames), dur=f"{PERIOD}s", repeatCount="indefinite")
-        moving.append(tag("path", run, d=frames[0], class_=class_))
-    pieces += [tag("g", *still, class_="still"), tag("g", *moving, class_="moving")]
+        still.append(format_tag("path", d=frames[0], class_=class_))
+        run = format_tag(
+            "animate", attributeName="d", values=";".join(frames), dur=f"{PERIOD}s", repeatCount="indefinite"
+        )
+        moving.append(format_tag("path", run, d=frames[0], class_=class_))
+    pieces += [format_tag("g", *still, class_="still"), format_tag("g", *moving, class_="moving")]
     spots = view.place(skeleton.joints)
-    pieces += [tag("rect", x=float(x) - 6, y=float(y) - 4.5, width=12, height=9, rx=2, class_="cart") for x, y in spots]
+    pieces += [
+        format_tag("rect", x=float(x) - 6, y=float(y) - 4.5, width=12, height=9, rx=2, class_="cart") for x, y in spots
+    ]
     pieces += [_arrow(view.place(at[None])[0], swing.arrows[name]) for name, at in skeleton.places.items()]
-    text = f"{who}: {number(swing.frequency_hz, 3)} Hz on the robot"
-    return tag(
-        "svg", tag("title", text), *pieces, viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", class_="robot swinging"
+    text = f"{who}: {format_number(swing.frequency_hz, 3)} Hz on the robot"
+    return format_tag(
+        "svg", format_tag("title", text), *pieces, viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", class_="robot swinging"
     )  # fmt: skip
 
 
@@ -97,7 +101,7 @@ def _frames(points: np.ndarray, moved: np.ndarray, view: View) -> list[str]:
 
 def _corners(flat: np.ndarray) -> np.ndarray:
     """Return which points (n, 2) are drawn, in order."""
-    around = hull_of(flat) if len(flat) > 2 else None
+    around = compute_hull(flat) if len(flat) > 2 else None
     return np.arange(len(flat)) if around is None else around
 
 
@@ -106,7 +110,7 @@ def _outline(flat: np.ndarray) -> str:
 
 
 def _around(flat: np.ndarray) -> str:
-    return path_of(flat, closed=len(flat) > 2)
+    return format_path(flat, closed=len(flat) > 2)
 
 
 def _arrow(at: np.ndarray, moved: np.ndarray) -> Markup:
@@ -114,11 +118,11 @@ def _arrow(at: np.ndarray, moved: np.ndarray) -> Markup:
     tip = _ARROW * REACH * project(np.real(moved)[None])[0]
     size = float(np.hypot(*tip))
     if size < 4:
-        return tag("circle", cx=float(at[0]), cy=float(at[1]), r=3, class_="sensor")
+        return format_tag("circle", cx=float(at[0]), cy=float(at[1]), r=3, class_="sensor")
     along, across = tip / size, np.array([-tip[1], tip[0]]) / size
     pieces = []
     for side in (1, -1):
         end = at + side * tip
         head = [end - side * 6 * along + 3.5 * across, end, end - side * 6 * along - 3.5 * across]
-        pieces += [path_of(np.array([at, end])), path_of(np.array(head))]
-    return tag("path", d="".join(pieces), class_="arrow")
+        pieces += [format_path(np.array([at, end])), format_path(np.array(head))]
+    return format_tag("path", d="".join(pieces), class_="arrow")

@@ -13,7 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.modes.modal import Mode
-from tau_dyn.report.svg import path_of, tag
+from tau_dyn.report.svg import format_path, format_tag
 
 AXES = {"x": (0.90, 0.30), "y": (-0.78, 0.42), "z": (0.0, -1.0)}
 """Where the axes of space point on the drawing, y down: seen from above, in front and the right."""
@@ -22,19 +22,19 @@ PERIOD = 2.4
 """Seconds that one swing takes on the page, whatever it takes in truth."""
 
 
-def turned(shape: np.ndarray) -> np.ndarray:
+def normalise_shape(shape: np.ndarray) -> np.ndarray:
     """Return a shape whose strongest entry is 1 and real."""
     top = shape[np.argmax(np.abs(shape))]
     return shape / top if top != 0 else shape
 
 
-def shape_drawing(mode: Mode, outputs: Sequence[str]) -> Markup:
+def draw_shape(mode: Mode, outputs: Sequence[str]) -> Markup:
     """Return the drawing of a mode: a path in space where two or three outputs are axes of one point, else bars."""
-    axes = space_axes(outputs)
-    return _path(turned(mode.shape), axes) if axes else _bars(turned(mode.shape), outputs)
+    axes = find_space_axes(outputs)
+    return _path(normalise_shape(mode.shape), axes) if axes else _bars(normalise_shape(mode.shape), outputs)
 
 
-def space_axes(outputs: Sequence[str]) -> dict[str, int]:
+def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
     """Return which output is which axis of one point: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty where they are not."""
     found: dict[str, dict[str, int]] = {}
     for k, name in enumerate(outputs):
@@ -53,22 +53,22 @@ def _path(shape: np.ndarray, axes: dict[str, int]) -> Markup:
     for axis, k in axes.items():
         swing += np.outer(np.real(shape[k] * np.exp(1j * angle)), AXES[axis])
     path = middle + REACH * swing / max(float(np.abs(swing).max()), 1e-12)
-    d = path_of(path, closed=True)
+    d = format_path(path, closed=True)
     pieces = []
     for axis, (a, b) in AXES.items():
         if axis not in axes:
             continue
         end = middle + 84 * np.array([a, b])
         start = middle - 84 * np.array([a, b])
-        pieces.append(tag("path", d=f"M{start[0]:.1f} {start[1]:.1f}L{end[0]:.1f} {end[1]:.1f}", class_="axis"))
-        pieces.append(tag("text", axis, x=float(end[0]) + 4, y=float(end[1]) + 4))
+        pieces.append(format_tag("path", d=f"M{start[0]:.1f} {start[1]:.1f}L{end[0]:.1f} {end[1]:.1f}", class_="axis"))
+        pieces.append(format_tag("text", axis, x=float(end[0]) + 4, y=float(end[1]) + 4))
     flat = path - middle
     far = flat[np.argmax(np.hypot(*flat.T))]
     wide = float(np.abs(flat @ np.array([-far[1], far[0]])).max() / max(float(far @ far), 1e-12))
-    pieces.append(tag("path", d=d, class_="swing wide" if wide > 0.03 else "swing"))
-    pieces.append(tag("path", d=f"M{middle[0]:.1f} {middle[1]:.1f}m-4 0h8m-4-4v8", class_="rest"))
-    run = tag("animateMotion", path=d, dur=f"{PERIOD}s", repeatCount="indefinite")
-    pieces.append(tag("circle", run, r=6, class_="tool"))
+    pieces.append(format_tag("path", d=d, class_="swing wide" if wide > 0.03 else "swing"))
+    pieces.append(format_tag("path", d=f"M{middle[0]:.1f} {middle[1]:.1f}m-4 0h8m-4-4v8", class_="rest"))
+    run = format_tag("animateMotion", path=d, dur=f"{PERIOD}s", repeatCount="indefinite")
+    pieces.append(format_tag("circle", run, r=6, class_="tool"))
     return _drawing(pieces, "path of the tool through one swing", SIZE, SIZE)
 
 
@@ -78,24 +78,26 @@ def _bars(shape: np.ndarray, outputs: Sequence[str]) -> Markup:
     width = max(SIZE, 16 + 30 * p)
     step = (width - 16) / p
     base = 92.0
-    pieces = [tag("path", d=f"M6 {base:.1f}H{width - 6:.1f}", class_="axis")]
+    pieces = [format_tag("path", d=f"M6 {base:.1f}H{width - 6:.1f}", class_="axis")]
     for k, (name, value) in enumerate(zip(outputs, shape, strict=True)):
         x = 8 + step * (k + 0.5)
         up, late = -REACH * float(value.real), -REACH * float(value.imag)
         half = min(9.0, 0.3 * step)
         ghost = f"M{x - half:.1f} {base:.1f}V{base - up:.1f}H{x + half:.1f}V{base:.1f}Z"
-        pieces.append(tag("path", d=ghost, class_="ghost"))
+        pieces.append(format_tag("path", d=ghost, class_="ghost"))
         pieces.append(
-            tag("path", d=f"M{x - half:.1f} {base:.1f}V{base + up:.1f}H{x + half:.1f}V{base:.1f}Z", class_="bar-now")
+            format_tag(
+                "path", d=f"M{x - half:.1f} {base:.1f}V{base + up:.1f}H{x + half:.1f}V{base:.1f}Z", class_="bar-now"
+            )
         )
         if abs(late) > 2:
-            pieces.append(tag("path", d=f"M{x + half + 3:.1f} {base:.1f}V{base + late:.1f}", class_="late"))
+            pieces.append(format_tag("path", d=f"M{x + half + 3:.1f} {base:.1f}V{base + late:.1f}", class_="late"))
         at = {"x": x, "y": SIZE - 6.0, "text_anchor": "middle"}
-        pieces.append(tag("text", name if len(name) <= 9 else f"{name[:8]}…", **at))
+        pieces.append(format_tag("text", name if len(name) <= 9 else f"{name[:8]}…", **at))
     return _drawing(pieces, "swing of every output", width, SIZE)
 
 
 def _drawing(pieces: Sequence[Markup], title: str, width: float, height: float) -> Markup:
-    return tag(
-        "svg", tag("title", title), *pieces, viewBox=f"0 0 {width:.0f} {height:.0f}", role="img", class_="shape"
+    return format_tag(
+        "svg", format_tag("title", title), *pieces, viewBox=f"0 0 {width:.0f} {height:.0f}", role="img", class_="shape"
     )  # fmt: skip

@@ -10,16 +10,25 @@ from rich.table import Table
 
 from tau_dyn.modes.result import Modes
 from tau_dyn.report.modes_text import (
-    damping,
-    frequency,
-    headline,
-    interval,
+    describe_headline,
+    describe_inputs,
+    describe_mechanical,
+    describe_verdict,
+    format_damping,
+    format_frequency,
+    format_interval,
     is_resonance,
-    mechanical_words,
-    summary,
-    verdict,
 )
-from tau_dyn.report.terminal import bare_table, meter, plain, put, room, say, say_opening, say_written
+from tau_dyn.report.terminal import (
+    build_bare_table,
+    draw_meter,
+    escape_control_characters,
+    measure_columns,
+    put,
+    say,
+    say_opening,
+    say_written,
+)
 
 BAR = 12  # columns of a bar
 
@@ -32,19 +41,19 @@ def print_modes(console: Console, found: Modes, written: Mapping[str, str] | Non
         found: The result.
         written: What was written, such as `{"report": "m.html"}`, for the last line.
     """
-    judged = verdict(found)
-    say_opening(console, summary(found), headline(found), judged.level, judged.sentence)
+    judged = describe_verdict(found)
+    say_opening(console, describe_inputs(found), describe_headline(found), judged.level, judged.sentence)
     if found.modes:
-        put(console, _modes(found, room(console)))
+        put(console, _modes(found, measure_columns(console)))
     put(console, _fits(found))
-    say(console, mechanical_words(found))
+    say(console, describe_mechanical(found))
     reasons = ". ".join(text[:1].upper() + text[1:] for text in found.why.values())
     say(console, f"{reasons}.", "dim")
     say_written(console, written)
 
 
 def _modes(found: Modes, columns: int) -> Table:
-    table = bare_table()
+    table = build_bare_table()
     several, spread = len(found.outputs) > 1, columns >= 96 or len(found.outputs) == 1
     titles = ["frequency [Hz]", "95 %", "damping [%]", "95 %"] if spread else ["frequency [Hz]", "damping [%]"]
     for title in titles:
@@ -53,20 +62,20 @@ def _modes(found: Modes, columns: int) -> Table:
         table.add_column("moves most", no_wrap=True)
     for m in found.modes:
         f, z = (
-            (frequency(m), interval(m.frequency_hz, m.frequency_stderr)),
+            (format_frequency(m), format_interval(m.frequency_hz, m.frequency_stderr)),
             (
-                damping(m),
-                interval(100 * m.damping_ratio, 100 * m.damping_stderr),
+                format_damping(m),
+                format_interval(100 * m.damping_ratio, 100 * m.damping_stderr),
             ),
         )
         cells = [*f, *z] if spread else [f[0], z[0]]
         cells += [found.outputs[int(np.argmax(np.abs(m.shape)))]] if several else []
-        table.add_row(*(plain(c, "" if is_resonance(m) else "dim") for c in cells))
+        table.add_row(*(escape_control_characters(c, "" if is_resonance(m) else "dim") for c in cells))
     return table
 
 
 def _fits(found: Modes) -> Table:
-    table = bare_table()
+    table = build_bare_table()
     held = found.holdout is not None
     table.add_column("fit by output", no_wrap=True)
     table.add_column("")
@@ -74,7 +83,7 @@ def _fits(found: Modes) -> Table:
         table.add_column(title, justify="right", no_wrap=True)
     for k, name in enumerate(found.outputs):
         fit = float(found.judged.percent[k])
-        cells = [name, meter(fit / 100, BAR), f"{fit:.1f} %"]
+        cells = [name, draw_meter(fit / 100, BAR), f"{fit:.1f} %"]
         cells += [f"{found.train.percent[k]:.1f} %"] if held else []
-        table.add_row(*map(plain, [*cells, f"{found.judged.ahead[10][k]:.1f} %"]))
+        table.add_row(*map(escape_control_characters, [*cells, f"{found.judged.ahead[10][k]:.1f} %"]))
     return table

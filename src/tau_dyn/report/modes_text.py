@@ -6,19 +6,27 @@ import numpy as np
 
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.result import Modes
-from tau_dyn.report.formatting import Z95, Recommendation, count, decimals_for, format_list, number, round_to_stderr
+from tau_dyn.report.formatting import (
+    Z95,
+    UseRecommendation,
+    choose_decimals,
+    count,
+    format_list,
+    format_number,
+    round_to_stderr,
+)
 
 GOOD_FIT, FAIR_FIT = 90.0, 70.0
-MOST = 5
+MAX_NAMED_MODES = 5
 """Modes that the headline names."""
-MOST_DECIMALS = 5
+MAX_DECIMALS = 5  # of a frequency; more is below any clock's accuracy
 MAX_RELATIVE_FREQUENCY_STDERR = 0.05
 """Standard error of a frequency, as a share of it, from which on nobody would call it a resonance that was found."""
 MAX_DAMPING_RATIO = 0.3
 """Damping from which on a mode is no resonance that anyone would see ringing."""
 
 
-def resonances(found: Modes) -> list[Mode]:
+def select_known_resonances(found: Modes) -> list[Mode]:
     """Return the modes that ring and whose frequency is known."""
     return [m for m in found.modes if is_resonance(m)]
 
@@ -31,40 +39,40 @@ def is_resonance(mode: Mode) -> bool:
     )
 
 
-def frequency(mode: Mode) -> str:
+def format_frequency(mode: Mode) -> str:
     """Return a mode's frequency [Hz] with its standard error, such as `7.402 ± 0.003`."""
     return _plain(mode.frequency_hz, mode.frequency_stderr)
 
 
-def damping(mode: Mode) -> str:
+def format_damping(mode: Mode) -> str:
     """Return a mode's damping in percent of critical damping, with its standard error."""
     return _plain(100 * mode.damping_ratio, 100 * mode.damping_stderr)
 
 
-def interval(value: float, stderr: float) -> str:
+def format_interval(value: float, stderr: float) -> str:
     """Return a 95 % interval; empty where it is not known."""
     if not np.isfinite(stderr) or stderr <= 0:
         return ""
-    digits = min(max(decimals_for(stderr), 0), MOST_DECIMALS)
+    digits = min(max(choose_decimals(stderr), 0), MAX_DECIMALS)
     low, high = (f"{value + side * Z95 * stderr:.{digits}f}".replace("-", "−") for side in (-1, 1))
     return f"{low} … {high}"
 
 
-def short_frequency(mode: Mode) -> str:
+def format_short_frequency(mode: Mode) -> str:
     """Return a frequency to the digits that are sure, three at most beyond the point."""
     if not np.isfinite(mode.frequency_stderr):
-        return number(mode.frequency_hz, 3)
+        return format_number(mode.frequency_hz, 3)
     return round_to_stderr(mode.frequency_hz, max(mode.frequency_stderr, 2e-3 * mode.frequency_hz))
 
 
-def headline(found: Modes) -> str:
+def describe_headline(found: Modes) -> str:
     """Return the one sentence above everything."""
-    ringing = resonances(found)
+    ringing = select_known_resonances(found)
     if not ringing:
         what = "No resonance found"
     else:
-        names = format_list([short_frequency(m) for m in ringing[:MOST]], MOST)
-        more = f" and {len(ringing) - MOST} frequencies more" if len(ringing) > MOST else ""
+        names = format_list([format_short_frequency(m) for m in ringing[:MAX_NAMED_MODES]], MAX_NAMED_MODES)
+        more = f" and {len(ringing) - MAX_NAMED_MODES} frequencies more" if len(ringing) > MAX_NAMED_MODES else ""
         what = f"Resonances: {names} Hz{more}"
     fit = found.judged.mean
     if found.holdout is not None:
@@ -79,56 +87,58 @@ def fit_words(fit: float) -> str:
     return f"{fit:.1f} %".replace("-", "−")
 
 
-def verdict(found: Modes) -> Recommendation:
+def describe_verdict(found: Modes) -> UseRecommendation:
     """Return how far the model may be used."""
     fit, failed = found.judged.mean, [t for t in found.independence if not t.passed]
-    if fit > 0 and fit < FAIR_FIT and not failed and resonances(found):
-        return Recommendation(
+    if fit > 0 and fit < FAIR_FIT and not failed and select_known_resonances(found):
+        return UseRecommendation(
             "care", "Disturbances excite the outputs more than the inputs do; the resonance frequencies remain valid."
         )
     if not fit >= FAIR_FIT:
-        return Recommendation("poor", "Use only the resonance frequencies: the fit is too poor for design.")
+        return UseRecommendation("poor", "Use only the resonance frequencies: the fit is too poor for design.")
     if found.holdout is None:
-        return Recommendation(
+        return UseRecommendation(
             "care", "Evaluate it on another recording before use: this is the fit of the training data."
         )
-    vague = [m for m in resonances(found) if not m.damping_stderr <= 0.3 * m.damping_ratio]
+    vague = [m for m in select_known_resonances(found) if not m.damping_stderr <= 0.3 * m.damping_ratio]
     if failed:
-        return Recommendation(
+        return UseRecommendation(
             "care" if fit < 99 else "good",
             "Usable for the resonances below; the residual is correlated with the input in "
             f"{len(failed)} of {count(len(found.independence), 'pair')} of input and output.",
         )
     if fit < GOOD_FIT:
-        return Recommendation(
+        return UseRecommendation(
             "care", "The residual is not correlated with the inputs: noise and disturbances, not a model error."
         )
     if vague:
-        return Recommendation(
+        return UseRecommendation(
             "good",
             f"Usable for simulation and design; the damping of {count(len(vague), 'mode')} is poorly determined.",
         )
-    return Recommendation("good", "Usable for simulation and design: the residual is not correlated with the inputs.")
+    return UseRecommendation(
+        "good", "Usable for simulation and design: the residual is not correlated with the inputs."
+    )
 
 
-def badge(found: Modes) -> str:
+def describe_badge(found: Modes) -> str:
     """Return the judgement in a word or three."""
-    return {"good": "Use it", "care": "Use with care", "poor": "Do not rely on it"}[verdict(found).level]
+    return {"good": "Use it", "care": "Use with care", "poor": "Do not rely on it"}[describe_verdict(found).level]
 
 
-def summary(found: Modes) -> str:
+def describe_inputs(found: Modes) -> str:
     """Return what went in."""
     n = found.train.n_samples + (0 if found.holdout is None else found.holdout.n_samples)
     what = "impulse tests" if found.kind == "impulse" else f"{count(len(found.inputs), 'input')}"
     samples = f"{n:,}".replace(",", " ")
     return (
-        f"{samples} samples at {number(1 / found.dt, 4)} Hz, {what} ({format_list(found.inputs)}), "
+        f"{samples} samples at {format_number(1 / found.dt, 4)} Hz, {what} ({format_list(found.inputs)}), "
         f"{count(len(found.outputs), 'output')} ({format_list(found.outputs)}); order {found.order}, delay {found.delay}, "
         f"{found.method}; held out: {found.how_held}."
     )
 
 
-def mechanical_words(found: Modes) -> str:
+def describe_mechanical(found: Modes) -> str:
     """Return what became of mass, damping and stiffness, in a sentence."""
     m = found.mechanical
     if m is None:
@@ -136,7 +146,7 @@ def mechanical_words(found: Modes) -> str:
     if m.status == "identified":
         return f"Mass, damping and stiffness are identified: {m.why}."
     if m.status == "condensed" and m.valid_hz:
-        low, high = (number(v, 3) for v in m.valid_hz)
+        low, high = (format_number(v, 3) for v in m.valid_hz)
         return f"Mass, damping and stiffness are a condensed model, valid from {low} to {high} Hz: {m.why}."
     return f"Mass, damping and stiffness are not identifiable: {m.why}."
 
@@ -144,6 +154,6 @@ def mechanical_words(found: Modes) -> str:
 def _plain(value: float, stderr: float) -> str:
     """Return a value and its standard error, both with as many decimals as two digits of the error take."""
     if not np.isfinite(stderr) or stderr <= 0:
-        return number(value, 4)
-    digits = min(max(decimals_for(stderr), 0), MOST_DECIMALS)
+        return format_number(value, 4)
+    digits = min(max(choose_decimals(stderr), 0), MAX_DECIMALS)
     return f"{value:.{digits}f} ± {max(stderr, 10.0**-digits):.{digits}f}".replace("-", "−")

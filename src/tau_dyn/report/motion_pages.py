@@ -11,19 +11,19 @@ from markupsafe import Markup
 from tau_dyn.excitation import InformationPrediction
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.report.fit_quality_text import FAIR, WELL, separation_words
+from tau_dyn.report.fit_quality_text import FAIR, WELL, describe_separation
 from tau_dyn.report.formatting import (
     Level,
     count,
     format_fixed_digits,
+    format_limit,
     format_list,
-    limit_words,
-    number,
-    percent,
-    pretty_unit,
+    format_number,
+    format_percent,
+    format_unit,
 )
 from tau_dyn.report.html_page import PageHeader, render_page
-from tau_dyn.report.svg import THIRD, Chart, pad_limits, tag
+from tau_dyn.report.svg import THIRD, Chart, format_tag, pad_limits
 from tau_dyn.report.time_view import Curve, View, strip
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Sensors, Trajectory
@@ -33,7 +33,7 @@ FORCE_NEAR = 0.999
 PHASE_POINTS = 1500  # points of a phase plot at most
 
 
-def simulation_page(
+def build_simulation_page(
     log: Log, model: Model, *, sensors: Sensors | None = None, command_line: str = "", **made: str
 ) -> str:
     """Return a simulated log as one HTML page.
@@ -64,7 +64,7 @@ def simulation_page(
     )
 
 
-def excitation_page(
+def build_excitation_page(
     motion: Trajectory,
     model: Model,
     condition: float,
@@ -88,10 +88,10 @@ def excitation_page(
     badge = {"good": "Tells them apart", "care": "Usable", "poor": "Too poor"}[level]
     free = int(np.sum(model.parameters.free))
     opening = PageHeader(
-        f"A motion of {number(motion.duration, 4)} s with condition number {number(condition, 3)}.",
+        f"A motion of {format_number(motion.duration, 4)} s with condition number {format_number(condition, 3)}.",
         level,
         badge,
-        f"{separation_words(condition).capitalize()}.",
+        f"{describe_separation(condition).capitalize()}.",
         f"{count(robot.na, 'joint')}: {format_list(robot.actuated)}; {count(free, 'free parameter')}; "
         f"condition numbers below {WELL:g} are good, above {FAIR:g} poor.",
     )
@@ -115,20 +115,22 @@ def _predicted(prediction: InformationPrediction) -> list[dict[str, Any]]:
     return [
         {
             "name": row["expression"],
-            "value": number(row["value"], 4),
-            "stderr": number(row["stderr"], 2),
-            "unit": pretty_unit(row["unit"]),
-            "share": percent(100 * row["stderr"] / abs(row["value"])) if row["value"] else "",
+            "value": format_number(row["value"], 4),
+            "stderr": format_number(row["stderr"], 2),
+            "unit": format_unit(row["unit"]),
+            "share": format_percent(100 * row["stderr"] / abs(row["value"])) if row["value"] else "",
         }
         for row in prediction.rows()
     ]
 
 
 def _simulated(log: Log, robot: Robot, rows: list[dict[str, Any]]) -> PageHeader:
-    text = f"{number(log.duration, 4)} s of simulated {robot.name} at {number(log.rate_hz, 4)} Hz"
+    text = f"{format_number(log.duration, 4)} s of simulated {robot.name} at {format_number(log.rate_hz, 4)} Hz"
     saturated = [r["joint"] for r in rows if r["saturated"]]
     errors = [r["error_share"] for r in rows if r["error_share"] is not None]
-    follows = f"; it follows its reference to {percent(100 * max(errors))} of each joint's travel" if errors else ""
+    follows = (
+        f"; it follows its reference to {format_percent(100 * max(errors))} of each joint's travel" if errors else ""
+    )
     if saturated:
         said = f"The force of {format_list(saturated)} reached its limit; identification leaves these samples out."
         return PageHeader(f"{text}{follows}.", "care", "Saturated", said, _made_of(log, robot))
@@ -184,7 +186,10 @@ def _followed(log: Log, robot: Robot, k: int) -> dict[str, Any]:
         row["error_share"] = float(np.max(np.abs(behind))) / travel if travel > 0 else None
     if tau is not None:
         peak = float(np.max(np.abs(tau)))
-        row |= {"force": [number(float(np.sqrt(np.mean(tau**2))), 3), number(peak, 3)], "limit": limit_words(limit)}
+        row |= {
+            "force": [format_number(float(np.sqrt(np.mean(tau**2))), 3), format_number(peak, 3)],
+            "limit": format_limit(limit),
+        }
         row |= {"used": _share(peak, limit), "saturated": bool(peak >= FORCE_NEAR * limit)}
     return row
 
@@ -198,11 +203,11 @@ def _driven(motion: Trajectory, robot: Robot, k: int) -> dict[str, Any]:
         "joint": robot.actuated[k],
         "unit": robot.position_units[k],
         "range": f"{format_fixed_digits(float(q.min()))} … {format_fixed_digits(float(q.max()))}",
-        "limits": f"{limit_words(low)} … {limit_words(high)}" if room else "none",
+        "limits": f"{format_limit(low)} … {format_limit(high)}" if room else "none",
         "from": None if left is None else float(left[0]),
         "width": 0.0 if left is None else float(left[1] - left[0]),
         "speed": format_fixed_digits(float(np.max(np.abs(v)))),
-        "speed_limit": limit_words(fastest),
+        "speed_limit": format_limit(fastest),
         "speed_share": _share(float(np.max(np.abs(v))), fastest),
         "acceleration": format_fixed_digits(float(np.max(np.abs(a)))),
         "reversals": str(int(np.sum(np.diff(np.sign(v[v != 0])) != 0))),
@@ -226,18 +231,18 @@ def _phase_chart(motion: Trajectory, robot: Robot, k: int) -> Markup:
     frame = Markup("")
     if np.all(np.isfinite([low, high, fastest])):
         (x0, x1), (y0, y1) = chart.x(np.array([low, high])), chart.y(np.array([fastest, -fastest]))
-        frame = tag("path", d=f"M{x0:.1f} {y0:.1f}H{x1:.1f}V{y1:.1f}H{x0:.1f}Z", class_="limit")
+        frame = format_tag("path", d=f"M{x0:.1f} {y0:.1f}H{x1:.1f}V{y1:.1f}H{x0:.1f}Z", class_="limit")
     return chart.render(frame, chart.line(q, v, "phase"))
 
 
 def _true_values(model: Model) -> list[tuple[str, str, str]]:
     """Return name, value and unit of every parameter of the simulated robot that is not zero."""
-    return [(p.name, number(p.value, 5), pretty_unit(p.unit)) for p in model.parameters if p.value != 0.0]
+    return [(p.name, format_number(p.value, 5), format_unit(p.unit)) for p in model.parameters if p.value != 0.0]
 
 
 def _sensor_rows(sensors: Sensors) -> list[tuple[str, str]]:
     """Return each sensor setting that is not perfect."""
     shown = [(f.name.replace("_", " "), getattr(sensors, f.name)) for f in fields(sensors) if f.name != "tool"]
-    rows = [(name, format_list([number(float(x), 4) for x in np.atleast_1d(value)])) for name, value in shown
+    rows = [(name, format_list([format_number(float(x), 4) for x in np.atleast_1d(value)])) for name, value in shown
             if value is not None and np.size(value) and np.any(np.asarray(value) != 0)]  # fmt: skip
     return rows or [("sensors", "perfect")]

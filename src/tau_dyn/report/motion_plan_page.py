@@ -8,9 +8,9 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.control.motion import Binding, MotionPlan
-from tau_dyn.report.formatting import format_fixed_digits, limit_words, number, percent, pretty_unit
+from tau_dyn.report.formatting import format_fixed_digits, format_limit, format_number, format_percent, format_unit
 from tau_dyn.report.html_page import PageHeader, render_page
-from tau_dyn.report.motion_plan_words import headline, judgement, path_words, squares_unit
+from tau_dyn.report.motion_plan_words import describe_headline, describe_judgement, describe_path, format_squares_unit
 from tau_dyn.report.svg import THIRD, WHOLE, Chart, pad_limits
 from tau_dyn.report.time_view import Curve, View, strip
 
@@ -18,7 +18,7 @@ _POINTS = 1200  # points of a chart at most
 _PLANES = ((0, 1), (0, 2), (1, 2))
 
 
-def motion_plan_page(plan: MotionPlan, *, command_line: str = "") -> str:
+def build_motion_plan_page(plan: MotionPlan, *, command_line: str = "") -> str:
     """Return a planned motion as one HTML page.
 
     Args:
@@ -26,8 +26,8 @@ def motion_plan_page(plan: MotionPlan, *, command_line: str = "") -> str:
         command_line: The command that repeats it, for the provenance.
     """
     robot = plan.model.robot
-    level, badge, said = judgement(plan)
-    opening = PageHeader(headline(plan), level, badge, said, path_words(plan))
+    level, badge, said = describe_judgement(plan)
+    opening = PageHeader(describe_headline(plan), level, badge, said, describe_path(plan))
     return render_page(
         "motion_plan.html.j2",
         f"{robot.name}: planned motion",
@@ -50,9 +50,9 @@ def motion_plan_page(plan: MotionPlan, *, command_line: str = "") -> str:
 def _facts(plan: MotionPlan) -> list[tuple[str, str]]:
     return [
         ("duration", f"{plan.duration:.4f} s"),
-        ("sum of squared forces over time", f"{plan.energy:.5g} {squares_unit(plan)} s"),
+        ("sum of squared forces over time", f"{plan.energy:.5g} {format_squares_unit(plan)} s"),
         ("work of the drives, nothing recovered", f"{plan.work:.4g} J"),
-        ("weight of the squared forces", f"{plan.energy_weight:.4g} s per {squares_unit(plan)} s"),
+        ("weight of the squared forces", f"{plan.energy_weight:.4g} s per {format_squares_unit(plan)} s"),
         ("trapezoidal profile it started from", f"{plan.start_duration:.4f} s"),
     ]
 
@@ -65,17 +65,17 @@ def _row(row: dict[str, Any]) -> dict[str, Any]:
         "joint": row["joint"],
         "travel": f"{format_fixed_digits(row['travel'])} {row['unit']}",
         "speed": f"{format_fixed_digits(row['speed'])} {row['unit']}/s",
-        "speed_limit": limit_words(row["speed_limit"], 4),
+        "speed_limit": format_limit(row["speed_limit"], 4),
         "acceleration": f"{format_fixed_digits(row['acceleration'])} {row['unit']}/s²",
-        "force": f"{number(row['force'], 4)} {pretty_unit(row['force_unit'])}",
-        "force_limit": limit_words(row["force_limit"], 4),
+        "force": f"{format_number(row['force'], 4)} {format_unit(row['force_unit'])}",
+        "force_limit": format_limit(row["force_limit"], 4),
         "force_share": share(row["force"], row["force_limit"]),
-        "at_limit": percent(100 * row["at_force_limit"]),
+        "at_limit": format_percent(100 * row["at_force_limit"]),
     }
 
 
 def _bound(bound: Binding, plan: MotionPlan) -> str:
-    return f"{bound.quantity} of {bound.joint}, {percent(100 * bound.share)} of {plan.duration:.3f} s"
+    return f"{bound.quantity} of {bound.joint}, {format_percent(100 * bound.share)} of {plan.duration:.3f} s"
 
 
 def _forces(plan: MotionPlan) -> list[Markup]:
@@ -84,7 +84,7 @@ def _forces(plan: MotionPlan) -> list[Markup]:
     for k, joint in enumerate(plan.joints):
         limit, tau = float(plan.limits.force[k]), plan.tau[:, k]
         edges = np.array([-limit, limit]) if np.isfinite(limit) else np.zeros(0)
-        unit = pretty_unit(plan.model.robot.force_units[k])
+        unit = format_unit(plan.model.robot.force_units[k])
         chart = Chart(
             THIRD, 220, (0.0, float(plan.t[-1])), pad_limits(tau, edges), joint, "time [s]", f"force [{unit}]"
         )
@@ -130,7 +130,7 @@ def _speed(plan: MotionPlan) -> Markup:
 
 def _view(plan: MotionPlan, k: int) -> View:
     robot, limits = plan.model.robot, plan.limits
-    unit, force = robot.position_units[k], pretty_unit(robot.force_units[k])
+    unit, force = robot.position_units[k], format_unit(robot.force_units[k])
     strips = (
         strip(f"position [{unit}]", 180, Curve("position", "predicted", plan.q[:, k]), bounds=(limits.lower[k], limits.upper[k])),
         strip(f"speed [{unit}/s]", 180, Curve("speed", "predicted", plan.v[:, k]), bounds=(-limits.speed[k], limits.speed[k])),

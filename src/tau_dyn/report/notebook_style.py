@@ -18,7 +18,7 @@ _RULE = re.compile(r"([^{}]+)\{([^{}]*)\}")
 
 
 @cache
-def style_of(templates: tuple[str, ...] = ()) -> str:
+def get_style(templates: tuple[str, ...] = ()) -> str:
     """Return the style of a face with the drawings of these pages, such as `modes`."""
     page = _asset("page.css")
     light, dark = (

@@ -16,7 +16,7 @@ from tau_dyn.identify import Identification
 from tau_dyn.kinematics.accuracy import AccuracyResult
 from tau_dyn.kinematics.pose_table import PoseTable
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.kinematics.workspace.table import points_table
+from tau_dyn.kinematics.workspace.table import build_points_table
 from tau_dyn.log import Log, LogCheck
 from tau_dyn.model import Model
 from tau_dyn.modes.result import Z95, Modes
@@ -25,31 +25,31 @@ from tau_dyn.robot import Robot
 
 
 @singledispatch
-def table_of(found: Any) -> pd.DataFrame:
+def build_result_table(found: Any) -> pd.DataFrame:
     """Return a result's main table."""
     raise TypeError(f"{type(found).__name__} has no table")
 
 
-@table_of.register
+@build_result_table.register
 def _log(found: Log) -> pd.DataFrame:
     """One row a sample, `t` first."""
     return found.to_frame()
 
 
-@table_of.register
+@build_result_table.register
 def _parameters(found: Parameters) -> pd.DataFrame:
     """One row a parameter."""
     keys = ("name", "value", "unit", "stderr", "lower", "upper", "free", "origin")
     return pd.DataFrame([{k: getattr(p, k) for k in keys} for p in found], columns=list(keys)).astype({"stderr": float})
 
 
-@table_of.register
+@build_result_table.register
 def _model(found: Model) -> pd.DataFrame:
     """One row a parameter."""
     return _parameters(found.parameters)
 
 
-@table_of.register
+@build_result_table.register
 def _robot(found: Robot) -> pd.DataFrame:
     """One row an actuated joint, with its limits."""
     rows = zip(
@@ -60,19 +60,19 @@ def _robot(found: Robot) -> pd.DataFrame:
     return pd.DataFrame(list(rows), columns=list(names))
 
 
-@table_of.register
+@build_result_table.register
 def _identification(found: Identification) -> pd.DataFrame:
     """One row a parameter that was asked for, as in the result: value, standard error, interval, nominal value."""
     return _tidy(found.rows())
 
 
-@table_of.register
+@build_result_table.register
 def _calibration(found: Calibration) -> pd.DataFrame:
     """One row a dimension of the chosen model."""
     return _tidy(found.parameter_rows())
 
 
-@table_of.register
+@build_result_table.register
 def _diagnosis(found: Diagnosis) -> pd.DataFrame:
     """One row a finding, strongest first; its gain is on data used for nothing else."""
     rows = []
@@ -97,7 +97,7 @@ def _diagnosis(found: Diagnosis) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(names))
 
 
-@table_of.register
+@build_result_table.register
 def _modes(found: Modes) -> pd.DataFrame:
     """One row a resonance, slowest first."""
     names = ("frequency_hz", "frequency_stderr", "damping_ratio", "damping_stderr")
@@ -108,20 +108,20 @@ def _modes(found: Modes) -> pd.DataFrame:
     return frame
 
 
-@table_of.register
+@build_result_table.register
 def _check(found: LogCheck) -> pd.DataFrame:
     """One row a thing that was looked at."""
     names = ("severity", "topic", "sentence", "remedy")
     return pd.DataFrame([[getattr(f, n) for n in names] for f in found.findings], columns=list(names))
 
 
-@table_of.register
+@build_result_table.register
 def _workspace(found: Study) -> pd.DataFrame:
     """One row a judged point: place [m], positions [m or rad], whether it belongs, why not, maps."""
-    return points_table(found)
+    return build_points_table(found)
 
 
-@table_of.register
+@build_result_table.register
 def _accuracy(found: AccuracyResult) -> pd.DataFrame:
     """One row a pose: positions [m or rad], place [m], the largest error by each method [m]."""
     a = found.accuracy
@@ -132,13 +132,13 @@ def _accuracy(found: AccuracyResult) -> pd.DataFrame:
     return pd.DataFrame({**columns, **{f"largest_{m}": x for m, x in a.largest.items()}})
 
 
-@table_of.register
+@build_result_table.register
 def _poses(found: PoseTable) -> pd.DataFrame:
     """One row a pose, as the command writes them."""
     return pd.DataFrame(found.columns())
 
 
-@table_of.register
+@build_result_table.register
 def _comparison(found: Comparison) -> pd.DataFrame:
     """One row a quantity that both have."""
     return _tidy([c.to_dict() for c in found.changes])

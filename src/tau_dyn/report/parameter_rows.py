@@ -10,7 +10,15 @@ import numpy as np
 
 from tau_dyn.identify import Identification
 from tau_dyn.model import Model
-from tau_dyn.report.formatting import Z95, format_list, number, percent, pretty_unit, round_to_stderr, with_uncertainty
+from tau_dyn.report.formatting import (
+    Z95,
+    format_list,
+    format_number,
+    format_percent,
+    format_unit,
+    format_with_uncertainty,
+    round_to_stderr,
+)
 
 State = Literal["known", "weak", "unseen"]
 
@@ -65,11 +73,11 @@ class ParameterRow:
     before: str = ""
 
 
-def parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[ParameterRow]:
+def build_parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[ParameterRow]:
     """Return the table's lines, in the order of `found.rows()`."""
     raw = found.rows()
-    scale = bar_scale(raw)
-    rows = [row_of(r, scale, group_of(found.model, r["name"]), _note(found, r)) for r in raw]
+    scale = compute_bar_scale(raw)
+    rows = [describe_row(r, scale, name_group(found.model, r["name"]), _note(found, r)) for r in raw]
     return [
         _compared(row, r, truth[row.name]) if truth and row.name in truth else row
         for row, r in zip(rows, raw, strict=True)
@@ -84,7 +92,7 @@ def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRo
     return list(found.items())
 
 
-def bar_scale(rows: list[dict[str, Any]]) -> float:
+def compute_bar_scale(rows: list[dict[str, Any]]) -> float:
     """Return the bars' common half-width as a share of the reference value, wide enough for what is determined."""
     extents = [0.05]
     for r in rows:
@@ -99,17 +107,17 @@ def _round_up(x: float) -> float:
     return float(steps[min(np.searchsorted(steps, x), len(steps) - 1)])
 
 
-def row_of(r: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
+def describe_row(r: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
     """Return a parameter of the contract's form in words."""
     seen, sigma = r["stderr"] is not None, r["stderr"]
     return ParameterRow(
         name=r["name"],
         group=group,
         state="known" if r["determined"] else "weak" if seen else "unseen",
-        estimate=with_uncertainty(r["value"], sigma) if seen else number(r["value"]),
+        estimate=format_with_uncertainty(r["value"], sigma) if seen else format_number(r["value"]),
         interval=f"{round_to_stderr(r['ci95'][0], sigma)} … {round_to_stderr(r['ci95'][1], sigma)}" if seen else "",
-        unit=pretty_unit(r["unit"]),
-        nominal="" if r["nominal"] is None else number(r["nominal"]),
+        unit=format_unit(r["unit"]),
+        nominal="" if r["nominal"] is None else format_number(r["nominal"]),
         note=note,
         bar=_bar(r, scale) if seen else None,
     )
@@ -117,11 +125,11 @@ def row_of(r: dict[str, Any], scale: float, group: str, note: str) -> ParameterR
 
 def _compared(row: ParameterRow, r: dict[str, Any], true: float) -> ParameterRow:
     sigma = r["stderr"]
-    text = number(true) if sigma is None else round_to_stderr(true, sigma)
+    text = format_number(true) if sigma is None else round_to_stderr(true, sigma)
     return replace(row, true=text, distance=f"{abs(r['value'] - true) / sigma:.1f}" if sigma else "")
 
 
-def group_of(model: Model, name: str) -> str:
+def name_group(model: Model, name: str) -> str:
     """Return the heading that a parameter stands under: its joint, or the rigid body."""
     owner = name.rsplit(".", 1)[0]
     return "Rigid body" if name in model.robot.parameters and owner not in model.robot.actuated else owner
@@ -132,8 +140,8 @@ def _note(found: Identification, r: dict[str, Any]) -> str:
         return _unseen(r)
     plain = found.estimate.moved.get(r["name"])
     if plain is not None:
-        return f"constrained to be physically consistent; the unconstrained estimate is {number(plain, 3)}"
-    return explain_unreliable(r) or against_nominal(r)
+        return f"constrained to be physically consistent; the unconstrained estimate is {format_number(plain, 3)}"
+    return explain_unreliable(r) or compare_with_nominal(r)
 
 
 def explain_unreliable(r: dict[str, Any]) -> str:
@@ -144,7 +152,7 @@ def explain_unreliable(r: dict[str, Any]) -> str:
         return ""
     relative = 100 * r["stderr"] / max(abs(r["value"]), 1e-300)
     return (
-        f"poorly determined: standard error {percent(relative)}"
+        f"poorly determined: standard error {format_percent(relative)}"
         if relative < 100
         else "not significantly different from zero"
     )
@@ -157,7 +165,7 @@ def _unseen(r: dict[str, Any]) -> str:
     return f"nominal value; identifiable only in combination with {format_list(shares, 3)}"
 
 
-def against_nominal(r: dict[str, Any]) -> str:
+def compare_with_nominal(r: dict[str, Any]) -> str:
     """Return how far an estimate is off its nominal value, where that is beyond both uncertainties."""
     nominal, trust = r["nominal"], r["nominal_stderr"]
     if not nominal:
@@ -165,7 +173,7 @@ def against_nominal(r: dict[str, Any]) -> str:
     change = (r["value"] - nominal) / abs(nominal)
     if trust is None or abs(r["value"] - nominal) < Z95 * np.hypot(r["stderr"], trust):
         return ""
-    return f"{percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, significant (95 %)"
+    return f"{format_percent(100 * abs(change))} {'above' if change > 0 else 'below'} nominal, significant (95 %)"
 
 
 def _bar(r: dict[str, Any], scale: float) -> IntervalBar | None:

@@ -10,9 +10,9 @@ from rich.table import Table
 
 from tau_dyn.calibrate.poses.automation import CalibrationCampaign
 from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain, compute_min_poses
-from tau_dyn.report.calibration_words import angle, length
+from tau_dyn.report.calibration_words import format_angle, format_length
 from tau_dyn.report.formatting import format_list
-from tau_dyn.report.terminal import bare_table, plain, put, say, say_written
+from tau_dyn.report.terminal import build_bare_table, escape_control_characters, put, say, say_written
 
 _ROWS = 8  # rows printed at most
 
@@ -25,9 +25,9 @@ def print_pose_plan(console: Console, plan: CalibrationCampaign, written: Mappin
         plan: The result.
         written: What was written, such as `{"places": "poses.csv"}`, for the last line.
     """
-    say(console, summary(plan), "dim")
-    say(console, headline(plan), "bold")
-    say(console, rehearsal_words(plan))
+    say(console, describe_inputs(plan), "dim")
+    say(console, describe_headline(plan), "bold")
+    say(console, describe_rehearsal(plan))
     put(console, _curve(plan))
     blind = list(plan.choice.not_identifiable)
     if blind:
@@ -35,18 +35,18 @@ def print_pose_plan(console: Console, plan: CalibrationCampaign, written: Mappin
     say_written(console, written)
 
 
-def headline(plan: CalibrationCampaign) -> str:
+def describe_headline(plan: CalibrationCampaign) -> str:
     """Return the answer in one sentence."""
     made = plan.choice.predicted
-    turned = "" if isnan(made.turn) else f" and {angle(made.turn)}"
+    turned = "" if isnan(made.turn) else f" and {format_angle(made.turn)}"
     return (
-        f"{made.poses} poses: predicted RMS error {length(made.rms)}{turned} over the "
-        f"workspace, standard deviation {length(made.scatter)}; "
-        f"as many random poses {length(plan.choice.at_random)}"
+        f"{made.poses} poses: predicted RMS error {format_length(made.rms)}{turned} over the "
+        f"workspace, standard deviation {format_length(made.scatter)}; "
+        f"as many random poses {format_length(plan.choice.at_random)}"
     )
 
 
-def summary(plan: CalibrationCampaign) -> str:
+def describe_inputs(plan: CalibrationCampaign) -> str:
     """Return what was looked at."""
     seen = f"{len(plan.visible.index)} of {plan.reachable.n} poses in reach are seen by the {plan.device.name}"
     why = f" (mostly not: {next(iter(plan.visible.reasons))})" if plan.visible.reasons else ""
@@ -54,13 +54,13 @@ def summary(plan: CalibrationCampaign) -> str:
     return f"{seen}{why}; {rank} identifiable parameters, at least {least} poses"
 
 
-def rehearsal_words(plan: CalibrationCampaign) -> str:
+def describe_rehearsal(plan: CalibrationCampaign) -> str:
     """Return what the simulated calibrations gave, and the tour."""
     tried, tour = plan.rehearsal, plan.tour
     rows = tried.to_dict()["position_rms"]
     ways = int((tour.pose < 0).sum())
     return (
-        f"simulated: {length(rows['nominal'])} before, {length(tried.achieved)} after "
+        f"simulated: {format_length(rows['nominal'])} before, {format_length(tried.achieved)} after "
         f"({len(tried.after)} robots); twice as many poses "
         f"would lower held-out errors by {100 * compute_doubling_gain(plan.choice.predicted):.0f} %; tour of "
         f"{len(tour.q)} places" + (f", {ways} of them on the way" if ways else "")
@@ -68,11 +68,13 @@ def rehearsal_words(plan: CalibrationCampaign) -> str:
 
 
 def _curve(plan: CalibrationCampaign) -> Table:
-    table = bare_table()
+    table = build_bare_table()
     for title in ("poses", "tool", "held out"):
         table.add_column(title, no_wrap=True, justify="right")
     curve = plan.choice.curve
     step = max(1, -(-len(curve) // _ROWS))
     for row in [*curve[:-1:step], curve[-1]]:
-        table.add_row(*map(plain, [str(row.poses), length(row.rms), length(row.held_out)]))
+        table.add_row(
+            *map(escape_control_characters, [str(row.poses), format_length(row.rms), format_length(row.held_out)])
+        )
     return table

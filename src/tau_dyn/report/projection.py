@@ -11,14 +11,14 @@ import numpy as np
 from markupsafe import Markup
 from scipy.spatial import ConvexHull, QhullError
 
-from tau_dyn.report.svg import path_of, tag
+from tau_dyn.report.svg import format_path, format_tag
 
 _AZIMUTH, _ELEVATION = np.deg2rad(-62.0), np.deg2rad(18.0)
 _CA, _SA, _CE, _SE = np.cos(_AZIMUTH), np.sin(_AZIMUTH), np.cos(_ELEVATION), np.sin(_ELEVATION)
 _SCREEN = np.array([[-_SA, _CA, 0.0], [_CA * _SE, _SA * _SE, -_CE], [_CA * _CE, _SA * _CE, _SE]])
 """Rows: right, down, towards the viewer."""
 BOX_EDGES = tuple((i, i | 1 << a) for i in range(8) for a in range(3) if not i >> a & 1)
-"""Pairs of corners, as `box_corners` counts them."""
+"""Pairs of corners, as `compute_box_corners` counts them."""
 
 
 def project(points: np.ndarray) -> np.ndarray:
@@ -55,7 +55,7 @@ class View(NamedTuple):
         return self.scale * project(points) + self.shift
 
 
-def hull_of(flat: np.ndarray) -> np.ndarray | None:
+def compute_hull(flat: np.ndarray) -> np.ndarray | None:
     """Return which points (n, 2) lie around all, in order; None where they are on one line."""
     try:
         return ConvexHull(flat).vertices
@@ -63,23 +63,25 @@ def hull_of(flat: np.ndarray) -> np.ndarray | None:
         return None
 
 
-def outline(flat: np.ndarray) -> str:
+def draw_outline(flat: np.ndarray) -> str:
     """Return the path around points (n, 2) of the drawing, or through them where they are on one line."""
-    around = hull_of(flat)
-    return path_of(flat) if around is None else path_of(flat[around], closed=True)
+    around = compute_hull(flat)
+    return format_path(flat) if around is None else format_path(flat[around], closed=True)
 
 
-def box_corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def compute_box_corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return the corners (8, 3) of a box; bit a of a corner's number says at which end of axis a it lies."""
     return np.array([[(lower, upper)[k >> a & 1][a] for a in range(3)] for k in range(8)])
 
 
-def triad(x: float, y: float, length: float) -> Markup:
+def draw_triad(x: float, y: float, length: float) -> Markup:
     """Return the axes of space, drawn small from a point of the drawing."""
     origin, pieces = np.array([x, y]), []
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         way = project(axis)[0]
-        pieces.append(tag("path", d=path_of(np.array([origin, origin + length * way])), class_="triad"))
+        pieces.append(format_tag("path", d=format_path(np.array([origin, origin + length * way])), class_="triad"))
         at = origin + (length + 9) * way
-        pieces.append(tag("text", name, x=float(at[0]), y=float(at[1]) + 3, text_anchor="middle", class_="triad-name"))
+        pieces.append(
+            format_tag("text", name, x=float(at[0]), y=float(at[1]) + 3, text_anchor="middle", class_="triad-name")
+        )
     return Markup("").join(pieces)

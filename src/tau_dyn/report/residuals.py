@@ -50,7 +50,7 @@ class ResidualSummary:
         return self.lasts_s <= 0.0
 
 
-def residuals_of(found: Identification) -> list[ResidualSummary]:
+def compute_residuals(found: Identification) -> list[ResidualSummary]:
     """Return each joint's residual on the training logs; joints without a usable sample are left out."""
     regression = found.estimate.regression
     errors = found.estimate.residuals()

@@ -14,14 +14,14 @@ from markupsafe import Markup
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.kinematics import LoopSolver
-from tau_dyn.report.projection import View, outline, triad
-from tau_dyn.report.svg import path_of, tag
+from tau_dyn.report.projection import View, draw_outline, draw_triad
+from tau_dyn.report.svg import format_path, format_tag
 from tau_dyn.robot import Robot
 
 WIDTH, HEIGHT, MARGIN = 380, 290, 34
 
 
-def robot_picture(robot: Robot, named: Collection[str] = ()) -> Markup:
+def draw_robot_picture(robot: Robot, named: Collection[str] = ()) -> Markup:
     """Return the drawing, the named joints in another colour, or nothing where the robot cannot be put at home."""
     try:
         solver = LoopSolver(robot)
@@ -74,7 +74,8 @@ def _drawing(
     view = View.of(np.concatenate([*shapes, *rails.values(), np.array(joints)]), WIDTH, HEIGHT, MARGIN)
     place = view.place
     pieces = [
-        tag("path", d=path_of(place(rail)), class_="rail" + " named" * (name in named)) for name, rail in rails.items()
+        format_tag("path", d=format_path(place(rail)), class_="rail" + " named" * (name in named))
+        for name, rail in rails.items()
     ]
     pieces += [_link(place(points)) for points in sorted(shapes, key=len, reverse=True)]
     spots = np.array([place(at)[0] for at in joints])
@@ -82,17 +83,17 @@ def _drawing(
     pieces += [_joint(kind, float(x), float(y), name in named) for kind, name, (x, y) in kinds]
     tops = [min([s[1], *(place(p)[:, 1].min() for p in shapes if len(p) > 2 and _touches(p, at))])
             for s, at in zip(spots, joints, strict=True)]  # fmt: skip
-    pieces += _labels(joint_labels(robot), spots, np.array(tops))
+    pieces += _labels(build_joint_labels(robot), spots, np.array(tops))
     if robot.tool_frame is not None and robot.loops:
         x, y = (float(c) for c in place(data.oMf[robot.tool_frame].translation)[0])
-        pieces.append(tag("path", d=f"M{x - 9:.1f} {y:.1f}l9 -8l9 8l-9 8Z", class_="plate"))
-        pieces.append(tag("text", "tool", x=x, y=y + 24, text_anchor="middle", class_="joint-name"))
+        pieces.append(format_tag("path", d=f"M{x - 9:.1f} {y:.1f}l9 -8l9 8l-9 8Z", class_="plate"))
+        pieces.append(format_tag("text", "tool", x=x, y=y + 24, text_anchor="middle", class_="joint-name"))
     text = f"{robot.name} at its home position"
-    return tag(
+    return format_tag(
         "svg",
-        tag("title", text),
+        format_tag("title", text),
         *pieces,
-        triad(26, HEIGHT - 22, 18),
+        draw_triad(26, HEIGHT - 22, 18),
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
         role="img",
         class_="robot",
@@ -100,11 +101,11 @@ def _drawing(
 
 
 def _link(points: np.ndarray) -> Markup:
-    path = path_of(points) if len(points) == 2 else outline(points)
-    return tag("path", d=path, class_="plate" if path.endswith("Z") else "rod")
+    path = format_path(points) if len(points) == 2 else draw_outline(points)
+    return format_tag("path", d=path, class_="plate" if path.endswith("Z") else "rod")
 
 
-def joint_labels(robot: Robot) -> list[str]:
+def build_joint_labels(robot: Robot) -> list[str]:
     """Return what the drawing calls the actuated joints: short names as they are, numbers where they would not fit."""
     fits = robot.na <= 4 and all(len(name) <= 8 for name in robot.actuated)
     return list(robot.actuated) if fits else [str(k + 1) for k in range(robot.na)]
@@ -117,8 +118,8 @@ def _touches(points: np.ndarray, at: np.ndarray) -> bool:
 def _joint(kind: str, x: float, y: float, named: bool) -> Markup:
     class_ = "cart named" if named else "cart"
     if kind == "prismatic":
-        return tag("rect", x=x - 8, y=y - 6, width=16, height=12, rx=2, class_=class_)
-    return tag("circle", cx=x, cy=y, r=6, class_=class_)
+        return format_tag("rect", x=x - 8, y=y - 6, width=16, height=12, rx=2, class_=class_)
+    return format_tag("circle", cx=x, cy=y, r=6, class_=class_)
 
 
 def _labels(names: list[str], spots: np.ndarray, tops: np.ndarray) -> list[Markup]:
@@ -129,6 +130,6 @@ def _labels(names: list[str], spots: np.ndarray, tops: np.ndarray) -> list[Marku
         if not done[k]:
             text = ", ".join(names[i] for i in np.flatnonzero(near))
             y = float(tops[near].min()) - 11
-            pieces.append(tag("text", text, x=float(spot[0]), y=y, text_anchor="middle", class_="joint-name"))
+            pieces.append(format_tag("text", text, x=float(spot[0]), y=y, text_anchor="middle", class_="joint-name"))
             done |= near
     return pieces

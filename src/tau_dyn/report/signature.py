@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.diagnose.result import Signature
-from tau_dyn.report.formatting import pretty_unit
+from tau_dyn.report.formatting import format_unit
 from tau_dyn.report.identification_charts import BINS, SMALL, average_in_bins
 from tau_dyn.report.svg import Chart, pad_limits
 
@@ -16,7 +16,7 @@ JUMP = 4.0
 """How many usual steps of the fitted curve make a jump at zero, where it is then broken."""
 
 
-def signature_charts(signature: Signature, *, explained: bool = True) -> list[Markup]:
+def draw_signature_charts(signature: Signature, *, explained: bool = True) -> list[Markup]:
     """Return the plot without the cause and, where one explains it, the plot of what is left with it.
 
     Args:
@@ -26,13 +26,13 @@ def signature_charts(signature: Signature, *, explained: bool = True) -> list[Ma
     before, after = signature.y, signature.y - signature.fitted
     xlim, ylim = pad_limits(signature.x, share=0.03), _limits(signature)
     first = Chart(*SMALL, xlim, ylim, "without the cause" if explained else signature.output,
-                  pretty_unit(signature.x_label), pretty_unit(signature.y_label))  # fmt: skip
+                  format_unit(signature.x_label), format_unit(signature.y_label))  # fmt: skip
     at, fitted = _curve(signature)
     drawn = [_cloud(first, signature.x, before), first.line(at, np.clip(fitted, *ylim), "predicted"),
              _means(first, signature.x, before)]  # fmt: skip
     charts = [first.render(*drawn)]
     if explained:
-        second = Chart(*SMALL, xlim, ylim, "with it", pretty_unit(signature.x_label), pretty_unit(signature.y_label))
+        second = Chart(*SMALL, xlim, ylim, "with it", format_unit(signature.x_label), format_unit(signature.y_label))
         charts.append(second.render(_cloud(second, signature.x, after), _means(second, signature.x, after)))
     return charts
 

@@ -16,7 +16,7 @@ THIRD, HALF, WHOLE = 344, 520, 1060
 """Widths of drawings that stand three or two in a row of a card, or alone [px]."""
 
 
-def tag(name: str, *content: Markup | str, **attributes: object) -> Markup:
+def format_tag(name: str, *content: Markup | str, **attributes: object) -> Markup:
     """Return an element; `class_` and `stroke_width` lose and change their underscore, content is escaped."""
     pairs = ((key.rstrip("_").replace("_", "-"), value) for key, value in attributes.items() if value is not None)
     text = "".join(f' {key}="{escape(_short(value))}"' for key, value in pairs)
@@ -28,12 +28,12 @@ def _short(value: object) -> str:
     return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else str(value)
 
 
-def path_of(points: np.ndarray, *, closed: bool = False) -> str:
+def format_path(points: np.ndarray, *, closed: bool = False) -> str:
     """Return a path through points (n, 2) of the drawing."""
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
 
 
-def ticks(low: float, high: float, about: int = 5) -> np.ndarray:
+def choose_ticks(low: float, high: float, about: int = 5) -> np.ndarray:
     """Return round numbers within an interval, about so many."""
     raw = (high - low) / max(about, 1)
     if not raw > 0 or not np.isfinite(raw):
@@ -81,17 +81,17 @@ class Chart:
         stretches = np.split(np.arange(len(there)), np.flatnonzero(np.diff(there)) + 1) if len(there) else []
         points = _points(self.x(x), self.y(np.where(there, y, 0.0)))
         drawn = ["M" + "L".join(points[s[0] : s[-1] + 1]) for s in stretches if there[s[0]]]
-        return tag("path", d="".join(drawn), class_=class_) if drawn else Markup("")
+        return format_tag("path", d="".join(drawn), class_=class_) if drawn else Markup("")
 
     def dots(self, x: np.ndarray, y: np.ndarray, class_: str) -> Markup:
         """Return many dots as one path of zero-length strokes with round ends."""
         points = _points(self.x(x), self.y(y))
-        return tag("path", d="".join(f"M{p}h0" for p in points), class_=class_)
+        return format_tag("path", d="".join(f"M{p}h0" for p in points), class_=class_)
 
     def verticals(self, x: np.ndarray, low: np.ndarray, high: np.ndarray, class_: str) -> Markup:
         """Return vertical strokes, such as error bars."""
         ends = zip(_points(self.x(x), self.y(low)), self.y(high), strict=True)
-        return tag("path", d="".join(f"M{p}V{top:.1f}" for p, top in ends), class_=class_)
+        return format_tag("path", d="".join(f"M{p}V{top:.1f}" for p, top in ends), class_=class_)
 
     def band(self, intervals: Iterable[tuple[float, float]], class_: str) -> Markup:
         """Return shaded stretches of the horizontal axis, full height."""
@@ -100,26 +100,28 @@ class Chart:
             left, right = (float(v) for v in np.clip(self.x(np.array([low, high])), LEFT, self.width - RIGHT))
             if right > left:
                 pieces.append(f"M{left:.1f} {TOP}H{right:.1f}V{self.height - BOTTOM}H{left:.1f}Z")
-        return tag("path", d="".join(pieces), class_=class_) if pieces else Markup("")
+        return format_tag("path", d="".join(pieces), class_=class_) if pieces else Markup("")
 
     def text(self, x: float, y: float, content: str, class_: str = "", anchor: str = "start") -> Markup:
         """Return text at data coordinates."""
-        return tag("text", content, x=float(self.x(x)), y=float(self.y(y)), class_=class_ or None, text_anchor=anchor)
+        return format_tag(
+            "text", content, x=float(self.x(x)), y=float(self.y(y)), class_=class_ or None, text_anchor=anchor
+        )
 
     def render(self, *content: Markup) -> Markup:
         """Return the whole drawing: axes behind, content within."""
         inner = Markup("").join(content)
-        return tag(
-            "svg", tag("title", f"{self.title}: {self.ylabel} over {self.xlabel}"), self._axes(), inner,
+        return format_tag(
+            "svg", format_tag("title", f"{self.title}: {self.ylabel} over {self.xlabel}"), self._axes(), inner,
             viewBox=f"0 0 {self.width} {self.height}", role="img", class_="chart",
         )  # fmt: skip
 
     def _axes(self) -> Markup:
         right = self.width - RIGHT
         pieces = [
-            tag("text", self.title, x=right, y=12, text_anchor="end", class_="name"),
-            tag("text", f"{self.ylabel}{self._power_words(self.ylim)}", x=LEFT - 40, y=12, class_="axis-name"),
-            tag("text", f"{self.xlabel}{self._power_words(self.xlim)}", x=right, y=self.height - 3, text_anchor="end",
+            format_tag("text", self.title, x=right, y=12, text_anchor="end", class_="name"),
+            format_tag("text", f"{self.ylabel}{self._power_words(self.ylim)}", x=LEFT - 40, y=12, class_="axis-name"),
+            format_tag("text", f"{self.xlabel}{self._power_words(self.xlim)}", x=right, y=self.height - 3, text_anchor="end",
                 class_="axis-name"),
         ]  # fmt: skip
         return Markup("").join([*pieces, *self._columns(self.height - BOTTOM), *self._levels(right)])
@@ -127,31 +129,31 @@ class Chart:
     def _columns(self, bottom: int) -> list[Markup]:
         """Return the vertical lines and what they are called."""
         pieces = []
-        for value in ticks(*self.xlim, about=max(3, self.width // 110)):
+        for value in choose_ticks(*self.xlim, about=max(3, self.width // 110)):
             at = float(self.x(value))
-            pieces.append(tag("path", d=f"M{at:.1f} {TOP}V{bottom}", class_="grid"))
-            pieces.append(tag("text", label(value, self.xlim), x=at, y=bottom + 14, text_anchor="middle"))
+            pieces.append(format_tag("path", d=f"M{at:.1f} {TOP}V{bottom}", class_="grid"))
+            pieces.append(format_tag("text", label(value, self.xlim), x=at, y=bottom + 14, text_anchor="middle"))
         return pieces
 
     def _levels(self, right: int) -> list[Markup]:
         """Return the horizontal lines and what they are called."""
         pieces = []
-        for value in ticks(*self.ylim, about=max(2, self.height // 45)):
+        for value in choose_ticks(*self.ylim, about=max(2, self.height // 45)):
             at = float(self.y(value))
-            pieces.append(tag("path", d=f"M{LEFT} {at:.1f}H{right}", class_="zero" if value == 0 else "grid"))
-            pieces.append(tag("text", label(value, self.ylim), x=LEFT - 6, y=at + 3.5, text_anchor="end"))
+            pieces.append(format_tag("path", d=f"M{LEFT} {at:.1f}H{right}", class_="zero" if value == 0 else "grid"))
+            pieces.append(format_tag("text", label(value, self.ylim), x=LEFT - 6, y=at + 3.5, text_anchor="end"))
         return pieces
 
     def _power_words(self, limits: tuple[float, float]) -> str:
         """Return what an axis' numbers are to be multiplied by, where they would be too long otherwise."""
-        power = power_of(limits)
+        power = choose_power(limits)
         return f" × 10{str(power).translate(_RAISED)}" if power else ""
 
 
 _RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
-def power_of(limits: tuple[float, float]) -> int:
+def choose_power(limits: tuple[float, float]) -> int:
     """Return the power of ten, in threes, that is left out of an axis' numbers; 0 where they are short as they are."""
     size = max(abs(x) for x in limits)
     return 0 if not 0 < size < 6e-3 and not 1e5 <= size < np.inf else 3 * int(np.floor(np.log10(size) / 3))
@@ -160,7 +162,7 @@ def power_of(limits: tuple[float, float]) -> int:
 def label(value: float, limits: tuple[float, float]) -> str:
     """Return a tick's number; what is zero up to rounding is zero."""
     span = limits[1] - limits[0]
-    return "0" if abs(value) < 1e-9 * span else f"{value / 10.0 ** power_of(limits):.5g}".replace("-", "−")
+    return "0" if abs(value) < 1e-9 * span else f"{value / 10.0 ** choose_power(limits):.5g}".replace("-", "−")
 
 
 def pad_limits(*arrays: np.ndarray, share: float = 0.06) -> tuple[float, float]:

@@ -20,30 +20,30 @@ _LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
 
 
-def bare_table() -> Table:
+def build_bare_table() -> Table:
     """Return a table with a dim head and no frame."""
     return Table(box=box.SIMPLE_HEAD, padding=(0, 2, 0, 0), pad_edge=False, show_edge=False, header_style="dim")
 
 
-def meter(share: float, width: int) -> str:
+def draw_meter(share: float, width: int) -> str:
     """Return a bar as long as a share, 0 to 1, of so many columns; an eighth of a column at least."""
     eighths = max(1, round(8 * width * min(max(share, 0.0), 1.0)))
     return "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
 
 
-def plain(text: str, style: str = "") -> Text:
+def escape_control_characters(text: str, style: str = "") -> Text:
     """Return text without control characters, which a file name could use to steer the terminal."""
     return Text("".join(c if c.isprintable() or c == "\n" else "�" for c in text), style)
 
 
-def room(console: Console) -> int:
+def measure_columns(console: Console) -> int:
     """Return how many columns may be used."""
     return min(console.width, 100)
 
 
 def say(console: Console, text: str, style: str = "") -> None:
     """Print a paragraph after an empty line."""
-    put(console, plain(text, style))
+    put(console, escape_control_characters(text, style))
 
 
 def say_opening(console: Console, summary: str, headline: str, level: str, sentence: str) -> None:
@@ -63,7 +63,7 @@ def say_written(console: Console, written: Mapping[str, str] | None) -> None:
 def put(console: Console, what: Text | Table) -> None:
     """Print a text or a table after an empty line, within the margin and the width there is."""
     console.print()
-    options = console.options.update(width=room(console))
+    options = console.options.update(width=measure_columns(console))
     for line in console.render_lines(Padding(what, MARGIN, expand=False), options, pad=False):
         console.print(Segments([*_trimmed(line), Segment.line()]), end="", no_wrap=True, crop=False)
 

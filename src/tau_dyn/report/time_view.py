@@ -13,8 +13,8 @@ import numpy as np
 from markupsafe import Markup
 
 from tau_dyn.log import Log, examine_clock
-from tau_dyn.report.force_series import ForcePanel, decimate_min_max, encode_int16, gaps
-from tau_dyn.report.formatting import pretty_unit
+from tau_dyn.report.force_series import ForcePanel, decimate_min_max, encode_int16, find_gaps
+from tau_dyn.report.formatting import format_unit
 from tau_dyn.report.svg import Chart, pad_limits
 
 TOTAL_POINTS = 120_000  # points in a page at most, which keeps it below some MB
@@ -99,9 +99,9 @@ def strip(
     return Strip(label, curves, limits, height, masked, near)
 
 
-def force_view(panel: ForcePanel) -> View:
+def build_force_view(panel: ForcePanel) -> View:
     """Return measured and predicted force, and the residual below."""
-    unit = pretty_unit(panel.unit)
+    unit = format_unit(panel.unit)
     both = Curve("measured", "measured", panel.measured), Curve("predicted", "predicted", panel.predicted)
     below = Strip(
         f"residual [{unit}]", (Curve("residual", "residual", panel.residual),), panel.residual_limits, 180, masked=True
@@ -112,7 +112,7 @@ def force_view(panel: ForcePanel) -> View:
     return View(panel.log, panel.joint, panel.t, (above, below), panel.held_out, bands, panel.usable)
 
 
-def even_channels(log: Log, names: Sequence[str]) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+def resample_evenly(log: Log, names: Sequence[str]) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
     """Return an even grid (n,), channels on it, NaN in gaps, and where there are samples (n,); an even log as it is."""
     clock = examine_clock(log)
     if clock.even:
@@ -125,7 +125,7 @@ def even_channels(log: Log, names: Sequence[str]) -> tuple[np.ndarray, dict[str,
     return grid, {n: np.where(there, np.interp(grid, log.t, log.channels[n]), np.nan) for n in names}, there
 
 
-def payload(views: Sequence[View]) -> list[dict[str, Any]]:
+def build_payload(views: Sequence[View]) -> list[dict[str, Any]]:
     """Return what the page's script draws, as plain data for JSON."""
     total = sum(len(s.curves) for view in views for s in view.strips)
     most = int(np.clip(TOTAL_POINTS / max(1, total), 400, VIEW_POINTS))
@@ -135,7 +135,7 @@ def payload(views: Sequence[View]) -> list[dict[str, Any]]:
 def _payload(view: View, most: int) -> dict[str, Any]:
     t, thinned = _thinned(view, most)
     step = float(t[1] - t[0]) if len(t) > 1 else 1.0
-    unused = [] if view.usable is None else gaps(view.t, view.usable, 2 * step)
+    unused = [] if view.usable is None else find_gaps(view.t, view.usable, 2 * step)
     columns = iter(thinned.T)
     return {
         "log": view.log,
@@ -163,7 +163,7 @@ def _payload(view: View, most: int) -> dict[str, Any]:
     }
 
 
-def printed(views: Sequence[View]) -> list[tuple[View, Markup]]:
+def select_printed(views: Sequence[View]) -> list[tuple[View, Markup]]:
     """Return what paper shows: each joint once, in its first stretch, which is held out where there is one."""
     first = {view.joint: view for view in reversed(views)}
     return [(v, _drawing(v)) for v in views if first[v.joint] is v][:PRINTED_VIEWS]
@@ -173,7 +173,7 @@ def _drawing(view: View) -> Markup:
     t, thinned = _thinned(view, PAPER_POINTS)
     end = float(view.t[-1])
     xlim = (float(view.t[0]), end if end > view.t[0] else float(view.t[0]) + 1.0)
-    unused = [] if view.usable is None else gaps(view.t, view.usable, (xlim[1] - xlim[0]) / 1000)
+    unused = [] if view.usable is None else find_gaps(view.t, view.usable, (xlim[1] - xlim[0]) / 1000)
     columns, charts = iter(thinned.T), []
     for k, s in enumerate(view.strips):
         chart = Chart(WIDE, int(0.8 * s.height), xlim, s.limits, "" if k else view.joint, "time [s]", s.label)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors
-from tau_dyn.report.formatting import format_list, percent
-from tau_dyn.report.quantities import estimate, quantity
+from tau_dyn.report.formatting import format_list, format_percent
+from tau_dyn.report.quantities import estimate, format_quantity
 
 TEST_PART = 2
 """Which part of a trace the errors are of."""
@@ -132,11 +132,11 @@ def build_output_series(diagnosis: Diagnosis) -> list[WaterfallSeries]:
 def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[WaterfallStep, ...]:
     rungs: list[WaterfallStep] = []
     for step in diagnosis.waterfall:
-        finding = finding_of(step.step, diagnosis.findings)
+        finding = find_step_finding(step.step, diagnosis.findings)
         label, about, kind = _said(step.step, finding, diagnosis.findings)
         left, low, high = share(step.errors)
         previous = rungs[-1].left if rungs and kind != "floor" else float("nan")
-        rms = "" if k is None else quantity(float(step.errors.rms[k]), diagnosis.units[k], steadily=True)
+        rms = "" if k is None else format_quantity(float(step.errors.rms[k]), diagnosis.units[k], steadily=True)
         place = 0 if finding is None else 1 + diagnosis.findings.index(finding)
         joints = () if finding is None else finding.joints
         rungs.append(WaterfallStep(label, about, kind, place, joints, left, low, high, previous, rms))
@@ -151,7 +151,7 @@ def _end(rungs: tuple[WaterfallStep, ...]) -> float:
     return 1.45 * others if others > 0 and first > CUT * others else 1.04 * max([first, others, 1e-9])
 
 
-def finding_of(step: str, findings: tuple[Finding, ...]) -> Finding | None:
+def find_step_finding(step: str, findings: tuple[Finding, ...]) -> Finding | None:
     """Return the finding that a step's name stands for: its cause, then its joints; None where several could be meant."""
     cause, *joints = re.split(r"[\s,:()+]+", step.strip(" +)")) or [""]
     alike = [f for f in findings if f.cause == cause]
@@ -189,5 +189,5 @@ def format_interval(rung: WaterfallStep) -> str:
     """Return a step's 95 % interval."""
     if not np.isfinite(rung.low):
         return ""
-    low, high = percent(rung.low), percent(rung.high)
+    low, high = format_percent(rung.low), format_percent(rung.high)
     return f"{low.removesuffix(' %')} … {high}"

@@ -9,8 +9,8 @@ from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.pose_requirements import KINDS
 from tau_dyn.kinematics.workspace.sections import Section
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.report.formatting import minus, number
-from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, THIRD, TOP, Chart, tag
+from tau_dyn.report.formatting import format_number, replace_minus_signs
+from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, THIRD, TOP, Chart, format_tag
 from tau_dyn.report.workspace_words import SHOWN_UNITS
 
 WIDTH, TALLEST = THIRD, 420
@@ -20,12 +20,12 @@ _AXES = "xyz"
 _LOG = 12.0  # largest over least from which a map is drawn in logarithms
 
 
-def class_of(kind: str) -> str:
+def get_reason_class(kind: str) -> str:
     """Return the style class of a reason."""
     return "w-" + kind.replace(" ", "-")
 
 
-def window(found: Study, s: Section) -> tuple[tuple[float, float], tuple[float, float]]:
+def choose_window(found: Study, s: Section) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the part of a section that is drawn: the workspace with a fifth around it, within the box, and the carts."""
     marks = _marks(found)[:, [s.across, s.up]]
     limits = []
@@ -39,7 +39,7 @@ def window(found: Study, s: Section) -> tuple[tuple[float, float], tuple[float, 
 
 
 def _chart(found: Study, s: Section, title: str) -> Chart:
-    xlim, ylim = window(found, s)
+    xlim, ylim = choose_window(found, s)
     wide = WIDTH - LEFT - RIGHT
     tall = wide * (ylim[1] - ylim[0]) / (xlim[1] - xlim[0])
     if tall > TALLEST:  # keep the scale of both axes equal: widen
@@ -50,21 +50,21 @@ def _chart(found: Study, s: Section, title: str) -> Chart:
     )  # fmt: skip
 
 
-def section_chart(found: Study, s: Section) -> Markup:
+def draw_section_chart(found: Study, s: Section) -> Markup:
     """Return a section: the workspace, what excludes the rest, the rods' joints on their guideways as squares."""
-    chart = _chart(found, s, minus(s.name))
+    chart = _chart(found, s, replace_minus_signs(s.name))
     pieces = []
     kinds: dict[str, list[int]] = {}
     for code, kind, _ in found.workspace.reasons.items():
         if kind != "out of reach":
             kinds.setdefault(kind, []).append(code)
     for kind, codes in kinds.items():
-        pieces.append(_area(chart, s, np.isin(s.code, codes), class_of(kind)))
+        pieces.append(_area(chart, s, np.isin(s.code, codes), get_reason_class(kind)))
     pieces.append(_area(chart, s, s.inside, "w-in"))
     return chart.render(*pieces, *_drawn_marks(found, chart, s))
 
 
-def kinds_in(found: Study) -> list[str]:
+def list_reasons(found: Study) -> list[str]:
     """Return the reasons that any section shows, in their order."""
     codes = np.unique(np.concatenate([s.code.ravel() for s in found.sections])) if found.sections else []
     there = {kind for code, kind, _ in found.workspace.reasons.items() if code in codes}
@@ -83,7 +83,7 @@ def map_scale(found: Study, name: str) -> tuple[float, float, bool]:
 
 def map_chart(found: Study, s: Section, name: str) -> Markup:
     """Return a map of one quantity in a section."""
-    chart = _chart(found, s, minus(s.name))
+    chart = _chart(found, s, replace_minus_signs(s.name))
     low, high, logarithmic = map_scale(found, name)
     values = s.maps[name]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -99,14 +99,16 @@ def scale_bar(found: Study, name: str) -> Markup:
     factor, _ = SHOWN_UNITS[QUANTITIES[name].unit]
     pieces, width = [], 15.0
     for k in range(LEVELS):
-        pieces.append(tag("rect", x=4 + k * width, y=2, width=width + 0.5, height=11, class_=f"m{k}"))
+        pieces.append(format_tag("rect", x=4 + k * width, y=2, width=width + 0.5, height=11, class_=f"m{k}"))
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         value = low * (high / low) ** share if logarithmic else low + share * (high - low)
         x = 4 + share * LEVELS * width
         anchor = "start" if share == 0 else "end" if share == 1 else "middle"
-        pieces.append(tag("text", number(factor * value, 3), x=x, y=26, text_anchor=anchor))
+        pieces.append(format_tag("text", format_number(factor * value, 3), x=x, y=26, text_anchor=anchor))
     size = 8 + LEVELS * width
-    return tag("svg", *pieces, viewBox=f"0 0 {size:.0f} 30", width=int(size), height=30, class_="scale", role="img")
+    return format_tag(
+        "svg", *pieces, viewBox=f"0 0 {size:.0f} 30", width=int(size), height=30, class_="scale", role="img"
+    )
 
 
 def _area(chart: Chart, s: Section, there: np.ndarray, class_: str) -> Markup:
@@ -124,7 +126,7 @@ def _area(chart: Chart, s: Section, there: np.ndarray, class_: str) -> Markup:
             left, right = max(left, float(LEFT)), min(right, float(chart.width - RIGHT))
             if right > left:
                 d.append(f"M{left:.1f} {top:.1f}H{right:.1f}V{bottom + 0.15:.1f}H{left:.1f}Z")
-    return tag("path", d="".join(d), class_=class_) if d else Markup("")
+    return format_tag("path", d="".join(d), class_=class_) if d else Markup("")
 
 
 def _half(x: np.ndarray) -> float:
@@ -145,4 +147,4 @@ def _drawn_marks(found: Study, chart: Chart, s: Section) -> list[Markup]:
     x, y = chart.x(marks[:, 0]), chart.y(marks[:, 1])
     squares = "".join(f"M{a - 3.5:.1f} {b - 3.5:.1f}h7v7h-7Z" for a, b in zip(x[:-1], y[:-1], strict=True))
     cross = f"M{x[-1] - 4:.1f} {y[-1]:.1f}h8m-4 -4v8"
-    return [tag("path", d=squares, class_="w-cart"), tag("path", d=cross, class_="w-home")]
+    return [format_tag("path", d=squares, class_="w-cart"), format_tag("path", d=cross, class_="w-home")]

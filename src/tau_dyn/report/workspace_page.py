@@ -9,10 +9,18 @@ import numpy as np
 from tau_dyn.kinematics.workspace.maps import QUANTITIES
 from tau_dyn.kinematics.workspace.study import Study
 from tau_dyn.report import workspace_charts as charts
-from tau_dyn.report.formatting import format_list, minus, number, percent
+from tau_dyn.report.formatting import format_list, format_number, format_percent, replace_minus_signs
 from tau_dyn.report.html_page import PageHeader, render_page
-from tau_dyn.report.workspace_space import space_picture, tilt_chart
-from tau_dyn.report.workspace_words import SHOWN_UNITS, SIZE_UNITS, badge, headline, shown, summary, verdict
+from tau_dyn.report.workspace_space import draw_space_picture, draw_tilt_chart
+from tau_dyn.report.workspace_words import (
+    SHOWN_UNITS,
+    SIZE_UNITS,
+    describe_badge,
+    describe_headline,
+    describe_inputs,
+    describe_verdict,
+    format_shown_value,
+)
 
 MAP_WORDS = {
     "condition": "How much better the best direction is than the worst; 1 is isotropic, large is near a singularity.",
@@ -24,19 +32,25 @@ MAP_WORDS = {
 }
 
 
-def workspace_page(found: Study, *, command_line: str = "") -> str:
+def build_workspace_page(found: Study, *, command_line: str = "") -> str:
     """Return a workspace as one HTML page.
 
     Args:
         found: The result.
         command_line: The command that repeats it, for the provenance.
     """
-    judged, space = verdict(found), found.workspace
+    judged, space = describe_verdict(found), found.workspace
     robot = space.machine.robot
     return render_page(
         "workspace.html.j2",
         f"{robot.name}: workspace",
-        PageHeader(headline(found), judged.level, badge(judged.level), judged.sentence, summary(found)),
+        PageHeader(
+            describe_headline(found),
+            judged.level,
+            describe_badge(judged.level),
+            judged.sentence,
+            describe_inputs(found),
+        ),
         [],
         robot=robot,
         command_line=command_line,
@@ -45,10 +59,10 @@ def workspace_page(found: Study, *, command_line: str = "") -> str:
         rods=space.machine.rods is not None,
         colours=COLOURS,
         warnings=[text[:1].upper() + text[1:] for text in (*robot.warnings, *found.warnings)],
-        sections=[charts.section_chart(found, s) for s in found.sections],
-        kinds=[(charts.class_of(kind), kind) for kind in charts.kinds_in(found)],
-        areas=[(minus(s.name), f"{number(s.area, 3)} m²") for s in found.sections],
-        space=space_picture(found),
+        sections=[charts.draw_section_chart(found, s) for s in found.sections],
+        kinds=[(charts.get_reason_class(kind), kind) for kind in charts.list_reasons(found)],
+        areas=[(replace_minus_signs(s.name), f"{format_number(s.area, 3)} m²") for s in found.sections],
+        space=draw_space_picture(found),
         obstacles=[o.name for o in space.judge.demands.surroundings.obstacles],
         reasons=_reasons(found),
         facts=_facts(found),
@@ -57,7 +71,7 @@ def workspace_page(found: Study, *, command_line: str = "") -> str:
         elasticity=found.catalogue.elasticity,
         length=found.catalogue.length,
         maps=[_map(found, name) for name in found.maps] if found.sections else [],
-        tilt=None if found.tilt is None else tilt_chart(found.tilt),
+        tilt=None if found.tilt is None else draw_tilt_chart(found.tilt),
         tilt_words="" if found.tilt is None else _tilt_words(found),
         demands=_demands(found),
     )
@@ -73,12 +87,12 @@ COLOURS = (
 def _reasons(found: Study) -> list[dict[str, Any]]:
     return [
         {
-            "class": charts.class_of(row["reason"]),
+            "class": charts.get_reason_class(row["reason"]),
             "reason": row["reason"],
-            "share": percent(100 * row["share"]),
+            "share": format_percent(100 * row["share"]),
             "width": f"{100 * row['share']:.1f}",
             "by": ", ".join(
-                f"{name} ({percent(100 * n / row['points'])})" for name, n in list(row["culprits"].items())[:4]
+                f"{name} ({format_percent(100 * n / row['points'])})" for name, n in list(row["culprits"].items())[:4]
             ),
         }
         for row in found.workspace.counts()
@@ -89,14 +103,16 @@ def _facts(found: Study) -> list[tuple[str, str, str]]:
     """Return what stands in large numbers: words, number, unit."""
     space, frame = found.workspace, found.workspace.footprint
     name, unit = space.measure
-    rows = [(name, number(space.size.value, 3), SIZE_UNITS[unit])]
+    rows = [(name, format_number(space.size.value, 3), SIZE_UNITS[unit])]
     if space.dimension == 3 and frame.area > 0:
-        rows.append(("workspace per footprint", number(space.size.value / frame.area, 2), "m³/m²"))
+        rows.append(("workspace per footprint", format_number(space.size.value / frame.area, 2), "m³/m²"))
         if frame.height > 0:
-            rows.append(("workspace per installation", number(space.size.value / frame.area / frame.height, 2), ""))
+            rows.append(
+                ("workspace per installation", format_number(space.size.value / frame.area / frame.height, 2), "")
+            )
     for quantity, which, words in (("stiffness", 0, "least"), ("speed", 0, "least"), ("condition", 1, "median")):
         if quantity in found.catalogue.rows:
-            value, _, shown_unit = shown(quantity, found.catalogue.rows[quantity][0][which]).partition(" ")
+            value, _, shown_unit = format_shown_value(quantity, found.catalogue.rows[quantity][0][which]).partition(" ")
             rows.append((f"{quantity}, {words}", value, shown_unit))
     return rows[:6]
 
@@ -104,7 +120,7 @@ def _facts(found: Study) -> list[tuple[str, str, str]]:
 def _figures(found: Study) -> list[dict[str, str]]:
     rows = []
     for name, (spread, home) in found.catalogue.rows.items():
-        values = [shown(name, v) for v in (*spread, home)]
+        values = [format_shown_value(name, v) for v in (*spread, home)]
         rows.append(
             dict(zip(("least", "median", "most", "home"), values, strict=True)) | {"what": QUANTITIES[name].words}
         )
@@ -118,7 +134,7 @@ def _ellipsoid(found: Study) -> list[tuple[str, str, str]]:
     values, axes = found.catalogue.stiffness_at_home
     names = ("softest", "between", "stiffest")
     return [
-        (name, shown("stiffness", float(value)), ", ".join(f"{c:+.2f}".replace("-", "−") for c in axis))
+        (name, format_shown_value("stiffness", float(value)), ", ".join(f"{c:+.2f}".replace("-", "−") for c in axis))
         for name, value, axis in zip(names, values, axes.T, strict=True)
     ]
 

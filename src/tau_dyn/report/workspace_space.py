@@ -21,8 +21,8 @@ from tau_dyn.kinematics.obstacles import Obstacle
 from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace
 from tau_dyn.kinematics.workspace.orientations import Tilt
 from tau_dyn.kinematics.workspace.study import Study
-from tau_dyn.report.projection import BOX_EDGES, View, box_corners, outline, project_with_depth, triad
-from tau_dyn.report.svg import path_of, tag
+from tau_dyn.report.projection import BOX_EDGES, View, compute_box_corners, draw_outline, draw_triad, project_with_depth
+from tau_dyn.report.svg import format_path, format_tag
 
 WIDTH, HEIGHT, MARGIN = 700, 520, 30
 _FINE = 2  # picture points per drawing unit
@@ -30,7 +30,7 @@ _SPLATS = 60_000  # points of the cloud drawn at most
 _INK = np.array([46.0, 124.0, 214.0])
 
 
-def space_picture(found: Study) -> Markup:
+def draw_space_picture(found: Study) -> Markup:
     """Return the workspace and the robot in space; nothing where the workspace is flat."""
     space = found.workspace
     if space.dimension < 3:
@@ -39,28 +39,28 @@ def space_picture(found: Study) -> Markup:
     solids = machine.solids(machine.robot.home[None], machine.home)
     outlines = [(_outline(s), body.rod >= 0, body.joint == 0) for s, body in zip(solids, machine.bodies, strict=True)]
     walls = [points for o in space.judge.demands.surroundings.obstacles for points in _obstacle(o)]
-    box = box_corners(space.lower, space.upper)
+    box = compute_box_corners(space.lower, space.upper)
     ends = [o for o, _, _ in outlines] or _skeleton(found)
     view = View.of(np.concatenate([*ends, box, machine.home.position]), WIDTH, HEIGHT, MARGIN)
     place = view.place
     pieces = [_cloud(found, view)]
-    pieces += [tag("path", d=path_of(place(box[list(edge)])), class_="w-box") for edge in BOX_EDGES]
-    pieces += [tag("path", d=outline(place(points)), class_="w-wall") for points in walls]
+    pieces += [format_tag("path", d=format_path(place(box[list(edge)])), class_="w-box") for edge in BOX_EDGES]
+    pieces += [format_tag("path", d=draw_outline(place(points)), class_="w-wall") for points in walls]
     for points, is_rod, fixed in sorted(outlines, key=lambda o: o[1]):
         if is_rod:
-            pieces.append(tag("path", d=path_of(place(points)), class_="rod"))
+            pieces.append(format_tag("path", d=format_path(place(points)), class_="rod"))
         else:
-            pieces.append(tag("path", d=outline(place(points)), class_="w-frame" if fixed else "plate"))
+            pieces.append(format_tag("path", d=draw_outline(place(points)), class_="w-frame" if fixed else "plate"))
     if not outlines:
-        pieces += [tag("path", d=path_of(place(line)), class_="rod") for line in _skeleton(found)]
+        pieces += [format_tag("path", d=format_path(place(line)), class_="rod") for line in _skeleton(found)]
     x, y = (float(c) for c in place(machine.home.position)[0])
-    pieces.append(tag("circle", cx=x, cy=y, r=5, class_="cart"))
+    pieces.append(format_tag("circle", cx=x, cy=y, r=5, class_="cart"))
     words = f"workspace of {machine.robot.name}, the robot at home in it"
-    return tag(
+    return format_tag(
         "svg",
-        tag("title", words),
+        format_tag("title", words),
         *pieces,
-        triad(40, HEIGHT - 34, 26),
+        draw_triad(40, HEIGHT - 34, 26),
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
         role="img",
         class_="space",
@@ -105,11 +105,11 @@ def _splat(pixel: np.ndarray, depth: np.ndarray, light: np.ndarray, wide: int) -
 
 
 def _image(picture: np.ndarray) -> Markup:
-    uri = "data:image/png;base64," + base64.b64encode(png(picture)).decode("ascii")
-    return tag("image", href=uri, x=0, y=0, width=WIDTH, height=HEIGHT)
+    uri = "data:image/png;base64," + base64.b64encode(encode_png(picture)).decode("ascii")
+    return format_tag("image", href=uri, x=0, y=0, width=WIDTH, height=HEIGHT)
 
 
-def png(picture: np.ndarray) -> bytes:
+def encode_png(picture: np.ndarray) -> bytes:
     """Return a picture (rows, columns, 4) of bytes as a PNG file."""
     rows, columns = picture.shape[:2]
     raw = np.concatenate([np.zeros((rows, 1), np.uint8), picture.reshape(rows, -1)], axis=1).tobytes()
@@ -129,7 +129,7 @@ def _outline(solid: PlacedSolid) -> np.ndarray:
         local = np.array([[0, 0, -length / 2], [0, 0, length / 2]])
     elif isinstance(shape, Box):
         half = np.array(shape.size) / 2
-        local = box_corners(-half, half)
+        local = compute_box_corners(-half, half)
     elif isinstance(shape, Cylinder):
         angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
         ring = shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -161,19 +161,21 @@ def _skeleton(found: Study) -> list[np.ndarray]:
     return lines
 
 
-def tilt_chart(found: Tilt) -> Markup:
+def draw_tilt_chart(found: Tilt) -> Markup:
     """Return how far the tool leans towards each side, outwards in degrees."""
     middle, far = 130.0, 104.0
     most = max(30.0, float(np.ceil(np.rad2deg(found.angle.max()) / 15) * 15))
     pieces = []
     for degrees in np.arange(15, most + 1, 15 if most <= 60 else 30):
         r = far * float(degrees) / most
-        pieces.append(tag("circle", cx=middle, cy=middle, r=r, class_="ring"))
-        pieces.append(tag("text", f"{degrees:.0f}°", x=middle + 3, y=middle - r - 2, class_="axis-name"))
+        pieces.append(format_tag("circle", cx=middle, cy=middle, r=r, class_="ring"))
+        pieces.append(format_tag("text", f"{degrees:.0f}°", x=middle + 3, y=middle - r - 2, class_="axis-name"))
     r = far * np.rad2deg(found.angle) / most
     points = np.stack([middle + r * np.cos(found.towards), middle - r * np.sin(found.towards)], axis=1)
-    pieces.append(tag("path", d=path_of(points, closed=True), class_="lean"))
-    pieces.append(tag("text", "x", x=middle + far + 10, y=middle + 4, class_="name"))
-    pieces.append(tag("text", "y", x=middle, y=middle - far - 14, text_anchor="middle", class_="name"))
+    pieces.append(format_tag("path", d=format_path(points, closed=True), class_="lean"))
+    pieces.append(format_tag("text", "x", x=middle + far + 10, y=middle + 4, class_="name"))
+    pieces.append(format_tag("text", "y", x=middle, y=middle - far - 14, text_anchor="middle", class_="name"))
     words = "how far the tool leans towards each side"
-    return tag("svg", tag("title", words), *pieces, viewBox="0 0 260 260", role="img", class_="chart tilt")
+    return format_tag(
+        "svg", format_tag("title", words), *pieces, viewBox="0 0 260 260", role="img", class_="chart tilt"
+    )

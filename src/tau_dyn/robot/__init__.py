@@ -2,7 +2,7 @@
 
 from tau_dyn.deprecated_names import get_deprecated
 from tau_dyn.robot.annotations import Spring
-from tau_dyn.robot.expand import describe_robot, list_robot_names, list_robots, stock_names
+from tau_dyn.robot.expand import describe_robot, list_robot_names, list_robots, list_stock_robots
 from tau_dyn.robot.load import load_robot, load_robot_from_urdf
 from tau_dyn.robot.robot import INERTIAL, NOT_GIVEN, LinkInertia, Loop, Robot
 
@@ -16,9 +16,9 @@ __all__ = [
     "describe_robot",
     "list_robot_names",
     "list_robots",
+    "list_stock_robots",
     "load_robot",
     "load_robot_from_urdf",
-    "stock_names",
 ]
 
 

@@ -28,7 +28,7 @@ from defusedxml.minidom import parseString
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import format_yaml, read_bytes
-from tau_dyn.robot.expressions import checked_expressions
+from tau_dyn.robot.expressions import restrict_expressions
 from tau_dyn.robot.numbers import check_depth
 
 _LOCK = threading.Lock()  # xacro keeps its state in module globals
@@ -54,7 +54,7 @@ def list_robot_names() -> dict[str, Path]:
 
 
 @cache
-def stock_names() -> dict[str, Path]:
+def list_stock_robots() -> dict[str, Path]:
     """Return the robots of the installed package `example-robot-data`: name -> file; empty where it is not installed."""
     found: dict[str, Path] = {}
     try:
@@ -69,7 +69,10 @@ def stock_names() -> dict[str, Path]:
 
 def list_robots() -> dict[str, Path]:
     """Return every robot that a name may mean: name -> file."""
-    return {**list_robot_names(), **{n: p for n, p in sorted(stock_names().items()) if n not in list_robot_names()}}
+    return {
+        **list_robot_names(),
+        **{n: p for n, p in sorted(list_stock_robots().items()) if n not in list_robot_names()},
+    }
 
 
 def describe_robot(path: Path) -> str:
@@ -105,9 +108,9 @@ def find_robot(robot: str | Path) -> Path:
     ours = list_robot_names()
     if str(robot) in ours:
         return ours[str(robot)]
-    if str(robot) in stock_names():
-        return stock_names()[str(robot)]
-    raise UnknownName("robot", str(robot), [*ours, *stock_names()])
+    if str(robot) in list_stock_robots():
+        return list_stock_robots()[str(robot)]
+    raise UnknownName("robot", str(robot), [*ours, *list_stock_robots()])
 
 
 def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluate: bool = True) -> str:
@@ -123,7 +126,7 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluat
         UnknownName: An argument that the file does not declare.
     """
     given = {name: str(value) for name, value in (arguments or {}).items()}
-    with _LOCK, _defused_xacro(), checked_expressions():
+    with _LOCK, _defused_xacro(), restrict_expressions():
         try:
             document = _parse(None, str(path))
             _check_arguments(path, document, given)

@@ -61,7 +61,7 @@ def _named(node: ast.AST) -> str:
 
 
 @contextmanager
-def checked_expressions() -> Iterator[None]:
+def restrict_expressions() -> Iterator[None]:
     """Let xacro evaluate only what `check_expression` lets pass, and hide `vars` and `type` from it altogether."""
     symbols: Any = dict.__getitem__(xacro._global_symbols, "python")
     hidden = {name: dict.pop(symbols, name) for name in ("vars", "type") if name in symbols}

@@ -24,7 +24,7 @@ from tau_dyn.simulate.plant import PlantRun, free_motion, run_plant
 from tau_dyn.simulate.replay import replay
 from tau_dyn.simulate.replay_result import Replay
 from tau_dyn.simulate.sensors import Sensors, measure
-from tau_dyn.simulate.simulate import drive, simulate
+from tau_dyn.simulate.simulate import simulate, simulate_drive
 from tau_dyn.simulate.square_path import square_path
 from tau_dyn.simulate.trajectory import Trajectory, concatenate, move
 
@@ -58,7 +58,6 @@ __all__ = [
     "compute_condition_bound",
     "concatenate",
     "describe_exceeded_limit",
-    "drive",
     "free_motion",
     "measure",
     "move",
@@ -70,6 +69,7 @@ __all__ = [
     "run_plant",
     "simulate",
     "simulate_binary_log",
+    "simulate_drive",
     "simulate_vibration_log",
     "square_path",
 ]

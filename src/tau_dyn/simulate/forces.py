@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.effects import Effect, Hysteresis, JointMotion, JointwiseEffect, Motion
-from tau_dyn.effects.state import on_recording
+from tau_dyn.effects.state import acts_on_recording
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 from tau_dyn.simulate.memory import EffectSurroundings, Memory, repeat_signals
@@ -35,7 +35,7 @@ class SampledForces:
         """
         self.model, self.joints, self.na = model, model.robot.actuated, model.robot.na
         self._rest, self._signs = np.zeros((2, self.na)), np.repeat([[-1.0], [1.0]], self.na, axis=1)
-        effects = [effect for effect in model.effects if not on_recording(effect)]
+        effects = [effect for effect in model.effects if not acts_on_recording(effect)]
         self.memory = Memory(effects, self.na, surroundings)
         self._jointwise: list[_Jointwise] = []
         self._general: list[tuple[Effect, np.ndarray]] = []

@@ -18,12 +18,12 @@ from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
 from tau_dyn.effects.drive_lag import apply_first_order_lowpass
 from tau_dyn.effects.guideway_compliance import SIDE_FORCE
 from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
-from tau_dyn.effects.state import on_recording
+from tau_dyn.effects.state import acts_on_recording
 from tau_dyn.effects.timing import TimingEffect
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.column_names import ROOM_TEMPERATURE
 from tau_dyn.model import COMPUTED, Model
-from tau_dyn.simulate.memory import Memory, repeat_signals, warming_up
+from tau_dyn.simulate.memory import Memory, compute_warm_up, repeat_signals
 from tau_dyn.simulate.plant import PlantRun
 
 _FOR_FORCES = frozenset(DisplacementEffect.needs)
@@ -65,7 +65,7 @@ def record_run(run: PlantRun) -> PlantRun:
         InputError: An effect is neither of the robot nor of its sensors.
     """
     model = run.model
-    odd = [e for e in model.effects if on_recording(e) and not isinstance(e, DisplacementEffect | TimingEffect)]
+    odd = [e for e in model.effects if acts_on_recording(e) and not isinstance(e, DisplacementEffect | TimingEffect)]
     if odd:
         raise InputError(f"effect {odd[0].name} cannot be simulated")
     yielding = _yielding(run)
@@ -81,11 +81,11 @@ def record_run(run: PlantRun) -> PlantRun:
 def get_temperatures(run: PlantRun) -> dict[str, np.ndarray]:
     """Return the room's temperature (N,) as a log's channel, where an effect follows it."""
     feels = any("temperature" in effect.needs for effect in run.model.effects)
-    return {ROOM_TEMPERATURE: warming_up(run.t - run.t[0])} if feels else {}
+    return {ROOM_TEMPERATURE: compute_warm_up(run.t - run.t[0])} if feels else {}
 
 
 def _displacements(model: Model) -> list[tuple[DisplacementEffect, np.ndarray]]:
-    effects = [e for e in model.effects if isinstance(e, DisplacementEffect) and on_recording(e)]
+    effects = [e for e in model.effects if isinstance(e, DisplacementEffect) and acts_on_recording(e)]
     found = [e for e in effects if not isinstance(e, CartShift)]
     return [(e, model.effect_parameters.select(e.parameters.names).values) for e in found]
 

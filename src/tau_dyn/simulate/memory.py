@@ -19,7 +19,7 @@ from tau_dyn.effects.hysteresis import STATE
 COLD, RISE, WARMING_S = 20.0, 20.0, 60.0
 
 
-def warming_up(t: float | np.ndarray) -> np.ndarray:
+def compute_warm_up(t: float | np.ndarray) -> np.ndarray:
     """Return the room's temperature [degC] at times [s] after the start."""
     return COLD + RISE * (1 - np.exp(-np.asarray(t, float) / WARMING_S))
 
@@ -33,7 +33,7 @@ class EffectSurroundings:
         campaign: Number of the recording among several, where effects ask for it.
     """
 
-    temperature: Callable[[float], np.ndarray] = warming_up
+    temperature: Callable[[float], np.ndarray] = compute_warm_up
     campaign: float | None = None
 
 

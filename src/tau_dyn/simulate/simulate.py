@@ -55,11 +55,11 @@ def simulate(
     sensors = sensors or Sensors()
     sensors.step(1 / rate_hz)
     rng = np.random.default_rng(seed)
-    run = drive(model, motion, controller, sensors, rng, rate_hz=rate_hz, feedback=feedback, progress=progress)
+    run = simulate_drive(model, motion, controller, sensors, rng, rate_hz=rate_hz, feedback=feedback, progress=progress)
     return measure(run, sensors, rng, name)
 
 
-def drive(
+def simulate_drive(
     model: Model,
     motion: Trajectory,
     controller: Controller | None,

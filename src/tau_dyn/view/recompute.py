@@ -22,11 +22,11 @@ def recompute_workspace(robot: Robot, resolution: float, box: np.ndarray) -> tup
         resolution: Of the result [m]; no finer one is used.
         box: Corners (2, 3) [m] of the workspace.
     """
-    from tau_dyn.kinematics.workspace.study import study
-    from tau_dyn.kinematics.workspace.table import points_table
+    from tau_dyn.kinematics.workspace.study import study_workspace
+    from tau_dyn.kinematics.workspace.table import build_points_table
 
     step = max(resolution, float(np.ptp(box, axis=0).max()) / _ACROSS)
-    table = points_table(study(robot, resolution=step, maps=["condition"]))
+    table = build_points_table(study_workspace(robot, resolution=step, maps=["condition"]))
     inside = table[table["inside"] == 1]
     points = inside[["x_tool", "y_tool", "z_tool"]].to_numpy(float)
     return points, {"condition number": inside["condition"].to_numpy(float)}

@@ -174,7 +174,7 @@ def _calibrate(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
 
 def _modes(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
     from tau_dyn.modes.modal import Mode
-    from tau_dyn.modes.on_robot import shapes_on_robot
+    from tau_dyn.modes.on_robot import project_shapes_on_robot
 
     outputs = [str(name) for name in content["outputs_used"]]
     modes = []
@@ -182,7 +182,7 @@ def _modes(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> 
         shape = np.array([complex(m["shape"][o]["re"], m["shape"][o]["im"]) for o in outputs])
         f, zeta = float(m["frequency_hz"]), float(m["damping_ratio"])
         modes.append(Mode(f, zeta, float("nan"), float("nan"), shape, float("nan")))
-    shapes = shapes_on_robot(robot, modes, outputs)
+    shapes = project_shapes_on_robot(robot, modes, outputs)
     if shapes is None:
         why = "no mode" if not modes else f"its outputs ({', '.join(outputs)}) name no place of {robot.name}"
         raise InputError(f"{path}: nothing to swing: {why}")

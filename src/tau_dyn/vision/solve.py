@@ -25,7 +25,7 @@ MIN_VIEWS = 4
 """Views a camera of unknown numbers needs."""
 
 _MAX_RELATIVE_FOCAL_STDERR = 0.02  # relative standard error of a focal length that makes poses worthless
-_FAR_OFF = (4.0, 0.3)  # times the median residual, and [px], beyond which an image does not belong to the others
+_OUTLIER_LIMITS = (4.0, 0.3)  # times the median residual, and [px], beyond which an image does not belong to the others
 _MIN_CHI2_DIFFERENCE = 25.0  # difference of squared residuals, in corner variances, at which one of two tilts is taken
 
 
@@ -69,7 +69,7 @@ def solve(
         now = views.take(used)
         bundle, margin = _solved(now, pattern, sizes, lens, known)
         size = np.sqrt((bundle.residuals**2).sum(axis=2).mean(axis=1))
-        off = size > np.maximum(_FAR_OFF[0] * np.median(size), _FAR_OFF[1])
+        off = size > np.maximum(_OUTLIER_LIMITS[0] * np.median(size), _OUTLIER_LIMITS[1])
         if not off.any() or off.sum() > 0.25 * len(off):
             break
         for k in np.flatnonzero(off):

@@ -21,12 +21,12 @@ from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
 from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
 from tau_dyn.calibrate.poses.tour import plan_tour
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.obstacles import Surroundings, surroundings_from
-from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.obstacles import Surroundings, build_surroundings
+from tau_dyn.kinematics.workspace.machines import build_machine
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
-from tau_dyn.report.poses_terminal import headline, rehearsal_words, summary
+from tau_dyn.report.poses_terminal import describe_headline, describe_inputs, describe_rehearsal
 
-LAB = surroundings_from(
+LAB = build_surroundings(
     {"obstacles": [{"name": "table", "box": {"centre": [2.5, -1.7, -0.1], "size": [1.0, 0.6, 0.8]}}]}, "lab"
 )
 
@@ -57,7 +57,7 @@ def test_the_tour_is_shorter_and_free(plan: CalibrationCampaign) -> None:
 
 def test_candidates_keep_their_distance() -> None:
     """With safety distances, the tool can go as far to every side, the ball joints and the travel keep their reserve."""
-    machine = machine_of(l1())
+    machine = build_machine(l1())
     safety = Safety(distance=0.1, angle=np.deg2rad(10.0), travel=0.05)
     found = find_reachable(machine, PoseRequirements(surroundings=LAB), safety, wanted=200)
     assert found.n > 30
@@ -78,7 +78,7 @@ def test_candidates_keep_their_distance() -> None:
 
 def test_more_safety_leaves_fewer_poses_and_too_much_none() -> None:
     """A safety distance beyond half the workspace leaves nothing; that is said, with what would help."""
-    machine = machine_of(l1())
+    machine = build_machine(l1())
     with pytest.raises((CannotAnswer, InputError), match="safety|belong"):
         find_reachable(machine, PoseRequirements(), Safety(distance=1.2), wanted=200)
     with pytest.raises(InputError, match="share of the travel"):
@@ -225,7 +225,7 @@ def test_zones_for_the_tool_hide_nothing() -> None:
     zone = {"name": "zone", "box": {"centre": [4.0, -0.6, 0.7], "size": [0.2, 3.0, 3.0]}}
     made = []
     for blocks in ("tool", "robot"):
-        around: Surroundings = surroundings_from({"obstacles": [zone | {"blocks": blocks}]}, "lab")
+        around: Surroundings = build_surroundings({"obstacles": [zone | {"blocks": blocks}]}, "lab")
         try:
             given = PoseRequirements(surroundings=around, collisions=False)
             made.append(len(plan_campaign(l1(), camera(), 10, demands=given, candidates=120, runs=1).visible.index))
@@ -244,6 +244,6 @@ def test_a_serial_arm_is_planned_too() -> None:
 
 def test_what_the_terminal_says(plan: CalibrationCampaign) -> None:
     """The headline has the number of poses and the accuracy, the summary what was seen and the fewest poses."""
-    assert headline(plan).startswith("20 poses will bring the tool to")
-    assert summary(plan).endswith("at least 8 poses") and "camera" in summary(plan)
-    assert "simulated" in rehearsal_words(plan)
+    assert describe_headline(plan).startswith("20 poses will bring the tool to")
+    assert describe_inputs(plan).endswith("at least 8 poses") and "camera" in describe_inputs(plan)
+    assert "simulated" in describe_rehearsal(plan)

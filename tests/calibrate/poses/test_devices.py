@@ -19,8 +19,8 @@ from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.calibrate.poses.reachable import Reachable
 from tau_dyn.calibrate.poses.visible import find_visible
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.obstacles import Surroundings, surroundings_from
-from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.obstacles import Surroundings, build_surroundings
+from tau_dyn.kinematics.workspace.machines import build_machine
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 
 SPREAD = at((1.7, -0.6, 0.7), (1.4, -0.2, 1.0), (2.1, -0.9, 0.4), (1.8, -0.3, 0.3))
@@ -28,7 +28,7 @@ SPREAD = at((1.7, -0.6, 0.7), (1.4, -0.2, 1.0), (2.1, -0.9, 0.4), (1.8, -0.3, 0.
 
 def around(**shape) -> Surroundings:
     """Return surroundings with one obstacle."""
-    return surroundings_from({"obstacles": [{"name": "post", **shape}]}, "test")
+    return build_surroundings({"obstacles": [{"name": "post", **shape}]}, "test")
 
 
 def test_a_camera_looks_along_z_with_the_picture_upright() -> None:
@@ -158,7 +158,7 @@ def test_an_obstacle_between_hides_the_target_one_behind_does_not() -> None:
 
 def test_the_robot_hides_its_own_target() -> None:
     """Seen from behind the guideways the rods and carts stand between; from the front nothing does."""
-    machine, q = machine_of(l1()), l1().home[None]
+    machine, q = build_machine(l1()), l1().home[None]
     front = find_occlusions(tracker(), machine.home, q, Surroundings(), machine)
     arm = machine.rods.base_points(q)[0, 0]
     direction = arm - machine.home.position[0]
@@ -169,7 +169,7 @@ def test_the_robot_hides_its_own_target() -> None:
 
 def test_a_camera_inside_an_obstacle_is_refused_and_none_in_sight_says_why() -> None:
     """A camera in a box is a fault of the input; one that looks away cannot answer, and says what would help."""
-    machine = machine_of(l1())
+    machine = build_machine(l1())
     check = PathCheck(machine, PoseRequirements(collisions=False))
     q = candidates()[::20]
     reach = Reachable(q, check.poses(q)[0], check, ())

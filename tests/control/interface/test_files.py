@@ -17,16 +17,16 @@ from tau_dyn.control import (
     apply_correction,
     build_correction,
     build_reference,
-    controlled_actuators,
     design_low_pass,
     learn,
     read_correction,
     read_reference,
+    stack_controlled_actuators,
     write_correction,
     write_reference,
 )
 from tau_dyn.control import Reference as Repeated
-from tau_dyn.control.interface.reference import digest
+from tau_dyn.control.interface.reference import compute_digest
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.modes.actuators import Actuator
@@ -46,7 +46,9 @@ def there(rate_hz: float = 250.0, seconds: float = 0.6) -> Trajectory:
 def faded(size: float = 1e-3) -> Correction:
     """Return a correction of the move that fades in and out."""
     shape = np.sin(np.linspace(0, np.pi, there().n_samples)) ** 2
-    return Correction(ROBOT.actuated, 0.004, size * shape[:, None] * np.array([1.0, -1.0, 0.5]), digest(there()))
+    return Correction(
+        ROBOT.actuated, 0.004, size * shape[:, None] * np.array([1.0, -1.0, 0.5]), compute_digest(there())
+    )
 
 
 def test_a_reference_is_read_as_it_was_written(tmp_path) -> None:
@@ -55,7 +57,7 @@ def test_a_reference_is_read_as_it_was_written(tmp_path) -> None:
     found = read_reference(tmp_path / "r.csv", ROBOT.actuated)
     for name in "tqva":
         np.testing.assert_allclose(getattr(found, name), getattr(there(), name), rtol=0, atol=1e-11)
-    assert digest(found) == digest(there()) != digest(replace(there(), q=there().q + 1e-6))
+    assert compute_digest(found) == compute_digest(there()) != compute_digest(replace(there(), q=there().q + 1e-6))
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 1000.0, 240.0])
@@ -113,7 +115,7 @@ def test_limits_are_checked_before_anything_is_written(motion, given, said, tmp_
 def test_a_learned_correction_comes_back_from_its_file(tmp_path) -> None:
     """Learnt on carts that lag, written, read, added: the reference and what learning had found, sample by sample."""
     motion = there(250.0, 1.6)
-    model = controlled_actuators([Actuator.from_discrete(0.4, 0.6, 2, 0.004)] * 3, 0.004)
+    model = stack_controlled_actuators([Actuator.from_discrete(0.4, 0.6, 2, 0.004)] * 3, 0.004)
     repeated = Repeated(0.004, motion.q, np.zeros((motion.n_samples, 3)), 100, 300, 50)
     law = LearningLaw(MotorSide(model), (design_low_pass(10, 0.004),) * 3, TimeShift(0.9, 2, 0.004))
     done = learn(_Lagging(), repeated, law, iterations=3)
@@ -121,7 +123,7 @@ def test_a_learned_correction_comes_back_from_its_file(tmp_path) -> None:
     write_correction(tmp_path / "c.csv", MODEL, motion, correction)
     found = read_correction(tmp_path / "c.csv", ROBOT.actuated)
     np.testing.assert_allclose(found.dq, done.corrections[-1], rtol=0, atol=1e-11)
-    assert np.abs(found.dq).max() > 1e-4 and found.motion == digest(motion)
+    assert np.abs(found.dq).max() > 1e-4 and found.motion == compute_digest(motion)
     both = apply_correction(MODEL, motion, found)
     np.testing.assert_allclose(both.q, motion.q + done.corrections[-1], rtol=0, atol=1e-11)
     middle = slice(5, -5)

@@ -9,7 +9,7 @@ import pytest
 
 from tau_dyn.control import format_rapid_motion
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import forward_kinematics, quaternions
+from tau_dyn.kinematics import convert_to_quaternions, forward_kinematics
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Trajectory
 
@@ -194,7 +194,9 @@ def test_tool_moves_follow_the_tool() -> None:
     follows = np.column_stack([np.interp(motion.t, t, x) for x in place.T])
     assert np.abs(follows - poses.position).max() < 2.1e-4
     index = np.searchsorted(motion.t, t - 1e-3)
-    np.testing.assert_allclose([row[1] for row in targets], np.roll(quaternions(poses)[index], 1, axis=1), atol=1e-7)
+    np.testing.assert_allclose(
+        [row[1] for row in targets], np.roll(convert_to_quaternions(poses)[index], 1, axis=1), atol=1e-7
+    )
     assert [m[0] for m in program.moves] == ["MoveJ", "MoveL", "MoveL"]
     assert all(m[1][-2:] == ["gripper", "\\WObj"] for m in program.moves)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import lfilter
 
-from tau_dyn.control.iterative import Reference, controlled_actuators
+from tau_dyn.control.iterative import Reference, stack_controlled_actuators
 from tau_dyn.modes import StateSpace
 from tau_dyn.modes.actuators import Actuator
 
@@ -22,7 +22,7 @@ def motion(first: int = 100, last: int = 300, lead: int = 50) -> Reference:
 
 
 def actuators(a: float = 0.8, samples: int = 5) -> StateSpace:
-    return controlled_actuators([Actuator.from_discrete(1 - a, a, samples, DT)] * 2, DT)
+    return stack_controlled_actuators([Actuator.from_discrete(1 - a, a, samples, DT)] * 2, DT)
 
 
 @dataclass

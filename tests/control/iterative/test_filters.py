@@ -11,11 +11,11 @@ from tau_dyn.control.iterative import (
     TimeShift,
     ZeroPhase,
     analyse_convergence,
-    controlled_actuators,
+    build_notch,
+    chain_filters,
     design_band_stop,
     design_low_pass,
-    dip,
-    product,
+    stack_controlled_actuators,
 )
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.actuators import Actuator
@@ -28,7 +28,7 @@ def test_a_zero_phase_filter_shifts_nothing() -> None:
     """A symmetric pulse stays symmetric about its own middle, and the response is real and positive."""
     t = np.arange(401) - 200
     pulse = np.exp(-((t / 6.0) ** 2))
-    for q in (design_low_pass(10, DT), design_band_stop(6, 9, DT), dip(7.4, 2, 0.1, DT)):
+    for q in (design_low_pass(10, DT), design_band_stop(6, 9, DT), build_notch(7.4, 2, 0.1, DT)):
         out = q.apply(pulse)
         assert_allclose(out, out[::-1], atol=2e-3 * out.max())
         assert np.argmax(np.abs(out)) == 200
@@ -37,7 +37,7 @@ def test_a_zero_phase_filter_shifts_nothing() -> None:
 
 def test_matrix_is_the_filter_and_symmetric() -> None:
     """(7.11): Qc' Qc applied to a signal is the filter forwards and backwards from rest."""
-    q = product([design_low_pass(10, DT), dip(7, 2, 0.2, DT)])
+    q = chain_filters([design_low_pass(10, DT), build_notch(7, 2, 0.2, DT)])
     x = np.random.default_rng(0).standard_normal(60)
     assert_allclose(q.matrix(60) @ x, q.apply(x), atol=1e-13)
     assert_allclose(q.matrix(60), q.matrix(60).T, atol=1e-15)
@@ -46,7 +46,7 @@ def test_matrix_is_the_filter_and_symmetric() -> None:
 def test_magnitudes_are_those_asked_for() -> None:
     """Half at a Butterworth cutoff (3 dB twice), the floor in the middle of a dip, 1 far away from it."""
     assert_allclose(design_low_pass(10, DT).response(np.array([10.0])), 0.5, rtol=1e-6)
-    assert_allclose(dip(7.4, 2.0, 0.05, DT).response(np.array([0.1, 7.4, 100.0])), [1, 0.05, 1], rtol=0.01)
+    assert_allclose(build_notch(7.4, 2.0, 0.05, DT).response(np.array([0.1, 7.4, 100.0])), [1, 0.05, 1], rtol=0.01)
     assert design_band_stop(6, 9, DT).response(np.array([7.36]))[0] < 1e-3
 
 
@@ -68,7 +68,7 @@ def test_weights_fade_in_and_out() -> None:
 
 def test_case_1_has_the_singular_values_of_the_thesis() -> None:
     """(7.28): 0.90, 0.91, 0.93 from (6.11), gain 0.9, shift 5, second-order Butterworth at 10 Hz."""
-    drives = controlled_actuators([Actuator.from_discrete(b, a, 5, DT) for b, a in PRINTED], DT)
+    drives = stack_controlled_actuators([Actuator.from_discrete(b, a, 5, DT) for b, a in PRINTED], DT)
     m = Reference(DT, np.zeros((900, 3)), np.zeros((900, 3)), 150, 750)
     found = analyse_convergence(
         LearningLaw(MotorSide(drives), (design_low_pass(10, DT),) * 3, TimeShift(0.9, 5, DT)), m
@@ -84,6 +84,6 @@ def test_filters_that_are_none_are_refused() -> None:
     with pytest.raises(InputError, match="unstable"):
         ZeroPhase(np.array([[1.0, 0, 0, 1, -2.1, 1.1]]), DT)
     with pytest.raises(InputError, match="floor"):
-        dip(7, 1, 0.0, DT)
+        build_notch(7, 1, 0.0, DT)
     with pytest.raises(InputError, match="cannot be joined"):
-        product([design_low_pass(10, DT), design_low_pass(10, 0.002)])
+        chain_filters([design_low_pass(10, DT), design_low_pass(10, 0.002)])

@@ -8,7 +8,7 @@ from tau_dyn.control.lead_through import ForceSensor
 from tau_dyn.control.lead_through.contact_state import ContactState
 from tau_dyn.control.lead_through.impedance import HandleImpedance
 from tau_dyn.control.lead_through.normal import NormalEstimator
-from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, saturation
+from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, limit_twist
 from tau_dyn.control.lead_through.stiffness import StiffnessWatch
 from tau_dyn.exceptions import InputError
 
@@ -63,7 +63,7 @@ def test_what_a_limit_takes_away_is_not_stored():
         for k in range(round(seconds / T) + 200):
             push = 100.0 if k < seconds / T else -100.0
             v = part.step(np.r_[push, np.zeros(5)], v)
-            v = v * saturation(v, 0.1, 1.0)
+            v = v * limit_twist(v, 0.1, 1.0)
             part.hold(v)
             if k >= seconds / T and v[0] < 0:
                 return k - round(seconds / T)

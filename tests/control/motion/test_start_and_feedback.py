@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.control.motion import MotionLimits, compute_feedback_margin, estimate_feedback_noise
-from tau_dyn.control.motion.profile import trapezoid
+from tau_dyn.control.motion.profile import compute_trapezoid
 from tau_dyn.exceptions import InputError
 from tau_dyn.simulate import CascadeController, CascadeLaw, Trajectory
 
@@ -20,7 +20,7 @@ from planned_robots import block, l1
 
 def test_the_trapezoid_is_a_motion_of_the_program():
     """Between nodes its acceleration is linear and its speed and way follow exactly; it rests at both ends."""
-    s, v, a = trapezoid(30)
+    s, v, a = compute_trapezoid(30)
     assert_allclose([s[0], v[0], a[0], s[-1], v[-1], a[-1]], [0, 0, 0, 1, 0, 0], atol=1e-12)
     assert_allclose(a[1::2], (a[:-1:2] + a[2::2]) / 2, atol=1e-12)
     assert_allclose(np.diff(v[::2]), (a[:-1:2] + a[2::2]) / 60, atol=1e-12)

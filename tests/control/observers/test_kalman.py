@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm, solve_discrete_are
 
-from tau_dyn.control.observers import KalmanToolObserver, extend_model, log_likelihood, tune_kalman, whiteness
+from tau_dyn.control.observers import KalmanToolObserver, check_whiteness, extend_model, log_likelihood, tune_kalman
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes import StateSpace
 
@@ -112,9 +112,9 @@ def test_alignment_matters() -> None:
 def test_whiteness_tells_white_from_coloured(rng) -> None:
     """White innovations pass at one in a thousand, first-order coloured ones do not; their size is compared too."""
     white = rng.standard_normal((4000, 1))
-    assert whiteness(white, np.eye(1)).p_value[0] > 1e-3
-    assert_allclose(whiteness(white, np.eye(1)).ratio, 1, atol=0.05)
-    assert whiteness(white[1:] + 0.3 * white[:-1], np.eye(1)).p_value[0] < 1e-6
+    assert check_whiteness(white, np.eye(1)).p_value[0] > 1e-3
+    assert_allclose(check_whiteness(white, np.eye(1)).ratio, 1, atol=0.05)
+    assert check_whiteness(white[1:] + 0.3 * white[:-1], np.eye(1)).p_value[0] < 1e-6
 
 
 def test_impossible_settings_are_refused() -> None:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.accuracy import ActuatorError, RodError, actuator_errors, read_errors_file, read_section
+from tau_dyn.kinematics.accuracy import ActuatorError, RodError, read_actuator_errors, read_errors_file, read_section
 
 CARTS = ("cart1", "cart2", "cart3")
 
 
 def test_words_name_all_actuators_or_one() -> None:
     """One size is for all; a named one overrules it; a colon parts along from across."""
-    found = actuator_errors(["50e-6", "cart2=80e-6:20e-6"], CARTS)
+    found = read_actuator_errors(["50e-6", "cart2=80e-6:20e-6"], CARTS)
     assert found["cart1"] == ActuatorError(50e-6, 50e-6) and found["cart2"] == ActuatorError(80e-6, 20e-6)
 
 
@@ -73,7 +73,7 @@ def test_faulty_files_are_refused(tmp_path: Path, text: str, words: str) -> None
 def test_faulty_words_are_refused(words: list[str]) -> None:
     """Unknown joints, no numbers, negative and huge sizes."""
     with pytest.raises(InputError, match="--actuator-error"):
-        actuator_errors(words, CARTS)
+        read_actuator_errors(words, CARTS)
 
 
 @pytest.mark.parametrize("text", ["x", "w=1", "x=nan", "x=far", "xy=1"])

@@ -13,16 +13,16 @@ from tau_dyn.kinematics.accuracy import (
     ActuatorError,
     ErrorBounds,
     RodError,
-    device_of,
+    build_device,
+    build_isotropic_error,
+    compute_positioning_errors,
     ellipsoids,
     parallelepiped,
-    positioning_errors,
-    same_in_all_directions,
 )
 from tau_dyn.kinematics.accuracy import certified as certified_bound
 from tau_dyn.kinematics.accuracy.monte_carlo import draw, monte_carlo
 from tau_dyn.kinematics.accuracy.rod_device import Moved, State
-from tau_dyn.kinematics.accuracy.worst_case import first_order, worst_case
+from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, solve_worst_case
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import build_rods
@@ -61,7 +61,7 @@ def test_random_errors_stay_below_the_exact_worst_case_and_that_below_the_proved
         q, tool = poses_of(rods, 3)
         for scale in (1.0, 100.0):
             more = errors.scaled(scale)
-            found = positioning_errors(device_of(rods.robot, rods, more), more, q, tool, samples=150)
+            found = compute_positioning_errors(build_device(rods.robot, rods, more), more, q, tool, samples=150)
             exact, proved = found.largest["exact"], found.largest["certified"]
             assert np.all(found.largest["montecarlo"] <= exact * (1 + 1e-12))
             assert np.all(found.largest["montecarlo"] > 0.3 * exact)
@@ -75,11 +75,11 @@ def test_orthogonal_rods_with_equal_errors_err_by_root_three() -> None:
     """Orthogonal rods turn balls of radius r into a cube: the tool errs by sqrt(3) r, and never by less elsewhere."""
     rods = rods_of("l1")
     r = 1e-6
-    errors = ErrorBounds({j: same_in_all_directions(r) for j in rods.robot.actuated})
-    device = device_of(rods.robot, rods, errors)
+    errors = ErrorBounds({j: build_isotropic_error(r) for j in rods.robot.actuated})
+    device = build_device(rods.robot, rods, errors)
     q, tool = poses_of(rods, 60)
     state = device.state(q, tool)
-    first, _ = first_order(device.sensitivity(state), device.balls, True)
+    first, _ = bound_first_order(device.sensitivity(state), device.balls, True)
     C, _ = device.tangent(state, state.plate)
     skew = np.abs(np.linalg.det(C))
     assert np.all(first.size >= np.sqrt(3) * r)
@@ -88,15 +88,17 @@ def test_orthogonal_rods_with_equal_errors_err_by_root_three() -> None:
     order = np.argsort(-skew)
     assert first.size[order[0]] < first.size[order[-1]]
     cube = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0] * r
-    assert np.isclose(first_order(cube[None], (slice(0, 1), slice(1, 2), slice(2, 3)), True)[0].size[0], np.sqrt(3) * r)
+    assert np.isclose(
+        bound_first_order(cube[None], (slice(0, 1), slice(1, 2), slice(2, 3)), True)[0].size[0], np.sqrt(3) * r
+    )
 
 
 def test_parallelepiped_is_the_brute_force_over_corners_for_small_errors() -> None:
     """The farthest of the eight exact corners, found with lengths L +- h by forward kinematics, is A.4's longest diagonal."""
     rods = rods_of("l1")
     h = np.array([32e-6, 77e-6, 54e-6])
-    errors = ErrorBounds({j: same_in_all_directions(x) for j, x in zip(rods.robot.actuated, h, strict=True)})
-    device = device_of(rods.robot, rods, errors)
+    errors = ErrorBounds({j: build_isotropic_error(x) for j, x in zip(rods.robot.actuated, h, strict=True)})
+    device = build_device(rods.robot, rods, errors)
     q, tool = poses_of(rods, 1)
     state = device.state(q, tool)
     reach = []
@@ -104,10 +106,10 @@ def test_parallelepiped_is_the_brute_force_over_corners_for_small_errors() -> No
         values = {f"arm{k + 1}.length": rods.lengths[k] + signs[k] * h[k] for k in range(3)}
         longer = rods.with_geometry(rods.geometry.update({n: {"value": v} for n, v in values.items()}))
         reach.append(np.linalg.norm(forward_kinematics(longer, q).poses.position - tool.position))
-    first, corners = first_order(device.sensitivity(state), device.balls, True)
+    first, corners = bound_first_order(device.sensitivity(state), device.balls, True)
     assert np.isclose(first.size[0], max(reach), rtol=2e-4)
-    assert np.isclose(worst_case(device, state, corners).size[0], max(reach), rtol=1e-9)
-    edges = parallelepiped.half_edges(device, state)[0]
+    assert np.isclose(solve_worst_case(device, state, corners).size[0], max(reach), rtol=1e-9)
+    edges = parallelepiped.compute_half_edges(device, state)[0]
     assert np.isclose(max(np.linalg.norm(edges @ s) for s in product((1, -1), repeat=3)), first.size[0], rtol=1e-12)
 
 
@@ -118,8 +120,8 @@ def test_linear_departs_from_exact_with_the_square_of_the_errors() -> None:
     missed = []
     for scale in (10.0, 100.0):
         errors = ErrorBounds(CASE_2).scaled(scale)
-        found = positioning_errors(
-            device_of(rods.robot, rods, errors), errors, q, tool, methods=["parallelepiped", "exact"]
+        found = compute_positioning_errors(
+            build_device(rods.robot, rods, errors), errors, q, tool, methods=["parallelepiped", "exact"]
         )
         missed.append(np.abs(found.largest["exact"] - found.largest["parallelepiped"]))
     assert np.allclose(missed[1] / missed[0], 100.0, rtol=0.05)
@@ -129,29 +131,29 @@ def test_thesis_ellipsoids_are_exact_for_balls_and_too_thin_otherwise() -> None:
     """A.2's shells have thickness sum r u^2, the error set sqrt(sum r^2 u^2): equal for balls, smaller to first order else."""
     rods = rods_of()
     q, tool = poses_of(rods)
-    for actuators, equal in (({j: same_in_all_directions(5e-5) for j in CASE_2}, True), (CASE_2, False)):
+    for actuators, equal in (({j: build_isotropic_error(5e-5) for j in CASE_2}, True), (CASE_2, False)):
         errors = ErrorBounds(actuators)
-        device = device_of(rods.robot, rods, errors)
+        device = build_device(rods.robot, rods, errors)
         state = device.state(q, tool)
-        shifts, count = ellipsoids.corners(device, state)
-        exact = positioning_errors(device, errors, q, tool, methods=["exact"]).largest["exact"]
-        h, thin = parallelepiped.half_heights(device, state), ellipsoids.shell_heights(device, state)
+        shifts, count = ellipsoids.find_corners(device, state)
+        exact = compute_positioning_errors(device, errors, q, tool, methods=["exact"]).largest["exact"]
+        h, thin = parallelepiped.compute_half_heights(device, state), ellipsoids.compute_shell_heights(device, state)
         assert np.all(thin <= h * (1 + 1e-12)) and count.max() < 8
         if equal:
-            assert np.allclose(ellipsoids.largest(shifts), exact, rtol=1e-9) and np.allclose(thin, h)
+            assert np.allclose(ellipsoids.measure_largest(shifts), exact, rtol=1e-9) and np.allclose(thin, h)
         else:
-            share = ellipsoids.largest(shifts) / exact
+            share = ellipsoids.measure_largest(shifts) / exact
             assert np.all(share < 0.99) and np.all(share > 0.9)
 
 
 def test_errors_that_carts_share_turn_no_plate() -> None:
     """A cart moves all its rods alike: parallel rods keep the plate's orientation, and the tool goes as with one rod."""
     simple, complete = rods_of("l1"), rods_of("l1", "complete")
-    errors = ErrorBounds({"cart2": ActuatorError(3e-5, 6e-5), "cart3": same_in_all_directions(5e-5)})
+    errors = ErrorBounds({"cart2": ActuatorError(3e-5, 6e-5), "cart3": build_isotropic_error(5e-5)})
     q = simple.robot.home[None]
     sizes = []
     for rods in (simple, complete):
-        found = positioning_errors(device_of(rods.robot, rods, errors), errors, q, forward_kinematics(rods, q).poses,
+        found = compute_positioning_errors(build_device(rods.robot, rods, errors), errors, q, forward_kinematics(rods, q).poses,
                                    methods=["parallelepiped", "exact"])  # fmt: skip
         sizes.append(found.largest["exact"][0])
         if rods is complete:
@@ -165,7 +167,7 @@ def test_sensitivity_is_the_derivative_of_the_solved_constraints() -> None:
         errors = ErrorBounds(
             {j: ActuatorError(1e-3) for j in rods.robot.actuated}, {n: RodError(1e-3, 1e-3, 1e-3) for n in rods.names}
         )
-        device = device_of(rods.robot, rods, errors)
+        device = build_device(rods.robot, rods, errors)
         q, tool = poses_of(rods, 2)
         state = device.state(q, tool)
         H, step = device.sensitivity(state), 1e-3
@@ -181,7 +183,7 @@ def test_near_a_singularity_the_linear_bound_is_wrong_and_nothing_is_proved() ->
     """Nearer to the plane of the base points the first-order bound runs off, the exact one says so, and no bound is certified."""
     rods = rods_of("l1")
     robot = rods.robot
-    errors = ErrorBounds({j: same_in_all_directions(2e-3) for j in robot.actuated})
+    errors = ErrorBounds({j: build_isotropic_error(2e-3) for j in robot.actuated})
     A = rods.base_points(robot.home[None])[0]
     n = np.cross(A[1] - A[0], A[2] - A[0])
     n /= np.linalg.norm(n)
@@ -195,8 +197,8 @@ def test_near_a_singularity_the_linear_bound_is_wrong_and_nothing_is_proved() ->
         near = rods.with_geometry(
             rods.geometry.update({f"arm{i + 1}.length": {"value": lengths[k, i]} for i in range(3)})
         )
-        device = device_of(robot, near, errors)
-        found = positioning_errors(device, errors, robot.home[None], forward_kinematics(near, robot.home[None]).poses,
+        device = build_device(robot, near, errors)
+        found = compute_positioning_errors(device, errors, robot.home[None], forward_kinematics(near, robot.home[None]).poses,
                                    methods=["parallelepiped", "exact", "certified"])  # fmt: skip
         off.append(found.off("parallelepiped")[0])
         proved.append(found.largest["certified"][0])
@@ -227,8 +229,8 @@ def test_a_pose_that_falls_off_its_branch_leaves_its_neighbours_alone() -> None:
     here = Poses(np.zeros((2, 3)), np.broadcast_to(np.eye(3), (2, 3, 3)))
     state = State(np.zeros((2, 1)), here.position, here.rotation, here)
     corners = np.broadcast_to([1.0, 0.0], (2, 1, 2))
-    alone = worst_case(_Bent(), state.take(slice(0, 1)), corners[:1])
-    beside = worst_case(_Bent(), state, corners)
+    alone = solve_worst_case(_Bent(), state.take(slice(0, 1)), corners[:1])
+    beside = solve_worst_case(_Bent(), state, corners)
     assert np.isnan(beside.size[1]) and alone.size[0] > 1.2
     for one, other in zip(alone, beside, strict=True):
         assert np.allclose(one[0], other[0], rtol=1e-12)
@@ -248,8 +250,8 @@ def test_one_actuator_moves_the_tool_by_its_jacobian_column() -> None:
     rods = rods_of("l1")
     errors = ErrorBounds({"cart1": ActuatorError(1e-6)})
     q, tool = poses_of(rods, 4)
-    found = positioning_errors(
-        device_of(rods.robot, rods, errors), errors, q, tool, methods=["linear", "parallelepiped", "exact"]
+    found = compute_positioning_errors(
+        build_device(rods.robot, rods, errors), errors, q, tool, methods=["linear", "parallelepiped", "exact"]
     )
     step = 1e-4 * np.eye(3)[0]
     up, down = (forward_kinematics(rods, q + s * step).poses.position for s in (1, -1))
@@ -262,12 +264,15 @@ def test_bad_requests_are_refused() -> None:
     """No errors, unknown methods and poses that are no numbers end in one sentence."""
     rods = rods_of("l1")
     with pytest.raises(InputError, match="all errors are zero"):
-        device_of(rods.robot, rods, ErrorBounds())
+        build_device(rods.robot, rods, ErrorBounds())
     errors = ErrorBounds({"cart1": ActuatorError(1e-6)})
-    device = device_of(rods.robot, rods, errors)
+    device = build_device(rods.robot, rods, errors)
     q, tool = poses_of(rods, 1)
     with pytest.raises(InputError, match="no method named 'guess'"):
-        positioning_errors(device, errors, q, tool, methods=["guess"])
+        compute_positioning_errors(device, errors, q, tool, methods=["guess"])
     with pytest.raises(InputError, match="finite"):
-        positioning_errors(device, errors, q * np.nan, tool)
-    assert certified_bound.applies(device) == "" and monte_carlo(device, device.state(q, tool), 5, 0).lost[0] == 0
+        compute_positioning_errors(device, errors, q * np.nan, tool)
+    assert (
+        certified_bound.explain_inapplicable(device) == ""
+        and monte_carlo(device, device.state(q, tool), 5, 0).lost[0] == 0
+    )

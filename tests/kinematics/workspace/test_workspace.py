@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.obstacles import surroundings_from
+from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace, tilt
-from tau_dyn.kinematics.workspace.machines import machine_of
-from tau_dyn.kinematics.workspace.study import study
+from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace, measure_tilt
+from tau_dyn.kinematics.workspace.machines import build_machine
+from tau_dyn.kinematics.workspace.study import study_workspace
 from tau_dyn.robot import load_robot
 
 
@@ -36,7 +36,7 @@ ANNULUS = np.pi * (0.7**2 - 0.1**2)
 def obstacle(**more: object) -> PoseRequirements:
     entry = {"name": "block", **more}
     return PoseRequirements(
-        ball_angle=np.pi, condition=1e9, surroundings=surroundings_from({"obstacles": [entry]}, "test")
+        ball_angle=np.pi, condition=1e9, surroundings=build_surroundings({"obstacles": [entry]}, "test")
     )
 
 
@@ -182,9 +182,9 @@ def test_margin_to_the_border_erodes(gantry) -> None:
 
 def test_probe_finds_a_hole_between_coarse_points() -> None:
     """A block of 5 cm within a coarse cell of 8 cm is found by the random points and then followed."""
-    from tau_dyn.kinematics.workspace.lattice import classify_lattice, lattice_over
+    from tau_dyn.kinematics.workspace.lattice import build_lattice, classify_lattice
 
-    lattice = lattice_over(np.zeros(3), np.full(3, 0.64), np.zeros(3), 0.01, 8)
+    lattice = build_lattice(np.zeros(3), np.full(3, 0.64), np.zeros(3), 0.01, 8)
 
     def classify(points: np.ndarray) -> np.ndarray:
         return np.where(np.abs(points - 0.44).max(axis=1) < 0.0251, 1, 0)
@@ -197,7 +197,7 @@ def test_probe_finds_a_hole_between_coarse_points() -> None:
 def test_stewart_platform_leans_as_far_to_both_sides() -> None:
     """The hexapod is symmetric about the plane x-z: it leans as far towards +y as towards -y, until a demand stops it."""
     found = find_workspace(load_robot("stewart"), resolution=0.1)
-    lean = tilt(found, found.machine.home.position[0])
+    lean = measure_tilt(found, found.machine.home.position[0])
     np.testing.assert_allclose(lean.angle, np.roll(lean.angle[::-1], 1), atol=np.deg2rad(1.01))
     assert 0 < lean.angle.min() <= lean.angle.max() < np.pi / 2
     assert all(lean.reason)
@@ -207,7 +207,7 @@ def test_unreached_orientation_is_refused(gantry) -> None:
     """A plate that only translates has no range of tilt; the sentence says so."""
     found = find_workspace(gantry, resolution=0.1, demands=FREE)
     with pytest.raises(InputError, match="does not turn freely"):
-        tilt(found, found.machine.home.position[0])
+        measure_tilt(found, found.machine.home.position[0])
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_home_that_does_not_belong_is_refused(gantry) -> None:
 
 def test_workspace_that_runs_on_beyond_the_box_searched_says_so() -> None:
     """A reach estimated far too small is enlarged a few times; what still touches the box is a warning, not a failure."""
-    machine = machine_of(robots.planar())
+    machine = build_machine(robots.planar())
     home = machine.home.position[0]
     machine.reach = lambda: (home - [0.01, 0.01, 0.0], home + [0.01, 0.01, 0.0])
     found = find_workspace(machine, resolution=0.004, demands=FREE)
@@ -247,7 +247,7 @@ def test_place_of_the_tilt_may_be_an_array() -> None:
     """A place given as an array is asked for as one given as a list: a planar arm says that its tool does not turn freely."""
     for place in (np.array([0.4, 0.2, 0.0]), [0.4, 0.2, 0.0]):
         with pytest.raises(InputError, match="does not turn freely"):
-            study(robots.planar(), resolution=0.1, demands=FREE, tilt_at=place)
+            study_workspace(robots.planar(), resolution=0.1, demands=FREE, tilt_at=place)
 
 
 def test_judged_positions_reach_their_places(gantry) -> None:

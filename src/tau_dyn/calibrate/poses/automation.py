@@ -29,7 +29,7 @@ from tau_dyn.calibrate.poses.tour import Tour, plan_tour
 from tau_dyn.calibrate.poses.visible import Visible, find_visible
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.machines import build_machine
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.robot import Robot
 
@@ -154,7 +154,7 @@ def plan_campaign(
             help.
     """
     demands = demands if demands is not None else PoseRequirements()
-    machine = machine_of(robot)
+    machine = build_machine(robot)
     geometry = build_geometry(robot, model)
     device = _device_for(geometry, device)
     reach = find_reachable(machine, demands, safety, wanted=candidates, seed=seed, progress=progress)

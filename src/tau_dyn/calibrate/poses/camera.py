@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.frames import DeviceFrames, Frame, mean_rotation
+from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_mean_rotation
 from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_to_device
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
@@ -144,7 +144,7 @@ class Camera:
         found = self.locate(pixels, at)
         if not self.steady:
             return found
-        turn = np.broadcast_to(mean_rotation(found.rotation), found.rotation.shape)
+        turn = np.broadcast_to(compute_mean_rotation(found.rotation), found.rotation.shape)
         return self.locate(pixels, Poses(found.position, turn), turns=False)
 
     def project(self, points: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from tau_dyn.calibrate.poses.devices import SEEN, MeasuringDevice
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, find_collisions, standing
+from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, find_collisions
 from tau_dyn.kinematics.obstacles import Surroundings
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
@@ -46,7 +46,7 @@ def find_occlusions(
     out = np.full(len(q), SEEN, dtype=object)
     if device.place is None or not len(q):
         return out
-    solids = [(o.name, standing(o.shape, o.placement)) for o in around.obstacles if o.blocks == "robot"]
+    solids = [(o.name, build_standing_solid(o.shape, o.placement)) for o in around.obstacles if o.blocks == "robot"]
     if machine is not None:
         bodies = zip(machine.bodies, machine.solids(q, tool), strict=True)
         solids += [

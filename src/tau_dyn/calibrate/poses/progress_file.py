@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.files import read_bytes, write_whole
-from tau_dyn.kinematics.poses import Poses, from_quaternions, quaternions
+from tau_dyn.kinematics.poses import Poses, convert_from_quaternions, convert_to_quaternions
 
 _VERSION = 1  # version of the file format
 _MAX_FILE_BYTES = 64 * 2**20  # [bytes]
@@ -92,7 +92,9 @@ class CampaignProgress:
         if self.state[k] == "measured":
             row["position"] = self.position[k].tolist()
             if np.isfinite(self.rotation[k]).all():
-                row["quaternion"] = quaternions(Poses(self.position[k : k + 1], self.rotation[k : k + 1]))[0].tolist()
+                row["quaternion"] = convert_to_quaternions(Poses(self.position[k : k + 1], self.rotation[k : k + 1]))[
+                    0
+                ].tolist()
         return row
 
 
@@ -145,7 +147,7 @@ def _read(joints: tuple[str, ...], rows: list[dict[str, Any]]) -> CampaignProgre
         if state[k] == "measured":
             found.position[k] = row["position"]
             if "quaternion" in row:
-                found.rotation[k] = from_quaternions(
+                found.rotation[k] = convert_from_quaternions(
                     found.position[k : k + 1], np.array([row["quaternion"]], float)
                 ).rotation[0]
     return found

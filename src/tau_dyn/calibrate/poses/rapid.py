@@ -11,9 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.control.interface.rapid_text import array, checked_joints, checked_name, comment, jointtarget, robtarget
+from tau_dyn.control.interface.rapid_text import (
+    format_array,
+    format_comment,
+    format_jointtarget,
+    format_robtarget,
+    require_few_joints,
+    require_rapid_name,
+)
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses, quaternions
+from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
 
 
 def format_rapid_module(
@@ -44,22 +51,22 @@ def format_rapid_module(
     """
     if not len(q):
         raise InputError("there is no pose to write a RAPID module for")
-    checked_joints(kinds)
-    checked_name(name)
-    joints = [jointtarget(row, kinds) for row in q]
-    robots = [robtarget(p, r) for p, r in zip(tool.position, quaternions(tool), strict=True)]
+    require_few_joints(kinds)
+    require_rapid_name(name)
+    joints = [format_jointtarget(row, kinds) for row in q]
+    robots = [format_robtarget(p, r) for p, r in zip(tool.position, convert_to_quaternions(tool), strict=True)]
     k = len(q)
     lines = [
         f"MODULE {name}",
-        comment(
+        format_comment(
             f"{(pose >= 0).sum()} calibration poses, {(pose < 0).sum()} places on the way; axes: {', '.join(actuated)}"
         ),
         f"  CONST num n_places := {k};",
         "  PERS num next_place := 1;",
         f"  CONST num pose_number{{{k}}} := [{', '.join(str(int(p) + 1) for p in pose)}];",
-        *array("jointtarget places", joints),
+        *format_array("jointtarget places", joints),
         "  ! The tool at these places by the nominal robot, for the reader; nothing drives to them.",
-        *array("robtarget expected", robots),
+        *format_array("robtarget expected", robots),
         "",
         "  PROC main()",
         "    ! next_place survives a stop: the program goes on where it was. Set it to 1 to start anew.",

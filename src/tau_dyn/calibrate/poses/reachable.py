@@ -22,7 +22,7 @@ from tau_dyn.kinematics.obstacles import Obstacle
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.find import find_workspace
 from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel, travel
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
 from tau_dyn.kinematics.workspace.pose_check import PoseChecker
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 
@@ -130,7 +130,7 @@ def find_reachable(
         q, tool, said = _on_grid(machine, strict, border, wanted, 0.0 if machine.rods.translates else tilt)
     else:
         q, tool, said = _over_travel(machine, check, wanted, seed)
-    low, high = travel(machine.robot)
+    low, high = get_travel(machine.robot)
     room = safety.travel * (high - low)
     inside = ((q >= low + room) & (q <= high - room)).all(axis=1)
     if not inside.any():
@@ -202,7 +202,7 @@ def _turns(tilt: float) -> list[np.ndarray]:
 def _over_travel(
     machine: WorkspaceModel, check: PathCheck, wanted: int, seed: int
 ) -> tuple[np.ndarray, Poses, tuple[str, ...]]:
-    low, high = travel(machine.robot)
+    low, high = get_travel(machine.robot)
     power = int(np.ceil(np.log2(_DRAWN * wanted)))
     even = qmc.Sobol(machine.robot.na, scramble=False).random_base2(power)
     share = (even + np.random.default_rng(seed).random(machine.robot.na)) % 1.0  # Cranley & Patterson 1976

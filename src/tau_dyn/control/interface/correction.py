@@ -17,7 +17,7 @@ import pandas as pd
 from tau_dyn.control.interface.check import check_motion
 from tau_dyn.control.interface.limits import CommandLimits
 from tau_dyn.control.interface.period import DEFAULT_PERIOD_S, require_period
-from tau_dyn.control.interface.reference import digest
+from tau_dyn.control.interface.reference import compute_digest
 from tau_dyn.control.iterative import LearningHistory
 from tau_dyn.control.iterative.law import UpdateLaw
 from tau_dyn.exceptions import InputError
@@ -76,7 +76,7 @@ def build_correction(done: LearningHistory, law: UpdateLaw, joints: Sequence[str
         trial: Which trial's correction; by default the last one's.
     """
     q = law.side.commands(done.motion, done.corrections[trial])
-    return Correction(tuple(joints), done.motion.dt, q - done.motion.q, digest(_reference(done, joints)))
+    return Correction(tuple(joints), done.motion.dt, q - done.motion.q, compute_digest(_reference(done, joints)))
 
 
 def _reference(done: LearningHistory, joints: Sequence[str]) -> Trajectory:
@@ -114,9 +114,10 @@ def require_same_motion(reference: Trajectory, correction: Correction) -> None:
     require_period(reference.t, correction.dt, f"{reference.name}, for a correction every {1e3 * correction.dt:g} ms")
     if len(correction.dq) != reference.n_samples:
         raise InputError(f"the correction has {len(correction.dq)} samples, {reference.name} has {reference.n_samples}")
-    if correction.motion != digest(reference):
+    if correction.motion != compute_digest(reference):
         raise InputError(
-            f"the correction was learnt on another motion ({correction.motion}) than {reference.name} ({digest(reference)})"
+            f"the correction was learnt on another motion ({correction.motion}) than {reference.name} "
+            f"({compute_digest(reference)})"
         )
 
 

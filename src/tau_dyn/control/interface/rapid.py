@@ -9,9 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.control.interface.rapid_text import array, checked_joints, checked_name, comment, jointtarget, robtarget
+from tau_dyn.control.interface.rapid_text import (
+    format_array,
+    format_comment,
+    format_jointtarget,
+    format_robtarget,
+    require_few_joints,
+    require_rapid_name,
+)
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import forward_kinematics, quaternions
+from tau_dyn.kinematics import convert_to_quaternions, forward_kinematics
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory
 
@@ -43,9 +50,9 @@ def format_rapid_motion(
     Raises:
         InputError: A name that RAPID does not take, joints that are not the robot's, or too many places.
     """
-    checked_joints(robot.joint_kinds)
+    require_few_joints(robot.joint_kinds)
     for text, what in ((name, "a RAPID module"), (tool, "RAPID tool data"), (wobj, "a RAPID work object")):
-        checked_name(text, what)
+        require_rapid_name(text, what)
     if by not in ("joints", "tool"):
         raise InputError(f"a RAPID motion goes by 'joints' or by 'tool', not by '{by}'")
     if motion.joints != robot.actuated:
@@ -57,10 +64,13 @@ def format_rapid_motion(
         raise InputError(f"{motion.name}: it leaves the robot's reach, so there is no tool path to write")
     keep = select_waypoints(motion.t, motion.q if poses is None else poses.position, tolerance)
     if poses is None:
-        rows, kind = [jointtarget(row, robot.joint_kinds) for row in motion.q[keep]], "jointtarget"
+        rows, kind = [format_jointtarget(row, robot.joint_kinds) for row in motion.q[keep]], "jointtarget"
     else:
         few = poses.take(keep)
-        rows, kind = [robtarget(p, r) for p, r in zip(few.position, quaternions(few), strict=True)], "robtarget"
+        rows, kind = (
+            [format_robtarget(p, r) for p, r in zip(few.position, convert_to_quaternions(few), strict=True)],
+            "robtarget",
+        )
     seconds = [f"{x:.4f}" for x in np.diff(motion.t[keep], prepend=motion.t[0])]
     return "\n".join(_module(robot, motion, name, kind, rows, seconds, (tool, wobj))) + "\n"
 
@@ -116,12 +126,12 @@ def _module(
 
     return [
         f"MODULE {name}",
-        comment(f"{motion.name}: {motion.duration:.4g} s in {len(rows)} places"),
-        comment(f"axes: {units}" if joints else "places of the tool in the robot's base, mm; quaternions"),
+        format_comment(f"{motion.name}: {motion.duration:.4g} s in {len(rows)} places"),
+        format_comment(f"axes: {units}" if joints else "places of the tool in the robot's base, mm; quaternions"),
         f"  CONST num n_places := {len(rows)};",
-        *array(f"{kind} places", rows),
-        comment("Time to reach each place from the one before, s."),
-        *array("num seconds", seconds),
+        *format_array(f"{kind} places", rows),
+        format_comment("Time to reach each place from the one before, s."),
+        *format_array("num seconds", seconds),
         "",
         "  PROC main()",
         *([] if joints else ["    ConfL \\Off;"]),

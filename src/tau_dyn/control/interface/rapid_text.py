@@ -20,7 +20,7 @@ _RESERVED = frozenset(
 )
 
 
-def checked_name(name: str, what: str = "a RAPID module") -> str:
+def require_rapid_name(name: str, what: str = "a RAPID module") -> str:
     """Return a name that RAPID takes.
 
     Raises:
@@ -33,7 +33,7 @@ def checked_name(name: str, what: str = "a RAPID module") -> str:
     return name
 
 
-def checked_joints(kinds: Sequence[str]) -> None:
+def require_few_joints(kinds: Sequence[str]) -> None:
     """Refuse a robot with more drives than a joint target holds.
 
     Raises:
@@ -43,7 +43,7 @@ def checked_joints(kinds: Sequence[str]) -> None:
         raise InputError(f"a RAPID jointtarget holds 12 axes; this robot has {len(kinds)} actuated joints")
 
 
-def jointtarget(row: np.ndarray, kinds: Sequence[str]) -> str:
+def format_jointtarget(row: np.ndarray, kinds: Sequence[str]) -> str:
     """Return positions (na,) [m or rad] as a joint target: mm along slides, degrees about turns, 9E9 for axes not there."""
     values = [f"{1e3 * x if kind == 'prismatic' else np.rad2deg(x):.4f}" for x, kind in zip(row, kinds, strict=True)]
     robot = values[:AXES] + ["0"] * (AXES - len(values[:AXES]))
@@ -51,18 +51,18 @@ def jointtarget(row: np.ndarray, kinds: Sequence[str]) -> str:
     return f"[[{','.join(robot)}],[{','.join(external)}]]"
 
 
-def robtarget(position: np.ndarray, quaternion: np.ndarray) -> str:
+def format_robtarget(position: np.ndarray, quaternion: np.ndarray) -> str:
     """Return a place (3,) [m] and a quaternion x y z w as a robot target: mm, the quaternion's scalar first."""
     place = ",".join(f"{1e3 * x:.4f}" for x in position)
     turn = ",".join(f"{x:.8f}" for x in np.roll(quaternion, 1))
     return f"[[{place}],[{turn}],[0,0,0,0],[{','.join([UNUSED] * AXES)}]]"
 
 
-def array(declaration: str, rows: Sequence[str]) -> list[str]:
+def format_array(declaration: str, rows: Sequence[str]) -> list[str]:
     """Return lines that declare a constant array, a row a line."""
     return [f"  CONST {declaration}{{{len(rows)}}} := [", ",\n".join(f"    {row}" for row in rows), "  ];"]
 
 
-def comment(text: str) -> str:
+def format_comment(text: str) -> str:
     """Return a comment line; what is no printable ASCII becomes a question mark."""
     return f"  ! {re.sub(r'[^ -~]', '?', text)}"

@@ -71,7 +71,7 @@ def read_reference(path: str | Path, joints: Sequence[str], *, period: float = D
     return found
 
 
-def digest(motion: Trajectory) -> str:
+def compute_digest(motion: Trajectory) -> str:
     """Return what tells a motion from another: a hash of joints, period and positions as a file holds them (12 digits)."""
     period = (motion.t[-1] - motion.t[0]) / (motion.n_samples - 1)
     words = [*motion.joints, f"{period:.9g}", *map("%.12g".__mod__, motion.q.ravel().tolist())]

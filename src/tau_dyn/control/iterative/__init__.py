@@ -12,12 +12,22 @@ from tau_dyn.control.iterative.law import LearningLaw
 from tau_dyn.control.iterative.learn import TrialPlant, learn
 from tau_dyn.control.iterative.learned_outputs import MotorSide, ToolSide
 from tau_dyn.control.iterative.learning import LearningHistory
-from tau_dyn.control.iterative.lifted_system import build_lifted_matrix, compute_pulse_response, controlled_actuators
+from tau_dyn.control.iterative.lifted_system import (
+    build_lifted_matrix,
+    compute_pulse_response,
+    stack_controlled_actuators,
+)
 from tau_dyn.control.iterative.norm_optimal import NormOptimalLaw
 from tau_dyn.control.iterative.reference import Reference
 from tau_dyn.control.iterative.robust_filter_design import design_robust_filter
 from tau_dyn.control.iterative.shift import TimeShift
-from tau_dyn.control.iterative.zero_phase import ZeroPhase, design_band_stop, design_low_pass, dip, product
+from tau_dyn.control.iterative.zero_phase import (
+    ZeroPhase,
+    build_notch,
+    chain_filters,
+    design_band_stop,
+    design_low_pass,
+)
 from tau_dyn.deprecated_names import get_deprecated
 
 __all__ = [
@@ -35,16 +45,16 @@ __all__ = [
     "analyse_convergence",
     "build_iteration_operator",
     "build_lifted_matrix",
+    "build_notch",
+    "chain_filters",
     "compute_frequency_condition",
     "compute_pulse_response",
-    "controlled_actuators",
     "design_band_stop",
     "design_low_pass",
     "design_robust_filter",
-    "dip",
     "learn",
-    "product",
     "require_convergence",
+    "stack_controlled_actuators",
 ]
 
 

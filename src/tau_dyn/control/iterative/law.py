@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from tau_dyn.control.iterative.learned_outputs import LearnedOutput
-from tau_dyn.control.iterative.lifted_system import Operator, on_signals
+from tau_dyn.control.iterative.lifted_system import Operator, build_signal_operator
 from tau_dyn.control.iterative.reference import Reference
 from tau_dyn.control.iterative.shift import TimeShift
 from tau_dyn.control.iterative.zero_phase import ZeroPhase
@@ -81,8 +81,8 @@ class LearningLaw:
         def filtered(x: np.ndarray) -> np.ndarray:  # its own transpose
             return np.column_stack([q.apply(x[:, k]) for k, q in enumerate(self.forgetting)])
 
-        Q = on_signals(lambda x: w * filtered(x), lambda x: filtered(w * x), n, m, m)
-        L = on_signals(self.learning.apply, self.learning.transposed, n, m, m)
+        Q = build_signal_operator(lambda x: w * filtered(x), lambda x: filtered(w * x), n, m, m)
+        L = build_signal_operator(self.learning.apply, self.learning.transposed, n, m, m)
         return Q, Q @ L
 
     def matrices(self, motion: Reference, channel: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tau_dyn.control.iterative.lifted_system import Operator, compute_pulse_response, convolution
+from tau_dyn.control.iterative.lifted_system import Operator, build_convolution, compute_pulse_response
 from tau_dyn.control.iterative.reference import Reference
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.state_space import StateSpace
@@ -129,7 +129,7 @@ class MotorSide:
 
     def operator(self, n: int) -> Operator:
         """Return `T_uy`."""
-        return convolution(compute_pulse_response(self.model, n))
+        return build_convolution(compute_pulse_response(self.model, n))
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """Return `T_uy` at frequencies."""
@@ -196,10 +196,10 @@ class ToolSide:
     def operator(self, n: int) -> Operator:
         """Return `F_y T_uy`."""
         if self.observer is None or self.kinematic_model is None:
-            return convolution(compute_pulse_response(self.model, n))
+            return build_convolution(compute_pulse_response(self.model, n))
         slow, fast = self.observer.operators(n)
-        acceleration = convolution(_differentiated(compute_pulse_response(self.model, n + 1), self.dt))
-        return slow @ convolution(compute_pulse_response(self.kinematic_model, n)) + fast @ acceleration
+        acceleration = build_convolution(_differentiated(compute_pulse_response(self.model, n + 1), self.dt))
+        return slow @ build_convolution(compute_pulse_response(self.kinematic_model, n)) + fast @ acceleration
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """Return the same at frequencies."""

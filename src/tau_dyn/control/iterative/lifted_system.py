@@ -41,7 +41,7 @@ def build_lifted_matrix(pulses: np.ndarray) -> np.ndarray:
     return np.block([[toeplitz(pulses[:, i, j], np.zeros(n)) for j in range(m)] for i in range(p)])
 
 
-def convolution(pulses: np.ndarray) -> Operator:
+def build_convolution(pulses: np.ndarray) -> Operator:
     """Return the same as an operator that convolves by the fast Fourier transform."""
     n, p, m = pulses.shape
     length = next_fast_len(2 * n, real=True)
@@ -55,10 +55,10 @@ def convolution(pulses: np.ndarray) -> Operator:
     def back(x: np.ndarray) -> np.ndarray:  # the transpose of a lower triangular Toeplitz matrix runs backwards
         return through(x[::-1], response.transpose(0, 2, 1))[::-1]
 
-    return on_signals(lambda x: through(x, response), back, n, p, m)
+    return build_signal_operator(lambda x: through(x, response), back, n, p, m)
 
 
-def on_signals(
+def build_signal_operator(
     forth: Callable[[np.ndarray], np.ndarray], back: Callable[[np.ndarray], np.ndarray], n: int, p: int, m: int
 ) -> Operator:
     """Return the operator of a map from signals (n, m) to signals (n, p) and of its transpose."""
@@ -79,7 +79,9 @@ def unstack_channels(x: np.ndarray, m: int) -> np.ndarray:
     return x.reshape(m, -1).T
 
 
-def controlled_actuators(actuators: Sequence[Actuator], dt: float, jacobian: np.ndarray | None = None) -> StateSpace:
+def stack_controlled_actuators(
+    actuators: Sequence[Actuator], dt: float, jacobian: np.ndarray | None = None
+) -> StateSpace:
     """Return models of controlled actuators side by side, from references to positions, (6.11).
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 
 from tau_dyn.control.iterative.learned_outputs import LearnedOutput
 from tau_dyn.control.iterative.shift import TimeShift
-from tau_dyn.control.iterative.zero_phase import ZeroPhase, design_low_pass, dip, product
+from tau_dyn.control.iterative.zero_phase import ZeroPhase, build_notch, chain_filters, design_low_pass
 from tau_dyn.exceptions import InputError
 
 _MIN_DIP = 1e-3  # no dip is deeper
@@ -40,7 +40,7 @@ def design_robust_filter(
     f = np.geomspace(0.2, 0.499 / side.dt, 1500)
     left = _worst_nearby(f, side, learning, tolerance)
     for _ in range(_TURNS):
-        Q = product([base, *(dip(c, width, floor, side.dt) for c, (width, floor) in dips.items())])
+        Q = chain_filters([base, *(build_notch(c, width, floor, side.dt) for c, (width, floor) in dips.items())])
         whole = Q.response(f) * left
         k = int(np.argmax(whole))
         if whole[k] <= growth:

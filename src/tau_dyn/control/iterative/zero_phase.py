@@ -79,7 +79,7 @@ def design_band_stop(low_hz: float, high_hz: float, dt: float, order: int = 1) -
     return ZeroPhase(_butter(order, (low_hz, high_hz), "bandstop", dt), dt)
 
 
-def dip(centre_hz: float, width_hz: float, floor: float, dt: float) -> ZeroPhase:
+def build_notch(centre_hz: float, width_hz: float, floor: float, dt: float) -> ZeroPhase:
     r"""Return a filter that takes the magnitude down to `floor` at one frequency and leaves it 1 far from it.
 
     Each pass is `(s^2 + g w s + w0^2) / (s^2 + w s + w0^2)` with `g = sqrt(floor)`, `w` the width [rad/s], mapped by the
@@ -94,7 +94,7 @@ def dip(centre_hz: float, width_hz: float, floor: float, dt: float) -> ZeroPhase
     return ZeroPhase(np.array([[*b, *a]]) / a[0], dt)
 
 
-def product(filters: Sequence[ZeroPhase]) -> ZeroPhase:
+def chain_filters(filters: Sequence[ZeroPhase]) -> ZeroPhase:
     """Return several filters one after the other."""
     return reduce(ZeroPhase.times, filters)
 

@@ -16,7 +16,7 @@ _POSITIVE |= {"contact_stiffness", "hand_stiffness", "turning_stiffness", "norma
 _NOT_NEGATIVE = {"press", "contact_wait", "contact_damping", "correction_range"}
 
 
-def matrix(name: str, value: float | np.ndarray) -> np.ndarray:
+def expand_matrix(name: str, value: float | np.ndarray) -> np.ndarray:
     """Return a 6 x 6 matrix from a number, three or six diagonal entries, or the matrix itself.
 
     Raises:

@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.control.lead_through.contact_state import ContactState
 from tau_dyn.control.lead_through.impedance import HandleImpedance
 from tau_dyn.control.lead_through.normal import NormalEstimator
-from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, saturation
+from tau_dyn.control.lead_through.projections import compute_tool_part, handle_part, limit_twist
 from tau_dyn.control.lead_through.settings import LeadThroughSettings
 from tau_dyn.control.lead_through.stiffness import StiffnessWatch
 from tau_dyn.exceptions import InputError
@@ -139,7 +139,7 @@ class LeadThrough:
         wish[:3] *= self._borne()
         by_force = compute_tool_part(wish, n, self.in_contact, s.turns, locked)
         by_hand = self._relieved(by_hand)
-        share = saturation(by_hand + by_force, s.speed_limit, s.turning_limit)
+        share = limit_twist(by_hand + by_force, s.speed_limit, s.turning_limit)
         self._handle.hold(share * by_hand)
         return share * (by_hand + by_force)
 

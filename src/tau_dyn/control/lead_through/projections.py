@@ -46,7 +46,7 @@ def compute_tool_part(
     return out
 
 
-def saturation(twist: np.ndarray, speed: float, turning: float) -> float:
+def limit_twist(twist: np.ndarray, speed: float, turning: float) -> float:
     """Return the share, up to 1, of a twist (6,) that is within a speed [m/s] and a rate of turning [rad/s]."""
     over = np.linalg.norm(twist[:3]) / speed, np.linalg.norm(twist[3:]) / turning
     return 1.0 / max(1.0, *map(float, over))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from tau_dyn.control.lead_through.checks import matrix, normalise_axis, refuse_unstable, require_valid_scalar
+from tau_dyn.control.lead_through.checks import expand_matrix, normalise_axis, refuse_unstable, require_valid_scalar
 from tau_dyn.control.lead_through.sensor import ForceSensor
 from tau_dyn.control.lead_through.stability import ForceLoop
 from tau_dyn.exceptions import InputError, UnknownName
@@ -88,7 +88,7 @@ class LeadThroughSettings:
         if self.task not in TASKS:
             raise UnknownName("task of lead-through", self.task, TASKS)
         for name in ("mass", "damping", "force_gain"):
-            object.__setattr__(self, name, matrix(name, getattr(self, name)))
+            object.__setattr__(self, name, expand_matrix(name, getattr(self, name)))
         for name in (f.name for f in fields(self)):
             require_valid_scalar(name, getattr(self, name))
         object.__setattr__(self, "normal", normalise_axis("normal", self.normal))

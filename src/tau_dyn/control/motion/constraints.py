@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.control.motion.coordinates import Coordinates
-from tau_dyn.control.motion.expressions import ForceLaw, casadi
+from tau_dyn.control.motion.expressions import ForceLaw, import_casadi
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.control.motion.pointwise import Pointwise
 
@@ -22,7 +22,7 @@ the robot back; without any preference the solver wanders there. It cannot lengt
 
 def build_point_constraint(law: ForceLaw, coordinates: Coordinates, limits: MotionLimits, weight: float) -> Any:
     """Return the casadi function of one place `u = (x, x', x'', p, y, T)`: what is limited, residuals, cost by the time."""
-    ca = casadi()
+    ca = import_casadi()
     n, n_p, n_y = coordinates.n, law.n_passive, law.n_inner
     u = ca.MX.sym("u", 3 * n + n_p + n_y + 1)
     edges = np.cumsum([0, n, n, n, n_p, n_y, 1])
@@ -38,12 +38,12 @@ def build_point_constraint(law: ForceLaw, coordinates: Coordinates, limits: Moti
 def _squares(tau: Any, limit: np.ndarray, weight: float) -> Any:
     """Return the weighted squares of forces, and of their share of the limits by so little that no time is lost."""
     small = _SMALL / len(limit) / limit**2  # zero for a joint without a limit
-    return casadi().dot(casadi().DM(weight + small), tau**2)
+    return import_casadi().dot(import_casadi().DM(weight + small), tau**2)
 
 
-def jerks(coordinates: Coordinates, limits: MotionLimits, pointwise: Pointwise, W: Any, N: int) -> Any:
+def build_jerk_constraints(coordinates: Coordinates, limits: MotionLimits, pointwise: Pointwise, W: Any, N: int) -> Any:
     """Return the jerks between nodes and middles as shares of their limits; no rows where there are none."""
-    ca, n = casadi(), coordinates.n
+    ca, n = import_casadi(), coordinates.n
     kept = np.flatnonzero(np.isfinite(limits.jerk)).tolist()
     if not kept:
         return ca.MX(0, 1)
@@ -54,27 +54,27 @@ def jerks(coordinates: Coordinates, limits: MotionLimits, pointwise: Pointwise, 
     return ca.vec(ca.mtimes(ca.diag(ca.DM(1 / limits.jerk[kept])), change))
 
 
-def integration(x: Any, dx: Any, ddx: Any, N: int) -> Any:
+def build_integration_constraints(x: Any, dx: Any, ddx: Any, N: int) -> Any:
     """Return what is zero where positions and speeds follow from the accelerations."""
-    ca, d = casadi(), 1 / N
+    ca, d = import_casadi(), 1 / N
     speeds = dx[:, 1:] - dx[:, :-1] - d / 2 * (ddx[:, 1:] + ddx[:, :-1])
     places = x[:, 1:] - x[:, :-1] - d * dx[:, :-1] - d * d * (ddx[:, :-1] / 3 + ddx[:, 1:] / 6)
     return ca.vertcat(ca.vec(speeds), ca.vec(places))
 
 
-def slope(linear: Any, w: Any) -> Any:
+def compute_slope(linear: Any, w: Any) -> Any:
     """Return the constant matrix of an expression that is linear in w."""
-    return casadi().evalf(casadi().jacobian(casadi().vec(linear), w))
+    return import_casadi().evalf(import_casadi().jacobian(import_casadi().vec(linear), w))
 
 
-def simpson(N: int) -> np.ndarray:
+def compute_simpson_weights(N: int) -> np.ndarray:
     """Return weights (2 N + 1,) of Simpson's rule over nodes and middles."""
     return np.array([1.0, *[4.0, 2.0] * (N - 1), 4.0, 1.0]) / (6 * N)
 
 
-def with_middles(x: Any, dx: Any, ddx: Any, N: int) -> list[Any]:
+def insert_middles(x: Any, dx: Any, ddx: Any, N: int) -> list[Any]:
     """Return coordinates and derivatives (n, 2 N + 1) at the nodes and half-way between them, by `build_node_motion`'s cubic."""
-    ca, h = casadi(), 0.5 / N
+    ca, h = import_casadi(), 0.5 / N
     left, right = ddx[:, :-1], ddx[:, 1:]
     middles = (
         x[:, :-1] + h * dx[:, :-1] + h**2 * (5 * left + right) / 12,

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import BSpline
 
-from tau_dyn.control.motion.expressions import casadi
+from tau_dyn.control.motion.expressions import import_casadi
 from tau_dyn.control.motion.path import JointPath
 
 
@@ -119,4 +119,4 @@ def _spline(spline: BSpline, x: Any) -> Any:
     """Return a spline of SciPy's as a casadi expression (na,) of one number."""
     n = len(spline.t) - spline.k - 1  # SciPy keeps zeros behind a derivative's coefficients
     coefficients = np.ascontiguousarray(spline.c[:n]).ravel().tolist()
-    return casadi().bspline(x, coefficients, [spline.t.tolist()], [int(spline.k)], spline.c.shape[1])
+    return import_casadi().bspline(x, coefficients, [spline.t.tolist()], [int(spline.k)], spline.c.shape[1])

@@ -7,7 +7,7 @@ import numpy as np
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import inverse_kinematics
-from tau_dyn.kinematics.pose_table import poses_at
+from tau_dyn.kinematics.pose_table import place_home_orientation
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 
@@ -53,7 +53,9 @@ def _reached(robot: Robot, position: np.ndarray, name: str, near: np.ndarray | N
             f"{robot.source}: there is no evident tool frame; name one with --tool FRAME, or give start and end as positions "
             "of the actuated joints"
         )
-    found = inverse_kinematics(robot, poses_at(robot, position[None]), start=None if near is None else near[None])
+    found = inverse_kinematics(
+        robot, place_home_orientation(robot, position[None]), start=None if near is None else near[None]
+    )
     if not found.ok[0]:
         joint = f" at {found.culprit[0]}" if found.culprit[0] else ""
         at = ", ".join(f"{x:.6g}" for x in position)

@@ -26,7 +26,7 @@ MISSING = "planning a motion needs casadi: pip install 'tau_dyn[motion]'"
 _NEWTON = 8  # steps; the lifted equations are linear one after the other, so few are enough
 
 
-def casadi() -> Any:
+def import_casadi() -> Any:
     """Return casadi, or say how to install it."""
     try:
         import casadi as found
@@ -71,7 +71,7 @@ class ForceLaw:
         y = np.zeros((self.n_inner, len(q)))
         if not self.n_inner:
             return y.T
-        ca = casadi()
+        ca = import_casadi()
         symbols = [ca.SX.sym(name, n) for name, n in zip("qvapy", self._sizes, strict=True)]
         r = self.residual(*symbols)[-self.n_inner :]
         system = ca.Function("system", symbols, [r, ca.jacobian(r, symbols[4])])
@@ -86,7 +86,7 @@ class ForceLaw:
 
     def in_units(self, unit: np.ndarray) -> ForceLaw:
         """Return the same forces with the inner unknowns measured by `unit` (n_y,) of what they are here."""
-        ca = casadi()
+        ca = import_casadi()
         q, v, a, p, y = symbols = [ca.SX.sym(name, n) for name, n in zip("qvapy", self._sizes, strict=True)]
         forces, residual = (
             ca.Function(name, symbols, [f(q, v, a, p, ca.DM(unit) * y)])
@@ -110,7 +110,7 @@ def build_force_law(model: Model, width: np.ndarray) -> ForceLaw:
     Raises:
         InputError: casadi is missing, or the rigid robot cannot be written out.
     """
-    casadi()
+    import_casadi()
     program, left_out = _traced(model, width)
     names = ", ".join(dict.fromkeys(effect.name for effect in left_out))
     warnings = (f"the plan leaves out {names}, whose force it cannot write out",) if left_out else ()
@@ -131,7 +131,7 @@ def _traced(model: Model, width: np.ndarray) -> tuple[Program, list]:
 
 
 def _on_symbols(program: Program, warnings: tuple[str, ...]) -> ForceLaw:
-    ca = casadi()
+    ca = import_casadi()
     na = program.feedforward.model.robot.na
     n_p = 0 if program.loops is None else len(program.loops.passive)
     q, v, a, p = (ca.SX.sym(name, n) for name, n in zip("qvap", (na, na, na, n_p), strict=True))
@@ -152,7 +152,7 @@ def _on_symbols(program: Program, warnings: tuple[str, ...]) -> ForceLaw:
 
 def _walked(graph: Graph, outputs: Any, known: dict[str, Any]) -> tuple[dict[int, Any], list[Any], list[Any]]:
     """Return every needed node's expression, the unknowns that stand for solved systems, and their equations."""
-    ca = casadi()
+    ca = import_casadi()
     values: dict[int, Any] = {}
     inner: list[Any] = []
     rows: list[Any] = []
@@ -184,7 +184,7 @@ def _of(x: Any, values: dict[int, Any]) -> Any:
 
 
 def _operations() -> dict[str, Callable[..., Any]]:
-    ca = casadi()
+    ca = import_casadi()
     return {
         "add": lambda x, y: x + y, "sub": lambda x, y: x - y, "mul": lambda x, y: x * y, "div": lambda x, y: x / y,
         "neg": lambda x: -x, "abs": ca.fabs, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log, "sin": ca.sin, "cos": ca.cos,

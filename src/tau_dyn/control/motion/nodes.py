@@ -67,7 +67,7 @@ def start_nodes(law: ForceLaw, coordinates: Coordinates, profile: tuple[np.ndarr
     return replace(rough, p=p, y=law.inner(q, v, a, p))
 
 
-def in_own_size(law: ForceLaw, start: Nodes) -> tuple[ForceLaw, Nodes]:
+def scale_unknowns(law: ForceLaw, start: Nodes) -> tuple[ForceLaw, Nodes]:
     """Return forces and start with inner unknowns measured by their largest value at the start.
 
     They are speeds, accelerations and forces of the passive joints, some a thousand times larger than others; the solver treats a

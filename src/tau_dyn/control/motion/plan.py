@@ -10,12 +10,12 @@ import numpy as np
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.motion.coordinates import Along, Coordinates, Free
 from tau_dyn.control.motion.ends import compute_end_positions
-from tau_dyn.control.motion.expressions import ForceLaw, build_force_law, casadi
+from tau_dyn.control.motion.expressions import ForceLaw, build_force_law, import_casadi
 from tau_dyn.control.motion.limit_check import MAX_LIMIT_EXCESS, compute_limit_usage, tighten_limits
 from tau_dyn.control.motion.limits import MotionLimits
-from tau_dyn.control.motion.nodes import build_node_motion, in_own_size, start_nodes
+from tau_dyn.control.motion.nodes import build_node_motion, scale_unknowns, start_nodes
 from tau_dyn.control.motion.path import JointPath, PathShape, build_joint_line, build_tool_path
-from tau_dyn.control.motion.profile import compute_min_duration, compute_smoothing_width, trapezoid
+from tau_dyn.control.motion.profile import compute_min_duration, compute_smoothing_width, compute_trapezoid
 from tau_dyn.control.motion.result import AT_LIMIT, Binding, MotionPlan
 from tau_dyn.control.motion.transcription import Transcription, TranscriptionSolution
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -59,7 +59,7 @@ def plan_motion(
         InputError: An end or the path out of reach, near a singularity, or too heavy to hold; settings out of range.
         CannotAnswer: The solver found no motion within the limits, on a fine clock as well as at its nodes.
     """
-    casadi()
+    import_casadi()
     model = model if isinstance(model, Model) else Model.of(model)
     limits = MotionLimits.of(model) if limits is None else limits
     _check_settings(energy_weight, dt, nodes)
@@ -117,12 +117,12 @@ def _starting_path(model: Model, first: np.ndarray, last: np.ndarray, limits: Mo
 
 def _search(model: Model, coordinates: Coordinates, limits: MotionLimits, weight: float, nodes: int) -> _Search:
     """Solve from a trapezoidal profile, and again while the fine clock finds something to tighten."""
-    profile = trapezoid(nodes)
+    profile = compute_trapezoid(nodes)
     rough = Feedforward(model.steady(), width=_FIRST_WIDTH, shape="tanh")
     T = compute_min_duration(coordinates, rough, limits, profile)
     width = compute_smoothing_width(coordinates, profile, T, nodes)
     law = build_force_law(model, width)
-    law, start = in_own_size(law, start_nodes(law, coordinates, profile, T))
+    law, start = scale_unknowns(law, start_nodes(law, coordinates, profile, T))
     program = Transcription(law, coordinates, limits, nodes, weight)
     found = program.solve(start)
     best, share = found, program.loose()

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.motion.expressions import casadi
+from tau_dyn.control.motion.expressions import import_casadi
 
 
 class Pointwise:
-    """What `point(u) -> (kept, residual, cost)` gives at all places."""
+    """What `transform_point(u) -> (kept, residual, cost)` gives at all places."""
 
     def __init__(self, point: Any, A: Any, share: np.ndarray) -> None:
         """Prepare.
@@ -29,7 +29,7 @@ class Pointwise:
             A: Matrix of all places' arguments, place by place, by the unknowns.
             share: Weight of each place's cost (M,).
         """
-        ca = casadi()
+        ca = import_casadi()
         self._A, self._share, self._n = A, ca.DM(share), len(share)
         self.width = point.numel_in(0)
         u, weight = ca.MX.sym("u", self.width), ca.MX.sym("weight")
@@ -45,19 +45,19 @@ class Pointwise:
 
     def points(self, w: Any) -> Any:
         """Return all places' arguments (m, M)."""
-        return casadi().reshape(casadi().mtimes(self._A, w), self.width, self._n)
+        return import_casadi().reshape(import_casadi().mtimes(self._A, w), self.width, self._n)
 
     def kept(self, w: Any) -> Any:
         """Return what is kept within -1 and 1, place by place."""
-        return casadi().vec(self._values(self.points(w))[0])
+        return import_casadi().vec(self._values(self.points(w))[0])
 
     def residual(self, w: Any) -> Any:
         """Return what must be zero, place by place."""
-        return casadi().vec(self._values(self.points(w))[1])
+        return import_casadi().vec(self._values(self.points(w))[1])
 
     def cost(self, w: Any) -> Any:
         """Return the sum of the places' costs."""
-        return casadi().mtimes(self._values(self.points(w))[2], self._share)
+        return import_casadi().mtimes(self._values(self.points(w))[2], self._share)
 
     def kept_slope(self, w: Any) -> Any:
         """Return the derivative of `kept` by the unknowns."""
@@ -76,7 +76,7 @@ class Pointwise:
             slopes: Their derivatives, block by block.
             sizes: Number of rows of each block.
         """
-        ca = casadi()
+        ca = import_casadi()
         none = ca.MX.sym("p", 0, 1)
         first = ca.Function("nlp_jac_g", [w, none], [g, ca.vertcat(*slopes)], ["x", "p"], ["g", "jac_g_x"])
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", int(sum(sizes)))
@@ -89,9 +89,9 @@ class Pointwise:
         return {"jac_g": first, "hess_lag": second}
 
     def _by_unknowns(self, slope: Any, w: Any) -> Any:
-        return casadi().mtimes(self._diagonal(slope.map(self._n)(self.points(w)), slope), self._A)
+        return import_casadi().mtimes(self._diagonal(slope.map(self._n)(self.points(w)), slope), self._A)
 
     def _diagonal(self, blocks: Any, function: Any) -> Any:
         """Return blocks that stand side by side as a block-diagonal matrix: the same nonzeros in the same order."""
-        ca = casadi()
+        ca = import_casadi()
         return ca.MX(ca.diagcat(*[function.sparsity_out(0)] * self._n), blocks.nz[:])

@@ -15,7 +15,7 @@ _FALLBACK = 2.0  # [s] where weight alone is beyond a limit on the way
 _MIN_SPEED = 1e-3  # [m/s or rad/s]
 
 
-def trapezoid(intervals: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compute_trapezoid(intervals: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return share of the way, speed and acceleration (2 intervals + 1,) by the normalised time, at nodes and middles.
 
     The acceleration is linear between the nodes and zero at both ends, as the program's is.

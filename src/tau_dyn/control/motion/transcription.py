@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.control.motion.constraints import (
+    build_integration_constraints,
+    build_jerk_constraints,
     build_point_constraint,
-    integration,
-    jerks,
+    compute_simpson_weights,
+    compute_slope,
+    insert_middles,
     list_limited_quantities,
-    simpson,
-    slope,
-    with_middles,
 )
 from tau_dyn.control.motion.coordinates import Coordinates
-from tau_dyn.control.motion.expressions import ForceLaw, casadi
+from tau_dyn.control.motion.expressions import ForceLaw, import_casadi
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.control.motion.nodes import Nodes
 from tau_dyn.control.motion.pointwise import Pointwise
@@ -82,19 +82,21 @@ class Transcription:
             nodes: Number N of intervals.
             weight: Weight of the squared forces [s per N^2 s].
         """
-        ca = casadi()
+        ca = import_casadi()
         self.N, self._coordinates, self.limited = nodes, coordinates, list_limited_quantities(limits)
         sizes = [(coordinates.n, nodes + 1)] * 3 + [(k, 2 * nodes + 1) for k in (law.n_passive, law.n_inner)]
         parts = [ca.SX.sym(name, *size) for name, size in zip(("x", "dx", "ddx", "p", "y"), sizes, strict=True)]
         x, dx, ddx, p, y = parts
         w = ca.vertcat(*(ca.vec(part) for part in parts), ca.SX.sym("T"))
-        places = ca.vertcat(*with_middles(x, dx, ddx, nodes), p, y, ca.repmat(w[-1], 1, 2 * nodes + 1))
+        places = ca.vertcat(*insert_middles(x, dx, ddx, nodes), p, y, ca.repmat(w[-1], 1, 2 * nodes + 1))
         pointwise = Pointwise(
-            build_point_constraint(law, coordinates, limits, weight), slope(places, w), simpson(nodes)
+            build_point_constraint(law, coordinates, limits, weight),
+            compute_slope(places, w),
+            compute_simpson_weights(nodes),
         )
-        steps = slope(integration(x, dx, ddx, nodes), w)
+        steps = compute_slope(build_integration_constraints(x, dx, ddx, nodes), w)
         W = ca.MX.sym("w", w.numel())
-        jerk = jerks(coordinates, limits, pointwise, W, nodes)
+        jerk = build_jerk_constraints(coordinates, limits, pointwise, W, nodes)
         rows = [pointwise.kept(W), pointwise.residual(W), ca.mtimes(steps, W), jerk]
         self._sizes = [row.numel() for row in rows]
         g = ca.vertcat(*rows)

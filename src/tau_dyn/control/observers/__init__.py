@@ -4,7 +4,7 @@ from tau_dyn.control.observers.complementary import ComplementaryToolObserver
 from tau_dyn.control.observers.extended_model import ExtendedModel, extend_model
 from tau_dyn.control.observers.kalman import KalmanToolObserver
 from tau_dyn.control.observers.tuning import KalmanTuning, log_likelihood, tune_complementary, tune_kalman
-from tau_dyn.control.observers.whiteness import Whiteness, whiteness
+from tau_dyn.control.observers.whiteness import Whiteness, check_whiteness
 from tau_dyn.deprecated_names import get_deprecated
 
 __all__ = [
@@ -13,11 +13,11 @@ __all__ = [
     "KalmanToolObserver",
     "KalmanTuning",
     "Whiteness",
+    "check_whiteness",
     "extend_model",
     "log_likelihood",
     "tune_complementary",
     "tune_kalman",
-    "whiteness",
 ]
 
 

@@ -22,8 +22,8 @@ from typing import Any, cast
 import numpy as np
 from scipy.signal import bilinear, butter, freqz, lfilter
 
-from tau_dyn.control.iterative.lifted_system import Operator, on_signals
-from tau_dyn.control.observers.signals import checked_signals
+from tau_dyn.control.iterative.lifted_system import Operator, build_signal_operator
+from tau_dyn.control.observers.signals import require_signals
 from tau_dyn.exceptions import InputError
 
 
@@ -61,7 +61,7 @@ class ComplementaryToolObserver:
             kinematic: Tool positions computed from the actuators (N, m) [m]; the robot is at rest at the first sample.
             acceleration: Of the tool, without gravity (N, m) [m/s^2].
         """
-        rest = checked_signals(kinematic, acceleration, self.axes)[0]
+        rest = require_signals(kinematic, acceleration, self.axes)[0]
         slow = [p.run(kinematic[:, k] - rest[k]) for k, (p, _) in enumerate(self.pairs())]
         fast = [p.run(acceleration[:, k]) for k, (_, p) in enumerate(self.pairs())]
         return rest + np.column_stack(slow) + np.column_stack(fast)
@@ -155,7 +155,7 @@ def _channelwise(matrices: Sequence[np.ndarray]) -> Operator:
     def each(x: np.ndarray, transposed: bool) -> np.ndarray:
         return np.column_stack([(M.T if transposed else M) @ x[:, k] for k, M in enumerate(matrices)])
 
-    return on_signals(lambda x: each(x, False), lambda x: each(x, True), n, m, m)
+    return build_signal_operator(lambda x: each(x, False), lambda x: each(x, True), n, m, m)
 
 
 def _diagonal_responses(channels: Sequence[np.ndarray]) -> np.ndarray:

@@ -23,9 +23,9 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import null_space, solve_discrete_are, solve_discrete_lyapunov
 
-from tau_dyn.control.iterative.lifted_system import Operator, compute_pulse_response, convolution
+from tau_dyn.control.iterative.lifted_system import Operator, build_convolution, compute_pulse_response
 from tau_dyn.control.observers.extended_model import ExtendedModel, extend_model
-from tau_dyn.control.observers.signals import checked_signals
+from tau_dyn.control.observers.signals import require_signals
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.state_space import StateSpace
 
@@ -156,7 +156,7 @@ class KalmanToolObserver:
 
     def operators(self, n: int) -> tuple[Operator, Operator]:
         """Return the estimate's (m n, m n) from positions and from accelerations, channel after channel: F_y in (7.7)."""
-        slow, fast = (convolution(compute_pulse_response(f, n)) for f in self.filters())
+        slow, fast = (build_convolution(compute_pulse_response(f, n)) for f in self.filters())
         return slow, fast
 
     def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +165,7 @@ class KalmanToolObserver:
         return slow, fast
 
     def _inputs(self, kinematic: np.ndarray, acceleration: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        kinematic = checked_signals(kinematic, acceleration, self.axes)
+        kinematic = require_signals(kinematic, acceleration, self.axes)
         y = np.vstack([np.zeros((1, self.axes)), acceleration[:-1]]) if self.aligned else acceleration
         return kinematic - kinematic[0], y, kinematic[0]
 

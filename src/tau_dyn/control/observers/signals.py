@@ -7,7 +7,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 
 
-def checked_signals(kinematic: np.ndarray, acceleration: np.ndarray, axes: int) -> np.ndarray:
+def require_signals(kinematic: np.ndarray, acceleration: np.ndarray, axes: int) -> np.ndarray:
     """Return positions (N, m) that belong to accelerations (N, m), both of so many axes.
 
     Raises:

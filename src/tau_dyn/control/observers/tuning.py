@@ -17,7 +17,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from tau_dyn.control.observers.complementary import ComplementaryToolObserver
 from tau_dyn.control.observers.kalman import KalmanToolObserver
-from tau_dyn.control.observers.whiteness import Whiteness, whiteness
+from tau_dyn.control.observers.whiteness import Whiteness, check_whiteness
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.state_space import StateSpace
 
@@ -75,7 +75,7 @@ def tune_kalman(
     options = {"xatol": 0.05, "fatol": 1e-5, "maxfev": 100, "initial_simplex": simplex}
     best = observer(minimize(cost, at, method="Nelder-Mead", options=options).x)
     _, innovations = best.run(kinematic, acceleration)
-    white = whiteness(innovations, best.innovation_covariance)
+    white = check_whiteness(innovations, best.innovation_covariance)
     return KalmanTuning(best, log_likelihood(best, kinematic, acceleration), white)
 
 

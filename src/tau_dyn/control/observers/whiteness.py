@@ -29,7 +29,7 @@ class Whiteness:
     ratio: np.ndarray
 
 
-def whiteness(innovations: np.ndarray, covariance: np.ndarray, lags: int = 20) -> Whiteness:
+def check_whiteness(innovations: np.ndarray, covariance: np.ndarray, lags: int = 20) -> Whiteness:
     """Return how white innovations (N, p) are, of which the filter expects a covariance (p, p)."""
     n = len(innovations)
     if n <= 2 * lags:

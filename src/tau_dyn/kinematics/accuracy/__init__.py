@@ -5,14 +5,14 @@ from tau_dyn.kinematics.accuracy.error_bounds import (
     ActuatorError,
     ErrorBounds,
     RodError,
-    actuator_errors,
+    build_isotropic_error,
+    read_actuator_errors,
     read_errors_file,
-    same_in_all_directions,
 )
 from tau_dyn.kinematics.accuracy.error_scaling import Growth, scale_errors
-from tau_dyn.kinematics.accuracy.result import AccuracyResult, Body, Measured, accuracy_study
-from tau_dyn.kinematics.accuracy.section import Grid, Section, default_section, lay_grid, read_section
-from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, device_of, positioning_errors
+from tau_dyn.kinematics.accuracy.result import AccuracyResult, Body, Measured, study_accuracy
+from tau_dyn.kinematics.accuracy.section import Grid, Section, choose_default_section, lay_grid, read_section
+from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, build_device, compute_positioning_errors
 
 __all__ = [
     "METHODS",
@@ -26,16 +26,16 @@ __all__ = [
     "Measured",
     "RodError",
     "Section",
-    "accuracy_study",
-    "actuator_errors",
-    "default_section",
-    "device_of",
+    "build_device",
+    "build_isotropic_error",
+    "choose_default_section",
+    "compute_positioning_errors",
     "lay_grid",
-    "positioning_errors",
+    "read_actuator_errors",
     "read_errors_file",
     "read_section",
-    "same_in_all_directions",
     "scale_errors",
+    "study_accuracy",
 ]
 
 

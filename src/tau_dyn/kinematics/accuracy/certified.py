@@ -17,16 +17,16 @@ from itertools import product
 
 import numpy as np
 
-from tau_dyn.kinematics.accuracy.parallelepiped import half_heights
+from tau_dyn.kinematics.accuracy.parallelepiped import compute_half_heights
 from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State, solve
 
 _STEPS = 200  # of the fixed-point iteration; it converges linearly or not at all
-_FAR = 0.25
+_MAX_BOUND_RATIO = 0.25
 """Share of the shortest rod beyond which a bound is no longer sought."""
 _SAFE = 1 + 1e-9  # factor that outweighs rounding, so that the bound stays one
 
 
-def applies(device: RodDevice) -> str:
+def explain_inapplicable(device: RodDevice) -> str:
     """Return why the bound does not apply, '' where it does."""
     rods, Q = device.rods, device.sources.actuator
     home = rods.robot.home[None]
@@ -43,7 +43,7 @@ def bound_displacement(device: RodDevice, state: State) -> np.ndarray:
         _reach(x, device.balls)
         for x in (s.shift, s.plate, (s.length + device.rods.leg_rates(state.q[:1])[0] @ s.actuator)[:, None])
     )
-    h = half_heights(device, state)
+    h = compute_half_heights(device, state)
     C, _ = device.tangent(state, state.plate)
     inverse = solve(C, np.broadcast_to(np.eye(device.freedoms), C.shape))
     lever = state.plate.rotation @ device.rods.tool.translation
@@ -58,7 +58,7 @@ def bound_displacement(device: RodDevice, state: State) -> np.ndarray:
         new_t = _SAFE * np.linalg.norm(X[..., 3:], axis=2).max(axis=1)
         settled = (new_d <= d * _SAFE) & (new_t <= t * _SAFE)
         d, t = np.maximum(d, new_d), np.maximum(t, new_t)
-        lost = ~(d < _FAR * shortest) | ~(t < 1.0)
+        lost = ~(d < _MAX_BOUND_RATIO * shortest) | ~(t < 1.0)
         if np.all(settled | lost):
             break
     at_tool = d

@@ -6,7 +6,7 @@ the ray from the centre, take the tangent plane there, intersect the planes (ste
 
 These ellipsoids are too thin. The end's exact outer limit is the parallel surface of the error ellipsoid, so along a unit
 direction u it lies `sqrt(sum r_i^2 u_i^2)` outside the sphere, and the ellipsoid `L + r_i` only `sum r_i u_i^2`: equal on
-the axes and for a ball, too small everywhere else, to first order and not "slightly". `worst_case.py` has the exact limit.
+the axes and for a ball, too small everywhere else, to first order and not "slightly". `solve_worst_case.py` has the exact limit.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _TOLERANCE = 1e-12
 """[m] Distance of the projections from the planes' intersection at which the iteration stops."""
 
 
-def applies(device: RodDevice) -> str:
+def explain_inapplicable(device: RodDevice) -> str:
     """Return why the method does not apply, '' where it does: every rod needs its own ellipsoid."""
     if not device.sources.own:
         return "rods share a source of error, so that their shells are not independent"
     return "" if np.isfinite(device.sources.radii).all() else "an actuator's error is no ellipsoid of a base point"
 
 
-def corners(device: RodDevice, state: State) -> tuple[np.ndarray, np.ndarray]:
+def find_corners(device: RodDevice, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacements of the tool at the corners of the body (N, 2^n, 3) [m] and the iterations needed (N, 2^n).
 
     Corners without an intersection are nan.
@@ -74,12 +74,12 @@ def _projected(w: np.ndarray, axes: np.ndarray, semi: np.ndarray) -> tuple[np.nd
     return back[0] - w, back[1]
 
 
-def largest(displacements: np.ndarray) -> np.ndarray:
+def measure_largest(displacements: np.ndarray) -> np.ndarray:
     """Return the farthest corner's distance (N,) [m]; nan where a corner is missing."""
     return np.linalg.norm(displacements, axis=2).max(axis=1)
 
 
-def shell_heights(device: RodDevice, state: State) -> np.ndarray:
+def compute_shell_heights(device: RodDevice, state: State) -> np.ndarray:
     """Return to first order the half thickness of each rod's shell as the thesis' ellipsoids have it (N, n) [m]."""
     A, b, _ = device.ends(state.q, None)
     w = state.plate.position[:, None] + np.einsum("Nab,Nkb->Nka", state.plate.rotation, np.broadcast_to(b, A.shape)) - A

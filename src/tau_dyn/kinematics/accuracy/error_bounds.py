@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml
 
-LARGEST = 0.5
+MAX_ERROR_SIZE = 0.5
 """[m or rad] Larger errors are a slip of units."""
 _AXES = ("x", "y", "z")
 _ROD = ("length", "base", "plate")
@@ -98,12 +98,12 @@ def _as_dict(error: ActuatorError) -> dict[str, float]:
     return {"along": error.along} | ({} if error.across is None else {"across": error.across})
 
 
-def same_in_all_directions(size: float) -> ActuatorError:
+def build_isotropic_error(size: float) -> ActuatorError:
     """Return the error of a point that lies within a ball of this radius [m]; of a turning joint, [rad]."""
     return ActuatorError(size, size)
 
 
-def actuator_errors(texts: Sequence[str], actuated: Sequence[str]) -> dict[str, ActuatorError]:
+def read_actuator_errors(texts: Sequence[str], actuated: Sequence[str]) -> dict[str, ActuatorError]:
     """Read command-line words: one size for all actuators, or `JOINT=SIZE`, or `JOINT=ALONG:ACROSS`.
 
     Raises:
@@ -160,7 +160,7 @@ def _rows(content: object, names: Sequence[str], kind: str, where: str) -> dict[
 
 def _actuator(row: object, where: str) -> ActuatorError:
     if not isinstance(row, dict):
-        return same_in_all_directions(_size(row, where))
+        return build_isotropic_error(_size(row, where))
     if set(row) == set(_AXES):
         x, y, z = (_size(row[a], f"{where}, {a}") for a in _AXES)
         return ActuatorError(axes=(x, y, z))
@@ -185,8 +185,8 @@ def _size(value: object, where: str) -> float:
         raise InputError(f"{where}: '{value}' is no number; write metres (radians for a turning joint)") from None
     if isinstance(value, bool) or not isfinite(size) or size < 0:
         raise InputError(f"{where}: an error is a bound to both sides, zero or a positive number, not {value}")
-    if size > LARGEST:
+    if size > MAX_ERROR_SIZE:
         raise InputError(
-            f"{where}: {value} is more than {LARGEST} m (rad); errors are given in metres, not micrometres"
+            f"{where}: {value} is more than {MAX_ERROR_SIZE} m (rad); errors are given in metres, not micrometres"
         )
     return size

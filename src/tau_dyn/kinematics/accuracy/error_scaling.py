@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.accuracy.error_bounds import LARGEST, ErrorBounds
-from tau_dyn.kinematics.accuracy.study import Accuracy, device_of, positioning_errors
+from tau_dyn.kinematics.accuracy.error_bounds import MAX_ERROR_SIZE, ErrorBounds
+from tau_dyn.kinematics.accuracy.study import Accuracy, build_device, compute_positioning_errors
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.robot import Robot
@@ -40,9 +40,11 @@ def scale_errors(
     factors: Sequence[float] = FACTORS,
 ) -> Growth:  # fmt: skip
     """Return the methods' largest displacements at one pose (q (na,), tool 1 sample) for enlarged errors."""
-    kept = [f for f in factors if errors.largest * f <= LARGEST]
+    kept = [f for f in factors if errors.largest * f <= MAX_ERROR_SIZE]
     rows: list[Accuracy] = []
     for factor in kept:
         more = errors.scaled(factor)
-        rows.append(positioning_errors(device_of(robot, rods, more), more, q[None], tool, methods=methods, samples=1))
+        rows.append(
+            compute_positioning_errors(build_device(robot, rods, more), more, q[None], tool, methods=methods, samples=1)
+        )
     return Growth(np.array(kept), {m: np.array([r.largest[m][0] for r in rows]) for m in rows[0].largest})

@@ -12,9 +12,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
 from tau_dyn.kinematics.accuracy.error_scaling import Growth, scale_errors
 from tau_dyn.kinematics.accuracy.monte_carlo import draw
-from tau_dyn.kinematics.accuracy.parallelepiped import half_edges
+from tau_dyn.kinematics.accuracy.parallelepiped import compute_half_edges
 from tau_dyn.kinematics.accuracy.section import Grid
-from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, device_of, positioning_errors
+from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, build_device, compute_positioning_errors
 from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
@@ -182,7 +182,7 @@ def _section(grid: Grid) -> dict[str, Any]:
             axes[b]: [grid.v[0], grid.v[-1]], "reached_share": float(grid.ok.mean())}  # fmt: skip
 
 
-def accuracy_study(
+def study_accuracy(
     robot: Robot,
     rods: Rods | None,
     errors: ErrorBounds,
@@ -215,8 +215,10 @@ def accuracy_study(
     """
     if not len(q):
         raise InputError("there are no poses to look at")
-    device = device_of(robot, rods, errors)
-    found = positioning_errors(device, errors, q, tool, methods=methods, samples=samples, seed=seed, progress=progress)
+    device = build_device(robot, rods, errors)
+    found = compute_positioning_errors(
+        device, errors, q, tool, methods=methods, samples=samples, seed=seed, progress=progress
+    )
     progress("errors enlarged, error bodies")
     size = found.largest[found.best_method]
     worst = int(np.nanargmax(size)) if np.isfinite(size).any() else 0
@@ -240,5 +242,5 @@ def _body(device: Any, found: Accuracy, q: np.ndarray, tool: Poses, k: int, seed
     corners = np.empty((0, 3))
     if found.faces.shape[1]:
         signs = np.array([(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)], float)
-        corners = signs @ half_edges(device, state)[0].T
+        corners = signs @ compute_half_edges(device, state)[0].T
     return Body(k, cloud[np.isfinite(cloud).all(axis=1)], corners, worst)

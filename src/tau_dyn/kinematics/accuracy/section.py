@@ -116,7 +116,7 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
     return name, low_high
 
 
-def default_section(robot: Robot, tool: Poses, rods: Rods | None) -> Section:
+def choose_default_section(robot: Robot, tool: Poses, rods: Rods | None) -> Section:
     """Return the section through home across the guideways; where nothing slides, across z, without rods across y."""
     axis = 1
     if rods is not None:

@@ -64,7 +64,7 @@ class _Source:
     length: np.ndarray
 
 
-def rod_sources(rods: Rods, errors: ErrorBounds) -> Sources:
+def build_rod_sources(rods: Rods, errors: ErrorBounds) -> Sources:
     """Return the sources of a parallel robot's errors.
 
     Raises:

@@ -14,8 +14,8 @@ from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
 from tau_dyn.kinematics.accuracy.monte_carlo import monte_carlo
 from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State
 from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
-from tau_dyn.kinematics.accuracy.sources import rod_sources
-from tau_dyn.kinematics.accuracy.worst_case import first_order, worst_case
+from tau_dyn.kinematics.accuracy.sources import build_rod_sources
+from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, solve_worst_case
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.robot import Robot
@@ -69,7 +69,7 @@ class Accuracy:
             return self.largest[method] / self.largest["exact"] - 1
 
 
-def device_of(robot: Robot, rods: Rods | None, errors: ErrorBounds) -> Any:
+def build_device(robot: Robot, rods: Rods | None, errors: ErrorBounds) -> Any:
     """Return the robot with its error sources, through its rods where it has them.
 
     Raises:
@@ -78,11 +78,11 @@ def device_of(robot: Robot, rods: Rods | None, errors: ErrorBounds) -> Any:
     if not errors.largest:
         raise InputError("all errors are zero, so the tool is exact; give at least one, such as --actuator-error 50e-6")
     if rods is not None:
-        return RodDevice(rods, rod_sources(rods, errors))
+        return RodDevice(rods, build_rod_sources(rods, errors))
     return SerialDevice(robot, errors)
 
 
-def positioning_errors(
+def compute_positioning_errors(
     device: Any,
     errors: ErrorBounds,
     q: np.ndarray,
@@ -96,7 +96,7 @@ def positioning_errors(
     """Return the tool's largest errors at many poses, by every method asked for.
 
     Args:
-        device: The robot with its errors, of `device_of`.
+        device: The robot with its errors, of `build_device`.
         errors: The same errors, to be kept with the result.
         q: Actuated positions (N, na) [m or rad].
         tool: Poses of the tool there (N).
@@ -138,8 +138,8 @@ def _why_not(device: Any, method: str) -> str:
     if method in ("ellipsoid", "certified") and not isinstance(device, RodDevice):
         return "it is for a plate held by rods"
     if method == "ellipsoid":
-        return ellipsoids.applies(device)
-    return certified.applies(device) if method == "certified" else ""
+        return ellipsoids.explain_inapplicable(device)
+    return certified.explain_inapplicable(device) if method == "certified" else ""
 
 
 def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed: int) -> dict[str, np.ndarray]:
@@ -150,7 +150,7 @@ def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed:
     if "parallelepiped" in methods or "exact" in methods:
         out |= _by_corners(device, state, methods, turns)
     if "ellipsoid" in methods:
-        out["ellipsoid"] = ellipsoids.largest(ellipsoids.corners(device, state)[0])
+        out["ellipsoid"] = ellipsoids.measure_largest(ellipsoids.find_corners(device, state)[0])
     if "certified" in methods:
         out["certified"] = certified.bound_displacement(device, state)
     if "montecarlo" in methods:
@@ -158,7 +158,7 @@ def _some(device: Any, state: State, methods: Sequence[str], samples: int, seed:
         out |= {"montecarlo": drawn.largest, "usual": drawn.usual}
         out |= {"montecarlo turn": drawn.turn_largest} if turns else {}
     if isinstance(device, RodDevice) and device.freedoms == 3:
-        out["faces"] = parallelepiped.face_areas(parallelepiped.half_edges(device, state))
+        out["faces"] = parallelepiped.compute_face_areas(parallelepiped.compute_half_edges(device, state))
     return out
 
 
@@ -168,8 +168,8 @@ def _by_actuators(device: Any, state: State, turns: bool) -> dict[str, np.ndarra
     H = H[:, :, device.along > 0]
     balls = tuple(slice(k, k + 1) for k in range(H.shape[2]))
     zero = np.zeros(len(state))
-    out = {"linear": first_order(H[:, :3], balls, True)[0].size if balls else zero}
-    return out | ({"linear turn": first_order(H[:, 3:], balls, True)[0].size if balls else zero} if turns else {})
+    out = {"linear": bound_first_order(H[:, :3], balls, True)[0].size if balls else zero}
+    return out | ({"linear turn": bound_first_order(H[:, 3:], balls, True)[0].size if balls else zero} if turns else {})
 
 
 def _by_corners(device: Any, state: State, methods: Sequence[str], turns: bool) -> dict[str, np.ndarray]:
@@ -179,11 +179,11 @@ def _by_corners(device: Any, state: State, methods: Sequence[str], turns: bool) 
     for name, part in (("", slice(0, 3)), (" turn", slice(3, 6))):
         if name and not turns:
             break
-        first, corners = first_order(H[:, part], device.balls, own)
+        first, corners = bound_first_order(H[:, part], device.balls, own)
         if "parallelepiped" in methods:
             out[f"parallelepiped{name}"] = first.size
         if "exact" in methods:
-            worst = worst_case(device, state, corners, part=part)
+            worst = solve_worst_case(device, state, corners, part=part)
             out[f"exact{name}"] = worst.size
             out |= {} if name else {"worst": worst.e, "direction": worst.direction}
     return out

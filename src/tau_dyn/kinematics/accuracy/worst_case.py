@@ -25,7 +25,7 @@ from tau_dyn.kinematics.poses import Poses
 MAX_ITERATIONS = 12
 """Steps to first order; each doubles the digits of a direction that is not a corner already."""
 CLOSED_CLIMBS = 4  # fixed-point steps from each corner; the first two do nearly all
-MOST_ROD_SIGNS = 6
+MAX_SIGNED_RODS = 6
 """Rods up to which every combination of signs is tried."""
 MAX_CORNERS = 8
 """Corners that are followed with the constraints solved, the farthest to first order."""
@@ -60,7 +60,7 @@ class Worst(NamedTuple):
     direction: np.ndarray
 
 
-def first_order(H: np.ndarray, balls: tuple[slice, ...], own: bool) -> tuple[Worst, np.ndarray]:
+def bound_first_order(H: np.ndarray, balls: tuple[slice, ...], own: bool) -> tuple[Worst, np.ndarray]:
     """Return the largest `|H e|` and all corners tried.
 
     Args:
@@ -98,13 +98,13 @@ def _starts(H: np.ndarray, balls: tuple[slice, ...], own: bool) -> np.ndarray:
     main = [_main_direction(H[:, :, ball]) for ball in balls]
     groups = _parallel_groups(main)
     starts = []
-    if len(groups) <= MOST_ROD_SIGNS:
+    if len(groups) <= MAX_SIGNED_RODS:
         sums = np.stack(
             [sum(main[i] * np.sign((main[i] * main[g[0]]).sum(1, keepdims=True)) for i in g) for g in groups], 1
         )
         signs = np.array([(1, *s) for s in product((1, -1), repeat=len(groups) - 1)], float)
         starts.append(np.einsum("sg,Nga->Nsa", signs, sums))
-    if not own or len(groups) > MOST_ROD_SIGNS:
+    if not own or len(groups) > MAX_SIGNED_RODS:
         cube = np.array([v for v in product((-1, 0, 1), repeat=3) if v > (0, 0, 0)], float)
         starts.append(np.broadcast_to(cube, (len(H), *cube.shape)))
     return np.concatenate(starts, axis=1)
@@ -131,7 +131,7 @@ def _parallel_groups(main: list[np.ndarray]) -> list[list[int]]:
     return groups
 
 
-def worst_case(device: Device, state: State, corners: np.ndarray, *, part: slice = slice(0, 3)) -> Worst:
+def solve_worst_case(device: Device, state: State, corners: np.ndarray, *, part: slice = slice(0, 3)) -> Worst:
     """Return the largest displacement with all constraints solved.
 
     Args:

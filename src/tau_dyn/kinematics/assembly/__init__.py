@@ -1,16 +1,21 @@
 """Every way to put a parallel robot together at given actuated positions, and which of them it can move between."""
 
-from tau_dyn.kinematics.assembly.modes import AssemblyModes, assembly_modes
-from tau_dyn.kinematics.assembly.of_robot import assembly_modes_of
-from tau_dyn.kinematics.assembly.regions import Reach, reachable_modes
-from tau_dyn.kinematics.assembly.states import States, configuration_states
+from tau_dyn.deprecated_names import get_deprecated
+from tau_dyn.kinematics.assembly.modes import AssemblyModes, find_assembly_modes
+from tau_dyn.kinematics.assembly.of_robot import find_robot_assembly_modes
+from tau_dyn.kinematics.assembly.regions import Reach, find_reachable_modes
+from tau_dyn.kinematics.assembly.states import States, solve_configuration_states
 
 __all__ = [
     "AssemblyModes",
     "Reach",
     "States",
-    "assembly_modes",
-    "assembly_modes_of",
-    "configuration_states",
-    "reachable_modes",
+    "find_assembly_modes",
+    "find_reachable_modes",
+    "find_robot_assembly_modes",
+    "solve_configuration_states",
 ]
+
+
+def __getattr__(name: str) -> object:
+    return get_deprecated(__name__, name)

@@ -70,7 +70,7 @@ def certify(Q: np.ndarray, size: np.ndarray, x: np.ndarray) -> Certificate:
     return Certificate(z, radius, relative, pose, real, proven & (imaginary > relative))
 
 
-def apart(z: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def select_distinct_balls(z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Return which balls (n, 8), (n, 8) hold a solution that no earlier ball holds, as homogeneous points.
 
     `z_i w_j - z_j w_i` vanishes where `z` and `w` are one point; it is compared with what the balls leave open.

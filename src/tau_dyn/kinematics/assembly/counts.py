@@ -20,11 +20,11 @@ from tau_dyn.kinematics.assembly.start import N_SOLUTIONS
 _BOUNDS = {(3, 2, 1): 8, (3, 1, 1, 1): 16, (2, 2, 2): 16}
 
 
-def shared(points: np.ndarray) -> tuple[int, ...]:
+def count_shared_ends(points: np.ndarray) -> tuple[int, ...]:
     """Return how many rods end in each point of (6, 3), most first; points count as one only where they are exactly equal."""
     return tuple(sorted(np.unique(points, axis=0, return_counts=True)[1].tolist(), reverse=True))
 
 
-def most_modes(base: np.ndarray, plate: np.ndarray) -> int:
+def bound_mode_count(base: np.ndarray, plate: np.ndarray) -> int:
     """Return a proven bound on the number of isolated modes of rods between points (6, 3)."""
-    return min(_BOUNDS.get(shared(points), N_SOLUTIONS) for points in (base, plate))
+    return min(_BOUNDS.get(count_shared_ends(points), N_SOLUTIONS) for points in (base, plate))

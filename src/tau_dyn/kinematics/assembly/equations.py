@@ -54,7 +54,7 @@ class Gauge(NamedTuple):
     scale: float
 
 
-def normalised(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray) -> tuple[Hexapod, Gauge]:
+def normalise_hexapod(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray) -> tuple[Hexapod, Gauge]:
     """Return the hexapod of real points (6, 3) and lengths (6,) [m] at size one, and how it got there."""
     a0, b0 = base.mean(axis=0), plate.mean(axis=0)
     A, B = base - a0, plate - b0
@@ -63,7 +63,7 @@ def normalised(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray) -> tupl
     return Hexapod(A, B, (A**2).sum(axis=1) + (B**2).sum(axis=1) - L**2), Gauge(a0, b0, scale)
 
 
-def quadrics(hexapod: Hexapod) -> np.ndarray:
+def build_quadrics(hexapod: Hexapod) -> np.ndarray:
     """Return seven symmetric matrices (7, 8, 8): the first rod, the others minus the first, Study's condition.
 
     The differences have no `|h|^2`, which would drown the rest where a pose is far away and `e` small.
@@ -80,8 +80,8 @@ def quadrics(hexapod: Hexapod) -> np.ndarray:
     return Q
 
 
-def magnitudes(hexapod: Hexapod, lengths: np.ndarray) -> np.ndarray:
-    """Return bounds (7, 8, 8) on every term that was added up in `quadrics`: what rounding errors are relative to."""
+def bound_magnitudes(hexapod: Hexapod, lengths: np.ndarray) -> np.ndarray:
+    """Return bounds (7, 8, 8) on every term that was added up in `build_quadrics`: what rounding errors are relative to."""
     A, B = np.abs(hexapod.base), np.abs(hexapod.plate)
     left, right = np.tensordot(A, np.abs(_LEFT), 1), np.tensordot(B, np.abs(_RIGHT), 1)
     offset = (A**2).sum(axis=1) + (B**2).sum(axis=1) + lengths**2
@@ -94,36 +94,38 @@ def magnitudes(hexapod: Hexapod, lengths: np.ndarray) -> np.ndarray:
     return Q
 
 
-def poses_of(x: np.ndarray, gauge: Gauge) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def convert_to_poses(x: np.ndarray, gauge: Gauge) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return positions (n, 3) [m], quaternions (n, 4) scalar first with `e . e = 1`, and rotations (n, 3, 3), all complex."""
     e, h = x[:, :4], x[:, 4:]
     norm = np.sqrt((e * e).sum(axis=1, keepdims=True) + 0j)
     e, h = e / norm, h / norm
-    R = rotations(e)
-    T = times(h, e * _PURE)[:, 1:] * gauge.scale
+    R = convert_to_rotations(e)
+    T = multiply_quaternions(h, e * _PURE)[:, 1:] * gauge.scale
     return T + gauge.base - R @ gauge.plate, e, R
 
 
-def points_of(position: np.ndarray, quaternion: np.ndarray, rotation: np.ndarray, gauge: Gauge) -> np.ndarray:
-    """Return homogeneous points (n, 8) of poses; the inverse of `poses_of`."""
+def convert_to_points(position: np.ndarray, quaternion: np.ndarray, rotation: np.ndarray, gauge: Gauge) -> np.ndarray:
+    """Return homogeneous points (n, 8) of poses; the inverse of `convert_to_poses`."""
     T = (position + rotation @ gauge.plate - gauge.base) / gauge.scale
     pure = np.concatenate([np.zeros_like(T[:, :1]), T], axis=1)
-    return np.concatenate([quaternion, times(pure, quaternion)], axis=1)
+    return np.concatenate([quaternion, multiply_quaternions(pure, quaternion)], axis=1)
 
 
-def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return products (n, 4) of quaternions, scalar first."""
     return a[:, :1] * b + np.einsum("nk,kij,nj->ni", a[:, 1:], _LEFT, b)
 
 
-def rotations(e: np.ndarray) -> np.ndarray:
+def convert_to_rotations(e: np.ndarray) -> np.ndarray:
     """Return rotation matrices (n, 3, 3) of quaternions (n, 4), scalar first, `e . e = 1`."""
     left = np.einsum("nk,kij->nij", e[:, 1:], _LEFT) + e[:, :1, None] * np.eye(4)
     right = np.einsum("nk,kij->nij", -e[:, 1:], _RIGHT) + e[:, :1, None] * np.eye(4)
     return (left @ right)[:, 1:, 1:]
 
 
-def residuals(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray, T: np.ndarray, R: np.ndarray) -> np.ndarray:
+def measure_residuals(
+    base: np.ndarray, plate: np.ndarray, lengths: np.ndarray, T: np.ndarray, R: np.ndarray
+) -> np.ndarray:
     """Return the largest error (n,) of a rod's length [m] at complex poses; the length is the root of `d . d`."""
     d = T[:, None] + np.einsum("nij,kj->nki", R, plate) - base
     found = np.sqrt((d * d).sum(axis=2).astype(complex))  # principal root: its real part is not negative, as L

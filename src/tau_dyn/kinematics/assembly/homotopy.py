@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.assembly.equations import Hexapod, quadrics
+from tau_dyn.kinematics.assembly.equations import Hexapod, build_quadrics
 
 _ORDER = 12  # of the power series of a path step (Telen, Van Barel & Verschelde 2020)
-_SMALLEST = 1e-13
+_MIN_REMAINING_PATH = 1e-13
 """A path that is still under way this near to the end, ends in a singular point."""
 _NULL, _SMALLEST_NULL = 1e-2, 1e-11
 """The same where the quaternion is about to be null, `|e . e| < _NULL |e|^2`: such an end is no pose, and slow to reach."""
@@ -69,12 +69,14 @@ def track_homotopy(
         moved = active[good]
         x[moved], t[moved] = ahead[good], there[good]
         shrink[active] = np.where(good, np.minimum(1.0, 2 * shrink[active]), 0.5 * shrink[active])
-        stuck = ~good & (h < _SMALLEST)
-        active = active[(1 - t[active] > np.where(nearly_null(x[active]), _SMALLEST_NULL, _SMALLEST)) & ~stuck]
+        stuck = ~good & (h < _MIN_REMAINING_PATH)
+        active = active[
+            (1 - t[active] > np.where(is_nearly_null(x[active]), _SMALLEST_NULL, _MIN_REMAINING_PATH)) & ~stuck
+        ]
     return HomotopyPaths(x, t)
 
 
-def nearly_null(x: np.ndarray) -> np.ndarray:
+def is_nearly_null(x: np.ndarray) -> np.ndarray:
     """Return at which points (n, 8) of norm one the quaternion is close to null or zero, its pose close to infinity (n,)."""
     e = x[:, :4]
     size = (np.abs(e) ** 2).sum(axis=1)
@@ -89,7 +91,7 @@ class _Moving(NamedTuple):
     @classmethod
     def between(cls, start: Hexapod, end: Hexapod) -> _Moving:
         """Interpolate the quadratic polynomial in `t` at three places."""
-        q0, q1, half = quadrics(start), quadrics(end), quadrics(start.towards(end, 0.5))
+        q0, q1, half = build_quadrics(start), build_quadrics(end), build_quadrics(start.towards(end, 0.5))
         c2 = 2 * (q0 + q1) - 4 * half
         coefficients = np.stack([q0, q1 - q0 - c2, c2], axis=1).astype(complex)  # (7, 3, 8, 8)
         return cls(np.ascontiguousarray(np.moveaxis(coefficients, -1, 0).reshape(8, -1)))

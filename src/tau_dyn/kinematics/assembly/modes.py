@@ -14,11 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.assembly.certificate import Certificate, apart, certify
-from tau_dyn.kinematics.assembly.counts import most_modes
-from tau_dyn.kinematics.assembly.equations import Hexapod, magnitudes, normalised, poses_of, quadrics, residuals
-from tau_dyn.kinematics.assembly.homotopy import nearly_null, track_homotopy
-from tau_dyn.kinematics.assembly.start import N_SOLUTIONS, general_hexapod, start_system
+from tau_dyn.kinematics.assembly.certificate import Certificate, certify, select_distinct_balls
+from tau_dyn.kinematics.assembly.counts import bound_mode_count
+from tau_dyn.kinematics.assembly.equations import (
+    Hexapod,
+    bound_magnitudes,
+    build_quadrics,
+    convert_to_poses,
+    measure_residuals,
+    normalise_hexapod,
+)
+from tau_dyn.kinematics.assembly.homotopy import is_nearly_null, track_homotopy
+from tau_dyn.kinematics.assembly.start import N_SOLUTIONS, draw_general_hexapod, start_system
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +63,7 @@ class AssemblyModes:
         return int(self.real.sum())
 
 
-def assembly_modes(base_points: np.ndarray, plate_points: np.ndarray, lengths: np.ndarray) -> AssemblyModes:
+def find_assembly_modes(base_points: np.ndarray, plate_points: np.ndarray, lengths: np.ndarray) -> AssemblyModes:
     """Find all poses in which six rods of given lengths hold a plate (thesis 4.34 to 4.37).
 
     Args:
@@ -68,20 +75,20 @@ def assembly_modes(base_points: np.ndarray, plate_points: np.ndarray, lengths: n
         InputError: Wrong shapes, numbers that are not finite, or a length that is not positive.
     """
     A, B, L = _checked(base_points, plate_points, lengths)
-    hexapod, gauge = normalised(A, B, L)
-    Q, size = quadrics(hexapod), magnitudes(hexapod, L / gauge.scale)
+    hexapod, gauge = normalise_hexapod(A, B, L)
+    Q, size = build_quadrics(hexapod), bound_magnitudes(hexapod, L / gauge.scale)
     found, n_no_pose, n_singular = _search(hexapod, Q, size)
     position, e, rotation = _poses(A, B, L, found.z)
     position, rotation = _real_where_proven(position, found.real), _real_where_proven(rotation, found.real)
     e = _real_where_proven(_one_sign(e), found.real)
     order = np.lexsort([*np.round(position.real.T[::-1], 9), ~found.real])
-    certified, why = _verdict(found, n_no_pose, n_singular, most_modes(A, B))
+    certified, why = _verdict(found, n_no_pose, n_singular, bound_mode_count(A, B))
     return AssemblyModes(
         position[order],
         e[order][:, [1, 2, 3, 0]],
         rotation[order],
         found.real[order],
-        residuals(A, B, L, position, rotation)[order],
+        measure_residuals(A, B, L, position, rotation)[order],
         found.relative[order],
         n_no_pose,
         n_singular,
@@ -99,12 +106,12 @@ def _search(hexapod: Hexapod, Q: np.ndarray, size: np.ndarray) -> tuple[Certific
     points, n_no_pose, n_singular = np.zeros((0, 8), complex), 0, 0
     for route, tolerance in enumerate((1e-5, 1e-9)):
         if route:  # a detour by another general hexapod, with shorter steps
-            middle = general_hexapod(np.random.default_rng(route))
+            middle = draw_general_hexapod(np.random.default_rng(route))
             x, start = track_homotopy(start, middle, x, tolerance=tolerance).x, middle
         paths = track_homotopy(start, hexapod, x, tolerance=tolerance)
         ends = np.where(paths.regular[:, None], _polished(Q, paths.x).astype(complex), paths.x)
         missed = ~certify(Q, size, ends).pose
-        n_no_pose = int((missed & nearly_null(ends)).sum())
+        n_no_pose = int((missed & is_nearly_null(ends)).sum())
         n_singular = int(missed.sum()) - n_no_pose
         points = np.concatenate([points, ends])
         found = _proven(Q, size, points)
@@ -120,7 +127,7 @@ def _proven(Q: np.ndarray, size: np.ndarray, points: np.ndarray) -> Certificate:
     """Keep what is proven to be a pose and proven to differ from those kept before."""
     found = certify(Q, size, points)
     found = found.take(found.pose)
-    return found.take(apart(found.z, found.radius))
+    return found.take(select_distinct_balls(found.z, found.radius))
 
 
 def _poses(A: np.ndarray, B: np.ndarray, L: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -128,8 +135,8 @@ def _poses(A: np.ndarray, B: np.ndarray, L: np.ndarray, z: np.ndarray) -> tuple[
 
     A complex pose can be thousands of robot sizes away: its quaternion is nearly null, and its pose loses digits to that.
     """
-    hexapod, gauge = normalised(*(values.astype(np.longdouble) for values in (A, B, L)))
-    position, e, rotation = poses_of(_polished(quadrics(hexapod), z), gauge)
+    hexapod, gauge = normalise_hexapod(*(values.astype(np.longdouble) for values in (A, B, L)))
+    position, e, rotation = convert_to_poses(_polished(build_quadrics(hexapod), z), gauge)
     return position.astype(complex), e.astype(complex), rotation.astype(complex)
 
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.files import write_whole
-from tau_dyn.kinematics.assembly.equations import Hexapod, quadrics
+from tau_dyn.kinematics.assembly.equations import Hexapod, build_quadrics
 from tau_dyn.kinematics.assembly.homotopy import track_homotopy
-from tau_dyn.kinematics.assembly.start import N_SOLUTIONS, START_FILE, general_hexapod, normal
+from tau_dyn.kinematics.assembly.start import N_SOLUTIONS, START_FILE, draw_general_hexapod, draw_normal
 
 
-def all_solutions(rng: np.random.Generator, max_loops: int = 60) -> tuple[Hexapod, np.ndarray]:
+def find_all_solutions(rng: np.random.Generator, max_loops: int = 60) -> tuple[Hexapod, np.ndarray]:
     """Draw a hexapod and find its 40 solutions by monodromy.
 
     Raises:
@@ -31,16 +31,16 @@ def all_solutions(rng: np.random.Generator, max_loops: int = 60) -> tuple[Hexapo
     for _ in range(max_loops):
         if len(found) == N_SOLUTIONS:
             return hexapod, found
-        a, b = general_hexapod(rng), general_hexapod(rng)
+        a, b = draw_general_hexapod(rng), draw_general_hexapod(rng)
         moved = found
         for start, end in ((hexapod, a), (a, b), (b, hexapod)):
             paths = track_homotopy(start, end, moved)
             moved = paths.x[paths.regular]
-        found = distinct(np.concatenate([found, moved]))
+        found = select_distinct(np.concatenate([found, moved]))
     raise TauDynError(f"monodromy found {len(found)} of {N_SOLUTIONS} solutions in {max_loops} loops; try another seed")
 
 
-def distinct(x: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
+def select_distinct(x: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
     """Return points (m, 8) of norm one that differ from all before them by more than a factor."""
     same = 1 - np.abs(x.conj() @ x.T) < tolerance
     return x[[k for k in range(len(x)) if not same[k, :k].any()]]
@@ -48,11 +48,11 @@ def distinct(x: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
 
 def _fitting_pair(rng: np.random.Generator) -> tuple[Hexapod, np.ndarray]:
     """Return a hexapod and one solution (1, 8): the offsets enter linearly and can be chosen to fit."""
-    e, h = normal(rng, 4), normal(rng, 4)
+    e, h = draw_normal(rng, 4), draw_normal(rng, 4)
     h -= e * (e @ h) / (e @ e)
     x = np.concatenate([e, h])
-    hexapod = general_hexapod(rng)
-    missing = np.einsum("i,kij,j->k", x, quadrics(hexapod), x)[:6]
+    hexapod = draw_general_hexapod(rng)
+    missing = np.einsum("i,kij,j->k", x, build_quadrics(hexapod), x)[:6]
     missing[1:] += missing[0]  # quadrics are differences
     return hexapod._replace(offset=hexapod.offset - missing / (e @ e)), x[None] / np.linalg.norm(x)
 
@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=START_FILE)
     options = parser.parse_args(arguments)
-    hexapod, solutions = all_solutions(np.random.default_rng(options.seed))
+    hexapod, solutions = find_all_solutions(np.random.default_rng(options.seed))
     write_whole(options.out, _text(hexapod, solutions, options.seed))
 
 

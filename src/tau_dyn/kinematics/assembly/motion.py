@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics.assembly.states import plate_jacobian
+from tau_dyn.kinematics.assembly.states import compute_plate_jacobian
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
@@ -22,7 +22,7 @@ _CHORDS = 12
 """Newton steps with the Jacobian of the sample before; near as it is, each gains a digit or more."""
 _SHARE = 0.5
 """Change of a Jacobian between samples, as a share of its smallest singular value."""
-_SHORTEST = 1e-4
+_MIN_STEP_RATIO = 1e-4
 """Shortest step, as a share of the longest, before a motion counts as blocked."""
 
 
@@ -65,7 +65,7 @@ class Limits(NamedTuple):
 
 def sample_at(rods: Rods, q: np.ndarray, plate: Poses) -> Sample:
     """Return the sample at positions (na,) and a pose that fit."""
-    parallel, serial = plate_jacobian(rods, q[None], plate)[0], rods.gap_by_q(q[None], plate)[0]
+    parallel, serial = compute_plate_jacobian(rods, q[None], plate)[0], rods.gap_by_q(q[None], plate)[0]
     return Sample(q, plate, parallel, serial, (_smallest(parallel), _smallest(serial)))
 
 
@@ -79,7 +79,7 @@ def advance(rods: Rods, start: Sample, goal: Poses, limits: Limits, reach: float
         limits: What to keep.
         reach: Give up after this distance, in the units of `limits.scale`.
     """
-    way = float(apart(start.plate, goal, limits.scale)[0])
+    way = float(measure_pose_distances(start.plate, goal, limits.scale)[0])
     if way == 0:
         return [], True
     end = min(1.0, reach / way)
@@ -87,10 +87,10 @@ def advance(rods: Rods, start: Sample, goal: Poses, limits: Limits, reach: float
     here = start
     while done < end:
         step = min(step, end - done)
-        there = _next(rods, here, between(start.plate, goal, done + step), limits)
+        there = _next(rods, here, interpolate_pose(start.plate, goal, done + step), limits)
         if there is None:
             step /= 2
-            if step * way < _SHORTEST * limits.longest:
+            if step * way < _MIN_STEP_RATIO * limits.longest:
                 return motion, False
             continue
         motion.append(there)
@@ -98,20 +98,20 @@ def advance(rods: Rods, start: Sample, goal: Poses, limits: Limits, reach: float
     return motion, end == 1.0
 
 
-def apart(a: Poses, b: Poses, scale: float) -> np.ndarray:
+def measure_pose_distances(a: Poses, b: Poses, scale: float) -> np.ndarray:
     """Return the distances (N,) of poses (N) from one pose: metres over `scale` plus radians."""
     chord = np.linalg.norm(a.rotation - b.rotation, axis=(1, 2)) / np.sqrt(8)  # sin of half the angle between them
     return np.linalg.norm(a.position - b.position, axis=1) / scale + 2 * np.arcsin(np.minimum(chord, 1.0))
 
 
-def between(a: Poses, b: Poses, share: float) -> Poses:
+def interpolate_pose(a: Poses, b: Poses, share: float) -> Poses:
     """Return the pose at a share of the way from one single pose to another."""
     turn = Rotation.from_matrix(a.rotation[0].T @ b.rotation[0]).as_rotvec()
     rotation = a.rotation[0] @ Rotation.from_rotvec(share * turn).as_matrix()
     return Poses(a.position + share * (b.position - a.position), rotation[None])
 
 
-def rods_apart(rods: Rods, q: np.ndarray, plate: Poses) -> float:
+def measure_rod_distance(rods: Rods, q: np.ndarray, plate: Poses) -> float:
     """Return the smallest distance [m] between two rods that share no end, at one pose."""
     A, B = rods.base_points(q[None])[0], rods.plate_points(plate)[0]
     i, j = np.triu_indices(rods.n, 1)
@@ -134,12 +134,12 @@ def _next(rods: Rods, here: Sample, pose: Poses, limits: Limits) -> Sample | Non
     if (q < limits.lower - 1e-9).any() or (q > limits.upper + 1e-9).any():
         return None
     there = sample_at(rods, q, pose)
-    if limits.clearance and rods_apart(rods, q, pose) < limits.clearance:
+    if limits.clearance and measure_rod_distance(rods, q, pose) < limits.clearance:
         return None
-    return there if regular_between(here, there) else None
+    return there if is_regular_between(here, there) else None
 
 
-def regular_between(a: Sample, b: Sample) -> bool:
+def is_regular_between(a: Sample, b: Sample) -> bool:
     """Return whether no Jacobian on the line between two samples' is singular."""
     pairs = zip((a.parallel, a.serial), (b.parallel, b.serial), a.margin, b.margin, strict=True)
     return all(np.linalg.norm(first - second) < _SHARE * min(margins) for first, second, *margins in pairs)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.assembly.modes import AssemblyModes, assembly_modes
-from tau_dyn.kinematics.poses import Poses, quaternions
-from tau_dyn.kinematics.positions import checked_positions
+from tau_dyn.kinematics.assembly.modes import AssemblyModes, find_assembly_modes
+from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
+from tau_dyn.kinematics.positions import require_positions
 from tau_dyn.kinematics.rods import Rods, build_rods
 from tau_dyn.robot import Robot
 
@@ -15,7 +15,7 @@ _FLAT = 1e-12
 """Squared height over the plane of the centres, as a share of the largest radius', below which the two modes may be one."""
 
 
-def assembly_modes_of(robot: Robot | Rods, q: np.ndarray) -> AssemblyModes:
+def find_robot_assembly_modes(robot: Robot | Rods, q: np.ndarray) -> AssemblyModes:
     """Return all poses of a robot's plate at one set of actuated positions.
 
     Args:
@@ -27,22 +27,24 @@ def assembly_modes_of(robot: Robot | Rods, q: np.ndarray) -> AssemblyModes:
         InputError: Its number of rods is not six (free plate) or three (plate that translates), or `q` does not fit.
     """
     rods = robot if isinstance(robot, Rods) else build_rods(robot)
-    q = checked_positions(rods.robot, q)
+    q = require_positions(rods.robot, q)
     if len(q) != 1 or not np.isfinite(q).all():
         raise InputError(f"assembly modes are found at one set of finite positions; these are {np.shape(q)}")
     A, L = rods.base_points(q)[0], rods.leg_lengths(q)[0]
     if rods.translates and rods.n == 3:
-        return translating_modes(A, rods.on_plate, L, rods.rotation)
+        return find_translating_modes(A, rods.on_plate, L, rods.rotation)
     if rods.translates or rods.n != 6:
         kind = "translates" if rods.translates else "is free"
         raise InputError(
             "assembly modes need six rods on a free plate or three on one that translates; "
             f"{rods.robot.source} has {rods.n} on a plate that {kind}"
         )
-    return assembly_modes(A, rods.on_plate, L)
+    return find_assembly_modes(A, rods.on_plate, L)
 
 
-def translating_modes(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray, rotation: np.ndarray) -> AssemblyModes:
+def find_translating_modes(
+    base: np.ndarray, plate: np.ndarray, lengths: np.ndarray, rotation: np.ndarray
+) -> AssemblyModes:
     """Return the two points where three spheres meet (thesis 4.9), real or a conjugate pair.
 
     Args:
@@ -69,7 +71,7 @@ def translating_modes(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray, 
     residual = np.abs(np.sqrt((gaps * gaps).sum(axis=2)) - lengths).max(axis=1)
     flat = abs(height) <= _FLAT * square.max()
     why = "three spheres meet in two points" + ("; here the two are closer than rounding can tell" if flat else "")
-    quaternion = quaternions(Poses(np.zeros((1, 3)), rotation[None]))
+    quaternion = convert_to_quaternions(Poses(np.zeros((1, 3)), rotation[None]))
     return AssemblyModes(
         position=position,
         quaternion=np.tile(quaternion, (2, 1)).astype(complex),
@@ -84,6 +86,6 @@ def translating_modes(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray, 
     )
 
 
-def real_poses(modes: AssemblyModes) -> Poses:
+def select_real_poses(modes: AssemblyModes) -> Poses:
     """Return the real modes as poses of the plate."""
     return Poses(modes.position[modes.real].real, modes.rotation[modes.real].real)

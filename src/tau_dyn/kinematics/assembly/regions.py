@@ -15,14 +15,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.assembly.motion import Limits, Sample, advance, apart, sample_at
-from tau_dyn.kinematics.assembly.states import configuration_states
+from tau_dyn.kinematics.assembly.motion import Limits, Sample, advance, measure_pose_distances, sample_at
+from tau_dyn.kinematics.assembly.states import solve_configuration_states
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 
 HOME, REACHABLE, SEPARATED, UNKNOWN = "home", "reachable", "behind a singularity", "unknown"
 
-_SAME = 1e-6
+_EQUALITY_TOLERANCE = 1e-6
 """Positions and poses closer than this are one."""
 _EXTENSION = 0.5
 """How far a tree grows towards a random pose, in lengths of `Limits.scale` and radians."""
@@ -44,7 +44,7 @@ class Reach(NamedTuple):
     plate: Poses
 
 
-def reachable_modes(
+def find_reachable_modes(
     rods: Rods,
     q: np.ndarray,
     modes: Poses,
@@ -78,7 +78,7 @@ def reachable_modes(
     if not 0 <= home < modes.n_samples:
         raise InputError(f"home is one of the {modes.n_samples} modes; there is no number {home}")
     kept = _limits(rods, limits, clearance)
-    states = configuration_states(rods, np.repeat(q[None], modes.n_samples, axis=0), modes)
+    states = solve_configuration_states(rods, np.repeat(q[None], modes.n_samples, axis=0), modes)
     samples = [sample_at(rods, q, modes.take(slice(k, k + 1))) for k in range(modes.n_samples)]
     out = []
     for k, mode in enumerate(samples):
@@ -129,7 +129,7 @@ class _Tree:
 
     def grow(self, rods: Rods, target: Poses, limits: Limits, reach: float) -> Sample:
         """Move from the nearest sample towards a pose and keep the way; return where it ended."""
-        parent = int(np.argmin(apart(self.plate, target, limits.scale)))
+        parent = int(np.argmin(measure_pose_distances(self.plate, target, limits.scale)))
         motion, _ = advance(rods, self.samples[parent], target, limits, reach)
         for sample in motion:
             self.parents.append(parent)
@@ -142,7 +142,9 @@ class _Tree:
 
     def holds(self, sample: Sample, scale: float) -> Sample | None:
         """Return the own sample that is the same pose at the same actuated positions."""
-        same = (np.abs(self.q - sample.q).max(axis=1) < _SAME) & (apart(self.plate, sample.plate, scale) < _SAME)
+        same = (np.abs(self.q - sample.q).max(axis=1) < _EQUALITY_TOLERANCE) & (
+            measure_pose_distances(self.plate, sample.plate, scale) < _EQUALITY_TOLERANCE
+        )
         return self.samples[int(np.argmax(same))] if same.any() else None
 
     def way(self, sample: Sample) -> list[Sample]:

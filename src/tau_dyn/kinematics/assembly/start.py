@@ -32,11 +32,11 @@ def start_system() -> tuple[Hexapod, np.ndarray]:
     return Hexapod(rods[:, :3], rods[:, 3:6], rods[:, 6]), solutions
 
 
-def general_hexapod(rng: np.random.Generator) -> Hexapod:
+def draw_general_hexapod(rng: np.random.Generator) -> Hexapod:
     """Draw a complex hexapod of size one."""
-    return Hexapod(normal(rng, 6, 3), normal(rng, 6, 3), normal(rng, 6))
+    return Hexapod(draw_normal(rng, 6, 3), draw_normal(rng, 6, 3), draw_normal(rng, 6))
 
 
-def normal(rng: np.random.Generator, *shape: int) -> np.ndarray:
+def draw_normal(rng: np.random.Generator, *shape: int) -> np.ndarray:
     """Draw complex numbers of mean square one."""
     return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)

@@ -46,20 +46,20 @@ class States(NamedTuple):
         ]
 
 
-def configuration_states(rods: Rods, q: np.ndarray, plate: Poses) -> States:
+def solve_configuration_states(rods: Rods, q: np.ndarray, plate: Poses) -> States:
     """Return the states at positions (N, na) and poses of the plate (N) that fit them.
 
     Raises:
         InputError: The robot has not as many rods as its plate has freedoms.
     """
-    parallel = plate_jacobian(rods, q, plate)
+    parallel = compute_plate_jacobian(rods, q, plate)
     assembly, distance = _signs(parallel)
     serial = rods.gap_by_q(q, plate)
     working = [_signs(serial[:, list(rows)][:, :, list(columns)])[0] for rows, columns in rods.groups]
     return States(assembly, np.array(working, dtype=int).T, distance)
 
 
-def plate_jacobian(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
+def compute_plate_jacobian(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
     """Return `gap_X` (N, n, n) by the plate's twist, turns multiplied by the rods' mean distance from the plate's centre."""
     J = rods.gap_by_pose(q, plate)
     freedoms = 3 if rods.translates else 6

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-FEWEST = 12
+MIN_CYCLE_POINTS = 12
 """Points below which no cycle is sought."""
 _FINE = 8
 """Frequencies tried per independent one."""
@@ -47,7 +47,7 @@ def find_strongest_period(q: np.ndarray, e: np.ndarray) -> PeriodicError | None:
     """Return the strongest cycle of `e` (N,) [m] over positions `q` (N,) [m]; None with too few points or no scatter."""
     places, index = np.unique(q, return_inverse=True)
     n, total = len(places), float(e @ e)
-    if n < FEWEST or not total > 0:
+    if n < MIN_CYCLE_POINTS or not total > 0:
         return None
     span, spacing = float(np.ptp(places)), float(np.median(np.diff(places)))
     f = np.linspace(1.5 / span, 0.5 / spacing, max(2, int(_FINE * n / 2)))

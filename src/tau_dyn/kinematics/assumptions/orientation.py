@@ -21,8 +21,8 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assumptions.guideway import SIGNIFICANCE_LEVEL
 from tau_dyn.kinematics.poses import Poses
 
-FEWEST = 6  # poses; three angles have a mean and a scatter each
-NEAR_POLE = np.radians(2.0)
+MIN_ORIENTATION_POSES = 6  # poses; three angles have a mean and a scatter each
+POLE_DISTANCE_RAD = np.radians(2.0)
 """Second Euler angle this close to 0 or 180 degrees leaves the first and third free to trade."""
 
 
@@ -66,7 +66,7 @@ class Orientation:
     @property
     def near_pole(self) -> bool:
         """Whether the first and third Euler angle mean little."""
-        return bool(np.min(np.abs(np.sin(self.euler[:, 1]))) < np.sin(NEAR_POLE))
+        return bool(np.min(np.abs(np.sin(self.euler[:, 1]))) < np.sin(POLE_DISTANCE_RAD))
 
     @property
     def sentence(self) -> str:
@@ -110,8 +110,10 @@ def check_orientation(q: np.ndarray, poses: Poses, *, tolerance: float = 2e-3) -
         InputError: Shapes, numbers, or too few poses.
     """
     q = np.asarray(q, float)
-    if q.ndim != 2 or len(q) != len(poses.rotation) or len(q) < FEWEST:
-        raise InputError(f"orientation needs at least {FEWEST} poses with as many actuated positions, not {q.shape[0]}")
+    if q.ndim != 2 or len(q) != len(poses.rotation) or len(q) < MIN_ORIENTATION_POSES:
+        raise InputError(
+            f"orientation needs at least {MIN_ORIENTATION_POSES} poses with as many actuated positions, not {q.shape[0]}"
+        )
     if not (np.isfinite(q).all() and np.isfinite(poses.rotation).all()):
         raise InputError("every measured pose needs finite numbers")
     measured = Rotation.from_matrix(poses.rotation)

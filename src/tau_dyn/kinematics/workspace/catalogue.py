@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.maps import QUANTITIES, Quality, Statistics, as_row, statistics
+from tau_dyn.kinematics.workspace.maps import QUANTITIES, Quality, Statistics, build_catalogue_row, compute_statistics
 from tau_dyn.kinematics.workspace.result import Workspace
 
 
@@ -34,7 +34,7 @@ class Catalogue(NamedTuple):
         """Return a plain mapping."""
         home = self.stiffness_at_home
         return {
-            "maps": [as_row(name, s) | {"home": at_home} for name, (s, at_home) in self.rows.items()],
+            "maps": [build_catalogue_row(name, s) | {"home": at_home} for name, (s, at_home) in self.rows.items()],
             "map_points": len(self.places),
             "characteristic_length_m": self.length,
             "stiffness_from": self.elasticity,
@@ -44,7 +44,7 @@ class Catalogue(NamedTuple):
         }
 
 
-def catalogue(found: Workspace, quality: Quality) -> Catalogue:
+def build_catalogue(found: Workspace, quality: Quality) -> Catalogue:
     """Return the figures of a robot over its workspace."""
     names, machine = quality.available(), found.machine
     places, q = _evenly(found)
@@ -56,7 +56,7 @@ def catalogue(found: Workspace, quality: Quality) -> Catalogue:
     main = quality.softest(rates) if "stiffness" in names else None
     turning = rates.tool.shape[2] == 6 or bool(rates.turns.any())
     return Catalogue(
-        {name: (statistics(values[name]), float(at_home[name][0])) for name in names if name in QUANTITIES},
+        {name: (compute_statistics(values[name]), float(at_home[name][0])) for name in names if name in QUANTITIES},
         places,
         values,
         None if main is None else (main.stiffness[0], main.directions[0]),

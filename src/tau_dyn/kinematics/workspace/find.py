@@ -7,19 +7,19 @@ from collections.abc import Callable
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.collisions import thickness
-from tau_dyn.kinematics.poses import Poses, checked_poses
-from tau_dyn.kinematics.workspace.footprint import footprint_of
-from tau_dyn.kinematics.workspace.lattice import INSIDE, ClassifiedLattice, Lattice, classify_lattice, lattice_over
+from tau_dyn.kinematics.collisions import measure_thickness
+from tau_dyn.kinematics.poses import Poses, require_poses
+from tau_dyn.kinematics.workspace.footprint import build_footprint
+from tau_dyn.kinematics.workspace.lattice import INSIDE, ClassifiedLattice, Lattice, build_lattice, classify_lattice
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
-from tau_dyn.kinematics.workspace.machines import machine_of
+from tau_dyn.kinematics.workspace.machines import build_machine
 from tau_dyn.kinematics.workspace.measure import (
     Size,
-    bounding_box,
+    bound_missed_size,
+    compute_bounding_box,
     erode_by_margin,
     find_connected,
-    missed_size,
-    size_of,
+    measure_size,
 )
 from tau_dyn.kinematics.workspace.pose_check import PoseChecker
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
@@ -57,11 +57,11 @@ def find_workspace(
         InputError: Limits are missing or inverted, the resolution is too fine or too coarse, or home itself does not belong.
         CannotAnswer: The tool moves in a plane or on a line that is not parallel to the axes.
     """
-    machine = machine_of(robot) if isinstance(robot, Robot) else robot
+    machine = build_machine(robot) if isinstance(robot, Robot) else robot
     judge = PoseChecker(machine, demands if demands is not None else PoseRequirements())
     turn = np.asarray(machine.home.rotation)[0]
     if rotation is not None:
-        turn = np.asarray(checked_poses(Poses(machine.home.position, np.asarray(rotation, float)[None])).rotation)[0]
+        turn = np.asarray(require_poses(Poses(machine.home.position, np.asarray(rotation, float)[None])).rotation)[0]
     _check_home(machine, judge, turn)
     progress("judging the coarse lattice, then its border")
     found, recorder = _explored(machine, judge, turn, resolution, seed)
@@ -95,7 +95,7 @@ def _explored(
     for _ in range(_GROWTH):
         recorder = _Recorder(judge, turn)
         found = classify_lattice(
-            lattice_over(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed
+            build_lattice(lower, upper, _beside(machine, lower, upper, step), step), recorder, seed=seed
         )
         below, above = _touched(found.inside)
         below &= lower > judge.demands.surroundings.lower
@@ -169,9 +169,9 @@ def _suitable(
     """Return a round step that gives the workspace, not the box around it, some dozens of cells."""
     coarse = float((upper - lower).max()) / _FIRST
     look = _Recorder(judge, turn)
-    lattice = lattice_over(lower, upper, machine.home.position[0], coarse, 1)
+    lattice = build_lattice(lower, upper, machine.home.position[0], coarse, 1)
     inside = classify_lattice(lattice, look, probes=0).inside
-    low, high = bounding_box(inside, lattice.low, coarse)
+    low, high = compute_bounding_box(inside, lattice.low, coarse)
     raw = (float((high - low).max()) + coarse) / _CELLS
     power = 10.0 ** np.floor(np.log10(raw))
     return power * max(m for m in (1.0, 2.0, 2.5, 5.0) if m * power <= raw * (1 + 1e-9))
@@ -192,8 +192,8 @@ def _result(
             raise InputError(f"nothing keeps {demands.border:g} m from the border; ask for less")
     places, q = np.concatenate(recorder.places), np.concatenate(recorder.q)
     index = np.rint((places - lattice.low) / lattice.step).astype(int)
-    size = size_of(belongs, lattice.step, missed_size(found))
-    lower, upper = bounding_box(belongs, lattice.low, lattice.step)
+    size = measure_size(belongs, lattice.step, bound_missed_size(found))
+    lower, upper = compute_bounding_box(belongs, lattice.low, lattice.step)
     return Workspace(
         machine=machine,
         judge=judge,
@@ -204,7 +204,7 @@ def _result(
         size=size,
         lower=lower,
         upper=upper,
-        footprint=footprint_of(machine),
+        footprint=build_footprint(machine),
         reasons=judge.reasons,
         places=places,
         q=q,
@@ -230,7 +230,7 @@ def _warnings(machine: WorkspaceModel, judge: PoseChecker, found: ClassifiedLatt
     said = []
     coarse = found.lattice.step * found.lattice.stride
     for obstacle in judge.demands.surroundings.obstacles:
-        if thickness(obstacle.shape) + 2 * obstacle.margin < coarse:
+        if measure_thickness(obstacle.shape) + 2 * obstacle.margin < coarse:
             said.append(
                 f"obstacle '{obstacle.name}' is thinner than the coarse lattice of {coarse:.3g} m and may be missed in parts; "
                 "take a finer resolution"

@@ -11,17 +11,17 @@ import numpy as np
 
 from tau_dyn.kinematics.collisions import PlacedSolid
 from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel, travel
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
 from tau_dyn.kinematics.workspace.result import Footprint
 
 
-def footprint_of(machine: WorkspaceModel) -> Footprint:
+def build_footprint(machine: WorkspaceModel) -> Footprint:
     """Return a robot's footprint."""
     solids = machine.solids(machine.robot.home[None], machine.home)
     fixed = [_corners(s) for s, body in zip(solids, machine.bodies, strict=True) if body.joint == 0]
     what = ["frame"] if fixed else []
     if machine.rods is not None:
-        lower, upper = travel(machine.robot)
+        lower, upper = get_travel(machine.robot)
         share = np.random.default_rng(0).random((400, machine.robot.na))
         q = np.concatenate([[lower, upper, machine.robot.home], lower + share * (upper - lower)])
         fixed.append(machine.rods.base_points(q).reshape(-1, 3))

@@ -18,9 +18,9 @@ from tau_dyn.exceptions import InputError
 
 INSIDE = 0
 """Code of a point that belongs; every other code is a reason why it does not."""
-MOST_POINTS = 60_000_000
+MAX_LATTICE_POINTS = 60_000_000
 """Points of a lattice that memory holds without trouble."""
-ROUNDS = 6
+MAX_REDRAWS = 6
 """How often random points are drawn again after some contradicted."""
 
 
@@ -59,7 +59,7 @@ class Lattice:
         return tuple(np.clip(index, 0, np.array(self.shape) - 1).tolist())
 
 
-def lattice_over(lower: np.ndarray, upper: np.ndarray, through: np.ndarray, step: float, stride: int = 4) -> Lattice:
+def build_lattice(lower: np.ndarray, upper: np.ndarray, through: np.ndarray, step: float, stride: int = 4) -> Lattice:
     """Return the lattice that holds a box and has a point of its coarsest level at `through`.
 
     Args:
@@ -79,8 +79,8 @@ def lattice_over(lower: np.ndarray, upper: np.ndarray, through: np.ndarray, step
     before, after = np.maximum(before, 0), np.maximum(after, 0)
     counts = (before + after) * stride + 1
     total = float(np.prod(counts.astype(float)))
-    if total > MOST_POINTS:
-        finest = step * (total / MOST_POINTS) ** (1 / max(int(extends.sum()), 1))
+    if total > MAX_LATTICE_POINTS:
+        finest = step * (total / MAX_LATTICE_POINTS) ** (1 / max(int(extends.sum()), 1))
         raise InputError(
             f"a resolution of {step:g} m gives {total:.1e} points; take {finest:.2g} m or more, or narrow the tool's limits"
         )
@@ -140,7 +140,7 @@ def classify_lattice(lattice: Lattice, classify: Classify, *, probes: int = 1500
     return ClassifiedLattice(lattice, code, asked, share)
 
 
-def cells(corners: np.ndarray, reduce: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+def combine_cells(corners: np.ndarray, reduce: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
     """Return one value a cell from the values at its corners, such as `np.minimum` or `np.add` of them."""
     for axis, n in enumerate(corners.shape):
         if n > 1:
@@ -155,7 +155,7 @@ def _every(array: np.ndarray, stride: int) -> np.ndarray:
 
 
 def _mixed(inside: np.ndarray) -> np.ndarray:
-    return cells(inside, np.logical_or) & ~cells(inside, np.logical_and)
+    return combine_cells(inside, np.logical_or) & ~combine_cells(inside, np.logical_and)
 
 
 def _offsets(shape: tuple[int, ...], width: int) -> Iterator[tuple[slice, ...]]:
@@ -172,7 +172,7 @@ def _divide(code: np.ndarray, asked: np.ndarray, ask: Callable[[np.ndarray, int]
     fine_code, fine_asked = _every(code, half), _every(asked, half)
     corner = _every(code, stride)
     inside = corner == INSIDE
-    mixed, belongs = _mixed(inside), cells(inside, np.logical_and)
+    mixed, belongs = _mixed(inside), combine_cells(inside, np.logical_and)
     wanted_now = mixed
     while wanted_now.any():
         wanted = np.zeros(fine_code.shape, bool)
@@ -196,7 +196,7 @@ def _probe(
     """Ask filled points at random, mend around those that were wrong, and return the share that may still be."""
     _mend(code, asked, ask)
     share = 0.0
-    for _ in range(ROUNDS):
+    for _ in range(MAX_REDRAWS):
         filled = np.flatnonzero(~asked)
         if not len(filled) or probes < 1:
             return 0.0

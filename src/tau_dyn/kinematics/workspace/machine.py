@@ -8,11 +8,11 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.bodies import Body
-from tau_dyn.kinematics.collisions import PlacedSolid, moved, standing
+from tau_dyn.kinematics.collisions import PlacedSolid, build_standing_solid, move_solid
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.tree_arrays import Frames, frames
+from tau_dyn.kinematics.tree_arrays import Frames, compute_frames
 from tau_dyn.robot import Robot
 
 _SAMPLES = 4000
@@ -67,7 +67,7 @@ class WorkspaceModel(Protocol):
         ...
 
 
-def travel(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def get_travel(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Return finite limits (na,), a whole turn for a joint that has none.
 
     Raises:
@@ -86,9 +86,9 @@ def travel(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-def drawn_positions(robot: Robot) -> np.ndarray:
+def draw_positions(robot: Robot) -> np.ndarray:
     """Return positions (N, na) over the actuators' travel: its corners, then at random, always the same."""
-    lower, upper = travel(robot)
+    lower, upper = get_travel(robot)
     corners = np.array(np.meshgrid(*[(0.0, 1.0)] * min(robot.na, 8))).reshape(min(robot.na, 8), -1).T
     if robot.na > 8:
         corners = np.zeros((0, robot.na))
@@ -96,16 +96,16 @@ def drawn_positions(robot: Robot) -> np.ndarray:
     return lower + share * (upper - lower)
 
 
-def frames_of(robot: Robot, joints: list, q: np.ndarray) -> Frames:
+def compute_joint_frames(robot: Robot, joints: list, q: np.ndarray) -> Frames:
     """Return the frames of all joints at actuated positions `q` (N, na) of a tree without loops to close."""
     x = np.zeros((robot.model.nv, len(q)))
     x[robot.active_v] = q.T
-    return frames(joints, x)
+    return compute_frames(joints, x)
 
 
 def place_body(body: Body, at: Frames | None) -> PlacedSolid:
     """Return a body where its joint is, or where it stands."""
     if body.joint == 0 or at is None:
-        return standing(body.shape, body.placement)
+        return build_standing_solid(body.shape, body.placement)
     rotation = np.ascontiguousarray(np.moveaxis(at.rotation[body.joint], 2, 0))
-    return moved(body, rotation, at.origin[body.joint].T)
+    return move_solid(body, rotation, at.origin[body.joint].T)

@@ -8,7 +8,7 @@ from tau_dyn.kinematics.workspace.tree_machine import TreeMachine
 from tau_dyn.robot import Robot
 
 
-def machine_of(robot: Robot) -> RodMachine | TreeMachine:
+def build_machine(robot: Robot) -> RodMachine | TreeMachine:
     """Return the machine of a robot."""
     try:
         return RodMachine(build_rods(robot))

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.dexterity import Rates, dexterity, worst_force, worst_speed
+from tau_dyn.kinematics.dexterity import Rates, compute_dexterity, compute_worst_force, compute_worst_speed
 from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.stiffness import Softest, Springs, compliance, in_series, softest
+from tau_dyn.kinematics.stiffness import Softest, Springs, combine_in_series, compute_compliance, find_softest
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 from tau_dyn.robot import Robot
 
@@ -51,7 +51,7 @@ class Elasticity:
     assumed: bool
 
 
-def elasticity(
+def build_elasticity(
     machine: WorkspaceModel, rod: float | None = None, actuators: Mapping[str, float] | None = None
 ) -> Elasticity:
     """Return a robot's springs.
@@ -84,7 +84,7 @@ def elasticity(
         others = [s.joint for s in robot.springs if not s.joint.endswith("_stretch")]
         rest += f"; the file's springs on {', '.join(others[:6])} left out" if others else ""
         return Elasticity(Springs(values, drives), f"rods as the robot file, {rest}", False)
-    two = in_series(JOINT_STIFFNESS, JOINT_STIFFNESS)
+    two = combine_in_series(JOINT_STIFFNESS, JOINT_STIFFNESS)
     return Elasticity(
         Springs(np.full(rods.n, two), drives),
         f"each rod assumed as two ball joints of 115 kN/mm in series, its tube and the frame rigid, {rest}",
@@ -141,14 +141,14 @@ class Quality:
         return {name: value for name, value in self._all(rates, names)}
 
     def _all(self, rates: Rates, names: list[str]):
-        robot, found = self.machine.robot, dexterity(rates)
+        robot, found = self.machine.robot, compute_dexterity(rates)
         for name in names:
             if name == "stiffness":
                 yield name, self.softest(rates).stiffness[:, 0]
             elif name == "speed":
-                yield name, worst_speed(rates, robot.velocity_limit)
+                yield name, compute_worst_speed(rates, robot.velocity_limit)
             elif name == "force":
-                yield name, worst_force(rates, robot.effort_limit)
+                yield name, compute_worst_force(rates, robot.effort_limit)
             else:
                 yield name, getattr(found, name)
 
@@ -156,12 +156,12 @@ class Quality:
         """Return main stiffnesses and directions at the poses of these rates."""
         if self.elasticity.springs is None:
             raise InputError(f"{self.machine.robot.source}: {self.elasticity.origin}")
-        C = compliance(rates, self.elasticity.springs)
+        C = compute_compliance(rates, self.elasticity.springs)
         if C.shape[1] in (1, 2):  # a planar arm: what does not move is rigid
             wide = np.zeros((len(C), 3, 3))
             wide[:, : C.shape[1], : C.shape[1]] = C
             C = wide
-        return softest(C)
+        return find_softest(C)
 
 
 class Statistics(NamedTuple):
@@ -172,7 +172,7 @@ class Statistics(NamedTuple):
     largest: float
 
 
-def statistics(values: np.ndarray) -> Statistics:
+def compute_statistics(values: np.ndarray) -> Statistics:
     """Return least, median and largest of the finite values; nan where there are none."""
     values = values[np.isfinite(values)]
     if not len(values):
@@ -180,7 +180,7 @@ def statistics(values: np.ndarray) -> Statistics:
     return Statistics(float(values.min()), float(np.median(values)), float(values.max()))
 
 
-def as_row(name: str, found: Statistics) -> dict[str, Any]:
+def build_catalogue_row(name: str, found: Statistics) -> dict[str, Any]:
     """Return a line of the catalogue."""
     quantity = QUANTITIES[name]
     return {

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from tau_dyn.kinematics.workspace.lattice import ClassifiedLattice, cells
+from tau_dyn.kinematics.workspace.lattice import ClassifiedLattice, combine_cells
 
 
 class Size(NamedTuple):
@@ -27,7 +27,7 @@ class Size(NamedTuple):
     high: float
 
 
-def size_of(inside: np.ndarray, step: float, missed: float = 0.0) -> Size:
+def measure_size(inside: np.ndarray, step: float, missed: float = 0.0) -> Size:
     """Return the size of a set.
 
     Args:
@@ -39,13 +39,13 @@ def size_of(inside: np.ndarray, step: float, missed: float = 0.0) -> Size:
     if dimension == 0:
         return Size(0.0, 0.0, 0.0)
     unit = step**dimension
-    low = unit * float(cells(inside, np.logical_and).sum())
-    high = unit * float(cells(inside, np.logical_or).sum())
-    value = unit * float(cells(inside.astype(np.uint8), np.add).sum()) / 2**dimension
+    low = unit * float(combine_cells(inside, np.logical_and).sum())
+    high = unit * float(combine_cells(inside, np.logical_or).sum())
+    value = unit * float(combine_cells(inside.astype(np.uint8), np.add).sum()) / 2**dimension
     return Size(value, max(low - missed, 0.0), high + missed)
 
 
-def missed_size(found: ClassifiedLattice) -> float:
+def bound_missed_size(found: ClassifiedLattice) -> float:
     """Return the size [m^d] that filled points may have wrong, with 95 %: all of them drawn from the same filled region."""
     filled = float((~found.asked).sum()) * found.lattice.step**found.lattice.dimension
     return found.missed_share * filled
@@ -64,7 +64,7 @@ def erode_by_margin(inside: np.ndarray, step: float, margin: float) -> np.ndarra
     return np.asarray(far) >= margin
 
 
-def bounding_box(inside: np.ndarray, low: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def compute_bounding_box(inside: np.ndarray, low: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and highest coordinates (3,) [m] of a set that is not empty, half a step beyond its last points."""
     ends = []
     for k in range(inside.ndim):

@@ -13,7 +13,7 @@ from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.result import Workspace
 
 _SIDES = 24  # directions of leaning, 15 degrees apart
-_MOST = np.deg2rad(120.0)
+_MAX_TILT_RAD = np.deg2rad(120.0)
 _STEP = np.deg2rad(1.0)
 
 
@@ -52,7 +52,7 @@ def turns_freely(found: Workspace) -> bool:
     return machine.rods is None or not machine.rods.translates
 
 
-def tilt(found: Workspace, place: np.ndarray) -> Tilt:
+def measure_tilt(found: Workspace, place: np.ndarray) -> Tilt:
     """Return how far the tool can lean at a place, starting from the workspace's orientation.
 
     Raises:
@@ -68,7 +68,7 @@ def tilt(found: Workspace, place: np.ndarray) -> Tilt:
             f"the place {', '.join(f'{x:.4g}' for x in place)} m does not belong to the workspace ({words})"
         )
     towards = np.arange(_SIDES) * 2 * np.pi / _SIDES
-    angles = np.arange(1, round(_MOST / _STEP) + 1) * _STEP
+    angles = np.arange(1, round(_MAX_TILT_RAD / _STEP) + 1) * _STEP
     axes = np.stack([-np.sin(towards), np.cos(towards), np.zeros(_SIDES)], axis=1)
     alive, reach, reason = np.ones(_SIDES, bool), np.full(_SIDES, angles[-1]), [""] * _SIDES
     for block in np.array_split(angles, 8):  # outwards, so that inverse kinematics has neighbours to start from

@@ -16,11 +16,11 @@ from tau_dyn.kinematics.bodies import Body
 from tau_dyn.kinematics.collisions import PlacedSolid, find_collisions
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 
-_NEAR = 0.02  # [m] what a cart keeps from the guideway that it rides on
+_GUIDEWAY_CLEARANCE_M = 0.02  # [m] what a cart keeps from the guideway that it rides on
 
 
 @dataclass(frozen=True)
-class Pair:
+class SolidPair:
     """Two solids: indices among the bodies, and what the pair is called."""
 
     first: int
@@ -32,18 +32,18 @@ class Pair:
         return find_collisions(solids[self.first], solids[self.second], margin)
 
 
-def pairs_of(machine: WorkspaceModel, margin: float = 0.0) -> tuple[list[Pair], list[str]]:
+def list_pairs(machine: WorkspaceModel, margin: float = 0.0) -> tuple[list[SolidPair], list[str]]:
     """Return the pairs to test, and the names of those left out because they touch at home though nothing joins them."""
     bodies = machine.bodies
     solids = machine.solids(machine.robot.home[None], machine.home)
-    kept: list[Pair] = []
+    kept: list[SolidPair] = []
     touching: list[str] = []
     for i in range(len(bodies)):
         for j in range(i):
             a, b = (i, j) if bodies[i].rod >= 0 else (j, i)  # a rod first: its cover is the finest
             if _joined(a, b, bodies, solids, machine):
                 continue
-            pair = Pair(a, b, f"{bodies[a].name} and {bodies[b].name}")
+            pair = SolidPair(a, b, f"{bodies[a].name} and {bodies[b].name}")
             if not pair.touches(solids, margin)[0]:
                 kept.append(pair)
             elif not _rides(bodies[a], bodies[b], machine):
@@ -62,7 +62,9 @@ def _joined(a: int, b: int, bodies: list[Body], solids: list[PlacedSolid], machi
         return True
     carts = [k for k, body in enumerate(bodies) if body.rod < 0 and body.joint in holders]
     under = [machine.robot.model.parents[j] for j in holders]
-    return bodies[b].joint in under and any(find_collisions(solids[k], solids[b], _NEAR)[0] for k in carts)
+    return bodies[b].joint in under and any(
+        find_collisions(solids[k], solids[b], _GUIDEWAY_CLEARANCE_M)[0] for k in carts
+    )
 
 
 def _rides(a: Body, b: Body, machine: WorkspaceModel) -> bool:

@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.ball_joints import BallJoints, ball_joints
-from tau_dyn.kinematics.collisions import PlacedSolid, touched_obstacle
-from tau_dyn.kinematics.dexterity import dexterity
-from tau_dyn.kinematics.joint_limits import SLACK, unwound
+from tau_dyn.kinematics.ball_joints import BallJoints, find_ball_joints
+from tau_dyn.kinematics.collisions import PlacedSolid, find_touched_obstacle
+from tau_dyn.kinematics.dexterity import compute_dexterity
+from tau_dyn.kinematics.joint_limits import SLACK, unwind_turns
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel, travel
-from tau_dyn.kinematics.workspace.pairs import pairs_of
+from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
+from tau_dyn.kinematics.workspace.pairs import list_pairs
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements, Reasons
 
 _BATCH = 20000  # poses at a time, tens of MB
@@ -35,13 +35,13 @@ class PoseChecker:
         self.reasons = reasons if reasons is not None else Reasons()
         self.balls: BallJoints | None = None
         if machine.rods is not None:
-            self.balls = ball_joints(machine.rods, angle=demands.ball_angle)
-        self._lower, self._upper = travel(machine.robot)
+            self.balls = find_ball_joints(machine.rods, angle=demands.ball_angle)
+        self._lower, self._upper = get_travel(machine.robot)
         self._endless = ~np.isfinite(machine.robot.upper) | ~np.isfinite(machine.robot.lower)
         self._turns = np.array([kind == "revolute" for kind in machine.robot.joint_kinds]) & ~self._endless
-        home = dexterity(machine.rates(machine.robot.home[None], machine.home))
+        home = compute_dexterity(machine.rates(machine.robot.home[None], machine.home))
         self._signs = float(home.tool_sign[0]), float(home.actuator_sign[0])
-        self.pairs, self.touching = pairs_of(machine, demands.clearance) if demands.collisions else ([], [])
+        self.pairs, self.touching = list_pairs(machine, demands.clearance) if demands.collisions else ([], [])
         self.n_judged, self.turned = 0, 0.0
 
     def judge(self, poses: Poses) -> PoseCheck:
@@ -59,7 +59,7 @@ class PoseChecker:
         code = np.full(len(solved.ok), INSIDE)
         for reason in np.unique(solved.reason[~solved.ok].astype(str)):
             code[~solved.ok & (solved.reason == reason)] = self.reasons.code(*_of_solver(reason))
-        q = unwound(solved.q, self._turns, self._lower, self._upper)
+        q = unwind_turns(solved.q, self._turns, self._lower, self._upper)
         self._actuators(code, q)
         self._places(code, poses.position)
         self._balls(code, q, poses)
@@ -109,7 +109,7 @@ class PoseChecker:
         index = np.flatnonzero(code == INSIDE)
         if not len(index):
             return
-        found = dexterity(self.machine.rates(q[index], poses.take(index)))
+        found = compute_dexterity(self.machine.rates(q[index], poses.take(index)))
         beyond = (found.tool_sign != self._signs[0]) | (found.actuator_sign != self._signs[1])
         self._mark(code, index, beyond, "singularity", "beyond one, seen from home")
         near = ~(found.condition <= self.demands.condition)
@@ -133,7 +133,7 @@ class PoseChecker:
 
         for wall in walls:
             left = np.flatnonzero(free)
-            note(touched_obstacle(wall, _at(moving, left), len(left)), "obstacle", wall.name)
+            note(find_touched_obstacle(wall, _at(moving, left), len(left)), "obstacle", wall.name)
         for pair in self.pairs:
             left = np.flatnonzero(free)
             if len(left):

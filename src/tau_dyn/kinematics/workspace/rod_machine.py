@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.kinematics.bodies import Body, read_bodies, rod_body, rod_radius
-from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, moved
+from tau_dyn.kinematics.bodies import Body, build_rod_body, measure_rod_radius, read_bodies
+from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, move_solid
 from tau_dyn.kinematics.dexterity import Rates
 from tau_dyn.kinematics.inverse import inverse_kinematics
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.tree_arrays import joints_of
-from tau_dyn.kinematics.workspace.machine import InverseSolution, drawn_positions, frames_of, place_body
+from tau_dyn.kinematics.tree_arrays import list_joints
+from tau_dyn.kinematics.workspace.machine import InverseSolution, compute_joint_frames, draw_positions, place_body
 
 _TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
 
@@ -24,7 +24,7 @@ class RodMachine:
         self.rods: Rods | None = rods
         self._rods, self.robot = rods, rods.robot
         self.home = rods.tool_poses(rods.home)
-        self._joints = joints_of(self.robot.model) or []
+        self._joints = list_joints(self.robot.model) or []
         arm = rods.on_plate - rods.tool.translation
         self.length = float(np.sqrt(np.mean(np.sum(arm**2, axis=1)))) or 1.0
         drawn, self.meshes = read_bodies(self.robot)
@@ -40,7 +40,7 @@ class RodMachine:
         self._sides = self._real_rods()
         nominal = self._rods.leg_lengths(robot.home)[0]
         for k, (name, members) in enumerate(self._sides):
-            kept.append(rod_body(name, rod_radius(drawn, name), float(nominal[members[0]]), k))
+            kept.append(build_rod_body(name, measure_rod_radius(drawn, name), float(nominal[members[0]]), k))
         return kept
 
     def _real_rods(self) -> list[tuple[str, list[int]]]:
@@ -82,7 +82,7 @@ class RodMachine:
         """Return `bodies` at these poses."""
         rods, plate = self._rods, self._rods.plate_poses(poses)
         start, end = rods.base_points(q), rods.plate_points(plate)
-        at = frames_of(self.robot, self._joints, q) if self._joints else None
+        at = compute_joint_frames(self.robot, self._joints, q) if self._joints else None
         out = []
         for body in self.bodies:
             if body.rod >= 0:
@@ -91,14 +91,14 @@ class RodMachine:
                     build_capsule(capsule.radius, capsule.length, start[:, members].mean(axis=1), end[:, members[0]])
                 )
             elif body.joint == self._plate:
-                out.append(moved(body, np.asarray(plate.rotation), plate.position))
+                out.append(move_solid(body, np.asarray(plate.rotation), plate.position))
             else:
                 out.append(place_body(body, at))
         return out
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a box that holds every place of the tool: each rod's joint is within its length of the cart's travel."""
-        rods, q = self._rods, drawn_positions(self.robot)
+        rods, q = self._rods, draw_positions(self.robot)
         A, L = rods.base_points(q), rods.leg_lengths(q).max(axis=0)
         lever = np.linalg.norm(rods.on_plate - rods.tool.translation, axis=1)
         pad = np.where(np.ptp(A, axis=0).max(axis=1) > 0, 0.02 * np.ptp(A, axis=0).max(axis=1), 0.0)

@@ -13,7 +13,7 @@ from tau_dyn.kinematics.workspace.maps import Quality
 from tau_dyn.kinematics.workspace.result import Workspace
 
 _AXES = "xyz"
-_MOST = 220
+_MAX_SECTION_POINTS = 220
 """Points along the longer side of a section."""
 
 
@@ -70,7 +70,7 @@ def parse_section(text: str) -> tuple[int, float]:
     return _AXES.index(axis.strip().lower()), value
 
 
-def section(found: Workspace, axis: int, at: float, quality: Quality, names: Sequence[str] = ()) -> Section:
+def judge_section(found: Workspace, axis: int, at: float, quality: Quality, names: Sequence[str] = ()) -> Section:
     """Judge a plane across an axis.
 
     Args:
@@ -89,7 +89,7 @@ def section(found: Workspace, axis: int, at: float, quality: Quality, names: Seq
         raise InputError(f"section {_AXES[axis]}={at:g} misses the searched box, {low[axis]:.3g} to {high[axis]:.3g} m")
     if found.lattice.shape[across] < 2 or found.lattice.shape[up] < 2:
         raise InputError(f"the tool does not move along both axes of a section across {_AXES[axis]}")
-    step = max(found.lattice.step, max(high[across] - low[across], high[up] - low[up]) / _MOST)
+    step = max(found.lattice.step, max(high[across] - low[across], high[up] - low[up]) / _MAX_SECTION_POINTS)
     u, v = (_along(low[k], high[k], step) for k in (across, up))
     places = np.zeros((len(u), len(v), 3))
     places[..., axis], places[..., across], places[..., up] = at, u[:, None], v[None, :]
@@ -121,7 +121,7 @@ def _also_of_lattice(found: Workspace, places: np.ndarray, code: np.ndarray) -> 
     return np.where((code == INSIDE) & np.isin(near, list(wider)), near, code)
 
 
-def usual_sections(found: Workspace) -> list[tuple[int, float]]:
+def choose_usual_sections(found: Workspace) -> list[tuple[int, float]]:
     """Return the planes through home across x, y and z, of those in which the tool moves."""
     wide = [n > 1 for n in found.lattice.shape]
     home = found.machine.home.position[0]

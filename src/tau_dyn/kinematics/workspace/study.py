@@ -10,19 +10,19 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.workspace.catalogue import Catalogue, catalogue
+from tau_dyn.kinematics.workspace.catalogue import Catalogue, build_catalogue
 from tau_dyn.kinematics.workspace.find import find_workspace
 from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machines import machine_of
-from tau_dyn.kinematics.workspace.maps import Quality, elasticity
-from tau_dyn.kinematics.workspace.orientations import Tilt, tilt, turns_freely
+from tau_dyn.kinematics.workspace.machines import build_machine
+from tau_dyn.kinematics.workspace.maps import Quality, build_elasticity
+from tau_dyn.kinematics.workspace.orientations import Tilt, measure_tilt, turns_freely
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.kinematics.workspace.result import Workspace
-from tau_dyn.kinematics.workspace.sections import Section, parse_section, section, usual_sections
+from tau_dyn.kinematics.workspace.sections import Section, choose_usual_sections, judge_section, parse_section
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
-_MOST_PLACES = 2000
+_MAX_PLACES = 2000
 """Places of a result file at most."""
 
 
@@ -62,7 +62,7 @@ class Study(Shown):
         """Return places inside [m], thinned, with the maps there: what a viewer draws."""
         space = self.workspace
         inside = np.flatnonzero(space.place_codes == INSIDE)
-        chosen = inside[:: max(1, -(-len(inside) // _MOST_PLACES))]
+        chosen = inside[:: max(1, -(-len(inside) // _MAX_PLACES))]
         values = self.quality.values(self.maps, space.q[chosen], space.poses(space.places[chosen]))
         return {"points": space.places[chosen], "values": values}
 
@@ -84,7 +84,7 @@ def _extents(s: Section) -> list[np.ndarray]:
     return [s.u[s.inside.any(axis=1)], s.v[s.inside.any(axis=0)]]
 
 
-def study(
+def study_workspace(
     robot: Robot,
     *,
     demands: PoseRequirements | None = None,
@@ -117,8 +117,8 @@ def study(
         InputError: Some of it is at fault.
     """
     planes = [parse_section(text) for text in sections]
-    machine = machine_of(robot)
-    quality = Quality(machine, elasticity(machine, rod_stiffness, actuator_stiffness))
+    machine = build_machine(robot)
+    quality = Quality(machine, build_elasticity(machine, rod_stiffness, actuator_stiffness))
     names = list(dict.fromkeys(maps)) or quality.available()
     unknown = next((n for n in names if n not in quality.available()), None)
     if unknown is not None:
@@ -128,13 +128,13 @@ def study(
         machine, demands=demands, resolution=resolution, rotation=rotation, seed=seed, progress=progress
     )
     progress("judging sections")
-    cuts = [section(found, axis, at, quality, names) for axis, at in planes or usual_sections(found)]
+    cuts = [judge_section(found, axis, at, quality, names) for axis, at in planes or choose_usual_sections(found)]
     progress("maps over the workspace")
-    figures = catalogue(found, quality)
+    figures = build_catalogue(found, quality)
     if tilt_at is not None and not np.isfinite(tilt_at).all():
         raise InputError("the place of --tilt must hold three finite numbers")
     lean = (
-        tilt(found, np.asarray(tilt_at if tilt_at is not None else machine.home.position[0]))
+        measure_tilt(found, np.asarray(tilt_at if tilt_at is not None else machine.home.position[0]))
         if tilt_at is not None or turns_freely(found)
         else None
     )

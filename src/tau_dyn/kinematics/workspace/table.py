@@ -9,7 +9,7 @@ from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.study import Study
 
 
-def points_table(found: Study) -> pd.DataFrame:
+def build_points_table(found: Study) -> pd.DataFrame:
     """Return one row a judged point, columns as a log's: `x_tool`.., `q_<joint>`, then `inside`, `reason` and the maps."""
     space = found.workspace
     index = np.rint((space.places - space.lattice.low) / space.lattice.step).astype(int)

@@ -17,7 +17,7 @@ from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.kinematics.solvers import get_solver
 from tau_dyn.kinematics.tree_pose import TreePose
-from tau_dyn.kinematics.workspace.machine import InverseSolution, drawn_positions, place_body
+from tau_dyn.kinematics.workspace.machine import InverseSolution, draw_positions, place_body
 from tau_dyn.robot import Robot
 
 _WAVES = 300
@@ -69,7 +69,7 @@ class TreeMachine:
         J = self._jacobian(robot.home[None], self.home)[0][:, self._turns]
         if J.size and np.linalg.norm(J[3:]) > 1e-9:
             self.length = float(np.linalg.norm(J[:3]) / np.linalg.norm(J[3:])) or 1.0
-        self._rows = _rows(self._jacobian(drawn_positions(robot)[: 2 ** min(robot.na, 8) + 50], None), robot.na)
+        self._rows = _rows(self._jacobian(draw_positions(robot)[: 2 ** min(robot.na, 8) + 50], None), robot.na)
         square = len(self._rows) == robot.na
         at_home = self._jacobian(robot.home[None], self.home)[:, self._rows]
         self._sign = float(np.sign(np.linalg.det(at_home))[0]) if square else 0.0
@@ -126,7 +126,7 @@ class TreeMachine:
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Return a box around the places that random positions reach, with room to every side."""
-        found = forward_kinematics(self.robot, drawn_positions(self.robot))
+        found = forward_kinematics(self.robot, draw_positions(self.robot))
         place = found.poses.position[found.ok]
         low, high = place.min(axis=0), place.max(axis=0)
         room = 0.06 * (high - low)
