@@ -49,8 +49,9 @@ from tau_dyn.diagnose.result import (
     Verdict,
 )
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
+from tau_dyn.diagnose.unexplained import MIN_COMPANION_SHARE
 from tau_dyn.effects import EFFECTS, Effect
-from tau_dyn.estimate import PhysicalConstraints
+from tau_dyn.estimate import PhysicalConstraints, solve_scaled
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 
@@ -64,6 +65,9 @@ _WORSE = "held-out data are predicted worse with it"
 _ZERO = "no amplitude of it is distinct from zero beside the other causes"
 _VETO = "the last part of the data does not show it"
 _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
+_COMPANION = "it is {:.1f} % of the force of {} there, whose law is not known as exactly as that"
+_MAX_ROWS = 8000
+"""Samples from which a force's size is taken: many times the number of parameters."""
 HELD_OUT = "held-out {what}, blocks in turn: one half confirms, the other measures the gain"
 SHARED = "60 % of the {what} train, 20 % confirm, 20 % measure the gain, in blocks that take turns"
 
@@ -207,6 +211,8 @@ def select_supported(
         bars = build_waterfall(channel, hunt, claims.kept, rng, nominal=nominal, physics=physics)
         judged_again = _reject_by_amplitude(channel, hunt, claims, bars)
         if judged_again is claims:
+            judged_again = _reject_companions(channel, hunt, claims, bars)
+        if judged_again is claims:
             judged_again = _drop_worse_joints(channel, claims, bars, rng)
         if judged_again is claims:
             judged_again = _reject_without_gain(claims, bars)
@@ -242,6 +248,41 @@ def _borne_out(
     effects, others = one.candidate.effects, build_effects([other for other in kept if other is not one])
     own, beside = (get_columns(hunt.library, x) for x in (effects, others))
     return test.within or confirm(channel, hunt.noise, own, beside, TEST).share > 0
+
+
+def measure_net_forces(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> np.ndarray:
+    """Return the rms force (causes, m) of each cause that stands, net of what the baseline absorbs of it, in the last fit."""
+    values = get_fitted_parameters(bars.judgements[-1])
+    masks = channel.masks(TRAIN, VALIDATION)
+    every = 1 + sum(int(mask.sum()) for mask in masks) // (_MAX_ROWS * len(channel.outputs))
+    sizes = np.zeros((len(claims.kept), len(channel.outputs)))
+    for k in range(len(channel.outputs)):
+        base = np.concatenate([c[m[:, k], k] for c, m in zip(channel.free_columns, masks, strict=True)])[::every]
+        for n, one in enumerate(claims.kept):
+            force = np.zeros(len(base))
+            for effect in one.candidate.effects:
+                theta = np.array([values[name].value for name in effect.parameters.names])
+                columns = hunt.library.columns(effect)
+                force += np.concatenate([c[m[:, k], k] @ theta for c, m in zip(columns, masks, strict=True)])[::every]
+            if force.any():
+                sizes[n, k] = np.sqrt(np.mean((force - base @ solve_scaled(base, force, 1e-7)) ** 2))
+    return sizes
+
+
+def _reject_companions(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
+    """Reject causes that are no larger, on each of their joints, than another cause's law is inexact."""
+    kept = claims.kept
+    if len(kept) < 2:
+        return claims
+    sizes = measure_net_forces(channel, hunt, claims, bars)
+    largest, which = sizes.max(axis=0), sizes.argmax(axis=0)
+    for n, one in enumerate(kept):
+        joints = np.flatnonzero(sizes[n] > 0)
+        share = sizes[n, joints] / largest[joints]
+        if len(joints) and share.max() < MIN_COMPANION_SHARE:
+            other = kept[which[joints[np.argmax(share)]]].candidate.cause
+            claims = claims.judge(claims.found.index(one), _COMPANION.format(100 * share.max(), other))
+    return claims
 
 
 def _drop_worse_joints(channel: Channel, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> Claims:

@@ -22,6 +22,7 @@ from tau_dyn.diagnose.channel_pipeline import (
     build_diagnosis,
     build_findings,
     get_fitted_parameters,
+    measure_net_forces,
     select_confirmed,
     select_supported,
 )
@@ -51,7 +52,7 @@ from tau_dyn.diagnose.recommendation import Recommendation, recommend
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects, select_causes
-from tau_dyn.diagnose.unexplained import build_unexplained
+from tau_dyn.diagnose.unexplained import build_unexplained, demote_companions
 from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.diagnose.words import describe_verdict
 from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
@@ -196,6 +197,10 @@ def _fitted(
     progress("baseline")
     first = replace(regression, runs=regression.runs[: is_held.count(False)])
     estimate = solve_least_squares(first, physics=physics)
+    if freed := [name for name in physics.rotors if estimate.parameters[name].free]:
+        model = model.with_parameters(model.parameters.update({name: {"free": True} for name in freed}))
+        physics = build_physical_constraints(model)
+        regression = replace(regression, parameters=model.parameters)
     fit = model.with_parameters(estimate.parameters)
     channel = build_force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
     scene = replace(channel.scene, step_s=1 / pieces[0].rate_hz)
@@ -230,6 +235,8 @@ def diagnose_forces(case: FittedBaseline, seed: int, progress: Progress, warning
         for f in find_parameter_changes(case.nominal, nominal, get_fitted_parameters(after), after.estimate)
     ]
     unexplained = build_unexplained(channel, hunt, tests.structure)
+    largest = measure_net_forces(channel, hunt, claims, bars).max(axis=0, initial=0.0)
+    unexplained = demote_companions(unexplained, channel.outputs, after.errors.rms, largest)
     if spoiled:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)
     limits, untestable = compute_detection_limits(channel, hunt, [f.cause for f in findings])
