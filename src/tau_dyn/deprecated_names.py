@@ -43,7 +43,6 @@ DEPRECATED: dict[str, dict[str, str]] = {
         "reference_of": "build_reference",
         "require": "require_convergence",
         "robust_filter": "design_robust_filter",
-        "whiteness": "check_whiteness",
     },
     "tau_dyn.control.interface": {
         "PERIOD": "DEFAULT_PERIOD_S",
@@ -80,7 +79,6 @@ DEPRECATED: dict[str, dict[str, str]] = {
     "tau_dyn.control.observers": {
         "Extended": "ExtendedModel",
         "extended": "extend_model",
-        "whiteness": "check_whiteness",
     },
     "tau_dyn.diagnose": {
         "Errors": "OutputErrors",
@@ -149,7 +147,6 @@ DEPRECATED: dict[str, dict[str, str]] = {
     },
     "tau_dyn.kinematics.workspace": {
         "Demands": "PoseRequirements",
-        "catalogue": "build_catalogue",
         "elasticity": "build_elasticity",
         "section": "judge_section",
         "tilt": "measure_tilt",
@@ -173,11 +170,7 @@ DEPRECATED: dict[str, dict[str, str]] = {
         "velocity_noise": "compute_velocity_noise",
     },
     "tau_dyn.report": {
-        "accuracy_page": "build_accuracy_page",
-        "diagnosis_page": "build_diagnosis_page",
         "excitation_page": "build_excitation_page",
-        "identification_page": "build_identification_page",
-        "modes_page": "build_modes_page",
         "simulation_page": "build_simulation_page",
     },
     "tau_dyn.robot": {

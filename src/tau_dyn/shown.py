@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _FACES = "tau_dyn.report.notebook"
-"""Has `render_html(result)` and `table_of(result)`."""
+"""Has `render_html(result)` and `build_table(result)`."""
 
 
 class Shown:
@@ -24,11 +24,11 @@ class Shown:
 
     def _repr_html_(self) -> str:
         """Return the notebook's view: headline, table, small charts; Jupyter calls it."""
-        return _faces().html_of(self)
+        return _faces().render_html(self)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the result's main table, one row a thing, in SI units, units in a column of their own where they differ."""
-        return _faces().table_of(self)
+        return _faces().build_table(self)
 
 
 def _faces() -> Any:

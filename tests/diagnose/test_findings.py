@@ -37,7 +37,7 @@ def test_what_the_baseline_absorbs_has_no_standard_error(make, rng):
     assert_allclose(drag.stderr, ground.gram(column)[0, 0] ** -0.5, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("percent", "says"), [(12.4, "12 % better"), (0.34, "0.3 % better"), (-0.6, "no better")])
+@pytest.mark.parametrize(("percent", "says"), [(12.4, "12 % smaller"), (0.34, "0.3 % smaller"), (-0.6, "not smaller")])
 def test_a_weak_cause_is_not_said_to_predict_better_than_it_does(percent, says):
     """White rows may be sure of a cause that takes nothing off the raw error; the sentence says so."""
     assert format_reduction(percent) == says

@@ -200,12 +200,12 @@ def test_the_command_predicts(tmp_path, monkeypatch, capsys) -> None:
     found = json.loads((tmp_path / "r.json").read_text())
     assert {row["name"] for row in found["predicted"]} >= {"carriage_link.mass", "axis.coulomb_pos"}
     assert found["method"] == "optimal" and found["condition_number"] > 1 and found["noise"]["force"] == [5.0]
-    assert "What it will tell" in (tmp_path / "r.html").read_text()
+    assert "Predicted standard errors" in (tmp_path / "r.html").read_text()
     assert main([*common, "--method", "random"]) == 0
     assert "predicted" not in json.loads((tmp_path / "r.json").read_text())
     for more, said in (
-        (["--method", "random", "--criterion", "d"], "belongs to --method optimal"),
-        (["--encoder-noise", "1e-6"], "give --force-noise as well"),
+        (["--method", "random", "--criterion", "d"], "use --method optimal"),
+        (["--encoder-noise", "1e-6"], "needs --force-noise as well"),
         (["--noise-from", "l.csv", "--force-noise", "1"], "takes the noise from a log"),
         (["--noise-from", "l.csv"], "l.csv"),
     ):

@@ -132,7 +132,7 @@ def test_friction_descriptions_that_fit_alike_are_said(found, l1, axis, axis_log
         half = (p[f"{joint}.coulomb_pos"].value - p[f"{joint}.coulomb_neg"].value) / 2
         assert text.startswith(f"{joint}: Coulomb friction")
         assert f"constant offset of {half:+.3g} N" in text
-        assert "no force log can tell" in text
+        assert "force logs cannot separate the two" in text
     symmetric = identify(axis, axis_log, model="symmetric")
     assert symmetric.equivalent == ()
     assert {"axis.coulomb", "axis.viscous", "axis.offset"} <= set(values(symmetric))
@@ -143,7 +143,7 @@ def test_equivalent_descriptions_predict_the_same(axis, true_axis, make):
     one = true_axis.with_values({"axis.viscous_pos": 200.0, "axis.viscous_neg": 200.0, "axis.coulomb_pos": 26.0})
     log = make.recorded(one, build_named_motion("fourier", one, 20.0, 0), force_noise=0.0, encoder_noise=0.0)
     a, s = identify(axis, log), identify(axis, log, model="symmetric")
-    assert "one viscous coefficient would do" in a.equivalent[0]
+    assert "one viscous coefficient is sufficient" in a.equivalent[0]
     p, q = a.parameters, s.parameters
     assert_allclose(q["axis.offset"].value, (p["axis.coulomb_pos"].value - p["axis.coulomb_neg"].value) / 2, atol=2e-3)
     assert_allclose(q["axis.coulomb"].value, (p["axis.coulomb_pos"].value + p["axis.coulomb_neg"].value) / 2, atol=2e-2)
@@ -167,7 +167,7 @@ def test_complete_arms_show_their_rods_sum(make):
     true = truth.parameters["rod2a_link.mass"].value + truth.parameters["rod2b_link.mass"].value
     assert abs(total["value"] - true) < 4.5 * total["stderr"]
     assert rows["plate_link.mass"]["identifiable"]
-    assert not any("does not show" in text for text in found.warnings)  # no motion could
+    assert not any("not excited" in text for text in found.warnings)  # no motion could
 
 
 def test_a_still_robot_cannot_answer(l1, truth, monday, make):
@@ -194,9 +194,9 @@ def test_one_joint_alone_leaves_the_others_named(l1, truth, make):
     for quantity in ("coulomb_pos", "viscous_neg"):
         p = found.parameters[f"cart1.{quantity}"]
         assert abs(p.value - truth.parameters[p.name].value) < 4.5 * p.stderr
-    (unseen,) = [text for text in found.warnings if "does not show" in text]
+    (unseen,) = [text for text in found.warnings if "not excited" in text]
     assert "cart2.coulomb_pos" in unseen
-    assert "to see them, move cart2, cart3" in unseen
+    assert "to identify them, move cart2, cart3" in unseen
     rows = {row["name"]: row for row in found.rows()}
     assert rows["cart3.viscous_pos"]["identifiable"]  # by a better motion
     assert rows["cart3.viscous_pos"]["stderr"] is None
@@ -208,9 +208,7 @@ def test_an_undetermined_parameter_is_said(axis, true_axis, make):
     fast, slower = build_named_motion("fourier", true_axis, 20.0, 0), 25.0
     path = Trajectory(fast.joints, slower * fast.t, fast.q, fast.v / slower, fast.a / slower**2)  # now at 40 Hz
     found = identify(axis, make.recorded(true_axis, path, force_noise=100.0, rate_hz=1000.0))
-    assert any(
-        text.startswith("not determined by these data") and "carriage_link.mass" in text for text in found.warnings
-    )
+    assert any(text.startswith("poorly determined") and "carriage_link.mass" in text for text in found.warnings)
     row = {r["name"]: r for r in found.rows()}["carriage_link.mass"]
     assert row["identifiable"]
     assert not row["determined"]
@@ -292,7 +290,9 @@ def test_uneven_sampling_is_put_right_and_said(l1, truth, monday):
 def test_millimetres_are_noticed(axis, axis_log, l1, monday, make):
     """Positions that read like millimetres: a warning where an answer is still possible, part of the refusal where not."""
     found = identify(axis, make.changed(axis_log, q_axis=1e3 * axis_log.channels["q_axis"]))
-    assert any("it reads like mm: write `q_axis: {column: q_axis, scale: 0.001}`" in text for text in found.warnings)
+    assert any(
+        "the unit is probably mm: write `q_axis: {column: q_axis, scale: 0.001}`" in text for text in found.warnings
+    )
     scaled = {f"q_{j}": 1e3 * monday.channels[f"q_{j}"] for j in l1.actuated}
     with pytest.raises(InputError, match="do they stand in mm"):
         identify(l1, make.changed(monday, **scaled))

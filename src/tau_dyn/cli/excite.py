@@ -163,11 +163,10 @@ def _optimal(args: argparse.Namespace, model, noise, step: Callable[[str], None]
 
 def _outcome(args: argparse.Namespace, model, motion, condition: float, result, said: str, prediction) -> Outcome:
     def show(console) -> None:
-        from tau_dyn.report.motion_plan_terminal import print_predicted_errors
-
         console.print(f"{motion.duration:.4g} s, condition number {condition:.3g} {said} -> {args.out}", markup=False)
-        if prediction is not None:
-            print_predicted_errors(console, prediction.rows())
+        for row in () if prediction is None else prediction.rows():
+            shown = f"  {row['expression']:44s} {row['value']:10.4g} ± {row['stderr']:.2g} {row['unit']}"
+            console.print(shown, markup=False, highlight=False)
 
     return Outcome(
         result=result,

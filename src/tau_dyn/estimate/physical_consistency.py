@@ -58,9 +58,7 @@ def solve_consistent(
     plain = parameters.with_values(_plain_values(parameters, base, beta))
     bodies = [b for b in (physics.bodies if physics else ()) if len(b.parameters) > 1]
     if _within_bounds(plain) and all(_is_physical(b, plain) for b in bodies):
-        near = parameters.with_values(_nearest_values(parameters, base, beta))
-        better = _within_bounds(near) and all(_is_physical(b, near) for b in bodies)
-        return ConstrainedParameters(near if better else plain, {})
+        return ConstrainedParameters(plain, {})
     theta = _program(parameters, base, beta, R, bodies)
     rise = float(np.sum((R @ (base.combine(theta) - beta)) ** 2))
     for _ in range(_MAX_ITERATIONS):
@@ -82,19 +80,6 @@ def solve_consistent(
 def _plain_values(parameters: Parameters, base: BaseParameters, beta: np.ndarray) -> dict[str, float]:
     """Return values that predict as `beta` does, with the dropped parameters where they were."""
     theta = parameters.select(base.names).values
-    theta[base.kept] = beta - base.K @ theta[base.dropped]
-    return dict(zip(base.names, theta, strict=True))
-
-
-def _nearest_values(parameters: Parameters, base: BaseParameters, beta: np.ndarray) -> dict[str, float]:
-    """Return the values that predict as `beta` does and differ least from the robot file's, in units of typical sizes."""
-    free = parameters.select(base.names)
-    combine = np.zeros((base.rank, len(free)))
-    combine[range(base.rank), base.kept] = 1.0
-    combine[:, base.dropped] = base.K
-    scaled = combine * _scale(free, base, beta)
-    change = np.linalg.lstsq(scaled, beta - base.combine(free.values), rcond=None)[0]
-    theta = free.values + _scale(free, base, beta) * change
     theta[base.kept] = beta - base.K @ theta[base.dropped]
     return dict(zip(base.names, theta, strict=True))
 

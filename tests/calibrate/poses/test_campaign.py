@@ -244,6 +244,6 @@ def test_a_serial_arm_is_planned_too() -> None:
 
 def test_what_the_terminal_says(plan: CalibrationCampaign) -> None:
     """The headline has the number of poses and the accuracy, the summary what was seen and the fewest poses."""
-    assert describe_headline(plan).startswith("20 poses will bring the tool to")
+    assert describe_headline(plan).startswith("20 poses: predicted RMS error")
     assert describe_inputs(plan).endswith("at least 8 poses") and "camera" in describe_inputs(plan)
     assert "simulated" in describe_rehearsal(plan)
