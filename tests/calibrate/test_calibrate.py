@@ -255,3 +255,17 @@ def test_spoiled_parameters_differ():
     """The rig really is off nominal, or these tests would show nothing."""
     geometry = family_at(rods_of()).build(family_at(rods_of()).spec("nonparallel"))
     assert np.abs(spoiled(geometry, np.random.default_rng(0)) - geometry.parameters.values).min() > 0
+
+
+@pytest.mark.parametrize(("moved", "said"), [(0.0, False), (1e-3, True), (0.5, True)])
+def test_a_device_moved_before_the_held_out_poses_is_said_with_its_amount(moved, said):
+    """A device shifted before the held-out poses shifts them all alike, so that no pose is an outlier of the others."""
+    rods = rods_of()
+    poses, _ = measured(rods, "nonparallel", 60, 3)
+    held = poses.take(np.arange(40, 60))
+    held = replace(held, position=held.position + np.array([moved, 0.0, 0.0]))
+    found = calibrate(rods.robot, poses.take(np.arange(40)), held, "nonparallel")
+    assert found.holdout is not None and found.holdout.n == 20
+    amounts = [float(w.partition(", by ")[2].split()[0]) for w in found.warnings if "seems to have moved" in w]
+    assert amounts == (pytest.approx([1e3 * moved], abs=0.1) if said else []), found.warnings
+    found.to_dict()

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.addition_tests import find_strongest_periods
 from tau_dyn.calibrate.candidates import (
@@ -19,6 +20,7 @@ from tau_dyn.calibrate.candidates import (
 from tau_dyn.calibrate.causes import find_causes
 from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M, compare_paired
 from tau_dyn.calibrate.families import Family, get_family
+from tau_dyn.calibrate.frames import align
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
@@ -33,6 +35,10 @@ _ENOUGH_TO_SPLIT = 40  # poses; with fewer, a held-out part is too small for an 
 _HELD_OUT = 0.25  # share of the poses
 _MAX_RELATIVE_MISFIT = 0.05
 """What a fit misses, over how far the poses spread, above which the two do not belong together."""
+_MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are no outliers but another situation
+_MIN_POSES_MOVED = 6  # poses; with fewer, the six numbers of a moved frame fit noise
+_MAX_ERROR_LEFT_MOVED = 0.5
+"""Rms error with the frame moved, over that without, below which held-out poses are said to come from a moved frame."""
 _LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
 
 
@@ -138,7 +144,7 @@ def _without_outliers(
         bad = find_outliers(fitted)
         if not len(bad):
             break
-        if len(bad) > 0.2 * poses.n:
+        if len(bad) > _MAX_OUTLIER_SHARE * poses.n:
             said.append(
                 f"{poses.source}: {len(bad)} of {poses.n} poses are far from what fits the others; nothing was left out, "
                 "for so many are no outliers: were frames moved in between, or is the robot another one?"
@@ -148,13 +154,43 @@ def _without_outliers(
         poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
     if holdout is not None and fitted is not None:
         bad = _held_outliers(fitted, holdout)
-        if len(bad):
+        said.extend(_describe_moved_frames(fitted, holdout))
+        if len(bad) > _MAX_OUTLIER_SHARE * holdout.n:
+            said.append(
+                f"{holdout.source}: {len(bad)} of {holdout.n} held-out poses are far from the fitted model; nothing was left "
+                "out, for so many are no outliers: were the device or the target moved, or is the robot another one?"
+            )
+        elif len(bad):
             names = ", ".join(holdout.names[k] for k in bad[:5])
             said.append(
                 f"{len(bad)} held-out pose{'s' if len(bad) > 1 else ''} left out as gross outliers: {names}; measure again"
             )
             holdout = holdout.take(np.setdiff1d(np.arange(holdout.n), bad))
     return poses, holdout, tuple(said)
+
+
+def _describe_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[str]:
+    """Return a sentence for each campaign whose held-out positions fit far better with the device moved as a rigid body."""
+    error = fitted.errors(holdout).position
+    said = []
+    for k, name in enumerate(holdout.campaigns):
+        own = (holdout.campaign == k) & np.isfinite(error).all(axis=1)
+        if own.sum() < _MIN_POSES_MOVED:
+            continue
+        seen, known = holdout.position[own], (holdout.position - error)[own]
+        move = align(seen, known)
+        left = seen - move.translation - known @ move.rotation.T
+        before, after = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (error[own], left))
+        if after < _MAX_ERROR_LEFT_MOVED * before:
+            shift = float(np.linalg.norm(error[own].mean(axis=0)))
+            turn = float(np.linalg.norm(Rotation.from_matrix(move.rotation).as_rotvec()))
+            where = f"{holdout.source}, campaign {name}" if len(holdout.campaigns) > 1 else holdout.source
+            said.append(
+                f"{where}: the device or the target seems to have moved before the held-out poses, by {1e3 * shift:.3g} mm and "
+                f"{1e3 * turn:.3g} mrad; with that move their rms error is {1e3 * after:.3g} mm instead of "
+                f"{1e3 * before:.3g} mm; fit both files together with a column campaign"
+            )
+    return said
 
 
 def _held_outliers(fitted: GeometryFit, holdout: PoseSet) -> np.ndarray:
