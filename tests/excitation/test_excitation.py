@@ -206,7 +206,7 @@ def test_the_command_predicts(tmp_path, monkeypatch, capsys) -> None:
     for more, said in (
         (["--method", "random", "--criterion", "d"], "use --method optimal"),
         (["--encoder-noise", "1e-6"], "needs --force-noise as well"),
-        (["--noise-from", "l.csv", "--force-noise", "1"], "takes the noise from a log"),
+        (["--noise-from", "l.csv", "--force-noise", "1"], "excludes --force-noise"),
         (["--noise-from", "l.csv"], "l.csv"),
     ):
         assert main([*common, *more]) == 2
