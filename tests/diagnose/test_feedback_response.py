@@ -21,6 +21,7 @@ from tau_dyn.diagnose.noise_only_bootstrap import estimate_noncentrality, simula
 from tau_dyn.diagnose.plausibility import is_distinct_from_zero
 from tau_dyn.effects import build_friction_model
 from tau_dyn.effects.cyclic_ripple import CyclicRipple
+from tau_dyn.estimate import BaseParameters
 from tau_dyn.log import Log, lowpass
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
@@ -173,22 +174,27 @@ def test_noise_too_small_to_bound_the_motion_ends_no_diagnosis():
     assert "cyclic_ripple" in [f.cause for f in diagnose(axis, [log]).findings if f.status == "confirmed"]
 
 
-def test_a_cause_that_the_whole_fit_puts_at_zero_is_not_claimed():
-    """Amplitudes of -0.05 +- 0.06 and 0.01 +- 0.006 tell nothing from zero; one of 1 +- 0.1 beside 0 +- 0.1 does."""
-
-    def found(*names: str) -> Any:
-        effect = SimpleNamespace(parameters=SimpleNamespace(names=names))
-        return SimpleNamespace(candidate=SimpleNamespace(effects=[effect]))
-
+@pytest.mark.parametrize(
+    ("amplitudes", "stderr", "correlation", "distinct"),
+    [
+        ((-0.05, 0.01), (0.06, 0.006), 0.0, False),
+        ((1.0, 0.0), (0.1, 0.1), 0.0, True),
+        ((-0.054, -0.032), (0.035, 0.024), -0.95, True),
+        ((-0.054, 0.032), (0.035, 0.024), -0.95, False),
+    ],
+)
+def test_amplitudes_are_judged_together(amplitudes, stderr, correlation: float, distinct: bool):
+    """Two of 1.5 standard errors each are not both zero where the errors' correlation of -0.95 excludes it, else may be."""
+    C = np.outer(stderr, stderr) * np.array([[1.0, correlation], [correlation, 1.0]])
+    names = ("mass", "a", "b")
+    base = BaseParameters(names, np.array([0, 1, 2]), np.array([], int), np.zeros((3, 0)))
     values = Parameters(
-        [
-            Parameter(n, v, "", stderr=s)
-            for n, v, s in (("a", -0.05, 0.06), ("b", 0.01, 0.006), ("c", 1.0, 0.1), ("d", 0.0, 0.1))
-        ]
+        [Parameter(n, v, "", stderr=s) for n, v, s in zip(names, (9.0, *amplitudes), (0.1, *stderr), strict=True)]
     )
-    one, other = found("a", "b"), found("c", "d")
-    distinct = [is_distinct_from_zero(x.candidate.effects, values, MIN_AMPLITUDE_Z) for x in (one, other)]
-    assert distinct == [False, True]
+    cov = np.block([[np.eye(1), np.zeros((1, 2))], [np.zeros((2, 1)), C]])
+    estimate = cast(Any, SimpleNamespace(base=base, parameters=values, cov=cov, scatter=0.8 * cov))
+    effects = [cast(Any, SimpleNamespace(parameters=SimpleNamespace(names=("a", "b"))))]
+    assert is_distinct_from_zero(effects, estimate, MIN_AMPLITUDE_Z) is distinct
 
 
 @pytest.mark.parametrize(("made", "counts"), [(0.5, 0.25), (1.0, 1.0), (4.0, 1.0)])

@@ -56,7 +56,7 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 
 MIN_AMPLITUDE_Z = 2.0
-"""Standard errors that an amplitude of the extended model must be off zero for its cause to be claimed."""
+"""Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
 """By how much a cause may raise the error on the confirmation part; a weak one changes it by less, either way."""
 _NOT_SHOWN = "held-out data do not show it"
@@ -224,7 +224,8 @@ def select_supported(
 def _reject_by_amplitude(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
     """Reject what is not distinct from zero, implausible, at an edge, or not shown by the last part; all at once."""
     values, before = get_fitted_parameters(bars.judgements[-1]), get_fitted_parameters(bars.judgements[0])
-    scene, kept = channel.scene, claims.kept
+    estimate, scene, kept = bars.judgements[-1].estimate, channel.scene, claims.kept
+    assert estimate is not None  # only the nominal bar has none
     scales = scene.scales
     if scales:
         scales = widen_scales(scales, measure_friction(values, scene), measure_friction(before, scene))
@@ -232,7 +233,7 @@ def _reject_by_amplitude(channel: Channel, hunt: StepwiseSelection, claims: Clai
         if claims.why_not[k]:
             continue
         effects = one.candidate.effects
-        why = "" if is_distinct_from_zero(effects, values, MIN_AMPLITUDE_Z) else _ZERO
+        why = "" if is_distinct_from_zero(effects, estimate, MIN_AMPLITUDE_Z) else _ZERO
         why = why or find_implausible(effects, values, scales) or find_edge(effects, scene)
         why = why or find_inconsistent(effects, values, scene.step_s)
         if not why and not _borne_out(channel, hunt, claims.tests[k], kept, one):

@@ -6,13 +6,14 @@ law that fails them has been accounted for while others were looked for, and sta
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import stats
 
 from tau_dyn.effects import Effect, JointScales, Scene
 from tau_dyn.effects.words import format_quantity, spell_unit
+from tau_dyn.estimate import Estimate
 from tau_dyn.parameters import Parameters
 
 SEARCH_MARGIN = 5.0
@@ -116,7 +117,24 @@ def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: flo
     return f"one recording has one {effects[0].name.replace('_', ' ')}, and here it differs between joints ({listed})"
 
 
-def is_distinct_from_zero(effects: Sequence[Effect], values: Mapping | Parameters, min_ratio: float) -> bool:
-    """Return whether some amplitude is known, with a finite standard error, and that many of them away from zero."""
-    own = [values[name] for effect in effects for name in effect.parameters.names]
-    return any(p.stderr is not None and np.isfinite(p.stderr) and abs(p.value) > min_ratio * p.stderr for p in own)
+def is_distinct_from_zero(effects: Sequence[Effect], estimate: Estimate, min_z: float) -> bool:
+    """Return whether the amplitudes together are distinct from zero: a Wald test at the level of `min_z` standard errors.
+
+    Amplitudes that move against each other may each be known badly and yet not both be zero. Of the two covariances of an
+    estimate the one that finds less counts. Amplitudes without a standard error, as at a bound, are left out.
+    """
+    base, parameters = estimate.base, estimate.parameters
+    own = {name for effect in effects for name in effect.parameters.names}
+    known = {p.name for p in parameters if p.stderr is not None and 0 < p.stderr < np.inf}
+    rows = [k for k, c in enumerate(base.kept) if base.alone[c] and base.names[c] in own & known]
+    if not rows:
+        return False
+    x = np.array([parameters[base.names[c]].value for c in base.kept[rows]])
+    found = np.inf
+    for covariance in (estimate.cov, estimate.scatter):
+        C = covariance[np.ix_(rows, rows)]
+        size = np.sqrt(np.diag(C))
+        found = min(
+            found, float(x / size @ np.linalg.pinv(C / np.outer(size, size), 1e-6, hermitian=True) @ (x / size))
+        )
+    return bool(found > stats.chi2.isf(2 * stats.norm.sf(min_z), len(rows)))
