@@ -128,3 +128,13 @@ def test_a_large_delay_is_taken_out_of_the_baseline(make, rng) -> None:
     assert timing is not None and timing.delays[0] == pytest.approx(0.06, abs=1e-3) and timing.lags[0] == 0
     assert abs(wrong[2] - 30) > 10
     np.testing.assert_allclose(wrong + timing.change, [20, 15, 30, 5], rtol=0.05)
+
+
+@pytest.mark.parametrize(("peak", "expected"), [(-12.0, 0.0), (12.0, 12.0)])
+def test_an_amplitude_that_cannot_be_negative_is_zero(make, rng, peak: float, expected: float) -> None:
+    """Friction that is lower at low speed is no Stribeck peak of negative size."""
+    hidden = Stribeck(["x"], ["N"], speed=0.06)
+    motion = make.moving(rng, ("x",), 6000)
+    channel = make.bench(rng, lambda m: hidden.columns(m)[:, :, 0] * peak, motions=(motion,), noise=0.1)
+    (amplitude,) = estimate_amplitudes(hidden, ColumnCache(channel), make.ground(channel))
+    assert amplitude == pytest.approx(expected, abs=0.5)

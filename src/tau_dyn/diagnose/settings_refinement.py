@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
-from tau_dyn.diagnose.candidate_scan import ColumnCache, get_columns, match_settings, rescore_group
+from tau_dyn.diagnose.candidate_scan import ColumnCache, find_nonnegative, get_columns, match_settings, rescore_group
 from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest
 from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.effects import Effect
@@ -68,9 +68,24 @@ def drop_redundant_groups(candidate: CandidateCause, library: ColumnCache, groun
 
 
 def estimate_amplitudes(effect: Effect, library: ColumnCache, ground: NullModel) -> np.ndarray:
-    """Return an effect's amplitudes (k,) beside what the ground accounts for."""
+    """Return an effect's amplitudes (k,) beside what the ground accounts for, within their bounds at zero.
+
+    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the ground leaves of the columns `C`; directions that it
+    leaves nothing of stay at zero.
+    """
     C = ground.whiten_columns(library.columns(effect))
-    return np.linalg.lstsq(ground.gram(C), C.T @ ground.e, rcond=1e-9)[0]
+    scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)
+    values, vectors = np.linalg.eigh(ground.gram(C / scale))
+    seen = values > 1e-9 * max(values[-1], 1e-300)
+    values, vectors = values[seen], vectors[:, seen]
+    rows, y = np.sqrt(values)[:, None] * vectors.T, vectors.T @ (C.T @ ground.e / scale) / np.sqrt(values)
+    lower = np.where(find_nonnegative(effect), 0.0, -np.inf)
+    x = (
+        optimize.lsq_linear(rows, y, (lower, np.inf)).x
+        if np.any(lower == 0)
+        else np.linalg.lstsq(rows, y, rcond=None)[0]
+    )
+    return x / scale
 
 
 def differentiate_settings(effect: Effect, amplitude: np.ndarray, library: ColumnCache) -> list[list[np.ndarray]]:
