@@ -90,9 +90,9 @@ def _run(words: Sequence[str], out: Path) -> None:
         if data != before.get(name):
             _check_whole(out / name)
     if status == 2:
-        raise InputError(lines[0])
+        raise InputError("invalid_value", lines[0])
     if status == 3:
-        raise CannotAnswer(" ".join(lines), "")
+        raise CannotAnswer("not_identifiable", " ".join(lines), "")
 
 
 def _all_in(folder: Path) -> dict[str, bytes]:

@@ -21,7 +21,9 @@ def _robot(path: Path) -> None:
     q = robot.home[None]
     tau = mechanism.inverse_dynamics(q, 0 * q, 0 * q)
     if not np.isfinite(tau).all() and np.abs(robot.parameters.values).max(initial=0) < 1e9:
-        raise InputError("forces are not finite")  # huge dimensions; commands say it of their answers
+        raise InputError(
+            "robot_structure", "forces are not finite"
+        )  # huge dimensions; commands say it of their answers
 
 
 def _xacro_table(path: Path) -> None:

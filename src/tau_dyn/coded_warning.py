@@ -1,7 +1,7 @@
 """Warnings that programs can tell apart: a sentence for people that carries a stable code.
 
 A `CodedWarning` is a `str`, so every list of sentences may hold it. The codes are part of the results: `warning_codes` in JSON
-stands parallel to `warnings`. `docs/reference/warning_codes.md` lists them with cause and remedy.
+stands parallel to `warnings`. `message_codes.py` lists them with cause and remedy.
 """
 
 from __future__ import annotations
@@ -32,6 +32,12 @@ class CodedWarning(str):
 def get_code(sentence: str) -> str:
     """Return the code of a warning; `note` for a plain sentence."""
     return getattr(sentence, "code", UNCODED)
+
+
+def format_with_code(sentence: str) -> str:
+    """Return a warning with its code in brackets behind it; a plain sentence as it is."""
+    code = get_code(sentence)
+    return str(sentence) if code == UNCODED else f"{sentence} [{code}]"
 
 
 def format_warnings(warnings: Iterable[str]) -> dict[str, list[str]]:

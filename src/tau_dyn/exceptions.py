@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 MAX_MESSAGE_CHARACTERS = 1000
 """Characters of a message; what a file holds may be quoted in it, and has no end."""
@@ -34,13 +35,32 @@ def _digits(word: str) -> str:
 
 
 class TauDynError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base of every error this package raises on purpose: a sentence with a stable code.
+
+    Attributes:
+        code: One of `message_codes.ERROR_CODES`; sentences may be reworded, codes stay.
+    """
 
     exit_status = 1
 
+    def __init__(self, code: str, sentence: str) -> None:
+        """Keep the code beside the sentence."""
+        self.code = code
+        super().__init__(sentence)
+
     def __str__(self) -> str:
         """Return the sentence itself (a KeyError would quote it), printable and of bounded length."""
-        return format_one_line(str(self.args[0])) if self.args else ""
+        return format_one_line(str(self.args[0]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel between processes whatever arguments the constructor takes."""
+        return _restore, (type(self), self.args, self.__dict__)
+
+
+def _restore(kind: type[TauDynError], args: tuple[Any, ...], state: dict[str, Any]) -> TauDynError:
+    made = kind.__new__(kind, *args)
+    made.__dict__.update(state)
+    return made
 
 
 class InputError(TauDynError, ValueError):
@@ -52,17 +72,22 @@ class InputError(TauDynError, ValueError):
 class UnknownName(InputError, KeyError):
     """A name that does not exist; the message lists those that do."""
 
-    def __init__(self, kind: str, name: object, known: object, where: str = "") -> None:
+    def __init__(self, kind: str, name: object, known: Iterable[object], where: str = "") -> None:
         """Build the sentence from the kind of thing, the name asked for, and the names that exist."""
-        names = [str(k) for k in known]  # type: ignore[attr-defined]
+        names = [str(k) for k in known]
         listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
         there_are = f"there are {listed}" if names else "there are none"
         near = suggest_nearest(str(name), names)  # in a file a name may be a number
-        super().__init__(f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}")
+        sentence = f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}"
+        super().__init__("unknown_name", sentence)
 
 
 class LoopClosureError(InputError):
     """A kinematic loop cannot be closed at the given actuated positions."""
+
+    def __init__(self, sentence: str) -> None:
+        """Build it from its sentence."""
+        super().__init__("loop_not_closed", sentence)
 
 
 class CannotAnswer(TauDynError):
@@ -70,9 +95,9 @@ class CannotAnswer(TauDynError):
 
     exit_status = 3
 
-    def __init__(self, missing: str, experiment: str) -> None:
+    def __init__(self, code: str, missing: str, experiment: str) -> None:
         """Keep both halves of the sentence: what is missing, and the experiment that would give it."""
         self.missing = missing
         self.experiment = experiment
         self.warnings: tuple[str, ...] = ()  # what was doubtful on the way here; often the reason
-        super().__init__(f"{missing}; {experiment}")
+        super().__init__(code, f"{missing}; {experiment}")

@@ -68,9 +68,9 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
         if stat.S_ISFIFO(kind.st_mode):
             data = _from_pipe(handle, path, most)
         elif not stat.S_ISREG(kind.st_mode):
-            raise InputError(f"{path} is a device or a socket; give a file")
+            raise InputError("cannot_read", f"{path} is a device or a socket; give a file")
         elif most is not None and kind.st_size > most:
-            raise InputError(f"{path} has {kind.st_size} bytes; such a file has {most} at most")
+            raise InputError("file_too_large", f"{path} has {kind.st_size} bytes; such a file has {most} at most")
         else:
             data = file.readall()
     return data or b""
@@ -79,14 +79,14 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
 def _from_pipe(handle: int, path: str | Path, most: int | None) -> bytes:
     """Read until the writers are done."""
     if not select.select([handle], [], [], _PATIENCE)[0]:
-        raise InputError(f"{path} is a pipe into which nobody writes; give a file")
+        raise InputError("cannot_read", f"{path} is a pipe into which nobody writes; give a file")
     os.set_blocking(handle, True)
     pieces, size = [], 0
     while piece := os.read(handle, 2**20):
         pieces.append(piece)
         size += len(piece)
         if most is not None and size > most:
-            raise InputError(f"{path} gives more than {most} bytes, which such a file has at most")
+            raise InputError("file_too_large", f"{path} gives more than {most} bytes, which such a file has at most")
     return b"".join(pieces)
 
 
@@ -177,11 +177,11 @@ def _yaml_of(path: str | Path) -> Iterator[str]:
     except InputError:
         raise
     except FileNotFoundError as fault:
-        raise InputError(f"{path}: no such file") from fault
+        raise InputError("file_not_found", f"{path}: no such file") from fault
     except (OSError, UnicodeDecodeError) as fault:
-        raise InputError(f"{path}: cannot be read as text ({fault})") from fault
+        raise InputError("cannot_read", f"{path}: cannot be read as text ({fault})") from fault
     except YAML_FAULTS as fault:
-        raise InputError(f"{path}: not valid YAML ({' '.join(str(fault).split())})") from fault
+        raise InputError("file_format", f"{path}: not valid YAML ({' '.join(str(fault).split())})") from fault
 
 
 def resolve_destination(path: str | Path) -> Path:
@@ -197,13 +197,13 @@ def resolve_destination(path: str | Path) -> Path:
     except OSError as fault:
         if fault.errno == errno.ELOOP:
             raise InputError(
-                f"{path} cannot be written: it is a link that leads to itself; name another file"
+                "cannot_write", f"{path} cannot be written: it is a link that leads to itself; name another file"
             ) from fault
     try:
         return path.resolve()
     except (OSError, RuntimeError) as fault:
         raise InputError(
-            f"{path} cannot be written: the folder that you are in is gone, or a link leads to itself"
+            "cannot_write", f"{path} cannot be written: the folder that you are in is gone, or a link leads to itself"
         ) from fault
 
 
@@ -218,7 +218,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
     """
     path = resolve_destination(path)  # a link keeps pointing where it did
     if path.is_dir():
-        raise InputError(f"{path} cannot be written: it is a folder; name a file")
+        raise InputError("cannot_write", f"{path} cannot be written: it is a folder; name a file")
     if (
         path.name.endswith(".part") and f".{get_owner_name()}." in path.name
     ):  # temporary already: whoever gave it sees to it
@@ -230,7 +230,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
             yield path
             return
         if path.exists() and not os.access(path, os.W_OK):
-            raise InputError(f"{path} is write-protected; name another file, or allow writing to it")
+            raise InputError("cannot_write", f"{path} is write-protected; name another file, or allow writing to it")
         remove_stale_files(path.parent, f".{path.name[:_MAX_NAME_CHARACTERS]}.")
         try:
             yield temporary
@@ -247,7 +247,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
 def build_write_error(path: Path, fault: OSError) -> InputError:
     """Return the sentence about a file that cannot be written."""
     advice = _ADVICE.get(fault.errno or 0, "name a file in an existing folder")
-    return InputError(f"{path} cannot be written: {fault.strerror or fault}; {advice}")
+    return InputError("cannot_write", f"{path} cannot be written: {fault.strerror or fault}; {advice}")
 
 
 def write_whole(path: str | Path, text: str) -> None:

@@ -101,7 +101,9 @@ class Model(Shown):
         untied = robot.untied(n for n in self.robot.parameters.names if n not in robot.parameters and _is_inertial(n))
         if untied.parameters.names != self.robot.parameters.names:
             odd = min(set(untied.parameters.names) ^ set(self.robot.parameters.names))
-            raise InputError(f"{robot.source}: parameter '{odd}' is of the model or of the robot, but not of both")
+            raise InputError(
+                "mismatch", f"{robot.source}: parameter '{odd}' is of the model or of the robot, but not of both"
+            )
         return replace(self, robot=untied.with_parameters(self.robot.parameters))
 
     def only(self, effects: Iterable[Effect]) -> Model:
@@ -225,7 +227,8 @@ class Model(Shown):
         odd = [effect.name for effect in self.effects if effect.measured] if t is None else []
         if odd:
             raise InputError(
-                f"effect {odd[0]} needs samples in the order of time; it acts on a recording, not on a single state"
+                "unsupported",
+                f"effect {odd[0]} needs samples in the order of time; it acts on a recording, not on a single state",
             )
 
     def save(self, path: str | Path) -> None:
@@ -257,8 +260,9 @@ class Model(Shown):
         content = read_yaml(path)
         if not isinstance(content, dict) or content.get("tau_dyn_model") != _FORMAT:
             raise InputError(
+                "file_format",
                 f"{path}: not a tau_dyn model file (its first key is 'tau_dyn_model: {_FORMAT}'), as identify --out and "
-                "diagnose --out write it"
+                "diagnose --out write it",
             )
         for key, kind in (("robot", dict), ("effects", list), ("parameters", list), ("urdf", str)):
             _expect(content, key, kind, str(path))
@@ -279,13 +283,13 @@ class Model(Shown):
         saved = Parameters.from_list(content["parameters"], str(path))
         if set(saved.names) != set(model.parameters.names):
             odd = min(set(saved.names) ^ set(model.parameters.names))
-            raise InputError(f"{path}: parameter '{odd}' does not belong to this robot and these effects")
+            raise InputError("mismatch", f"{path}: parameter '{odd}' does not belong to this robot and these effects")
         return model.with_parameters(saved.select(model.parameters.names))
 
 
 def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> None:
     if not isinstance(content.get(key), kind):
-        raise InputError(f"{where}: '{key}' is missing or not a {kind.__name__}")
+        raise InputError("file_format", f"{where}: '{key}' is missing or not a {kind.__name__}")
 
 
 def _tied_names(robot: Robot) -> set[str]:

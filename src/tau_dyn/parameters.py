@@ -52,9 +52,11 @@ class Parameter:
     def __post_init__(self) -> None:
         """Refuse numbers no solver could start from."""
         if not isfinite(self.value):
-            raise InputError(f"parameter {self.name} must be a finite number, not {self.value}")
+            raise InputError("invalid_value", f"parameter {self.name} must be a finite number, not {self.value}")
         if not self.lower <= self.upper:
-            raise InputError(f"parameter {self.name}: lower bound {self.lower} is above upper bound {self.upper}")
+            raise InputError(
+                "invalid_value", f"parameter {self.name}: lower bound {self.lower} is above upper bound {self.upper}"
+            )
 
     @property
     def at_bound(self) -> bool:
@@ -71,7 +73,7 @@ class Parameters(Shown):
         self._items: dict[str, Parameter] = {}
         for item in items:
             if item.name in self._items:
-                raise InputError(f"parameter {item.name} is defined twice")
+                raise InputError("duplicate_name", f"parameter {item.name} is defined twice")
             self._items[item.name] = item
 
     def __iter__(self) -> Iterator[Parameter]:
@@ -130,7 +132,9 @@ class Parameters(Shown):
         """Return a copy with other values: by name, or a whole vector (p,) in order."""
         if isinstance(values, np.ndarray):
             if values.shape != (len(self),):
-                raise InputError(f"expected {len(self)} values, one a parameter, not an array of shape {values.shape}")
+                raise InputError(
+                    "wrong_shape", f"expected {len(self)} values, one a parameter, not an array of shape {values.shape}"
+                )
             values = dict(zip(self.names, values.tolist(), strict=True))
         return self.update({name: {"value": float(value)} for name, value in values.items()})
 
@@ -153,27 +157,30 @@ class Parameters(Shown):
     def from_list(cls, rows: object, where: str = "parameters") -> Parameters:
         """Read what `to_list` wrote; anything else is an `InputError` naming the entry."""
         if not isinstance(rows, list):
-            raise InputError(f"{where}: expected a list of parameters")
+            raise InputError("file_format", f"{where}: expected a list of parameters")
         known = set(Parameter.__dataclass_fields__)
         items = []
         for k, row in enumerate(rows):
             if not isinstance(row, dict) or not {"name", "value", "unit"} <= set(row) or not set(row) <= known:
                 raise InputError(
-                    f"{where}: entry {k + 1} must have name, value, unit and only {', '.join(sorted(known))}"
+                    "file_format",
+                    f"{where}: entry {k + 1} must have name, value, unit and only {', '.join(sorted(known))}",
                 )
             numbers = {key: row[key] for key in ("value", "lower", "upper", "prior_stderr", "stderr") if key in row}
             bad = [key for key, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
             if bad:
-                raise InputError(f"{where}: {row['name']}.{bad[0]} must be a number, not {numbers[bad[0]]!r}")
+                raise InputError(
+                    "file_format", f"{where}: {row['name']}.{bad[0]} must be a number, not {numbers[bad[0]]!r}"
+                )
             odd = [
                 key
                 for key, v in row.items()
                 if key not in numbers and not isinstance(v, bool if key in ("free", "split") else str)
             ]
             if odd:
-                raise InputError(f"{where}: entry {k + 1}: {odd[0]} must not be {row[odd[0]]!r}")
+                raise InputError("file_format", f"{where}: entry {k + 1}: {odd[0]} must not be {row[odd[0]]!r}")
             items.append({**row, **{key: float(v) for key, v in numbers.items()}})
         try:
             return cls(Parameter(**item) for item in items)
         except InputError as fault:
-            raise InputError(f"{where}: {fault}") from fault
+            raise InputError(fault.code, f"{where}: {fault}") from fault

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import Spec, family_at, measured, rods_of, spoiled
@@ -22,7 +23,7 @@ from tau_dyn.calibrate.saved import load_calibration, save_calibration
 from tau_dyn.calibrate.sensitivity import compute_sensitivities
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
-from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.robot import load_robot
 
@@ -172,7 +173,7 @@ def _poses(n: int, seed: int = 0) -> PoseSet:
 
 def test_too_few_poses_say_how_many_are_needed():
     """Five positions cannot tell a frame and 21 parameters; the sentence counts."""
-    with pytest.raises(InputError, match=r"5 poses are too few for the model nonparallel, .* at least 8 are needed"):
+    with raises_code("too_little_data", "5", "8"):
         calibrate(rods_of().robot, _poses(5), model="nonparallel")
 
 
@@ -183,7 +184,7 @@ def test_poses_in_a_plane_are_refused_with_the_experiment():
     found = forward_kinematics(rods, q)
     near = np.abs(found.poses.position[:, 0] - rods.home.position[0, 0]) < 1e9
     flat = found.poses.position[near] * np.array([0.0, 1.0, 1.0])
-    with pytest.raises(CannotAnswer, match="all .* lie in one plane.*off that plane"):
+    with raises_code("poor_excitation"):
         calibrate(rods.robot, PoseSet(q[near], flat))
 
 
@@ -191,7 +192,7 @@ def test_a_left_handed_device_is_told():
     """One mirrored axis fits no rotation; the sentence says which kind of fault it is."""
     poses = _poses(50)
     mirrored = replace(poses, position=poses.position * np.array([1.0, -1.0, 1.0]))
-    with pytest.raises(InputError, match="left-handed.*change the sign of one of x_tool"):
+    with raises_code("invalid_value", "x_tool"):
         calibrate(rods_of().robot, mirrored)
 
 
@@ -247,7 +248,7 @@ def test_poses_come_back_from_their_file(tmp_path):
 def test_model_names_that_do_not_exist_are_told():
     """An unknown structure, addition or joint lists those that there are."""
     for name in ("perfect", "nonparallel+magic", "nonparallel+periodic:cart9"):
-        with pytest.raises(InputError, match="there are"):
+        with raises_code("unknown_name"):
             calibrate(rods_of().robot, _poses(30), model=name)
 
 

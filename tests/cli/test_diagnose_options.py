@@ -78,7 +78,7 @@ def test_where_no_motion_tells_the_status_is_3(tmp_path, log, monkeypatch, capsy
     """The diagnosis is still written; the result and a warning name the experiment that would tell."""
 
     def refuse(*args, **options):
-        raise CannotAnswer("no motion tells a payload from a gain", "weigh the plate")
+        raise CannotAnswer("no_solution", "no motion tells a payload from a gain", "weigh the plate")
 
     monkeypatch.setattr(PROPOSE, "propose_motion", refuse)
     motion, result = tmp_path / "m.csv", tmp_path / "r.json"

@@ -187,7 +187,7 @@ def test_data_that_cannot_answer_leave_a_run_that_says_so(tmp_path, capsys):
     """Status 3 is a result too: what is missing, and the experiment."""
 
     def refuse(args):
-        raise CannotAnswer("the axis never moved", "move it")
+        raise CannotAnswer("poor_excitation", "the axis never moved", "move it")
 
     assert called(tmp_path, refuse) == 3
     assert set(tree(tmp_path)) == {"one/run.json", "one/result.json"}

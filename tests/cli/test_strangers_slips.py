@@ -18,7 +18,10 @@ T = np.arange(0, 4, 0.004)
         ("identify absent.urdf log.csv", "or a short name such as gantry_tau"),
         ("check log.csv linearaxis", "no robot named 'linearaxis' (did you mean linear_axis?)"),
         ("identify linear_axis log.csv --fix carriage.mass=90", "(did you mean carriage_link.mass?)"),
-        ("identify gantry_tau log.csv --set prototype=x9", "cannot expand it: prototype is l1, l2, d1 or t1, not x9\n"),
+        (
+            "identify gantry_tau log.csv --set prototype=x9",
+            "cannot expand it: prototype is l1, l2, d1 or t1, not x9 [file_format]\n",
+        ),
         ("identify linear_axis log.csv --report", "--report needs a value after it"),
         ("identify linear_axis log.csv --model notes.txt", "as identify --out and diagnose --out write it"),
         ("identify gantry_tau log.csv", "let a column map say which column it is"),

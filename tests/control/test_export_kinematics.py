@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 from tau_dyn.control import build_kinematics, write_kinematics_source
 from tau_dyn.control import export_kinematics_check as check
 from tau_dyn.control.export_c_text import build_identifiers
 from tau_dyn.control.export_check import draw_reachable_positions
-from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import build_rods, forward_kinematics, inverse_kinematics, jacobian
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
@@ -221,11 +221,11 @@ def test_hostile_names_make_plain_c(write, compiled) -> None:
 def test_a_difference_from_python_refuses_the_export(monkeypatch) -> None:
     """Were the tracing wrong by 1e-6, nothing would be written."""
     monkeypatch.setattr(check, "jacobian", lambda *args: jacobian(*args) + 1e-6)
-    with pytest.raises(InputError, match="differ from Python's by 1e-06"):
+    with raises_code("unsupported", "1e-06"):
         build_kinematics(load_robot("gantry_tau"))
 
 
 def test_a_name_that_is_none_is_refused() -> None:
     """Functions of C have names of letters, digits and underscores."""
-    with pytest.raises(InputError, match="cannot name a function in C"):
+    with raises_code("invalid_value"):
         write_kinematics_source(build_kinematics(load_robot("gantry_tau")), "a-b")

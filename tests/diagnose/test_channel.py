@@ -5,10 +5,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 from tau_dyn.diagnose.channel import refuse_scarce
 from tau_dyn.diagnose.data_split import EVERY, TEST, TRAIN, VALIDATION
-from tau_dyn.exceptions import CannotAnswer
 
 
 def channel(counts: dict[int, int]) -> Any:
@@ -23,6 +23,6 @@ def test_the_part_with_too_little_is_named(part: int, use: str) -> None:
     """One value less than needed in one part of three is refused, and the sentence says what it would have been for."""
     counts = dict.fromkeys(EVERY, 12)
     refuse_scarce(channel(counts), 12, "too little is left", "there are 3 s", "record more")
-    with pytest.raises(CannotAnswer) as fault:
+    with raises_code("too_little_data") as fault:
         refuse_scarce(channel(counts | {part: 11}), 12, "too little is left", "there are 3 s", "record more")
     assert fault.value.missing == f"too little is left to {use}: there are 3 s"

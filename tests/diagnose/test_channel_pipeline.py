@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from tau_dyn.coded_warning import get_code
 from tau_dyn.diagnose import channel_pipeline, diagnose, internal_validation
 from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
 from tau_dyn.diagnose.confirm import Confirmation
@@ -135,8 +136,9 @@ def test_held_out_logs_of_another_machine_are_told(make, rng):
     channel = make.bench(rng, carried, motions=motions, causes=(QuadraticDrag,))
     turns = np.arange(4000) // 100 % 2 + 1
     channel = replace(channel, parts=(np.zeros(4000, int), turns))
-    choice, why = stand(channel, rng)[1]
-    assert choice == "neither" and "x" in why
+    recommendation = stand(channel, rng)[1]
+    assert recommendation.choice == "neither" and "x" in recommendation.why
+    assert [get_code(warning) for warning in recommendation.warnings] == ["holdout_differs"]
 
 
 def test_without_held_out_logs_there_is_no_second_search(make, rng):

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.dynamics import TreeMechanism
-from tau_dyn.exceptions import InputError
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 CRANK, ROD, AT = 0.3, 0.9, 0.4  # [m], [m], crank's angle at zero [rad]
@@ -80,8 +80,6 @@ def test_a_slider_crank_on_paper(write, height: float) -> None:
 )
 def test_a_rod_that_would_be_turned_is_refused(write, more: dict[str, float]) -> None:
     """Off its centre it hangs as it likes; thick, it is left behind by hinges that turn it in space: an equation is missing."""
-    with pytest.raises(
-        InputError, match=r"\(crank\) leave 1 motion.s. of the passive joints free; name more actuated joints"
-    ):
+    with raises_code("unsupported", "1"):
         TreeMechanism(slider_crank(write, "zyx", **more))
     TreeMechanism(slider_crank(write, "zy", **more))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.dynamics import GantryTauMechanism
-from tau_dyn.exceptions import InputError, LoopClosureError
 
 
 @pytest.mark.parametrize("n", [1, 40], ids=["one by one", "all at once"])
@@ -17,7 +17,7 @@ def test_carts_too_far_apart_are_named_and_millimetres_are_suspected_only_of_lar
     for shift, hint in ((5.0, False), (1400.0, True), (-1400.0, True)):
         q = np.repeat(mechanism.robot.home[None], n, axis=0)
         q[n // 2, 1] += shift
-        with pytest.raises(LoopClosureError, match="cart1 = .* m, cart2 = .*out of reach") as fault:
+        with raises_code("loop_not_closed", "cart1", "=", "cart2") as fault:
             mechanism.tool_position(q)
         assert ("do they stand in mm?" in str(fault.value)) is hint
         assert f"cart2 = {q[n // 2, 1]:.4g} m" in str(fault.value)
@@ -39,5 +39,5 @@ def test_other_robots_are_refused(robots, two_link) -> None:
     assert GantryTauMechanism.describes(whole)
     for robot in (whole.untied(["rod2_link.mx"]), robots("l1 complete uniform"), two_link):
         assert not GantryTauMechanism.describes(robot)
-        with pytest.raises(InputError, match="closed form needs three driven carts"):
+        with raises_code("unsupported"):
             GantryTauMechanism(robot)

@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.dynamics import TreeMechanism, build_mechanism
-from tau_dyn.exceptions import InputError
 from tau_dyn.robot import load_robot, robot_from_urdf
 
 SERIAL = ["two_link", "turning", "block", "tx40", "ur5", "panda"]
@@ -157,17 +157,17 @@ def test_a_continuous_joint_turns_round_and_round(robots, motion) -> None:
 def test_wrong_shapes_are_refused_with_the_joints_names(two_link) -> None:
     """Three columns for two joints."""
     mechanism = build_mechanism(two_link)
-    with pytest.raises(InputError, match=r"shape \(N, 2\) for shoulder, elbow, not \(4, 3\)"):
+    with raises_code("wrong_shape", "2", "4", "3"):
         mechanism.inverse_dynamics(*np.zeros((3, 4, 3)))
-    with pytest.raises(InputError, match=r"not \(5, 2\)"):
+    with raises_code("wrong_shape", "5", "2"):
         mechanism.regressor(np.zeros((4, 2)), np.zeros((5, 2)), np.zeros((4, 2)))
 
 
 def test_too_few_or_too_many_drives_are_refused() -> None:
     """Two carts leave the plate a free motion, four drives cannot move independently: neither is computed in silence."""
-    with pytest.raises(InputError, match="name more actuated joints"):
+    with raises_code("unsupported"):
         build_mechanism(load_robot("gantry_tau", arms="complete", actuated=["cart1", "cart2"]))
-    with pytest.raises(InputError, match="name fewer actuated joints"):
+    with raises_code("loop_not_closed"):
         build_mechanism(load_robot("gantry_tau", actuated=["cart1", "cart2", "cart3", "plate_x"]))
 
 
@@ -176,5 +176,5 @@ def test_a_robot_without_a_tool_has_no_tool_position(write) -> None:
     ends = [write.rod(f"{name}_link", 1, 0.2) for name in "ab"]
     joints = [write.joint(name, "revolute", "base_link", f"{name}_link", "0 1 0") for name in "ab"]
     fork = robot_from_urdf(write.text("fork", *ends, *joints, write.drive("a"), write.drive("b")), "fork")
-    with pytest.raises(InputError, match="tool"):
+    with raises_code("unsupported", "tool"):
         build_mechanism(fork).tool_position(np.zeros((1, 2)))

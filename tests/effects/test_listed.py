@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from raising import raises_code
 
 from tau_dyn.effects import EFFECTS
 from tau_dyn.effects.read import read_effects
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 
@@ -88,5 +89,5 @@ def test_other_settings_leave_the_rest_as_it_was(robot) -> None:
     assert EFFECTS["torque_offset"](["bar"], ["N m"]).to_dict() == {"effect": "torque_offset", "joints": ["bar"]}
     with pytest.raises(ValueError, match="zip"):
         EFFECTS["stribeck"](["bar", "slide"], ["N m"])
-    with pytest.raises(UnknownName):
+    with raises_code("unknown_name"):
         read_effects([{"effect": "stribeck", "joints": [3]}], robot, "e.yaml")

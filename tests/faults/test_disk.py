@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 from tau_dyn.cli import build_parser, main
 from tau_dyn.exceptions import InputError
@@ -131,9 +132,7 @@ def test_no_room_for_a_copy_of_a_large_log(log, tmp_path, monkeypatch) -> None:
 
     monkeypatch.setattr(copies.pq.ParquetWriter, "write_table", full)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with pytest.raises(
-        InputError, match=r"its copy in .* failed \(No space left on device\); free some space there.*TMPDIR"
-    ):
+    with raises_code("file_too_large"):
         open_log(log)
 
 

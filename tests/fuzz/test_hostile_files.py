@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from raising import raises_code
 
 from tau_dyn import files
 from tau_dyn.cli import COMMANDS, build_parser, main
@@ -50,7 +51,7 @@ def test_aliases_merges_and_brackets_without_end_are_refused_soon(tmp_path: Path
     path = tmp_path / "bomb.yaml"
     path.write_text(bomb)
     begun = time.process_time()
-    with pytest.raises(InputError, match=r"bomb.yaml"):
+    with raises_code("file_format", "bomb.yaml"):
         read(path)
     assert time.process_time() - begun < 3.0
 
@@ -65,7 +66,7 @@ def test_tags_and_numbers_that_are_none_are_refused(tmp_path: Path, read, text: 
     """No object is ever made from a tag, and PyYAML's own slips on odd scalars become sentences."""
     path = tmp_path / "tag.yaml"
     path.write_text(f"q_axis: {text}\n")
-    with pytest.raises(InputError, match=r"tag.yaml"):
+    with raises_code("file_format", "tag.yaml"):
         read(path)
 
 
@@ -73,11 +74,11 @@ def test_what_xacro_adds_to_the_yaml_loader_does_not_reach_our_files(tmp_path: P
     """A xacro that loads a table teaches PyYAML's safe loader to evaluate `!radians`; our own loader never learns it."""
     (tmp_path / "table.yaml").write_text("angle: !radians 1.0\n")
     include = "<xacro:property name='t' value=\"${xacro.load_yaml('table.yaml')}\"/><link name=\"l${t['angle']}\"/>"
-    with pytest.raises(InputError, match=r"link|movable|tree"):
+    with raises_code("robot_structure"):
         load_robot(robot(tmp_path, XACRO.format(include)))
     assert "!radians" in yaml.SafeLoader.yaml_constructors
     (tmp_path / "model.yaml").write_text("value: !radians 2*3\n")
-    with pytest.raises(InputError, match=r"model.yaml: not valid YAML .*!radians"):
+    with raises_code("file_format", "model.yaml"):
         read_yaml(tmp_path / "model.yaml")
 
 
@@ -87,7 +88,7 @@ def test_what_xacro_adds_to_the_yaml_loader_does_not_reach_our_files(tmp_path: P
 @pytest.mark.parametrize("name", ["r.urdf", "r.urdf.xacro"])
 def test_document_types_are_refused_whatever_they_declare(tmp_path: Path, content: str, name: str) -> None:
     """Entities that grow, files and addresses elsewhere: none is looked at."""
-    with pytest.raises(InputError, match="may not declare a document type"):
+    with raises_code("file_format"):
         load_robot(robot(tmp_path, content, name))
 
 
@@ -112,7 +113,7 @@ def test_document_types_are_refused_whatever_they_declare(tmp_path: Path, conten
 def test_no_way_leads_from_an_expression_to_python(tmp_path: Path, code: str, form: str) -> None:
     """A look at outermost names is no wall; nested functions, frames, classes and formats are looked at as well."""
     text = (form % code).replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
-    with pytest.raises(InputError, match="xacro cannot expand it") as fault:
+    with raises_code("file_format") as fault:
         load_robot(robot(tmp_path, XACRO.format(f'<link name="{text}"/>')))
     assert "Pinocchio" not in str(fault.value)
 
@@ -140,7 +141,7 @@ def test_no_xacro_refuses_by_name_and_by_namespace(tmp_path: Path, write) -> Non
     """Also a xacro called .urdf, and those that come along."""
     named = robot(tmp_path, XACRO.format(""), "sly.urdf")
     for given in (named, robot(tmp_path, write.block()), "linear_axis"):
-        with pytest.raises(InputError, match="is a xacro, which is code"):
+        with raises_code("unsupported"):
             load_robot(given, xacro=False)
 
 
@@ -170,17 +171,17 @@ def test_elements_deep_inside_each_other_and_trees_of_thousands_are_refused(tmp_
     """Parsers written in C go down one call a level and would take the process with them."""
     deep = write.block().replace("</robot>", "<a>" * 5000 + "</a>" * 5000 + "</robot>")
     for name in ("r.urdf", "r.urdf.xacro"):
-        with pytest.raises(InputError, match="more than 100 deep"):
+        with raises_code("robot_structure", "100"):
             load_robot(robot(tmp_path, deep, name))
     many = write.block().replace("</robot>", "".join(f'<link name="k{k}_link"/>' for k in range(1200)) + "</robot>")
-    with pytest.raises(InputError, match="1202 links"):
+    with raises_code("robot_structure", "1202"):
         load_robot(robot(tmp_path, many, "r.urdf"))
 
 
 def test_a_column_map_reaches_no_file_outside_the_logs_folder(tmp_path: Path) -> None:
     """Neither up, nor absolute, nor through a home folder, a drive or an end of text."""
     for path in ("../secret.csv", "/etc/passwd", "~/x.csv", "a/../../x.csv", "C:\\x.csv", "\\\\host\\x", "a\0b", ""):
-        with pytest.raises(InputError, match="name a file in the log's own folder"):
+        with raises_code("file_format"):
             ColumnMap.from_dict({"files": {"a": path}, "t": {"column": "t", "file": "a"}})
 
 
@@ -201,7 +202,7 @@ def test_a_pipe_nobody_writes_into_is_refused_and_one_with_a_writer_is_read(tmp_
     os.mkfifo(pipe)
     monkeypatch.setattr(files, "_PATIENCE", 0.2)
     for read in (read_yaml, ColumnMap.load, read_log):
-        with pytest.raises(InputError, match="a pipe into which nobody writes"):
+        with raises_code("cannot_read"):
             read(pipe)
     monkeypatch.setattr(files, "_PATIENCE", 20.0)
     writer = threading.Thread(target=pipe.write_bytes, args=(content,))
@@ -227,9 +228,9 @@ def test_sizes_without_end_are_refused_before_they_are_read(tmp_path: Path) -> N
     path = tmp_path / "huge.yaml"
     with path.open("wb") as file:
         file.truncate(2**40)
-    with pytest.raises(InputError, match="bytes; such a file has"):
+    with raises_code("file_too_large"):
         read_yaml(path)
-    with pytest.raises(InputError, match="bytes; such a file has"):
+    with raises_code("file_too_large"):
         load_robot(path.rename(tmp_path / "huge.urdf"))
 
 
@@ -259,14 +260,14 @@ def test_no_reader_waits_at_a_pipe_or_reads_a_device_without_end(tmp_path: Path,
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr(files, "_PATIENCE", 0.1)
     for path in (tmp_path / "pipe", Path("/dev/zero")):
-        with pytest.raises(InputError, match="nobody writes|a device"):
+        with raises_code("cannot_read"):
             _readers()[name](path)
 
 
 def test_a_packed_cloud_is_not_inflated(tmp_path: Path) -> None:
     """By its name `.gz`, pandas opened it, and 0.5 MB became 300; clouds are read as they stand."""
     (tmp_path / "c.csv.gz").write_bytes(gzip.compress(b"x,y,z\n" + b"0,0,0\n" * 1000))
-    with pytest.raises(InputError, match="packed|gzip"):
+    with raises_code("file_format"):
         _readers()["cloud"](tmp_path / "c.csv.gz")
 
 
@@ -275,7 +276,7 @@ def test_a_picture_of_gigapixels_is_refused(tmp_path: Path, monkeypatch) -> None
     cv2 = pytest.importorskip("cv2")
     monkeypatch.setattr("tau_dyn.vision.images._MAX_PIXELS", 10_000)
     (tmp_path / "x.png").write_bytes(bytes(cv2.imencode(".png", np.zeros((101, 100), np.uint16))[1]))
-    with pytest.raises(InputError, match="100x101 pixels"):
+    with raises_code("file_format", "100x101"):
         _readers()["image"](tmp_path / "x.png")
 
 

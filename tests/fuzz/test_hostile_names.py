@@ -172,7 +172,10 @@ def test_messages_are_one_printable_line_of_bounded_length(refused, tmp_path: Pa
     assert "stands twice" in refused("check", "log.csv")
     (tmp_path / "wide.csv").write_text("t," + "x" * 50_000 + "," + "x" * 50_000 + "\n0,0,0\n")
     assert "stands twice" in refused("check", "wide.csv")
-    assert "\x1b" not in str(InputError("a\x1b[31mb\nc")) and len(str(InputError("x" * 10**6))) <= 1000
+    assert (
+        "\x1b" not in str(InputError("file_format", "a\x1b[31mb\nc"))
+        and len(str(InputError("file_format", "x" * 10**6))) <= 1000
+    )
     assert format_one_line("a\n\n b\u202ec") == "a b\N{REPLACEMENT CHARACTER}c"
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from raising import raises_code
 from scipy.signal import lfilter
 
 from tau_dyn.exceptions import InputError
@@ -80,5 +81,5 @@ def test_a_reference_may_have_a_fifth_of_the_encoders_noise(axis, rng, share: fl
             Estimator("iv", model, [log])
     else:
         assert Estimator("iv", model, [log]).kind == "iv"
-    with pytest.raises(InputError, match="a reference of made never moves"):
+    with raises_code("bad_option"):
         Estimator("iv", model, [log.with_channels(q_ref_axis=0 * t)])

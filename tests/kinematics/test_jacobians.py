@@ -7,9 +7,9 @@ import warnings
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics import (
     chains,
     compute_acceleration_bias,
@@ -92,7 +92,7 @@ def test_singularities_show():
 
 def test_a_tree_has_no_rods_to_open():
     """The rods' rows exist for robots of rods only."""
-    with pytest.raises(InputError, match="no rods"):
+    with raises_code("unsupported"):
         compute_inverse_jacobian(load_robot("linear_axis"), np.zeros((1, 1)))
 
 

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_array_equal
+from raising import raises_code
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log.delimited import MAX_COLUMNS
@@ -66,9 +67,9 @@ def test_a_size_is_judged_in_our_units() -> None:
     big = table(x=[1e3 * MAX_MAGNITUDE, 1.0])
     assert_array_equal(big.numbers("x", 1e-4), [1e3 * MAX_MAGNITUDE, 1.0])
     for scale in (1.0, -1e-3, 1e-3):
-        with pytest.raises(InputError, match="line 10, column x"):
+        with raises_code("bad_sample", "10"):
             big.numbers("x", scale)
-    with pytest.raises(InputError, match="has no column y; it has x"):
+    with raises_code("missing_column"):
         big.numbers("y")
 
 
@@ -117,31 +118,31 @@ def test_parquet_that_claims_more_than_bytes_can_hold_is_refused(tmp_path) -> No
         if fits:
             assert read_table(tmp_path / "log.parquet").n_rows == n
         else:
-            with pytest.raises(InputError, match=f"bytes that it holds {n} rows of 1 columns, which no recording does"):
+            with raises_code("file_format", f"{n}", "1"):
                 read_table(tmp_path / "log.parquet")
 
 
 def test_dates_are_no_numbers(tmp_path) -> None:
     """A clock in dates is refused with its row, not taken for nanoseconds."""
     day = [datetime.datetime(2024, 5, 1, 12, 0, k) for k in range(3)]
-    with pytest.raises(InputError, match="log.parquet, row 1, column t"):
+    with raises_code("bad_sample", "log.parquet", "1"):
         read_table(parquet(tmp_path, pd.DataFrame({"t": day}))).numbers("t")
 
 
 def test_what_cannot_be_read_is_said(tmp_path) -> None:
     """Absent, a folder, empty, another program's."""
-    with pytest.raises(InputError, match="none.csv: there is no such file"):
+    with raises_code("file_not_found", "none.csv"):
         read_table(tmp_path / "none.csv")
-    with pytest.raises(InputError, match="is a folder"):
+    with raises_code("cannot_read"):
         read_table(tmp_path)
     (tmp_path / "empty.csv").touch()
-    with pytest.raises(InputError, match="empty.csv is empty"):
+    with raises_code("damaged_file", "empty.csv"):
         read_table(tmp_path / "empty.csv")
     (tmp_path / "run.mcap").write_bytes(b"\x89MCAP0\r\n")
-    with pytest.raises(InputError, match="run.mcap is an MCAP file, which cannot be read here"):
+    with raises_code("file_format", "run.mcap"):
         read_table(tmp_path / "run.mcap")
     (tmp_path / "log.pq").write_text("t,q_axis\n")
-    with pytest.raises(InputError, match="log.pq is not a Parquet file"):
+    with raises_code("file_format", "log.pq"):
         read_table(tmp_path / "log.pq")
     if os.geteuid():
         (tmp_path / "shut.csv").write_text("t\n")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from raising import raises_code
 
-from tau_dyn.exceptions import InputError
 from tau_dyn.log.resample import MIN_GAP_STEPS
 from tau_dyn.log.topic_clock import (
     MAX_INTERPOLATION_ERROR,
@@ -48,11 +48,11 @@ def test_the_first_ten_samples_are_enough_and_nine_are_not() -> None:
         "motor", T[:MIN_CLOCK_SAMPLES], x[:MIN_CLOCK_SAMPLES], T[: MIN_CLOCK_SAMPLES - 1] + 0.004
     )
     assert "interpolated" in said
-    with pytest.raises(InputError, match="^motor has 9 samples, too few to be put on another topic's clock"):
+    with raises_code("too_little_data", "9"):
         resample_to_clock(
             "motor", T[: MIN_CLOCK_SAMPLES - 1], x[: MIN_CLOCK_SAMPLES - 1], T[: MIN_CLOCK_SAMPLES - 2] + 0.004
         )
-    with pytest.raises(InputError, match="^motor has 6 samples during the log, too few"):
+    with raises_code("too_little_data", "6"):
         resample_to_clock("motor", T, x, T[50:55] + 0.004)
 
 
@@ -64,9 +64,7 @@ def test_a_gap_is_named_with_its_place_and_not_bridged(lost: int, read: bool) ->
     if read:
         resample_to_clock("motor", t, np.cos(t), T[10:-10] + 0.004)
     else:
-        with pytest.raises(
-            InputError, match=rf"motor has a gap of {(lost + 1) * STEP:.3g} s at t = 0.99 s \(its step is 0.01 s\)"
-        ):
+        with raises_code("time_stamps", f"{(lost + 1) * STEP:.3g}", "=", "0.99", "0.01"):
             resample_to_clock("motor", t, np.cos(t), T[10:-10] + 0.004)
     resample_to_clock("motor", t, np.cos(t), T[10:80] + 0.004)
 
@@ -75,7 +73,7 @@ def test_what_changes_too_fast_for_its_clock_is_refused(rng) -> None:
     """Noise cannot be told from its neighbours, a sine of a quarter of the rate neither; a constant has nothing to tell."""
     for x in (rng.standard_normal(200), np.sin(2 * np.pi * 25 * T + 0.5)):
         assert estimate_interpolation_error(T, x) > MAX_INTERPOLATION_ERROR
-        with pytest.raises(InputError, match=r"its samples \(100 Hz\) cannot be told from their neighbours"):
+        with raises_code("time_stamps", "100"):
             resample_to_clock("motor", T, x, T[10:-10] + 0.004)
     assert (
         estimate_interpolation_error(T, np.full(200, 3.0)) == 0.0

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 from scipy.io import savemat
 
 from tau_dyn.cli import main
@@ -176,7 +177,7 @@ def test_a_clock_that_goes_back_is_refused_with_the_remedy(tmp_path):
     first, again = list(states()), list(states())
     later = [(ns + 2 * 10**9, message) for ns, message in again]
     path = write_mcap(tmp_path / "run.mcap", {"/joint_states": first + later})
-    with pytest.raises(InputError, match=r"message 401 of joint_states: its clock goes back.*log_time"):
+    with raises_code("time_stamps", "401", "joint_states", "log_time"):
         read_log(path)
 
 
@@ -205,7 +206,7 @@ def test_efforts_that_are_not_measured_are_no_column(tmp_path):
     )
     assert read_log(path).joints("tau") == ("b",)
     once = [(ns, {**m, "effort": [float("nan"), 1.0]} if k == 16 else m) for k, (ns, m) in enumerate(states())]
-    with pytest.raises(InputError, match="message 17, column tau_a: nan is not a finite number"):
+    with raises_code("bad_sample", "17", "tau_a"):
         read_log(write_mcap(tmp_path / "once.mcap", {"/joint_states": once}))
 
 
@@ -233,7 +234,7 @@ def test_a_recording_that_breaks_off_is_read_to_there(tmp_path):
     place = plain.index(b'"position": [0.') + 15  # one digit of one position: still JSON, still a number
     damaged[place] = ord("7") if damaged[place] != ord("7") else ord("8")
     (tmp_path / "bad.mcap").write_bytes(damaged)
-    with pytest.raises(InputError, match=r"bad.mcap is damaged: .*recover"):
+    with raises_code("damaged_file", "bad.mcap"):
         read_log(tmp_path / "bad.mcap")
 
 
@@ -255,14 +256,14 @@ def test_small_files_cannot_ask_for_all_memory(tmp_path, monkeypatch):
     monkeypatch.setattr("tau_dyn.log.matlab_file.MAX_INFLATED_BYTES", 2**20)
     inflating = zlib.compress(b"\0" * 2**24)
     (tmp_path / "zip.mat").write_bytes(data[:128] + struct.pack("<II", 15, len(inflating)) + inflating)
-    with pytest.raises(InputError, match="holds more than 1 MB"):
+    with raises_code("file_too_large", "1"):
         read_log(tmp_path / "zip.mat")
     many = data.replace(struct.pack("<IIII", 5, 8, 1, 1), struct.pack("<IIII", 5, 8, 1, 2**31 - 1), 1)
     (tmp_path / "many.mat").write_bytes(many)
-    with pytest.raises(InputError, match="2147483647 are announced"):
+    with raises_code("damaged_file", "2147483647"):
         read_log(tmp_path / "many.mat")
     monkeypatch.setattr(columns_module, "MAX_CELLS", 100)
-    with pytest.raises(InputError, match="more than 100 numbers"):
+    with raises_code("file_too_large", "100"):
         read_log(write_mcap(tmp_path / "run.mcap", {"/joint_states": states()}))
 
 
@@ -281,7 +282,7 @@ def test_matlab_structs_are_topics(tmp_path):
 def test_matlab_without_a_clock_takes_the_maps_rate(tmp_path):
     """Variables without t are refused as a CSV without t is, and read with a rate."""
     savemat(tmp_path / "run.mat", _own_names())
-    with pytest.raises(InputError, match="has no column t"):
+    with raises_code("missing_column"):
         read_log(tmp_path / "run.mat")
     log = read_log(tmp_path / "run.mat", ColumnMap.from_dict({"t": {"rate_hz": 500.0}, "q_a": "q_a"}))
     assert_allclose(log.t, T, atol=1e-12)
@@ -316,18 +317,18 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch, module, path, extra):
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, module, None)
     (tmp_path / path).write_bytes(b"x")
-    with pytest.raises(InputError, match=rf"pip install 'tau_dyn\[{extra}\]'"):
+    with raises_code("missing_package", "tau_dyn\\"):
         read_log(tmp_path / path)
 
 
 def test_several_possible_topics_are_asked_about(tmp_path):
     """Two topics of joint states, neither of the usual name: the sentence lists them and shows a map's line."""
     path = write_mcap(tmp_path / "run.mcap", {"/left/states": states(), "/right/states": states()})
-    with pytest.raises(InputError, match=r"left/states, right/states.*q_axis: left/states.position.a"):
+    with raises_code("file_format", "left/states", "right/states", "q_axis", "left/states.position.a"):
         read_log(path)
     log = read_log(path, ColumnMap.from_dict({"q_a": "right/states.position.a"}))
     assert log.n_samples == N
-    with pytest.raises(InputError, match=r"has no column right/states.position.z, which the map takes for q_b"):
+    with raises_code("missing_column", "right/states.position.z", "q_b"):
         read_log(path, ColumnMap.from_dict({"q_a": "right/states.position.a", "q_b": "right/states.position.z"}))
 
 
@@ -353,5 +354,5 @@ def test_damage_anywhere_is_a_sentence(tmp_path, rng, kind):
 def test_a_silent_pipe_is_refused_at_once(tmp_path):
     """A recording is sought through; a pipe that nobody writes to would be waited for without end."""
     os.mkfifo(tmp_path / "log.mcap")
-    with pytest.raises(InputError, match="pipe"):
+    with raises_code("cannot_read", "pipe"):
         read_log(tmp_path / "log.mcap")

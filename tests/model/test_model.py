@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import yaml
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.effects import EFFECTS, Motion, build_friction_model
-from tau_dyn.exceptions import InputError, TauDynError, UnknownName
+from tau_dyn.exceptions import InputError, TauDynError
 from tau_dyn.files import write_atomically, write_whole
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot, load_robot_from_urdf
@@ -61,7 +62,7 @@ def test_values_are_replaced_by_name(model) -> None:
     q, v, a = np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 2))
     more = model.with_values({"elbow.viscous": model.parameters["elbow.viscous"].value + 2.0})
     assert_allclose(more.torque(q, v, a) - model.torque(q, v, a), [[0, 2.0]], atol=1e-12)
-    with pytest.raises(UnknownName, match="no parameter named 'elbow.viscos'"):
+    with raises_code("unknown_name", "elbow.viscos"):
         model.with_values({"elbow.viscos": 1.0})
 
 
@@ -106,7 +107,7 @@ def test_no_code_runs_on_loading(tmp_path, text: str) -> None:
     path = tmp_path / "evil.yaml"
     for content in (text, f"tau_dyn_model: 1\nprovenance: {text}\n"):
         path.write_text(content)
-        with pytest.raises(InputError, match="evil.yaml: not valid YAML .*python/"):
+        with raises_code("file_format", "evil.yaml", "python/"):
             Model.load(path)
 
 
@@ -128,9 +129,7 @@ def test_a_value_beyond_all_floats_is_refused(saved, value: str) -> None:
     content = yaml.safe_load(saved.read_text())
     content["parameters"][0]["value"] = "HERE"
     saved.write_text(yaml.safe_dump(content).replace("value: HERE", f"value: {value}"))
-    with pytest.raises(
-        InputError, match=f"{content['parameters'][0]['name']} must be a finite number, not -?(inf|nan)"
-    ):
+    with raises_code("invalid_value", f"{content['parameters'][0]['name']}"):
         Model.load(saved)
 
 
@@ -167,9 +166,9 @@ def test_other_files_are_not_models(tmp_path, content: str) -> None:
     """The first key says what a model file is."""
     path = tmp_path / "x.yaml"
     path.write_text(content)
-    with pytest.raises(InputError, match="x.yaml"):
+    with raises_code("file_format", "x.yaml"):
         Model.load(path)
-    with pytest.raises(InputError, match="absent.yaml: no such file"):
+    with raises_code("file_not_found", "absent.yaml"):
         Model.load(tmp_path / "absent.yaml")
 
 
@@ -181,7 +180,7 @@ def test_files_appear_whole_or_not_at_all(tmp_path) -> None:
         part.write_text("half")
         raise RuntimeError
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
-    with pytest.raises(InputError, match="cannot be written: No such file or directory"):
+    with raises_code("cannot_write"):
         write_whole(tmp_path / "nowhere" / "m.yaml", "x")
 
 
@@ -245,5 +244,5 @@ def test_a_missing_signal_names_the_effect_that_feels_it(two_link) -> None:
     model = Model.of(two_link, [effect])
     motion = Motion.of(two_link.actuated, *np.ones((3, 2, 2)))
     for ask in (model.effect_force, model.columns):
-        with pytest.raises(InputError, match="^effect load_friction feels load, which the motion does not give$"):
+        with raises_code("unsupported", "load_friction"):
             ask(motion)

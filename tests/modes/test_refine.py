@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from raising import raises_code
 from scipy.signal import lfilter
 
-from tau_dyn.exceptions import InputError
 from tau_dyn.modes.basis import build_columns, compute_derivative_maps
 from tau_dyn.modes.error_covariance import compute_spectrum, fit_autoregression
 from tau_dyn.modes.innovation import build_innovation_model, build_predictor
@@ -196,5 +196,5 @@ def test_theta_and_model_agree():
 
 def test_unknown_kind_is_refused():
     """There are two refinements, and a misspelt one says so."""
-    with pytest.raises(InputError, match="prediction_error"):
+    with raises_code("invalid_value", "prediction_error"):
         refine(plant(), [record_of(plant(), 200, 9, 0.1)], kind="other")

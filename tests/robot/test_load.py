@@ -7,8 +7,9 @@ import os
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 
@@ -177,7 +178,7 @@ def test_parameters_have_units_and_bounds(two_link) -> None:
         unit = "kg" if quantity == "mass" else "kg m" if quantity in ("mx", "my", "mz") else "kg m^2"
         lower = 0.0 if quantity in ("mass", "ixx", "iyy", "izz", "armature") else -np.inf
         assert (p.unit, p.lower, p.upper) == (unit, lower, np.inf)
-    with pytest.raises(UnknownName, match=r"no parameter named 'elbow_link.mx'.*; there are .*upper_link.mass"):
+    with raises_code("unknown_name", "elbow_link.mx", "upper_link.mass"):
         two_link.untied(["elbow_link.mx"])
 
 
@@ -201,7 +202,7 @@ def test_the_tool_frame_is_named_or_evident(write) -> None:
     open_ended = write.text("rod", *chain, ends[0], ends[2])
     assert load_robot_from_urdf(open_ended, "rod").tool_frame is None
     assert load_robot_from_urdf(open_ended, "rod", tool="camera_link").tool == "camera_link"
-    with pytest.raises(UnknownName, match="no frame named 'camra_link'"):
+    with raises_code("unknown_name", "camra_link"):
         load_robot_from_urdf(open_ended, "rod", tool="camra_link")
 
 

@@ -6,8 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
+from raising import raises_code
 
-from tau_dyn.exceptions import InputError, TauDynError, UnknownName
+from tau_dyn.exceptions import InputError
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}<link name="base_link"/></robot>'
@@ -21,7 +22,7 @@ def refused(tmp_path):
     def load(content: str, name: str = "r.urdf.xacro", **arguments: object) -> str:
         path = tmp_path / name
         path.write_text(content)
-        with pytest.raises(InputError) as fault:
+        with raises_code("file_format") as fault:
             load_robot(path, **arguments)
         sentence = str(fault.value)
         assert "\n" not in sentence and fault.value.exit_status == 2
@@ -32,30 +33,28 @@ def refused(tmp_path):
 
 def test_an_unknown_xacro_argument_lists_the_declared_ones() -> None:
     """A misspelt argument would otherwise be ignored in silence."""
-    with pytest.raises(UnknownName, match="prototyp'.*there are prototype, arms, rod_mass_model"):
+    with raises_code("unknown_name", "rod_mass_model"):
         load_robot("gantry_tau", prototyp="l2")
 
 
 def test_an_unknown_value_says_which_there_are() -> None:
     """The robot file itself knows its prototypes."""
-    with pytest.raises(InputError, match="l1, l2, d1 or t1, not x9"):
+    with raises_code("file_format", "l1", "l2", "d1", "t1", "x9"):
         load_robot("gantry_tau", prototype="x9")
 
 
 def test_an_unknown_short_name_lists_the_known_ones() -> None:
     """A bare word is a short name."""
-    with pytest.raises(
-        UnknownName, match="no robot named 'gantry_two'.*gantry_tau.*; there are .*gantry_tau.*linear_axis"
-    ):
+    with raises_code("unknown_name", "gantry_two", "gantry_tau", "linear_axis"):
         load_robot("gantry_two")
 
 
 def test_files_that_are_absent_or_no_robot_files(tmp_path: Path) -> None:
     """The path is named; a log given in the robot's place is noticed by its suffix."""
-    with pytest.raises(InputError, match="absent.urdf: no such robot file"):
+    with raises_code("file_not_found", "absent.urdf"):
         load_robot(tmp_path / "absent.urdf")
     (tmp_path / "log.csv").write_text("t,q_axis\n")
-    with pytest.raises(InputError, match=r"log.csv: a robot file ends in .urdf or .urdf.xacro"):
+    with raises_code("file_format", "log.csv", ".urdf.xacro"):
         load_robot(tmp_path / "log.csv")
 
 
@@ -68,7 +67,7 @@ def test_a_robot_takes_no_parameters_of_another(write) -> None:
     """Values are put in by name; another robot's are refused, its own go in."""
     one, other = load_robot_from_urdf(write.pendulum(), "one"), load_robot_from_urdf(write.two_link(), "other")
     assert one.with_parameters(one.parameters).parameters.names == one.parameters.names
-    with pytest.raises(UnknownName, match="parameter"):
+    with raises_code("unknown_name", "parameter"):
         one.with_parameters(other.parameters)
 
 
@@ -111,19 +110,19 @@ def test_endless_recursion_ends_in_a_sentence(refused) -> None:
 def test_a_name_for_both_a_link_and_a_joint_is_refused(write) -> None:
     """Parameters are named after links and joints; Drake and MuJoCo also mix them up."""
     urdf = write.pendulum().replace("rod_link", "pivot")
-    with pytest.raises(InputError, match="'pivot' names both a link and a joint; end link names in _link"):
+    with raises_code("robot_structure", "_link"):
         load_robot_from_urdf(urdf, "twins")
 
 
 def test_loops_without_transmissions_ask_for_actuated_joints(write) -> None:
     """Which joints of a loop are driven cannot be guessed."""
-    with pytest.raises(InputError, match="kinematic loops but no <transmission>.*--actuated"):
+    with raises_code("robot_structure", "<transmission>", "--actuated"):
         load_robot_from_urdf(write.four_bar(driven=""), "bars")
 
 
 def test_unknown_actuated_joints_are_named(write) -> None:
     """So are fixed joints, which do not move."""
-    with pytest.raises(UnknownName, match="no movable joint named 'crnk'.*crank.*; there are crank, coupler, rocker"):
+    with raises_code("unknown_name"):
         load_robot_from_urdf(write.four_bar(), "bars", actuated=["crnk"])
 
 
@@ -158,7 +157,7 @@ def test_numbers_of_the_tree_must_be_finite(write, attribute: str, place: str, v
     """The URDF parser drops a link's whole inertia over one bad number and goes on; we name the place."""
     urdf, n = re.subn(f'<{attribute}="[^"]*"', f'<{attribute}="{value}"', write.pendulum(), count=1)
     assert n == 1
-    with pytest.raises(InputError, match=f"{place}: <{attribute}='{value}'> must hold . finite number"):
+    with raises_code("robot_structure", f"{place}", f"<{attribute}='{value}'>"):
         load_robot_from_urdf(urdf, "pendulum")
 
 
@@ -170,14 +169,14 @@ def test_an_incomplete_inertia_is_refused_not_dropped(write, element: str, sente
     """Without it the link would weigh nothing, in silence."""
     urdf, n = re.subn(element, "", write.pendulum(), count=1)
     assert n == 1
-    with pytest.raises(InputError, match=f"link 'rod_link': .*{sentence}"):
+    with raises_code("robot_structure", "rod_link", f"{sentence}"):
         load_robot_from_urdf(urdf, "pendulum")
 
 
 @pytest.mark.parametrize("mass", [-2.0, -0.01])
 def test_a_negative_mass_is_refused(write, mass: float) -> None:
     """A mass is not negative, not even by grams."""
-    with pytest.raises(InputError, match=f"link 'rod_link': its mass is {mass} kg"):
+    with raises_code("robot_structure", "rod_link", f"{mass}"):
         load_robot_from_urdf(write.pendulum(mass), "pendulum")
 
 
@@ -188,7 +187,7 @@ def test_a_negative_mass_is_refused(write, mass: float) -> None:
 )  # fmt: skip
 def test_texts_that_are_no_robot_are_refused(urdf: str) -> None:
     """Whatever comes, the fault is ours to name, never a traceback of a parser."""
-    with pytest.raises(TauDynError):
+    with raises_code("robot_structure"):
         load_robot_from_urdf(urdf, "text")
 
 
@@ -197,5 +196,5 @@ def test_floating_and_planar_joints_cannot_be_actuated(write) -> None:
     urdf = write.text(
         "f", write.link("a_link", 1), write.joint("a", "floating", "base_link", "a_link"), write.drive("a")
     )
-    with pytest.raises(InputError, match="'a' must have one degree of freedom"):
+    with raises_code("robot_structure"):
         load_robot_from_urdf(urdf, "floating")

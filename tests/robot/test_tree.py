@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot import Robot, load_robot_from_urdf
@@ -31,7 +32,7 @@ def with_attributes(urdf: str, tag: str, attributes: str) -> str:
 def test_a_bad_number_is_found_behind_absent_and_good_ones(write, tag: str, good: str, bad: str) -> None:
     """What may be left out is no reason to look no further."""
     urdf = with_attributes(write.pendulum(), tag, f'{good} {bad}="nan"')
-    with pytest.raises(InputError, match=f"<{tag} {bad}='nan'> must hold . finite number"):
+    with raises_code("robot_structure", f"<{tag}", f"{bad}='nan'>"):
         load_robot_from_urdf(urdf, "pendulum")
 
 
@@ -65,7 +66,7 @@ def test_a_tree_that_cannot_be_built_is_said_in_the_parsers_words(write, changes
     for old, new in changes:
         assert old in urdf
         urdf = urdf.replace(old, new)
-    with pytest.raises(InputError, match=f"^pendulum.urdf: Pinocchio cannot build the tree: .*{words}") as fault:
+    with raises_code("robot_structure", "pendulum.urdf", f"{words}") as fault:
         load_robot_from_urdf(urdf, "pendulum.urdf")
     assert "Error" not in str(fault.value) and " at line " not in str(fault.value)
 
@@ -73,9 +74,7 @@ def test_a_tree_that_cannot_be_built_is_said_in_the_parsers_words(write, changes
 def test_a_link_of_two_joints_is_refused(write) -> None:
     """Who closes a loop by a second joint gets told how; the parser would build the first joint twice."""
     second = write.joint("second", "revolute", "base_link", "rod_link")
-    with pytest.raises(
-        InputError, match="link 'rod_link' is the child of joints 'pivot' and 'second'; .*ball_constraint"
-    ):
+    with raises_code("robot_structure", "rod_link", "ball_constraint"):
         load_robot_from_urdf(write.pendulum().replace("</robot>", second + "</robot>"), "twice")
 
 
@@ -90,7 +89,7 @@ def test_links_that_hang_on_themselves_are_refused(write, ring: tuple[str, ...])
     with pytest.raises(InputError, match="link '._link' hangs on itself, by " + ", ".join(["to_._link"] * len(ring))):
         load_robot_from_urdf(write.pendulum().replace("</robot>", "".join(links + joints) + "</robot>"), "ring")
     tail = write.link("tail_link", 1, "0 0 0", "1 1 1") + write.joint("tail", "fixed", ring[0], "tail_link")
-    with pytest.raises(InputError, match="hangs on itself"):
+    with raises_code("robot_structure"):
         load_robot_from_urdf(
             write.pendulum().replace("</robot>", "".join([tail, *joints, *links]) + "</robot>"), "ring"
         )

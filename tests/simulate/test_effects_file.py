@@ -1,6 +1,7 @@
 """Effects files: short names, full names, and every fault in one sentence."""
 
 import pytest
+from raising import raises_code
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.simulate import read_effects_file
@@ -68,5 +69,5 @@ def test_each_fault_is_one_sentence(read, text, words):
 
 def test_missing_file_is_said(gantry, tmp_path):
     """No traceback for a wrong path."""
-    with pytest.raises(InputError, match="no such file"):
+    with raises_code("file_not_found"):
         read_effects_file(tmp_path / "none.yaml", gantry.robot)

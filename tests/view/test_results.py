@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError
@@ -112,7 +113,7 @@ def test_a_calibration_brings_its_errors_along(told):
     findings, errors = told(command="calibrate", findings=[row], errors_at_poses=at)
     assert isinstance(findings, Findings) and isinstance(errors, ErrorVectors)
     assert_allclose(np.linalg.norm(errors.models["frames"], axis=1), 1e-3)
-    with pytest.raises(InputError, match="differ in number"):
+    with raises_code("file_format"):
         told(command="calibrate", findings=[row], errors_at_poses={"points": [[0, 0, 0]], "models": at["models"]})
 
 
@@ -135,7 +136,7 @@ def test_errors_of_the_uncalibrated_robot_are_worked_out_where_asked(tmp_path, r
     assert np.argmax(size) == 4 and 5e-4 < size[4] < 1e-3
     assert_allclose(errors.points, tool, atol=1e-3)
     path.write_text(path.read_text() + "0,0,0,1,1,1\n")
-    with pytest.raises(InputError, match="changed since"):
+    with raises_code("file_format"):
         told(compute=True, command="calibrate", findings=[], inputs=inputs)
 
 
@@ -146,7 +147,7 @@ def test_modes_swing_the_tool_as_they_were_measured(told, robot):
     (found,) = told(command="modes", outputs_used=list(shape), modes=[mode])
     moved = np.concatenate(found.pairs[0].measured.links)
     assert_allclose(np.abs(moved).max(axis=0), [1, 0, 0], atol=1e-12)
-    with pytest.raises(InputError, match="name no place"):
+    with raises_code("file_format"):
         told(command="modes", outputs_used=["s"], modes=[mode | {"shape": {"s": {"re": 1.0, "im": 0.0}}}])
 
 
@@ -171,7 +172,7 @@ def test_a_cloud_is_read_with_its_numbers(tmp_path):
     found = read_cloud(tmp_path / "w.csv")
     assert len(found.points) == 1 and next(iter(found.values)) == "condition"
     (tmp_path / "d.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="there are a, b"):
+    with raises_code("file_format"):
         read_cloud(tmp_path / "d.csv")
 
 

@@ -5,9 +5,9 @@ import sys
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 from tau_dyn.calibrate import read_poses
-from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.vision import Pattern, measure_poses_from_images, read_cameras, read_positions, write_cameras
 from tau_dyn.vision.bundle import Plates
 from tau_dyn.vision.images import find_images, match_images
@@ -65,7 +65,7 @@ def test_images_of_two_cameras_meet_by_their_numbers(tmp_path):
     """A missing image of one camera moves no other."""
     left = [tmp_path / f"left_{k}.png" for k in (1, 2, 3)]
     assert match_images([left, [tmp_path / "right_2.png", tmp_path / "right_3.png"]]) == [[0, 1, 2], [1, 2]]
-    with pytest.raises(InputError, match="number them alike"):
+    with raises_code("mismatch"):
         match_images([left, [tmp_path / "a.png"]])
 
 
@@ -83,28 +83,28 @@ def one(folder, name, image):
 def test_bad_input_is_one_sentence(tmp_path, album, rig):
     """Empty folders, files that are no images, mixed sizes, the wrong pattern, no pattern: each named."""
     grey = np.tile(np.linspace(60, 200, 64).astype(np.uint8), (48, 1))
-    with pytest.raises(InputError, match="no images"):
+    with raises_code("file_not_found"):
         measure_poses_from_images(tmp_path, rig.pattern)
-    with pytest.raises(InputError, match="no such image"):
+    with raises_code("file_not_found"):
         measure_poses_from_images(tmp_path / "nowhere", rig.pattern)
     (tmp_path / "a.png").write_text("not an image")
-    with pytest.raises(InputError, match="not an image"):
+    with raises_code("damaged_file"):
         measure_poses_from_images(tmp_path, rig.pattern)
     (tmp_path / "a.png").write_bytes(b"")
-    with pytest.raises(InputError, match="not an image"):
+    with raises_code("damaged_file"):
         measure_poses_from_images(tmp_path, rig.pattern)
     one(tmp_path, "a.png", grey)
-    with pytest.raises(InputError, match="none of the 1 images shows"):
+    with raises_code("not_visible", "1"):
         measure_poses_from_images(tmp_path, rig.pattern)
     one(tmp_path, "b.png", grey[:40])
-    with pytest.raises(InputError, match="images of one size"):
+    with raises_code("mismatch"):
         measure_poses_from_images(tmp_path, rig.pattern)
-    with pytest.raises(InputError, match="twice"):
+    with raises_code("duplicate_name", "twice"):
         measure_poses_from_images([tmp_path / "a.png", tmp_path / "a.png"], rig.pattern)
     pair = [album.left / "left_1.png", album.left / "left_2.png"]
-    with pytest.raises(InputError, match="2 of 2 show one of 9x6"):
+    with raises_code("not_visible", "2", "9x6"):
         measure_poses_from_images(pair, Pattern(8, 5, 0.03))
-    with pytest.raises(CannotAnswer, match="2 images of camera 1"):
+    with raises_code("too_little_data", "2", "1"):
         measure_poses_from_images(pair, rig.pattern)
 
 
@@ -128,16 +128,16 @@ def test_an_image_that_does_not_show_the_plate_is_told(tmp_path, album, rig, tab
 def test_robot_positions_must_belong(tmp_path, album, rig, table):
     """Rows that name no image, or are too few, are refused."""
     (tmp_path / "q.csv").write_text("q_a\n1\n2\n")
-    with pytest.raises(InputError, match="2 rows for 3 images"):
+    with raises_code("missing_column", "2", "3"):
         read_positions(tmp_path / "q.csv").of(["a", "b", "c"])
     (tmp_path / "q.csv").write_text("image,q_a\nx.png,1\nb.png,2\n")
-    with pytest.raises(InputError, match="x.png"):
+    with raises_code("mismatch", "x.png"):
         read_positions(tmp_path / "q.csv").of(["a.png", "b.png"])
     (tmp_path / "q.csv").write_text("image,q_a\nb.png,1\nb.png,2\n")
-    with pytest.raises(InputError, match="twice"):
+    with raises_code("duplicate_name", "twice"):
         read_positions(tmp_path / "q.csv")
     (tmp_path / "q.csv").write_text("image,a\nb.png,1\n")
-    with pytest.raises(InputError, match="q_<joint>"):
+    with raises_code("missing_column", "q_<joint>"):
         read_positions(tmp_path / "q.csv")
 
 
@@ -155,7 +155,7 @@ def test_robot_positions_must_belong(tmp_path, album, rig, table):
 def test_a_file_that_is_no_cameras_is_refused(tmp_path, text):
     """Never a traceback."""
     (tmp_path / "c.yaml").write_text(text)
-    with pytest.raises(InputError):
+    with raises_code("file_format"):
         read_cameras(tmp_path / "c.yaml")
 
 
@@ -166,14 +166,14 @@ def test_cameras_of_another_size_are_refused(album, rig, table):
         cameras.intrinsics, cameras.rotation, cameras.position, cameras.size * 2, "brown", cameras.covariance
     )
     pair = {"images": [album.left / "left_1.png"], "second": [album.right / "right_1.png"]}
-    with pytest.raises(InputError, match="calibrate it anew"):
+    with raises_code("mismatch"):
         measure_poses_from_images(pattern=rig.pattern, cameras=other, **pair)
-    with pytest.raises(InputError, match="2 cameras, the images are of 1"):
+    with raises_code("mismatch", "2", "1"):
         measure_poses_from_images(pair["images"], rig.pattern, cameras=cameras)
 
 
 def test_without_opencv_the_way_to_it_is_told(monkeypatch, album, rig):
     """Only reading images needs OpenCV; its absence is a sentence."""
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(InputError, match=r"tau_dyn\[vision\]"):
+    with raises_code("missing_package"):
         measure_poses_from_images(album.left, rig.pattern)

@@ -235,8 +235,9 @@ def _same_campaigns(poses: PoseSet, holdout: PoseSet) -> PoseSet:
     for name in holdout.campaigns:
         if name not in poses.campaigns:
             raise InputError(
+                "mismatch",
                 f"{holdout.source}: campaign {name} is not among the training poses' campaigns ({', '.join(poses.campaigns)}), "
-                "so its frames are unknown"
+                "so its frames are unknown",
             )
     number = np.array([poses.campaigns.index(name) for name in holdout.campaigns])
     return replace(holdout, campaign=number[holdout.campaign], campaigns=poses.campaigns)

@@ -27,7 +27,8 @@ def require_valid_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
             raise UnknownName("axis", axis, AXES)
     if len(set(axes)) != len(axes) or not 0 < len(axes) <= robot.na:
         raise InputError(
-            f"{robot.source} has {robot.na} actuated joints; name as many different axes or fewer, not {list(axes)}"
+            "invalid_value",
+            f"{robot.source} has {robot.na} actuated joints; name as many different axes or fewer, not {list(axes)}",
         )
     return tuple(axes)
 
@@ -46,7 +47,8 @@ def find_independent_axes(robot: Robot, geometry: Geometry, nominal: np.ndarray)
     J[3:] *= _LENGTH
     if not np.isfinite(J).all():
         raise InputError(
-            f"{robot.source}: the tool's motion at home is not known ({found.reason[0]}); name the commanded axes"
+            "unsupported",
+            f"{robot.source}: the tool's motion at home is not known ({found.reason[0]}); name the commanded axes",
         )
     rows: list[int] = []
     for k in range(6):

@@ -205,7 +205,9 @@ def build_compensation(
     geometry, (theta, nominal) = expand_constraints(geometry, theta, nominal)
     p = len(geometry.parameters)
     if theta.shape != (p,) or nominal.shape != (p,):
-        raise InputError(f"{robot.source}: the geometry has {p} parameters, not {theta.shape} and {nominal.shape}")
+        raise InputError(
+            "wrong_shape", f"{robot.source}: the geometry has {p} parameters, not {theta.shape} and {nominal.shape}"
+        )
     chosen = find_independent_axes(robot, geometry, nominal) if axes is None else require_valid_axes(robot, axes)
     return Compensation(robot, geometry, theta, nominal, chosen, _known(method), limits)
 

@@ -32,7 +32,7 @@ _FORMAT = 1  # version of the file format
 def _tree(robot: Robot, options: Mapping[str, Any]) -> Geometry:
     tool = options.get("tool")
     if tool is not None and not isinstance(tool, str):
-        raise InputError(f"{robot.source}: geometry.tool must be a frame's name, not {tool!r}")
+        raise InputError("file_format", f"{robot.source}: geometry.tool must be a frame's name, not {tool!r}")
     return build_tree_geometry(robot, tool=tool)
 
 
@@ -82,15 +82,17 @@ def load_compensation(path: str | Path) -> Compensation:
     """
     content = read_yaml(path)
     if not isinstance(content, dict) or content.get("tau_dyn_compensation") != _FORMAT:
-        raise InputError(f"{path}: not a compensation (its first key is 'tau_dyn_compensation: {_FORMAT}')")
+        raise InputError(
+            "file_format", f"{path}: not a compensation (its first key is 'tau_dyn_compensation: {_FORMAT}')"
+        )
     kinds = (("robot", dict), ("geometry", dict), ("parameters", list), ("axes", list), ("urdf", str), ("method", str))
     for key, kind in kinds:
         if not isinstance(content.get(key), kind):
-            raise InputError(f"{path}: '{key}' is missing or not a {kind.__name__}")
+            raise InputError("file_format", f"{path}: '{key}' is missing or not a {kind.__name__}")
     robot = _robot(content, path)
     word = content["geometry"].get("kind")
     if not isinstance(word, str) or word not in _KINDS:
-        raise InputError(f"{path}: no geometry of kind '{word}'; there are {', '.join(_KINDS)}")
+        raise InputError("file_format", f"{path}: no geometry of kind '{word}'; there are {', '.join(_KINDS)}")
     geometry = _KINDS[word](robot, content["geometry"])
     nominal, theta = _values(content["parameters"], geometry, path)
     return build_compensation(
@@ -110,7 +112,8 @@ def _told(geometry: Geometry) -> dict[str, Any]:
     if isinstance(geometry, RodGeometry) and not geometry.drives and not geometry.guides:
         return {"kind": "rods"}
     raise InputError(
-        f"a compensation of {type(geometry).__name__} with laws of drives or guideways cannot be saved; use it from Python"
+        "unsupported",
+        f"a compensation of {type(geometry).__name__} with laws of drives or guideways cannot be saved; use it from Python",
     )
 
 
@@ -118,10 +121,10 @@ def _robot(content: Mapping[str, Any], path: str | Path) -> Robot:
     about = content["robot"]
     actuated = about.get("actuated")
     if not isinstance(actuated, list) or not all(isinstance(name, str) for name in actuated):
-        raise InputError(f"{path}: robot.actuated must be a list of joints")
+        raise InputError("file_format", f"{path}: robot.actuated must be a list of joints")
     arguments = about.get("arguments") or {}
     if not isinstance(arguments, dict):
-        raise InputError(f"{path}: robot.arguments must be names and values")
+        raise InputError("file_format", f"{path}: robot.arguments must be names and values")
     source = str(about.get("source", path))
     return load_robot_from_urdf(
         content["urdf"], source, actuated=actuated, arguments=arguments, sha256=str(about.get("sha256", ""))
@@ -133,12 +136,12 @@ def _values(rows: list[Any], geometry: Geometry, path: str | Path) -> tuple[np.n
     nominal, theta = geometry.parameters.values.copy(), geometry.parameters.values.copy()
     for k, row in enumerate(rows):
         if not isinstance(row, dict) or not {"name", "nominal", "value"} <= set(row):
-            raise InputError(f"{path}: parameters: entry {k + 1} must have name, nominal and value")
+            raise InputError("file_format", f"{path}: parameters: entry {k + 1} must have name, nominal and value")
         if row["name"] not in names:
-            raise InputError(f"{path}: parameter '{row['name']}' does not belong to this robot")
+            raise InputError("mismatch", f"{path}: parameter '{row['name']}' does not belong to this robot")
         for key, target in (("nominal", nominal), ("value", theta)):
             x = row[key]
             if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) < 1e300:
-                raise InputError(f"{path}: {row['name']}.{key} must be a finite number, not {x!r}")
+                raise InputError("file_format", f"{path}: {row['name']}.{key} must be a finite number, not {x!r}")
             target[names.index(row["name"])] = float(x)
     return nominal, theta

@@ -36,8 +36,9 @@ def format_corrected_urdf(geometry: TreeGeometry, theta: np.ndarray) -> str:
     odd = np.flatnonzero(numbers.gain != 1.0)
     if len(odd):
         raise InputError(
+            "unsupported",
             f"{shape.robot.source}: {shape.robot.actuated[odd[0]]}.gain is {numbers.gain[odd[0]]:.6g}, and a robot file "
-            "has no gear ratios; fix the gains in the fit, or correct the encoder's scale"
+            "has no gear ratios; fix the gains in the fit, or correct the encoder's scale",
         )
     root = fromstring(shape.robot.urdf)
     joints = {e.get("name", ""): e for e in root.findall("joint")}
@@ -114,8 +115,9 @@ def _write_tool(joints: dict[str, ElementTree.Element], shape: TreeShape, number
             origin.set("xyz", _words(before + body.rotation.T @ shift))
             return
     raise InputError(
+        "unsupported",
         f"{shape.robot.source}: the tool frame '{shape.tool.link}' has no fixed joint of its own, "
-        "whose place could be corrected"
+        "whose place could be corrected",
     )
 
 

@@ -32,8 +32,9 @@ def check_count(poses: PoseSet, geometry: Geometry, unknowns: Unknowns, problem:
         return
     have = "1 pose is" if poses.n == 1 else f"{poses.n} poses are"
     raise InputError(
+        "too_little_data",
         f"{poses.source}: {have} too few for {what}, which has {rank} unknowns that poses can tell, at {m} numbers a pose; "
-        f"at least {needed} are needed, {3 * needed} are sensible"
+        f"at least {needed} are needed, {3 * needed} are sensible",
     )
 
 

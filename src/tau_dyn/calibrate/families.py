@@ -61,7 +61,8 @@ class TreeFamily:
             can = self.can_have(addition)
             if not can:
                 raise InputError(
-                    f"{part}: this robot's models take backlash alone, with poses that tell from which side joints came"
+                    "unsupported",
+                    f"{part}: this robot's models take backlash alone, with poses that tell from which side joints came",
                 )
             spec = spec.plus(addition, joints.split(",") if joints else can)
         return spec

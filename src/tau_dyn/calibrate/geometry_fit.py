@@ -197,6 +197,7 @@ def fit_geometry_to_poses(
     state = run.reset_unidentifiable(state, noise, found)
     if not state.ok.any():
         raise CannotAnswer(
+            "no_solution",
             f"{poses.source}: {what} cannot reach the poses from where the fit stands",
             "start from a robot file whose dimensions are nearer to the machine's",
         )

@@ -102,7 +102,8 @@ class RodFamily:
             first, rest = self.structures[-1] if "complete" not in self.structures else "complete", [first, *rest]
         if first == "mixed":
             raise InputError(
-                "mixed is what auto finds when joints differ; name additions by joint, such as complete+periodic:cart2"
+                "bad_option",
+                "mixed is what auto finds when joints differ; name additions by joint, such as complete+periodic:cart2",
             )
         if first not in self.structures:
             raise UnknownName("model", first, [*self.structures, *ADDITIONS])
@@ -113,7 +114,7 @@ class RodFamily:
                 raise UnknownName("addition to a model", addition, ADDITIONS)
             can = self.can_have(addition)
             if not can:
-                raise InputError(f"{part}: {self._why_not(addition)}")
+                raise InputError("unsupported", f"{part}: {self._why_not(addition)}")
             wanted = joints.split(",") if joints else list(can)
             for joint in wanted:
                 if joint not in can:

@@ -52,10 +52,11 @@ class PoseSet:
         n = len(self.q)
         if np.ndim(self.q) != 2 or np.shape(self.position) != (n, 3):
             raise InputError(
-                f"poses need q (N, na) and positions (N, 3), not {np.shape(self.q)} and {np.shape(self.position)}"
+                "wrong_shape",
+                f"poses need q (N, na) and positions (N, 3), not {np.shape(self.q)} and {np.shape(self.position)}",
             )
         if self.rotation is not None and np.shape(self.rotation) != (n, 3, 3):
-            raise InputError(f"rotations of poses must be ({n}, 3, 3), not {np.shape(self.rotation)}")
+            raise InputError("wrong_shape", f"rotations of poses must be ({n}, 3, 3), not {np.shape(self.rotation)}")
         if not self.names:
             object.__setattr__(self, "names", tuple(f"pose {k + 1}" for k in range(n)))
         if len(self.campaign) != n:
@@ -108,7 +109,8 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
     turned = [s.rotation is not None for s in sets]
     if any(turned) and not all(turned):
         raise InputError(
-            f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give poses alike"
+            "mismatch",
+            f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give poses alike",
         )
     names = tuple(dict.fromkeys(name for s in sets for name in s.campaigns))
     place = {name: k for k, name in enumerate(names)}
@@ -164,15 +166,17 @@ def _check_columns(table: Table, actuated: Sequence[str]) -> None:
     missing = [name for name in wanted if name not in table.cells]
     if missing:
         raise InputError(
+            "missing_column",
             f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
             f"and, where the orientation "
-            f"was measured, {format_names(QUATERNION)}; it has {format_names(table.cells)}"
+            f"was measured, {format_names(QUATERNION)}; it has {format_names(table.cells)}",
         )
     some = [name for name in QUATERNION if name in table.cells]
     if some and len(some) < 4:
         lacking = [name for name in QUATERNION if name not in some]
         raise InputError(
-            f"{table.name} has {format_names(some)} but not {format_names(lacking)}; a quaternion needs all four"
+            "file_format",
+            f"{table.name} has {format_names(some)} but not {format_names(lacking)}; a quaternion needs all four",
         )
 
 
@@ -181,7 +185,8 @@ def _numbers(table: Table, name: str) -> np.ndarray:
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise InputError(
-            f"{table.where(int(bad[0]))}, column {name}: not a number; take the pose out or measure it again"
+            "bad_sample",
+            f"{table.where(int(bad[0]))}, column {name}: not a number; take the pose out or measure it again",
         )
     return values
 
@@ -190,7 +195,9 @@ def _check_units(table: Table, position: np.ndarray) -> None:
     far = np.abs(position).max(axis=1)
     if np.any(far > _MAX_COORDINATE_M):
         k = int(np.argmax(far))
-        raise InputError(f"{table.where(k)}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm")
+        raise InputError(
+            "wrong_unit", f"{table.where(k)}: the tool is {far[k]:.0f} m from the device; positions are in m, not in mm"
+        )
 
 
 def _rotations(table: Table) -> np.ndarray | None:
@@ -202,7 +209,8 @@ def _rotations(table: Table) -> np.ndarray | None:
     if len(wrong):
         k = int(wrong[0])
         raise InputError(
-            f"{table.where(k)}: the quaternion {QUATERNION[0]}.. has length {length[k]:.4g}; one of an orientation has 1"
+            "bad_sample",
+            f"{table.where(k)}: the quaternion {QUATERNION[0]}.. has length {length[k]:.4g}; one of an orientation has 1",
         )
     return Rotation.from_quat(quaternion).as_matrix()
 

@@ -71,8 +71,9 @@ class Problem:
             raise UnknownName("kind of residual", self.kind, KINDS)
         if self.kind != "forward" and self.geometry.orients and self.poses.rotation is None:
             raise InputError(
+                "missing_column",
                 f"{self.poses.source}: the {self.kind} residual needs measured orientations (qx_tool ..); "
-                "use the forward residual"
+                "use the forward residual",
             )
 
     @property
@@ -89,7 +90,7 @@ class Problem:
             return q.shape[1]
         found = self.geometry.closure(self.geometry.parameters.values, q, poses)
         if found is None:
-            raise InputError("this mechanism has no closure equations; use the forward residual")
+            raise InputError("unsupported", "this mechanism has no closure equations; use the forward residual")
         return found.shape[1]
 
     def place(self, theta: np.ndarray, frames: DeviceFrames, slack: np.ndarray, start: Poses | None) -> FitState:
@@ -162,15 +163,16 @@ class Problem:
         slope = self._of(self.geometry.closure_by_joint, state, at)
         if slope.shape[1] != slope.shape[2]:
             raise InputError(
+                "unsupported",
                 f"the inverse residual needs as many closure equations as actuated joints, not {slope.shape[1]} for "
-                f"{slope.shape[2]}; use the forward or the closure residual"
+                f"{slope.shape[2]}; use the forward or the closure residual",
             )
         return slope
 
     def _of(self, function: Callable[..., np.ndarray | None], state: FitState, at: Poses) -> np.ndarray:
         found = function(state.theta, compute_actuated_positions(self.poses, state.slack), at)
         if found is None:
-            raise InputError("this mechanism has no closure equations; use the forward residual")
+            raise InputError("unsupported", "this mechanism has no closure equations; use the forward residual")
         return found
 
 

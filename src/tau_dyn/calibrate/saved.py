@@ -70,7 +70,9 @@ class CalibratedRobot:
         """
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
         if not isinstance(geometry, RodGeometry):
-            raise InputError(f"{self.robot.source} is no robot of rods between carts and a plate; use `forward`")
+            raise InputError(
+                "unsupported", f"{self.robot.source} is no robot of rods between carts and a plate; use `forward`"
+            )
         return geometry.rods_at(theta)
 
 
@@ -122,14 +124,16 @@ def load_calibration(path: str | Path) -> CalibratedRobot:
     """
     content = read_yaml(path)
     if not isinstance(content, dict) or content.get("tau_dyn_calibration") != FORMAT:
-        raise InputError(f"{path}: not a calibrated robot (its first key is 'tau_dyn_calibration: {FORMAT}')")
+        raise InputError(
+            "file_format", f"{path}: not a calibrated robot (its first key is 'tau_dyn_calibration: {FORMAT}')"
+        )
     try:
         return _built(content)
     except InputError as fault:
-        raise InputError(f"{path}: {fault}") from fault
+        raise InputError(fault.code, f"{path}: {fault}") from fault
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as fault:
         raise InputError(
-            f"{path}: an entry is missing or of the wrong kind ({fault}); save the calibration again"
+            "file_format", f"{path}: an entry is missing or of the wrong kind ({fault}); save the calibration again"
         ) from fault
 
 
@@ -150,16 +154,16 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     given = {row["name"]: float(row["value"]) for row in content["parameters"]}
     missing = [name for name in geometry.parameters.names if name not in given]
     if missing:
-        raise InputError(f"parameter {missing[0]} is missing")
+        raise InputError("file_format", f"parameter {missing[0]} is missing")
     theta = np.array([given[name] for name in geometry.parameters.names])
     if not np.isfinite(theta).all():
-        raise InputError("a parameter is not a number")
+        raise InputError("file_format", "a parameter is not a number")
     frames = DeviceFrames(*(tuple(_read_frame(f) for f in content["frames"][key]) for key in ("device", "tool")))
     if not frames.device or not frames.tool:
-        raise InputError("frames needs a device and a tool at least")
+        raise InputError("file_format", "frames needs a device and a tool at least")
     slack = np.array(content["backlash"], float)
     if slack.shape != (robot.na,) or not np.isfinite(slack).all():
-        raise InputError("backlash needs a number for each actuated joint")
+        raise InputError("file_format", "backlash needs a number for each actuated joint")
     return CalibratedRobot(robot, geometry, theta, frames, slack, str(content["model"]["name"]))
 
 
@@ -171,5 +175,5 @@ def _frame(frame: Frame) -> dict[str, list[float]]:
 def _read_frame(row: Mapping[str, Any]) -> Frame:
     rotation, translation = Rotation.from_quat(row["quaternion"]).as_matrix(), np.array(row["translation"], float)
     if rotation.shape != (3, 3) or translation.shape != (3,) or not np.isfinite([*rotation, translation]).all():
-        raise InputError("a frame is no place and orientation")
+        raise InputError("file_format", "a frame is no place and orientation")
     return Frame(rotation, translation)

@@ -27,9 +27,10 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     if ok.sum() < 3:
         k = int(np.argmin(ok))
         raise InputError(
+            "wrong_unit",
             f"{poses.source}: the nominal robot reaches {int(ok.sum())} of {poses.n} poses "
             f"({poses.names[k]}: {nominal.reason[k]}); "
-            "are the joints' columns in the right order and in m or rad?"
+            "are the joints' columns in the right order and in m or rad?",
         )
     seen, known = poses.position[ok], nominal.poses.position[ok]
     flat = is_flat(known)
@@ -62,8 +63,9 @@ def _check_hand(source: str, seen: np.ndarray, known: np.ndarray, device: Frame)
     proper, mirrored = left(device), left(align(seen, known, mirrored=True))
     if proper > _MIRROR_GAIN * mirrored:
         raise InputError(
+            "invalid_value",
             f"{source}: the measuring device's frame is left-handed: with one axis turned round the nominal robot is off by "
-            f"{1e3 * mirrored:.3g} mm instead of {1e3 * proper:.3g} mm; change the sign of one of x_tool, y_tool, z_tool"
+            f"{1e3 * mirrored:.3g} mm instead of {1e3 * proper:.3g} mm; change the sign of one of x_tool, y_tool, z_tool",
         )
 
 
@@ -86,6 +88,7 @@ def check_spread(poses: PoseSet, workspace: Predicted) -> None:
     if not is_flat(poses.position) or is_flat(workspace.poses.position[workspace.ok]):
         return
     raise CannotAnswer(
+        "poor_excitation",
         f"{poses.source}: all {poses.n} poses lie in one plane, so that nothing is known of the robot across it",
         "measure poses all over the workspace, some at least a tenth of its size off that plane",
     )

@@ -145,7 +145,7 @@ class TreeGeometry:
     def _numbers(self, theta: np.ndarray) -> TreeNumbers:
         theta = np.asarray(theta, float)
         if theta.shape != (len(self.knobs),):
-            raise InputError(f"this geometry has {len(self.knobs)} parameters, not {theta.shape}")
+            raise InputError("wrong_shape", f"this geometry has {len(self.knobs)} parameters, not {theta.shape}")
         return compute_dimensions_at(self.shape, self.knobs, theta, self.parameters.values)
 
     def _linearised(self, theta: np.ndarray, q: np.ndarray, knobs: Sequence[Knob]) -> tuple[np.ndarray, np.ndarray]:

@@ -128,8 +128,9 @@ def get_shape(robot: Robot, tool: str | None = None) -> TreeShape:
     joints = list_joints(robot.model)
     if joints is None:
         raise InputError(
+            "unsupported",
             f"{robot.source}: calibration needs joints of one degree of freedom; "
-            "write a spherical or floating joint as several revolute and prismatic ones"
+            "write a spherical or floating joint as several revolute and prismatic ones",
         )
     notes = read_annotations(robot.urdf, robot.source)
     pairs = [((b.link_a, b.point_a), (b.link_b, b.point_b)) for b in notes.loops]
@@ -161,7 +162,8 @@ def compute_tool_frame(robot: Robot, tool: str | None = None) -> int:
     if len(tips) != 1:
         listed = ", ".join(f.name for f in model.frames[1:] if f.type == pin.FrameType.BODY)
         raise InputError(
-            f"{robot.source} has no frame 'tool' and several chains; name the measured frame, one of {listed}"
+            "unsupported",
+            f"{robot.source} has no frame 'tool' and several chains; name the measured frame, one of {listed}",
         )
     on_tip = [k for k, f in enumerate(model.frames) if f.parentJoint == tips[0] and f.type == pin.FrameType.BODY]
     return on_tip[-1]

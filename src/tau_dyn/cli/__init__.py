@@ -77,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             args = build_parser().parse_args(argv)
             return execute(args.command, COMMANDS[args.command].run, args)
     except TauDynError as fault:
-        say(f"error: {' '.join(str(fault).split())}")
+        say(f"error: {' '.join(str(fault).split())} [{fault.code}]")
         return fault.exit_status
     except KeyboardInterrupt:
         say("interrupted; every output file is as it was, or complete")

@@ -121,23 +121,34 @@ def _measured(args: argparse.Namespace, robot):
         files.append((path, points))
         if not named and points.quaternions is not None:
             if orientation is not None:
-                raise InputError(f"{points.name}: orientation was read from another file already; give one")
+                raise InputError(
+                    "bad_option", f"{points.name}: orientation was read from another file already; give one"
+                )
             sliding = [
                 k for k, j in enumerate(points.joints) if robot.joint_kinds[robot.actuated.index(j)] == "prismatic"
             ]
             if not sliding:
-                raise InputError(f"{points.name}: its orientation can be told apart only along sliding actuators")
+                raise InputError(
+                    "unsupported", f"{points.name}: its orientation can be told apart only along sliding actuators"
+                )
             if points.points is None:
-                raise InputError(f"{points.name} lacks x_tool, y_tool, z_tool, which tell the layers of poses apart")
+                raise InputError(
+                    "missing_column",
+                    f"{points.name} lacks x_tool, y_tool, z_tool, which tell the layers of poses apart",
+                )
             orientation = check_orientation(
                 points.q[:, sliding], convert_from_quaternions(points.points, points.quaternions)
             )
             continue
         joint = named or _only(points, robot)
         if points.points is None:
-            raise InputError(f"{points.name} lacks x_tool, y_tool, z_tool: where the cart was measured")
+            raise InputError(
+                "missing_column", f"{points.name} lacks x_tool, y_tool, z_tool: where the cart was measured"
+            )
         if robot.joint_kinds[robot.actuated.index(joint)] != "prismatic":
-            raise InputError(f"{points.name}: {joint} turns; only a sliding joint has a guideway to check")
+            raise InputError(
+                "unsupported", f"{points.name}: {joint} turns; only a sliding joint has a guideway to check"
+            )
         if joint in lines:
             loads.append(load_shift(lines[joint], points.column(joint), points.points))
         else:
@@ -150,7 +161,8 @@ def _only(points, robot) -> str:
     if len(points.joints) > 1:
         several = ", ".join(points.joints)
         raise InputError(
-            f"{points.name} has {several} but no orientation: say whose cart was measured, as {points.joints[0]}={points.name}"
+            "bad_option",
+            f"{points.name} has {several} but no orientation: say whose cart was measured, as {points.joints[0]}={points.name}",
         )
     return points.joints[0]
 
@@ -167,7 +179,9 @@ def _errors(args: argparse.Namespace, robot, rods, measured):
     errors = ErrorBounds({**stated, **seen}, given.rods)
     if not errors.actuators and not errors.rods:
         if not args.measured:
-            raise InputError("no error is given; say --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv")
+            raise InputError(
+                "bad_option", "no error is given; say --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv"
+            )
         return None, False
     return errors, bool(seen)
 
@@ -200,16 +214,17 @@ def _listed(args: argparse.Namespace, robot):
     from tau_dyn.log.measured import read_measured
 
     if args.section or args.range:
-        raise InputError("--poses and --section are two ways to say where; give one")
+        raise InputError("bad_option", "--poses and --section are two ways to say where; give one")
     points = read_measured(args.poses, robot.actuated)
     missing = [j for j in robot.actuated if j not in points.joints]
     if missing:
-        raise InputError(f"{points.name} lacks q_{missing[0]}; a pose needs every actuated joint")
+        raise InputError("missing_column", f"{points.name} lacks q_{missing[0]}; a pose needs every actuated joint")
     found = forward_kinematics(robot, points.q)
     wrong = [k for k, ok in enumerate(found.ok) if not ok]
     if wrong:
         raise InputError(
-            f"{points.name}: pose {wrong[0] + 1} of {len(points.q)} has no tool position: {found.reason[wrong[0]]}"
+            "unreachable",
+            f"{points.name}: pose {wrong[0] + 1} of {len(points.q)} has no tool position: {found.reason[wrong[0]]}",
         )
     return None, points.q, found.poses
 

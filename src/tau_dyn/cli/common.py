@@ -98,14 +98,14 @@ def load_robot_from(args: argparse.Namespace):
     for text in args.set:
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise InputError(f"--set {text}: write NAME=VALUE, such as prototype=d1")
+            raise InputError("bad_option", f"--set {text}: write NAME=VALUE, such as prototype=d1")
         given[name] = value
     if "actuated" in given:
-        raise InputError("--set actuated=...: actuated joints are named with --actuated JOINT ...")
+        raise InputError("bad_option", "--set actuated=...: actuated joints are named with --actuated JOINT ...")
     if "xacro" in given:
-        raise InputError("--set xacro=...: --no-xacro refuses every xacro")
+        raise InputError("bad_option", "--set xacro=...: --no-xacro refuses every xacro")
     if "tool" in given:
-        raise InputError("--set tool=...: the tool frame is named with --tool FRAME")
+        raise InputError("bad_option", "--set tool=...: the tool frame is named with --tool FRAME")
     return load_robot(args.robot, actuated=args.actuated, tool=args.tool, xacro=not args.no_xacro, **given)
 
 

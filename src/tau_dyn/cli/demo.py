@@ -168,11 +168,14 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     from tau_dyn.effects import Stribeck
 
     if robot.loops or "prismatic" in robot.joint_kinds:
-        raise InputError(f"{call}: the demo takes serial arms of hinges, or no robot for its own Gantry-Tau")
+        raise InputError(
+            "unsupported", f"{call}: the demo takes serial arms of hinges, or no robot for its own Gantry-Tau"
+        )
     effort, speed = np.abs(robot.effort_limit), np.abs(robot.velocity_limit)
     if not (np.all(np.isfinite(effort * speed)) and np.all(effort * speed > 0)):
         raise InputError(
-            f"{call}: the demo scales drives by each joint's effort and velocity limit; the file lacks some"
+            "unsupported",
+            f"{call}: the demo scales drives by each joint's effort and velocity limit; the file lacks some",
         )
     rng = np.random.default_rng(seed)
     values: dict[str, float] = {}

@@ -102,9 +102,11 @@ def run(args: argparse.Namespace) -> Outcome:
     """Find an exciting motion."""
     given = [name for name in _DESIGN_ONLY if getattr(args, name) is not None]
     if args.method == "random" and given:
-        raise InputError(f"--{given[0]} is not available with --method random; use --method optimal")
+        raise InputError("bad_option", f"--{given[0]} is not available with --method random; use --method optimal")
     if args.noise_from is not None and (args.force_noise or args.encoder_noise):
-        raise InputError("--noise-from excludes --force-noise and --encoder-noise; give one or the others")
+        raise InputError(
+            "bad_option", "--noise-from excludes --force-noise and --encoder-noise; give one or the others"
+        )
     with _told(args.quiet) as step:
         step("loading")
         from tau_dyn.identify import build_model
@@ -187,7 +189,7 @@ def _noise(args: argparse.Namespace, model):
         return estimate_log_noise(model, read_log(args.noise_from), args.rate)
     if args.force_noise is None:
         if args.encoder_noise is not None:
-            raise InputError("--encoder-noise needs --force-noise as well")
+            raise InputError("bad_option", "--encoder-noise needs --force-noise as well")
         return None
     return Noise.given(model.robot, args.force_noise, args.encoder_noise or [0.0], args.rate)
 

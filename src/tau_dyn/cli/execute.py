@@ -19,7 +19,7 @@ from rich.console import Console
 
 from tau_dyn.cli.common import Outcome, format_command_line, format_json, get_robot_file
 from tau_dyn.cli.run_folder import RunFolder, collect_configuration
-from tau_dyn.coded_warning import format_warnings
+from tau_dyn.coded_warning import format_warnings, format_with_code
 from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
 from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
 from tau_dyn.version import __version__
@@ -69,13 +69,14 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
     except CannotAnswer as fault:
         refusal, outcome = fault, _unanswered(args, fault)
     if call.page_asked and refusal is None and outcome.report is None:
-        raise InputError(f"tau-dyn {command} has no report; leave --report out")
+        raise InputError("bad_option", f"tau-dyn {command} has no report; leave --report out")
     outcome.warnings = [*outcome.warnings, *_changed(outcome.inputs, before)]
     _write(call, outcome)
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
-    sentences = [f"warning: {sentence}" for sentence in dict.fromkeys(outcome.warnings)]
+    sentences = [f"warning: {format_with_code(sentence)}" for sentence in dict.fromkeys(outcome.warnings)]
     if refusal is not None:
-        sentences.append(f"cannot answer: {refusal.missing}. The experiment that would: {refusal.experiment}.")
+        said = f"{refusal.missing}. The experiment that would: {refusal.experiment}."
+        sentences.append(f"cannot answer: {said} [{refusal.code}]")
     with suppress(OSError):  # a screen that takes nothing; the files say it, too
         for sentence in sentences:
             errors.print(format_one_line(sentence), markup=False)
@@ -103,15 +104,17 @@ def _checked(call: _Call) -> dict[Path, tuple[int, int]]:
     folder, destinations = call.folder, call.destinations()
     for path in destinations:
         if not resolve_destination(path).parent.is_dir() and not (folder is not None and folder.holds(path)):
-            raise InputError(f"{path}: the folder {path.parent} does not exist")
+            raise InputError("cannot_write", f"{path}: the folder {path.parent} does not exist")
         if path.is_dir():
-            raise InputError(f"{path} is a folder; name a file")
+            raise InputError("cannot_write", f"{path} is a folder; name a file")
     if len({resolve_destination(path) for path in destinations}) < len(destinations):
-        raise InputError(_TWICE)
+        raise InputError("cannot_write", _TWICE)
     given = {path.resolve() for path in _given(call.args)}
     for path in destinations:
         if resolve_destination(path) in given:
-            raise InputError(f"{path} is an input of this command and would be overwritten; name another file")
+            raise InputError(
+                "cannot_write", f"{path} is an input of this command and would be overwritten; name another file"
+            )
     if folder is not None:
         folder.check(call.command, call.configuration, given)
     return {path: _stamp(path) for path in given}
@@ -124,7 +127,7 @@ def _show(outcome: Outcome) -> None:
         raise
     except OSError as fault:
         raise InputError(
-            f"the result could not be shown ({fault.strerror}); the files asked for are written"
+            "cannot_write", f"the result could not be shown ({fault.strerror}); the files asked for are written"
         ) from fault
 
 
@@ -215,11 +218,13 @@ def _refuse_overwritten(call: _Call, files: Iterable[Path]) -> None:
     """
     own = {resolve_destination(path) for path in files}
     if own & {resolve_destination(path) for path in (call.args.json, call.args.report) if path is not None}:
-        raise InputError(_TWICE)
+        raise InputError("cannot_write", _TWICE)
     given = {path.resolve() for path in _given(call.args)}
     named = {resolve_destination(path) for path in call.destinations()}
     if lost := sorted((own - named) & given):
-        raise InputError(f"{lost[0]} is an input of this command and would be overwritten; name another output")
+        raise InputError(
+            "cannot_write", f"{lost[0]} is an input of this command and would be overwritten; name another output"
+        )
     if call.folder is not None:
         call.folder.check(call.command, call.configuration, given)
 
@@ -231,7 +236,7 @@ def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:
 
 def _unanswered(args: argparse.Namespace, fault: CannotAnswer) -> Outcome:
     """Return the outcome of a command whose data cannot answer, with the robot and all files that it was given."""
-    result = {"status": "cannot_answer", "missing": fault.missing, "experiment": fault.experiment}
+    result = {"status": "cannot_answer", "code": fault.code, "missing": fault.missing, "experiment": fault.experiment}
     inputs = [*(get_robot_file(args) if getattr(args, "robot", None) else []), *_given(args)]
     once = {path.resolve(): path for path in reversed(inputs)}
     return Outcome(

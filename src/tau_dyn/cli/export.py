@@ -93,9 +93,11 @@ def run(args: argparse.Namespace) -> Outcome:
     chosen = FORMATS[args.to]
     out = args.out or _beside(args, chosen.ending)
     if out.suffix != chosen.ending:
-        raise InputError(f"{out}: what --to {args.to} writes ends in {chosen.ending}")
+        raise InputError("cannot_write", f"{out}: what --to {args.to} writes ends in {chosen.ending}")
     if chosen.moves != (args.motion is not None):
-        raise InputError(f"--to {args.to} {'needs --motion MOTION.csv' if chosen.moves else 'takes no --motion'}")
+        raise InputError(
+            "bad_option", f"--to {args.to} {'needs --motion MOTION.csv' if chosen.moves else 'takes no --motion'}"
+        )
     with show_progress(args.quiet) as step:
         step("writing")
         made = chosen.make(args, out)
@@ -134,7 +136,8 @@ def _exchanged(args: argparse.Namespace, out: Path) -> Made:
     if not is_model_file(args.model):
         learned = f"tau-dyn identify {args.model} LOG --out model.yaml"
         raise InputError(
-            f"{args.model}: --to {args.to} takes a model file, as `{learned}` writes it; a robot's file is there already"
+            "unsupported",
+            f"{args.model}: --to {args.to} takes a model file, as `{learned}` writes it; a robot's file is there already",
         )
     model = Model.load(args.model)
     made = build_urdf(model) if args.to == "urdf" else build_mjcf(model)

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> Outcome:
     """Write the function."""
     ending = _ENDINGS[args.to]
     if args.out.suffix != ending:
-        raise InputError(f"{args.out}: what --to {args.to} writes ends in {ending}")
+        raise InputError("cannot_write", f"{args.out}: what --to {args.to} writes ends in {ending}")
     with show_progress(args.quiet) as step:
         step("tracing")
         from tau_dyn.control import Feedforward, build_program, write_c_source, write_python_source

@@ -78,7 +78,8 @@ def read_fitting_logs(args: argparse.Namespace) -> tuple[list[Log], list[Log]]:
     for log in (*opened[0], *opened[1]):
         if not isinstance(log, Log):
             raise InputError(
-                f"{log.name} has {log.n_samples} samples, too many for this command; give an excerpt (identify takes it whole)"
+                "file_too_large",
+                f"{log.name} has {log.n_samples} samples, too many for this command; give an excerpt (identify takes it whole)",
             )
     logs, held = ([log for log in found if isinstance(log, Log)] for found in opened)
     return logs, held

@@ -26,7 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Compute poses."""
     if (args.q is None) == (args.poses is None):
-        raise InputError("give --q VALUE ... or --poses POSES.csv")
+        raise InputError("bad_option", "give --q VALUE ... or --poses POSES.csv")
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.kinematics.pose_table import build_forward_table, read_positions
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> Outcome:
         robot = load_robot_from(args)
         if args.q is not None and len(args.q) != robot.na:
             named = ", ".join(robot.actuated)
-            raise InputError(f"--q: one value for each actuated joint ({named}), not {len(args.q)}")
+            raise InputError("bad_option", f"--q: one value for each actuated joint ({named}), not {len(args.q)}")
         q = (
             np.array([args.q])
             if args.poses is None

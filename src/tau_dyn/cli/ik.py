@@ -32,9 +32,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> Outcome:
     """Compute positions."""
     if (args.position is None) == (args.poses is None):
-        raise InputError("give --position X Y Z or --poses POSES.csv")
+        raise InputError("bad_option", "give --position X Y Z or --poses POSES.csv")
     if args.quaternion is not None and args.position is None:
-        raise InputError("--quaternion goes with --position; a table has its own columns qx_tool ..")
+        raise InputError("bad_option", "--quaternion goes with --position; a table has its own columns qx_tool ..")
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.kinematics.pose_table import build_inverse_table, place_home_orientation, read_poses

@@ -126,7 +126,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def _robot_asked(args: argparse.Namespace) -> bool:
     if args.robot is None and (args.set or args.actuated):
-        raise InputError("--set and --actuated say how to load a robot; name it with --robot ROBOT")
+        raise InputError("bad_option", "--set and --actuated say how to load a robot; name it with --robot ROBOT")
     return args.robot is not None
 
 
@@ -144,7 +144,7 @@ def _on_robot(robot, found):
 def _pair(text: str) -> tuple[str, str]:
     one, colon, other = text.partition(":")
     if not colon:
-        raise InputError(f"--collocated {text}: write INPUT:OUTPUT, two columns at one place")
+        raise InputError("bad_option", f"--collocated {text}: write INPUT:OUTPUT, two columns at one place")
     return one, other
 
 

@@ -44,7 +44,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing usage and leaving; in words that say what would be right."""
-        raise InputError(f"{self.prog}: {_in_words(message)}; see {self.prog} --help")
+        raise InputError("bad_option", f"{self.prog}: {_in_words(message)}; see {self.prog} --help")
 
 
 def _in_words(message: str) -> str:

@@ -113,7 +113,9 @@ def _ends(args: argparse.Namespace):
         return (*tool, False)
     if None not in joints and tool == (None, None):
         return (*joints, True)
-    raise InputError("say where the motion starts and ends: --from X Y Z --to X Y Z, or --from-joints and --to-joints")
+    raise InputError(
+        "bad_option", "say where the motion starts and ends: --from X Y Z --to X Y Z, or --from-joints and --to-joints"
+    )
 
 
 def _path(args: argparse.Namespace):
@@ -123,11 +125,15 @@ def _path(args: argparse.Namespace):
     if args.path in (None, "line"):
         return args.path
     if not Path(args.path).is_file():
-        raise InputError(f"--path {args.path}: write line, or name a table with the columns {', '.join(_COLUMNS)}")
+        raise InputError(
+            "bad_option", f"--path {args.path}: write line, or name a table with the columns {', '.join(_COLUMNS)}"
+        )
     table = read_columns(Path(args.path))
     missing = [name for name in _COLUMNS if name not in table]
     if missing:
-        raise InputError(f"{args.path}: there is no column {missing[0]}; a path has {', '.join(_COLUMNS)} [m]")
+        raise InputError(
+            "missing_column", f"{args.path}: there is no column {missing[0]}; a path has {', '.join(_COLUMNS)} [m]"
+        )
     return pick_columns(table, list(_COLUMNS), str(args.path))
 
 
@@ -138,7 +144,9 @@ def _model(args: argparse.Namespace):
     if not is_model_file(args.robot):
         return Model.of(load_robot_from(args))
     if args.set or args.actuated:
-        raise InputError(f"{args.robot} is a model file, which carries its own robot; leave --set and --actuated out")
+        raise InputError(
+            "bad_option", f"{args.robot} is a model file, which carries its own robot; leave --set and --actuated out"
+        )
     return Model.load(args.robot)
 
 

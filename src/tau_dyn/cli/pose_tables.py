@@ -29,7 +29,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
     try:
         data = read_bytes(path)
     except OSError as fault:
-        raise InputError(f"{path}: cannot be read ({fault.strerror})") from fault
+        raise InputError("cannot_read", f"{path}: cannot be read ({fault.strerror})") from fault
     return parse_delimited(str(path), data)[0]
 
 

@@ -60,16 +60,18 @@ class RunFolder:
         """
         near = next(p for p in (self.path.resolve(), *self.path.resolve().parents) if p.exists())
         if not near.is_dir():
-            raise InputError(f"--out {self.path}: {near} is a file; name a folder")
+            raise InputError("cannot_write", f"--out {self.path}: {near} is a file; name a folder")
         if not os.access(near, os.W_OK):
-            raise InputError(f"--out {self.path}: {near} is write-protected; name another folder")
+            raise InputError("cannot_write", f"--out {self.path}: {near} is write-protected; name another folder")
         if self.beside or not self._holds():
             return
         held = next((path for path in inputs if path.is_relative_to(self.path.resolve())), None)
         if held is not None:
-            raise InputError(f"{held} is an input of this command and lies in {self.path}; name another folder")
+            raise InputError(
+                "cannot_write", f"{held} is an input of this command and lies in {self.path}; name another folder"
+            )
         if reason := self._kept_for(command, configuration):
-            raise InputError(f"{self.path} {reason}; name another folder")
+            raise InputError("cannot_write", f"{self.path} {reason}; name another folder")
 
     def _holds(self) -> set[str]:
         return {p.name for p in self.path.iterdir()} if self.path.is_dir() else set()

@@ -116,8 +116,9 @@ def _model(args: argparse.Namespace):
         given = [name for name, value in options.items() if value]
         if given:
             raise InputError(
+                "bad_option",
                 f"{args.robot} is a model file, which carries its own robot, effects and values; leave {given[0]} out, or "
-                f"name the robot and give the file with --model"
+                f"name the robot and give the file with --model",
             )
         return Model.load(args.robot)
     robot = load_robot_from(args)

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> Outcome:
     """Simulate a vibration test."""
     for option, given in (("--effects", args.effects), ("--model", args.model), ("--log-rate", args.log_rate)):
         if given:
-            raise InputError(f"{option} does not go with --vibration")
+            raise InputError("bad_option", f"{option} does not go with --vibration")
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.dynamics import FlexibleModel
@@ -96,7 +96,7 @@ def _drives(near, args: argparse.Namespace):
 
     if not args.drive_lag:
         if args.drive_delay:
-            raise InputError("--drive-delay needs --drive-lag")
+            raise InputError("bad_option", "--drive-delay needs --drive-lag")
         return None
     lags = args.drive_lag * near.na if len(args.drive_lag) == 1 else args.drive_lag
     return PositionDrives(tuple(lags), args.drive_delay)

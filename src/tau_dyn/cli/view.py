@@ -64,7 +64,7 @@ def open_window(args: argparse.Namespace, step: Callable[[str], None]):
     from tau_dyn.view.results import read_cloud
 
     if args.simulated and not args.log:
-        raise InputError("--simulated is the ghost of a log; name the log too")
+        raise InputError("bad_option", "--simulated is the ghost of a log; name the log too")
     step("loading")
     robot = load_robot_from(args)
     playback = _playback(args, robot)

@@ -139,7 +139,9 @@ def _stiffnesses(given: list[str]) -> dict[str, float]:
         try:
             found[name] = positive_large(number)
         except argparse.ArgumentTypeError as fault:
-            raise InputError(f"--actuator-stiffness {text}: write a number above zero, or JOINT=number") from fault
+            raise InputError(
+                "bad_option", f"--actuator-stiffness {text}: write a number above zero, or JOINT=number"
+            ) from fault
     return found
 
 

@@ -42,7 +42,9 @@ def compare(a: ComparedSide, b: ComparedSide) -> Comparison:
     joint, joint_a, joint_b = _joint(a, b, [c.name for c in single if c.stderr is not None])
     changes = [*single, *joint]
     if not changes and not causes and not set(a.errors) & set(b.errors) and not runs:
-        raise InputError(f"{a.path} ({a.kind}) and {b.path} ({b.kind}) have no quantity, error or finding in common")
+        raise InputError(
+            "mismatch", f"{a.path} ({a.kind}) and {b.path} ({b.kind}) have no quantity, error or finding in common"
+        )
     return Comparison(
         a=a,
         b=b,
@@ -123,7 +125,9 @@ def _unmatched(a: ComparedSide, b: ComparedSide, changes: list[Change], alone: l
 
 def _change(name: str, a: MeasuredQuantity, b: MeasuredQuantity, *, combination: bool = False) -> Change:
     if a.unit != b.unit:
-        raise InputError(f"{name} is in {a.unit or 'no unit'} in one and in {b.unit or 'no unit'} in the other")
+        raise InputError(
+            "mismatch", f"{name} is in {a.unit or 'no unit'} in one and in {b.unit or 'no unit'} in the other"
+        )
     by: Determined = ("both" if b.determined else "first") if a.determined else "second" if b.determined else "neither"
     if a.stderr is None or b.stderr is None or by == "neither":
         return Change(name, a.unit, a.value, b.value, None, None, None, by, combination)

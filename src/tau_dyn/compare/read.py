@@ -80,7 +80,7 @@ def read_side(path: str | Path) -> ComparedSide:
     if not path.is_dir():
         return _of_file(path)
     if not is_run(path):
-        raise InputError(f"{path}: a folder, but no run folder; it has no {RUN}")
+        raise InputError("file_format", f"{path}: a folder, but no run folder; it has no {RUN}")
     return _of_file(path / RESULT, read_run(path))
 
 
@@ -88,7 +88,9 @@ def _of_file(path: Path, run: RecordedRun | None = None) -> ComparedSide:
     try:
         data = read_bytes(path, _MAX_FILE_BYTES)
     except OSError as fault:
-        raise InputError(f"{path}: {'no such file' if not path.exists() else 'cannot be read'}") from fault
+        raise InputError(
+            "file_not_found", f"{path}: {'no such file' if not path.exists() else 'cannot be read'}"
+        ) from fault
     digest = hashlib.sha256(data).hexdigest()
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_model(path, digest)
@@ -111,13 +113,15 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
         content = json.loads(data)
     except (ValueError, RecursionError) as fault:
         raise InputError(
-            f"{path}: neither a model file (.yaml) nor a result (--json) nor a run folder of ours"
+            "file_format", f"{path}: neither a model file (.yaml) nor a result (--json) nor a run folder of ours"
         ) from fault
     if not isinstance(content, dict) or not isinstance(content.get("command"), str):
-        raise InputError(f"{path}: not a result of ours; its 'command' is missing")
+        raise InputError("file_format", f"{path}: not a result of ours; its 'command' is missing")
     refused = content.get("status") == "cannot_answer" and "missing" in content
     if content.get("status") == "cannot_answer" and run is None:
-        raise InputError(f"{path}: this result says that its data cannot answer; there is nothing to compare")
+        raise InputError(
+            "mismatch", f"{path}: this result says that its data cannot answer; there is nothing to compare"
+        )
     read = [x for x in _dicts(content.get("inputs")) if "sha256" in x]
     try:
         return ComparedSide(
@@ -137,7 +141,9 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
             combinations=read_combinations(content),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as fault:
-        raise InputError(f"{path}: an entry of this result is missing or of the wrong kind ({fault})") from fault
+        raise InputError(
+            "file_format", f"{path}: an entry of this result is missing or of the wrong kind ({fault})"
+        ) from fault
 
 
 def _findings(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, tuple[str, ...]], str]]:

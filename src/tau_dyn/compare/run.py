@@ -80,13 +80,13 @@ def read_run(folder: Path) -> RecordedRun:
     try:
         held = json.loads(read_bytes(path, _MAX_FILE_BYTES))
     except OSError as fault:
-        raise InputError(f"{folder}: no run folder; it has no {RUN}") from fault
+        raise InputError("file_format", f"{folder}: no run folder; it has no {RUN}") from fault
     except InputError:
         raise
     except (ValueError, RecursionError) as fault:
-        raise InputError(f"{path}: not valid JSON ({fault})") from fault
+        raise InputError("file_format", f"{path}: not valid JSON ({fault})") from fault
     if not isinstance(held, dict) or held.get("run_format") != FORMAT:
-        raise InputError(f"{path}: not a run of ours; its run_format is not {FORMAT}")
+        raise InputError("file_format", f"{path}: not a run of ours; its run_format is not {FORMAT}")
     try:
         return RecordedRun(
             command=_text(held["command"]),
@@ -101,7 +101,7 @@ def read_run(folder: Path) -> RecordedRun:
             files={_text(k): _text(v) for k, v in held["files"].items()},
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as fault:
-        raise InputError(f"{path}: an entry is missing or of the wrong kind ({fault})") from fault
+        raise InputError("file_format", f"{path}: an entry is missing or of the wrong kind ({fault})") from fault
 
 
 def _text(value: Any) -> str:

@@ -35,9 +35,14 @@ def require_c_name(name: str, taken: Collection[str] | None = None) -> str:
         InputError: It is no identifier of C, or means something else in the source.
     """
     if not _NAME.fullmatch(name) or name in _KEYWORDS:
-        raise InputError(f"'{name}' cannot name a function in C; use letters, digits and underscores, a letter first")
+        raise InputError(
+            "invalid_value",
+            f"'{name}' cannot name a function in C; use letters, digits and underscores, a letter first",
+        )
     if taken is not None and (name in taken or name in _MATH or name[:-1] in _MATH and name[-1] in "fl"):
-        raise InputError(f"'{name}' cannot name a function in C, where it means something else; take another name")
+        raise InputError(
+            "invalid_value", f"'{name}' cannot name a function in C, where it means something else; take another name"
+        )
     return name
 
 
@@ -117,9 +122,12 @@ def locate_header(source: Path) -> Path:
     """
     header = source.with_suffix(".h")
     if header.is_dir():
-        raise InputError(f"{header} is a folder; the header would be written there")
+        raise InputError("cannot_write", f"{header} is a folder; the header would be written there")
     if not re.fullmatch(r"[A-Za-z0-9_.+ -]+", header.name):
-        raise InputError(f"{header.name}: a C file includes its header by name; use letters, digits, _, -, + and dots")
+        raise InputError(
+            "invalid_value",
+            f"{header.name}: a C file includes its header by name; use letters, digits, _, -, + and dots",
+        )
     return header
 
 

@@ -42,7 +42,9 @@ def _room(robot: Robot, share: float, most: float) -> np.ndarray:
 
 def _some(robot: Robot, q: np.ndarray) -> np.ndarray:
     if not len(q):
-        raise InputError(f"{robot.source}: no position around home can be reached, so nothing can be exported")
+        raise InputError(
+            "unreachable", f"{robot.source}: no position around home can be reached, so nothing can be exported"
+        )
     return q
 
 

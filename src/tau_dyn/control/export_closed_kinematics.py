@@ -65,7 +65,7 @@ def solve_inverse(rods: Rods, p: Any, R: Any) -> list[Any]:
         InputError: The drives do not each move one rod of their own.
     """
     if not has_closed_inverse(rods):
-        raise InputError(f"{rods.robot.source}: its inverse kinematics has no closed form")
+        raise InputError("unsupported", f"{rods.robot.source}: its inverse kinematics has no closed form")
     if rods.translates:
         R_plate = remove_rounding(rods.rotation)
         p_plate = p - remove_rounding(rods.rotation @ rods.tool.translation)

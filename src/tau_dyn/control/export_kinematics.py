@@ -142,8 +142,9 @@ def _of_rods(rods: Rods) -> KinematicsProgram:
     robot = rods.robot
     if rods.translates or rods.n != 6:
         raise InputError(
+            "unsupported",
             f"{robot.source}: a plate that {'only translates' if rods.translates else 'is free'} on {rods.n} rods is not written "
-            "out; three rods of a translating plate and six of a free one are"
+            "out; three rods of a translating plate and six of a free one are",
         )
     z = np.concatenate([rods.home.position[0], rods.home.rotation[0].ravel()])
 

@@ -37,7 +37,8 @@ def compare_with_python(program: KinematicsProgram) -> float:
     worst = max(differences)
     if not worst < AGREEMENT:
         raise InputError(
-            f"{robot.source}: the traced kinematics differ from Python's by {worst:.2g}, so they are not exported"
+            "unsupported",
+            f"{robot.source}: the traced kinematics differ from Python's by {worst:.2g}, so they are not exported",
         )
     return worst
 

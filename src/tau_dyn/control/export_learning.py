@@ -31,12 +31,15 @@ def write_learning_source(law: LearningLaw, limit: float | Sequence[float], name
     require_c_name(name)
     if not isinstance(law, LearningLaw):
         raise InputError(
-            f"{type(law).__name__} is no pair of filters; its matrices over a whole trial are not written out"
+            "unsupported",
+            f"{type(law).__name__} is no pair of filters; its matrices over a whole trial are not written out",
         )
     m = len(law.forgetting)
     limits = np.broadcast_to(np.asarray(limit, float), (m,)) if np.shape(limit) in ((), (m,)) else np.zeros(1)
     if not np.all(np.isfinite(limits) & (limits > 0)):
-        raise InputError(f"the largest correction must be a positive number, or {m} of them, one a channel")
+        raise InputError(
+            "invalid_value", f"the largest correction must be a positive number, or {m} of them, one a channel"
+        )
     first = f"Learning filters for {m} channel(s), written by tau-dyn {__version__}."
     ends = np.cumsum([0, *(len(q.sections) for q in law.forgetting)])
     body = [

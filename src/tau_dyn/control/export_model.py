@@ -71,7 +71,9 @@ def build_program(feedforward: Feedforward) -> Program:
     for effect in model.effects:
         why = describe_missing_state(effect, BY_STATE | set(ARGUMENTS))
         if why:
-            raise InputError(f"effect {effect.name} cannot be exported: {why}; --steady leaves such effects out")
+            raise InputError(
+                "unsupported", f"effect {effect.name} cannot be exported: {why}; --steady leaves such effects out"
+            )
     signals = tuple(n for n in ARGUMENTS if any(n in effect.needs for effect in model.effects))
     robot = model.robot
     closed = isinstance(model.mechanism, GantryTauMechanism)
@@ -104,7 +106,9 @@ def _forces(feedforward: Feedforward, form: Mechanism, state: tuple, felt: dict[
         return tuple(twin.forces(q, v, a, felt)[0])
     except TypeError as fault:
         names = ", ".join(effect.name for effect in model.effects) or "no effects"
-        raise InputError(f"{model.robot.source} with {names} cannot be exported: it uses {fault}") from fault
+        raise InputError(
+            "unsupported", f"{model.robot.source} with {names} cannot be exported: it uses {fault}"
+        ) from fault
 
 
 def _with_closure(program: Program, loops: Loops, q: np.ndarray) -> Program:
@@ -133,7 +137,8 @@ def _compared(program: Program) -> float:
     difference = np.max(np.abs(found - expected)) / max(float(np.max(np.abs(expected))), 1e-300)
     if not difference < AGREEMENT or not fine.all():
         raise InputError(
+            "unsupported",
             f"{feedforward.model.robot.source}: the traced feedforward differs from Python's by {difference:.2g}, so it is not "
-            "exported"
+            "exported",
         )
     return float(difference)

@@ -43,10 +43,14 @@ def write_python_source(program: Program, name: str = "tau_ff") -> str:
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", name) or keyword.iskeyword(name):
         raise InputError(
-            f"'{name}' cannot name a function in Python; use letters, digits and underscores, a letter first"
+            "invalid_value",
+            f"'{name}' cannot name a function in Python; use letters, digits and underscores, a letter first",
         )
     if name in _TAKEN or hasattr(builtins, name):
-        raise InputError(f"'{name}' cannot name a function in Python, where it means something else; take another name")
+        raise InputError(
+            "invalid_value",
+            f"'{name}' cannot name a function in Python, where it means something else; take another name",
+        )
     words = "\n".join(yield_description(program)).replace("\\", "/").replace('"""', "'''")
     more = "".join(f", {signal}" for signal in program.signals)
     lines = [f'"""{words}', '"""', "", "import numpy as np", ""]

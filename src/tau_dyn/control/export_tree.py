@@ -161,7 +161,8 @@ def _joint(robot: Robot, data: pin.Data, j: int, pi: np.ndarray) -> TreeJoint:
     model = robot.model
     if model.joints[j].nv != 1:
         raise InputError(
-            f"{robot.source}: joint {model.names[j]} has {model.joints[j].nv} axes; only hinges and slides export"
+            "unsupported",
+            f"{robot.source}: joint {model.names[j]} has {model.joints[j].nv} axes; only hinges and slides export",
         )
     S = np.asarray(data.joints[j].S).reshape(6)
     slides = bool(np.linalg.norm(S[:3]) > np.linalg.norm(S[3:]))

@@ -55,11 +55,12 @@ class Feedforward:
         widths = np.asarray(width, float)
         if widths.shape not in ((), (model.robot.na,)):
             raise InputError(
-                f"the width of the smoothed sign must be a number or ({model.robot.na},), not {widths.shape}"
+                "wrong_shape",
+                f"the width of the smoothed sign must be a number or ({model.robot.na},), not {widths.shape}",
             )
         widths = np.broadcast_to(widths, (model.robot.na,)).copy()
         if not np.all(np.isfinite(widths) & (widths > 0)):
-            raise InputError(f"the width of the smoothed sign must be a positive speed, not {width}")
+            raise InputError("invalid_value", f"the width of the smoothed sign must be a positive speed, not {width}")
         self.model, self.width, self.shape = model, widths, shape
         why = {effect: describe_missing_state(effect, BY_STATE) for effect in model.effects}
         self.left_out = tuple(effect for effect, reason in why.items() if reason)
@@ -98,7 +99,7 @@ class Feedforward:
         if q.shape != v.shape or q.shape != a.shape or q.ndim not in (1, 2) or q.shape[-1] != self.model.robot.na:
             joints = ", ".join(self.model.robot.actuated)
             na = self.model.robot.na
-            raise InputError(f"q, v and a must have one shape, ({na},) or (N, {na}) for {joints}")
+            raise InputError("wrong_shape", f"q, v and a must have one shape, ({na},) or (N, {na}) for {joints}")
         felt = {name: np.atleast_2d(_shaped(name, x, q.shape)) for name, x in (signals or {}).items()}
         return self.forces(np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), felt).reshape(q.shape)
 
@@ -166,4 +167,6 @@ def _shaped(name: str, value: float | np.ndarray, shape: tuple[int, ...]) -> np.
     try:
         return np.broadcast_to(np.asarray(value, float), shape)
     except ValueError as fault:
-        raise InputError(f"signal {name} must be a number, one a joint, or of the positions' shape {shape}") from fault
+        raise InputError(
+            "wrong_shape", f"signal {name} must be a number, one a joint, or of the positions' shape {shape}"
+        ) from fault

@@ -21,8 +21,9 @@ def broadcast_limit(robot: Robot, name: str, given: PerJoint | None, default: Pe
     if values.shape not in ((), (1,), (robot.na,)):
         joints = ", ".join(robot.actuated)
         raise InputError(
-            f"the {name} limit must be one number or {robot.na}, one a joint ({joints}), not {values.size}"
+            "wrong_shape",
+            f"the {name} limit must be one number or {robot.na}, one a joint ({joints}), not {values.size}",
         )
     if not np.all(values > 0):
-        raise InputError(f"the {name} limit must be above zero, not {np.min(values):g}")
+        raise InputError("invalid_value", f"the {name} limit must be above zero, not {np.min(values):g}")
     return np.broadcast_to(values, (robot.na,)).copy()

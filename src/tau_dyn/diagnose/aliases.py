@@ -62,5 +62,5 @@ def _explained(channel: Channel, ground: NullModel, effect: Effect, lines: np.nd
     settings = [effect.with_settings(period=float(1 / line)) for line in lines]
     quick = channel.scan(settings, ground, ground.e[:, None])
     if quick is None:
-        raise InputError(f"effect {effect.name} has no period to scan")
+        raise InputError("unsupported", f"effect {effect.name} has no period to scan")
     return quick[:, 0]

@@ -74,5 +74,5 @@ def build_candidate_pieces(model: Model, duration: float, count: int, rng: np.ra
         except InputError as error:
             fault = error
     if not found:
-        raise fault or InputError("a motion is chosen among at least one trial")
+        raise fault or InputError("invalid_value", "a motion is chosen among at least one trial")
     return found

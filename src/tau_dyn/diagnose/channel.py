@@ -125,4 +125,4 @@ def refuse_scarce(channel: Channel, least: int | Mapping[int, int], short: str, 
     for part, use in _USES.items():
         needed = least if isinstance(least, int) else least[part]
         if sum(int(mask.sum()) for mask in channel.masks(part)) < needed:
-            raise CannotAnswer(f"{short} to {use}: {have}", wanted)
+            raise CannotAnswer("too_little_data", f"{short} to {use}: {have}", wanted)

@@ -402,7 +402,7 @@ def build_diagnosis(
     model: Model,
     answer: Answer,
     seed: int,
-    recommendation: tuple[Choice, str],
+    recommendation: tuple[Choice, str, Sequence[str]],
 ) -> Diagnosis:
     """Put a diagnosis together from its stages.
 
@@ -414,7 +414,7 @@ def build_diagnosis(
         model: The model before any fit.
         answer: What is said.
         seed: Seed of whatever was random.
-        recommendation: Which model to use, and why.
+        recommendation: Which model to use, why, and what to warn of.
     """
     before, after = bars.judgements[0], bars.judgements[-1]
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
@@ -437,7 +437,7 @@ def build_diagnosis(
         traces=build_time_traces(channel, before, after),
         n_parts=measure_part_durations(channel),
         how=answer.how,
-        warnings=tuple(dict.fromkeys(answer.warnings)),
+        warnings=tuple(dict.fromkeys((*answer.warnings, *recommendation[2]))),
         seed=seed,
         experiment=answer.experiment,
         recommendation=recommendation[0],

@@ -51,7 +51,7 @@ class DeflectionChannel(Channel):
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, m, k) of one run; see `Channel.run_columns`."""
         if not isinstance(effect, JointwiseDisplacement):
-            raise InputError(f"effect {effect.name} does not come between two encoders of a joint")
+            raise InputError("unsupported", f"effect {effect.name} does not come between two encoders of a joint")
         return self.pieces[run].passed(effect.displacement(self.pieces[run].motion))
 
     def scan(self, effects: Sequence[Effect], ground: NullModel, both: np.ndarray) -> np.ndarray | None:
@@ -161,7 +161,7 @@ def diagnose_deflection(
     train = drop_duplicate_logs(train, warnings)
     held = drop_duplicate_logs(drop_trained_logs(train, held, warnings), warnings)
     if not train:
-        raise InputError("no log was given")
+        raise InputError("missing_input", "no log was given")
     progress("columns")
     channel = build_deflection_channel(robot, train, held, causes)
     return diagnose_channel(channel, Model.of(robot), seed=seed, progress=progress, warnings=warnings, held=bool(held))

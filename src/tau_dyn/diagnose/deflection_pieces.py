@@ -62,8 +62,9 @@ def list_encoder_pairs(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
     found = tuple(j for j in robot.actuated if f"q_link_{j}" in logs[0].channels)
     if not found:
         raise InputError(
+            "missing_column",
             f"{logs[0].name} has no column q_link_{robot.actuated[0]}; the deflection channel needs q_link_J [m or rad] of "
-            "some joint, the position on the load side"
+            "some joint, the position on the load side",
         )
     for log in logs:
         for signal in ("q", "tau", "q_link"):
@@ -77,7 +78,8 @@ def build_deflection_segment(joints: tuple[str, ...], log: Log, preparation: Pre
     for name, x in (("q_link", load), ("tau", force)):
         if not np.isfinite(x).all():
             raise InputError(
-                f"{log.name}: {name} is missing in {int(np.sum(~np.isfinite(x)))} samples; cut the log there"
+                "bad_sample",
+                f"{log.name}: {name} is missing in {int(np.sum(~np.isfinite(x)))} samples; cut the log there",
             )
     q, far = (lowpass(x, preparation.position_cutoff_hz, log.rate_hz) for x in (read, load))
     v, load_speed = (differentiate(x, log.dt, accuracy=4) for x in (q, far))

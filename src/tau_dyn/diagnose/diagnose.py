@@ -66,14 +66,16 @@ def diagnose(
     try:
         prepared = (choices or Choices()).apply(build_model(robot, model))
         if (choices or Choices()).gains(prepared.robot.actuated):
-            raise InputError("diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map")
+            raise InputError(
+                "bad_option", "diagnose does not take --fix JOINT.drive_gain; scale the forces in the column map"
+            )
         given = drop_duplicate_logs(get_log_list(logs), warnings)
         train = load_into_memory(given)
         held = load_into_memory(
             drop_duplicate_logs(drop_trained_logs(given, get_log_list(holdout), warnings), warnings)
         )
         if not train:
-            raise InputError("no log was given")
+            raise InputError("missing_input", "no log was given")
         found = []
         if not (has_tool(prepared.robot, train) or has_links(train)):
             require_forces(prepared.robot, train)
@@ -102,7 +104,9 @@ def load_into_memory(logs: Sequence[Log | Recording]) -> list[Log]:
     """Return logs that are in memory; a search looks at all of a log again and again."""
     odd = [log.name for log in logs if isinstance(log, Recording)]
     if odd:
-        raise InputError(f"{odd[0]} is too large to be diagnosed at once; give an excerpt of some minutes")
+        raise InputError(
+            "file_too_large", f"{odd[0]} is too large to be diagnosed at once; give an excerpt of some minutes"
+        )
     return [log for log in logs if isinstance(log, Log)]
 
 

@@ -171,6 +171,7 @@ def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
     held = count_information(used, band_hz)
     if held < rank:
         raise CannotAnswer(
+            "too_little_data",
             f"the part that is trained on holds about {held:.0f} independent values for {rank} parameters and combinations "
             f"({sum(log.duration for log in train):.3g} s of motion up to {band_hz:.2g} Hz)",
             EXPERIMENT,

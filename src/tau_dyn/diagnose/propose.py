@@ -78,9 +78,11 @@ def propose_motion(
         InputError: The motion is too short, or the robot's limits leave none.
     """
     if not _MIN_DURATION_S <= duration <= 3600:
-        raise InputError(f"a proposed motion takes between {_MIN_DURATION_S:g} s and an hour, not {duration:g} s")
+        raise InputError(
+            "invalid_value", f"a proposed motion takes between {_MIN_DURATION_S:g} s and an hour, not {duration:g} s"
+        )
     if trials < 1:
-        raise InputError(f"a motion is chosen among at least one trial, not {trials}")
+        raise InputError("invalid_value", f"a motion is chosen among at least one trial, not {trials}")
     setting, rng = Setting.of(diagnosis), np.random.default_rng(seed)
     signals = _signals(diagnosis.model)
     question = find_design_goal(diagnosis, signals)
@@ -180,6 +182,7 @@ def _answerable(plan: DiscriminationDesign, grams: np.ndarray, question: DesignG
     if not question.pairs:
         names = ", ".join(c.name for c in question.causes)
         raise CannotAnswer(
+            "no_solution",
             f"no motion of this robot shows {names} beside this model",
             "; ".join(dict.fromkeys(c.reveals for c in question.causes)),
         )

@@ -82,6 +82,7 @@ def find_design_goal(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGo
     """
     if diagnosis.channel != "force":
         raise CannotAnswer(
+            "unsupported",
             f"motions are proposed for measured forces only, and this diagnosis is of {diagnosis.channel} measurements",
             diagnosis.experiment or _first(diagnosis) or "measure more places, at uneven steps, from both directions",
         )
@@ -114,7 +115,7 @@ def build_refusal(cause: str, twins: Sequence[tuple[str, str]]) -> CannotAnswer:
     """Return the refusal where no motion tells a cause from its twins, pairs of name and experiment."""
     names = " or ".join(name for name, _ in twins)
     experiments = list(dict.fromkeys(experiment for _, experiment in twins))
-    return CannotAnswer(f"no motion of this robot tells {cause} from {names}", "; ".join(experiments))
+    return CannotAnswer("no_solution", f"no motion of this robot tells {cause} from {names}", "; ".join(experiments))
 
 
 def _beyond(cause: str, twins: Sequence[str], default: str = "") -> CannotAnswer:
@@ -143,6 +144,7 @@ def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGoal:
     causes = tuple(EFFECTS[name] for name in dict.fromkeys(names) if _of_motion(name, signals))
     if not causes:
         raise CannotAnswer(
+            "nothing_to_do",
             "nothing is left open that a motion would show",
             "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable))
             or "record the motion that matters to you",

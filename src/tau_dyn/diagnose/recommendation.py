@@ -19,17 +19,15 @@ from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.extended_fit import EvaluatedFit, compute_gain
 from tau_dyn.diagnose.result import Choice, Gain
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
-
-MAX_ERROR_RATIO = 3.0
-"""Held-out over training rms of a joint above which the two are not of one machine: another motion changes it by less than two
-(EMPS, TX40, KR300, SO-101), a tool of a kilogram by ten."""
+from tau_dyn.identify.estimate_warnings import MAX_HELD_OUT_RATIO, describe_foreign_joints
 
 
 class Recommendation(NamedTuple):
-    """What to use, and why, in a sentence."""
+    """What to use, and why, in a sentence; and what to warn of."""
 
     choice: Choice
     why: str
+    warnings: Sequence[str] = ()
 
 
 def recommend(
@@ -45,14 +43,8 @@ def recommend(
         rng: For intervals.
     """
     before, after = bars.judgements[0], bars.judgements[-1]
-    odd = find_foreign_joints(channel, after)
-    if odd:
-        listed = ", ".join(f"{joint} ({ratio:.1f} times)" for joint, ratio in odd)
-        return Recommendation(
-            "neither",
-            f"the held-out error is many times the training error at {listed}; the held-out log probably belongs to "
-            f"another machine or tool",
-        )
+    if foreign := describe_foreign_joints(find_foreign_joints(channel, after)):
+        return Recommendation("neither", str(foreign[0]), foreign)
     if bars.nominal is not None and is_worse(loss := _whole_gain(channel, bars.nominal, before, rng)):
         more = -loss.reduction_percent
         why = f"the held-out error of the refitted model is {more:.2g} % larger than with the robot file's values"
@@ -87,7 +79,7 @@ def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, 
     found = []
     for k, output in enumerate(channel.outputs):
         trained, held = (_rms(channel, fit.residuals, parts, k) for parts in ((TRAIN,), (VALIDATION, TEST)))
-        if trained > 0 and held > MAX_ERROR_RATIO * trained:
+        if trained > 0 and held > MAX_HELD_OUT_RATIO * trained:
             found.append((output, held / trained))
     return found
 

@@ -21,8 +21,9 @@ def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
         if log.has("q_ref", joints):
             return log
     raise InputError(
+        "missing_column",
         f"none of {', '.join(log.name for log in logs)} has q_ref columns for {', '.join(joints)}; without references no closed "
-        "loop can be simulated, so leave the controller out or add them"
+        "loop can be simulated, so leave the controller out or add them",
     )
 
 

@@ -61,7 +61,7 @@ class ToolChannel(Channel):
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
         """Return an effect's columns (n, 3, k) of one run; see `Channel.run_columns`."""
         if not isinstance(effect, DisplacementEffect):
-            raise InputError(f"effect {effect.name} does not displace the tool")
+            raise InputError("unsupported", f"effect {effect.name} does not displace the tool")
         piece = self.pieces[run]
         return piece.passed(effect.tool_columns(piece.motion, piece.jacobian))
 
@@ -126,9 +126,9 @@ def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] =
     """
     stretches = [(piece, out) for logs, out in ((train, False), (held, True)) for log in logs for piece in cut(log)]
     if not stretches:
-        raise InputError("no log was given")
+        raise InputError("missing_input", "no log was given")
     if model.robot.tool_frame is None:
-        raise InputError(f"{model.robot.source}: the robot file has no frame named tool")
+        raise InputError("unsupported", f"{model.robot.source}: the robot file has no frame named tool")
     moving = [log for log, _ in stretches if not is_static(log)]
     preparation = choose_diagnosis_preparation(model.robot, moving, ()) if moving else None
     pieces = align_tool_frame([build_tool_segment(model, log, preparation) for log, _ in stretches])

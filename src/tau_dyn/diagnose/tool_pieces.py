@@ -82,12 +82,14 @@ def cut(log: Log) -> list[Log]:
     """Return a log's even stretches, or the log itself where it holds poses."""
     missing = [c for c in OUTPUTS if c not in log.channels]
     if missing:
-        raise InputError(f"{log.name} has no column {missing[0]}; the tool channel needs {', '.join(OUTPUTS)} [m]")
+        raise InputError(
+            "missing_column", f"{log.name} has no column {missing[0]}; the tool channel needs {', '.join(OUTPUTS)} [m]"
+        )
     seen = np.all([np.isfinite(log.channels[c]) for c in OUTPUTS], axis=0)
     if is_static(log):
         return [replace(log, t=log.t[seen], channels={key: x[seen] for key, x in log.channels.items()})]
     if not seen.all():
-        raise InputError(f"{log.name}: the tool is missing in {np.sum(~seen)} samples; cut the log there")
+        raise InputError("bad_sample", f"{log.name}: the tool is missing in {np.sum(~seen)} samples; cut the log there")
     return resample_segments(log)
 
 
@@ -145,7 +147,9 @@ def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
     measured = np.concatenate([p.tool[p.usable] for p in pieces])
     predicted = np.concatenate([p.predicted[p.usable] for p in pieces])
     if len(measured) < 3:
-        raise CannotAnswer("there are fewer than three tool positions", "measure a hundred poses or more")
+        raise CannotAnswer(
+            "too_little_data", "there are fewer than three tool positions", "measure a hundred poses or more"
+        )
     m, p = measured.mean(axis=0), predicted.mean(axis=0)
     U, s, Vt = np.linalg.svd((predicted - p).T @ (measured - m))
     turned = s[1] > _LINE * s[0]
@@ -155,7 +159,8 @@ def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
     if np.linalg.norm(off) > _MAX_RELATIVE_DISTANCE * np.linalg.norm(spread):
         size = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
         raise InputError(
+            "wrong_unit",
             f"the measured tool is {size:.2g} m from forward kinematics however the frames are laid; "
-            "were all logs measured in one frame, in m, and with this robot?"
+            "were all logs measured in one frame, in m, and with this robot?",
         )
     return found

@@ -30,13 +30,15 @@ class PositionDrives:
     def __post_init__(self) -> None:
         """Refuse lags and delays that no drive has."""
         if not all(0 < t < np.inf for t in self.time_constants) or not 0 <= self.delay < np.inf:
-            raise InputError("a drive's time constant must be positive, its delay not below zero")
+            raise InputError("invalid_value", "a drive's time constant must be positive, its delay not below zero")
 
     @classmethod
     def from_sampled(cls, poles: Sequence[float], dt: float, samples: int) -> PositionDrives:
         """Return the drives `q^-samples (1 - a) / (1 - a q^-1)` with poles `a` (na,) at a step `dt` [s]."""
         if not all(0 < a < 1 for a in poles) or samples < 1:
-            raise InputError("a sampled lag has its pole between 0 and 1 and at least one sample of delay")
+            raise InputError(
+                "invalid_value", "a sampled lag has its pole between 0 and 1 and at least one sample of delay"
+            )
         return cls(tuple(float(-dt / np.log(a)) for a in poles), (samples - 1) * dt)
 
 

@@ -56,13 +56,15 @@ class FlexibleModel:
         """
         if not robot.springs:
             raise InputError(
+                "unsupported",
                 f"{robot.source} has no <tau_dyn:spring>; name the joints that yield in the file, or, for gantry_tau, "
-                "load it with arms=complete flexible=true"
+                "load it with arms=complete flexible=true",
             )
         as_filed = load_robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
         if as_filed.names != robot.parameters.names or np.any(as_filed.values != robot.parameters.values):
             raise InputError(
-                f"{robot.source}: a flexible model takes its masses from the robot file; change them there"
+                "unsupported",
+                f"{robot.source}: a flexible model takes its masses from the robot file; change them there",
             )
         joints = [*robot.actuated, *(s.joint for s in robot.springs)]
         self.robot = robot
@@ -114,7 +116,7 @@ class FlexibleModel:
         q = self.robot.home if q is None else np.asarray(q, float)
         if q.shape != (self.robot.na,) or not np.isfinite(q).all():
             joints = ", ".join(self.robot.actuated)
-            raise InputError(f"a pose has one finite position for each of {joints}, not {q}")
+            raise InputError("wrong_shape", f"a pose has one finite position for each of {joints}, not {q}")
         return q
 
     def _rest(self, q: np.ndarray, sag: bool) -> _Rest:
@@ -132,7 +134,8 @@ class FlexibleModel:
         if sag:
             worst = self.robot.springs[int(np.argmax(np.abs(self._bias(z)[na:] / k + z[na:])))].joint
             raise InputError(
-                f"{self.robot.source}: spring '{worst}' is too soft to carry the robot's weight at this pose"
+                "robot_structure",
+                f"{self.robot.source}: spring '{worst}' is too soft to carry the robot's weight at this pose",
             )
         return _Rest(z, self._tree(z))
 
@@ -185,9 +188,11 @@ class FlexibleModel:
         if values[0] < 1e-10 * values[-1]:  # a mode 1e5 times faster than the slowest
             culprit = names[int(np.argmax(np.abs(vectors[:, 0])))]
             raise InputError(
-                f"{self.robot.source}: spring '{culprit}' moves no mass of its own; give the link behind it mass and inertia"
+                "robot_structure",
+                f"{self.robot.source}: spring '{culprit}' moves no mass of its own; give the link behind it mass and inertia",
             )
         if np.linalg.eigvalsh(scale[:, None] * K * scale)[0] <= 0:
             raise InputError(
-                f"{self.robot.source}: the robot tips over at this pose; its springs are too soft for its weight"
+                "robot_structure",
+                f"{self.robot.source}: the robot tips over at this pose; its springs are too soft for its weight",
             )

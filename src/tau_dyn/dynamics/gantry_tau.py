@@ -55,7 +55,8 @@ class GantryTauMechanism(Mechanism):
         joints = [model.getJointId(arm.cart_joint) for arm in robot.arms]
         if not self.describes(robot):
             raise InputError(
-                f"{robot.source}: the closed form needs three driven carts, rods and a plate with mass, and a tool"
+                "unsupported",
+                f"{robot.source}: the closed form needs three driven carts, rods and a plate with mass, and a tool",
             )
         self.origin = np.array([data.oMi[j].translation for j in joints])
         axes = [pin.computeJointJacobian(model, data, pin.neutral(model), j)[:3, model.joints[j].idx_v] for j in joints]
@@ -256,7 +257,7 @@ class GantryTauMechanism(Mechanism):
             for frame in (self.robot.model.frames[loop.frame_a], self.robot.model.frames[loop.frame_b]):
                 if frame.parentJoint == body:
                     return float(np.linalg.norm(frame.placement.translation))
-        raise InputError(f"{self.robot.source}: no loop ends on {rod_link}, as the closed form needs")
+        raise InputError("unsupported", f"{self.robot.source}: no loop ends on {rod_link}, as the closed form needs")
 
     @staticmethod
     def _ends(pi: np.ndarray, length: float) -> tuple[float, float, float, float]:

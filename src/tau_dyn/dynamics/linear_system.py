@@ -80,11 +80,13 @@ class ContinuousModel:
             InputError: `dt` is not positive, or a delay is not a whole number of steps.
         """
         if not (np.isfinite(dt) and dt > 0):
-            raise InputError(f"a sampling step must be positive, not {dt:g} s")
+            raise InputError("invalid_value", f"a sampling step must be positive, not {dt:g} s")
         steps = np.round(self.delay / dt).astype(int)
         if np.any(np.abs(steps * dt - self.delay) > 1e-6 * dt):
             worst = float(self.delay[np.argmax(np.abs(steps * dt - self.delay))])
-            raise InputError(f"a delay of {1000 * worst:g} ms is not a whole number of steps of {1000 * dt:g} ms")
+            raise InputError(
+                "invalid_value", f"a delay of {1000 * worst:g} ms is not a whole number of steps of {1000 * dt:g} ms"
+            )
         n, m = self.B.shape
         both = expm(np.block([[self.A, self.B], [np.zeros((m, n + m))]]) * dt)
         return SampledModel(both[:n, :n], both[:n, n:], self.C, self.D, dt, self.inputs, self.outputs, steps)
@@ -118,7 +120,7 @@ class SampledModel:
         """Return the outputs (N, p) of inputs (N, m), from rest."""
         u = np.asarray(u, float)
         if u.ndim != 2 or u.shape[1] != len(self.inputs):
-            raise InputError(f"expected inputs of shape (N, {len(self.inputs)}), not {u.shape}")
+            raise InputError("wrong_shape", f"expected inputs of shape (N, {len(self.inputs)}), not {u.shape}")
         late = np.zeros_like(u)
         for k, steps in enumerate(self.delay):
             late[steps:, k] = u[: max(0, len(u) - steps), k]

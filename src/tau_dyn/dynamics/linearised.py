@@ -154,7 +154,9 @@ class Linearised:
         """Return the same system behind drives: their positions become states."""
         a, n = self.na, model.order
         if len(drives.time_constants) != a:
-            raise InputError(f"{len(drives.time_constants)} drive(s) for {a} actuated joint(s); give one each")
+            raise InputError(
+                "mismatch", f"{len(drives.time_constants)} drive(s) for {a} actuated joint(s); give one each"
+            )
         lag = np.diag(1 / np.array(drives.time_constants))
         A = np.block([[-lag, np.zeros((a, n))], [model.B[:, :a], model.A]])
         B = np.block([[lag, np.zeros((a, 3))], [np.zeros((n, a)), model.B[:, a:]]])
@@ -166,7 +168,7 @@ class Linearised:
     def _with_accelerometer(self, model: ContinuousModel, bandwidth_hz: float) -> ContinuousModel:
         """Return the same system with three outputs more, `w^2 s^2 / (s^2 + sqrt(2) w s + w^2)` of the tool's position."""
         if not 0 < bandwidth_hz < np.inf:
-            raise InputError(f"an accelerometer's bandwidth must be positive, not {bandwidth_hz:g} Hz")
+            raise InputError("invalid_value", f"an accelerometer's bandwidth must be positive, not {bandwidth_hz:g} Hz")
         w, n, m = 2 * np.pi * bandwidth_hz, model.order, len(model.inputs)
         C, D = model.C[self.na :], model.D[self.na :]
         eye, none = np.eye(3), np.zeros((3, 3))

@@ -193,10 +193,14 @@ class Mechanism(ABC):
         for x in checked:
             if x.shape != checked[0].shape or x.shape[1] != self.robot.na:
                 joints = ", ".join(self.robot.actuated)
-                raise InputError(f"expected arrays of shape (N, {self.robot.na}) for {joints}, not {x.shape}")
+                raise InputError(
+                    "wrong_shape", f"expected arrays of shape (N, {self.robot.na}) for {joints}, not {x.shape}"
+                )
             if not np.isfinite(x).all():
                 row = int(np.argmin(np.isfinite(x).all(axis=1)))
-                raise InputError(f"sample {row + 1} of the motion holds {x[row]}; all must be finite numbers")
+                raise InputError(
+                    "bad_sample", f"sample {row + 1} of the motion holds {x[row]}; all must be finite numbers"
+                )
         return checked
 
 

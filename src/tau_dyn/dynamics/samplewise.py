@@ -84,7 +84,7 @@ class SamplewiseTree(Mechanism):
         (q,) = self._checked(q)
         frame = self.robot.tool_frame
         if frame is None:
-            raise InputError(f"{self.robot.source}: the robot file has no frame named tool")
+            raise InputError("unsupported", f"{self.robot.source}: the robot file has no frame named tool")
         out = np.empty((len(q), 3))
         for k in range(len(q)):
             pin.framesForwardKinematics(self.model, self.data, self.solver.close(q[k]))
@@ -164,7 +164,7 @@ class SamplewiseTree(Mechanism):
         """Return the tool's velocity per tree velocity (3, nv) at a tree's configuration (nq,)."""
         frame = self.robot.tool_frame
         if frame is None:
-            raise InputError(f"{self.robot.source}: the robot file has no frame named tool")
+            raise InputError("unsupported", f"{self.robot.source}: the robot file has no frame named tool")
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         jacobian = pin.computeFrameJacobian(self.model, self.data, q, frame, axes)
         return jacobian.reshape(6, self.model.nv)[:3]  # eigenpy hands a single column out as a vector
@@ -226,8 +226,9 @@ class SamplewiseTree(Mechanism):
         pulled = np.abs(free.T @ weight).max() > 1e-6 * max(np.abs(weight).max(), 1e-12)
         if driven or pulled:
             raise InputError(
+                "unsupported",
                 f"{self.robot.source}: loops and actuated joints ({', '.join(self.robot.actuated)}) leave "
-                f"{free.shape[1]} motion(s) of the passive joints free; name more actuated joints"
+                f"{free.shape[1]} motion(s) of the passive joints free; name more actuated joints",
             )
 
     def _parameter_map(self) -> np.ndarray:

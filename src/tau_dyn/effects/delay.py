@@ -61,7 +61,7 @@ class Delay(TimingEffect):
         """Delay the forces of these joints alike; see `Effect.__init__`."""
         super().__init__(joints, units, label=label, **settings)
         if self.settings["about"] == 0:
-            raise InputError("setting about of effect delay must not be zero; its sign is the delay's")
+            raise InputError("invalid_value", "setting about of effect delay must not be zero; its sign is the delay's")
         if abs(self.settings["about"]) <= MAX_TWIN_S:
             self.equivalent = (*type(self).equivalent, "drive_lag")
 

@@ -93,15 +93,24 @@ class Effect(ABC):
         for key, value in settings.items():
             if key not in self.defaults:
                 known = ", ".join(self.defaults) or "none"
-                raise InputError(f"effect {self.name} has no setting '{key}'; it has {known}")
+                raise InputError("invalid_value", f"effect {self.name} has no setting '{key}'; it has {known}")
             if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-                raise InputError(f"setting {key} of effect {self.name} must be a finite number, not {value!r}")
+                raise InputError(
+                    "invalid_value", f"setting {key} of effect {self.name} must be a finite number, not {value!r}"
+                )
             if key in self.whole and (value < 1 or value != int(value)):
-                raise InputError(f"setting {key} of effect {self.name} must be a whole number from 1 up, not {value!r}")
+                raise InputError(
+                    "invalid_value",
+                    f"setting {key} of effect {self.name} must be a whole number from 1 up, not {value!r}",
+                )
             if key in self.whole and value > MAX_TERMS:
-                raise InputError(f"setting {key} of effect {self.name} is {value!r}; it may be {MAX_TERMS} at most")
+                raise InputError(
+                    "invalid_value", f"setting {key} of effect {self.name} is {value!r}; it may be {MAX_TERMS} at most"
+                )
             if key in self.positive and value <= 0:
-                raise InputError(f"setting {key} of effect {self.name} must be above zero, not {value!r}")
+                raise InputError(
+                    "invalid_value", f"setting {key} of effect {self.name} must be above zero, not {value!r}"
+                )
         self.settings: dict[str, float] = {**self.defaults, **{k: float(x) for k, x in settings.items()}}
 
     def with_settings(self, **settings: float) -> Self:
@@ -193,7 +202,10 @@ class Effect(ABC):
     def _indices(self, motion: Motion) -> list[int]:
         missing = [j for j in self.joints if j not in motion.joints]
         if missing:
-            raise InputError(f"effect {self.name} acts on joint '{missing[0]}'; there are {', '.join(motion.joints)}")
+            raise InputError(
+                "invalid_value",
+                f"effect {self.name} acts on joint '{missing[0]}'; there are {', '.join(motion.joints)}",
+            )
         return [motion.joints.index(j) for j in self.joints]
 
 
@@ -203,4 +215,4 @@ def name_effect_in_errors(effect: Effect) -> Iterator[None]:
     try:
         yield
     except InputError as fault:
-        raise InputError(str(fault).replace("this effect", f"effect {effect.name}", 1)) from fault
+        raise InputError(fault.code, str(fault).replace("this effect", f"effect {effect.name}", 1)) from fault

@@ -65,7 +65,9 @@ class Hysteresis(JointwiseDisplacement):
     def measured(self) -> bool:
         """Only the displacement is the encoder's."""
         if self.settings["displaced"] not in (0, 1):
-            raise InputError("setting displaced of effect hysteresis is 0 (a force) or 1 (a displacement)")
+            raise InputError(
+                "invalid_value", "setting displaced of effect hysteresis is 0 (a force) or 1 (a displacement)"
+            )
         return self.settings["displaced"] == 1
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:

@@ -43,7 +43,8 @@ class JointCompliance(JointwiseDisplacement):
         """Return the force that the spring carries."""
         if self.settings["friction"] not in (0, 1):
             raise InputError(
-                "setting friction of effect joint_compliance is 1 (the spring carries it) or 0 (it does not)"
+                "invalid_value",
+                "setting friction of effect joint_compliance is 1 (the spring carries it) or 0 (it does not)",
             )
         return [joint.signal("force" if self.settings["friction"] else "rigid_force")]
 

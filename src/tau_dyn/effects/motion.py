@@ -83,5 +83,5 @@ class JointMotion:
 def _signal(signals: Mapping[str, np.ndarray], name: str) -> np.ndarray:
     """Return a signal; which effect misses it is said by `effect.naming`."""
     if name not in signals:
-        raise InputError(f"this effect feels {name}, which the motion does not give")
+        raise InputError("unsupported", f"this effect feels {name}, which the motion does not give")
     return signals[name]

@@ -54,7 +54,7 @@ class ReducerCoupling(Effect):
         """Couple exactly two joints, whose forces are in these units."""
         super().__init__(joints, units, label=label, **settings)
         if len(self.joints) != 2:
-            raise InputError(f"reducer_coupling joins two joints, not {len(self.joints)}")
+            raise InputError("invalid_value", f"reducer_coupling joins two joints, not {len(self.joints)}")
 
     @property
     def parameters(self) -> Parameters:

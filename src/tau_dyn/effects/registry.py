@@ -35,18 +35,24 @@ def register(effect: E) -> E:
     name = getattr(effect, "name", None)
     if not (isinstance(effect, type) and issubclass(effect, Effect)) or isabstract(effect):
         raise InputError(
-            f"{effect!r} is no effect: derive it from Effect or JointwiseEffect, with all that they leave open"
+            "invalid_value",
+            f"{effect!r} is no effect: derive it from Effect or JointwiseEffect, with all that they leave open",
         )
     if not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
-        raise InputError(f"effect {effect.__name__} needs a name of small letters, digits and _, not {name!r}")
+        raise InputError(
+            "invalid_value", f"effect {effect.__name__} needs a name of small letters, digits and _, not {name!r}"
+        )
     known = EFFECTS.get(name)
     if known is not None and not _again(known, effect):
         raise InputError(
-            f"there is an effect '{name}' already, {known.__module__}.{known.__qualname__}; name yours otherwise"
+            "unsupported",
+            f"there is an effect '{name}' already, {known.__module__}.{known.__qualname__}; name yours otherwise",
         )
     missing = [key for key in _SAID_BY_A_CAUSE if effect.cause and not getattr(effect, key, "")]
     if missing:
-        raise InputError(f"effect {name} is a cause and has no {missing[0]}, which the answer tells people")
+        raise InputError(
+            "invalid_value", f"effect {name} is a cause and has no {missing[0]}, which the answer tells people"
+        )
     EFFECTS[name] = effect
     return effect
 

@@ -80,7 +80,8 @@ class StructuralCompliance(JointwiseDisplacement):
         super().__init__(joints, units, label=label, **settings)
         if self.settings["modes"] > MAX_MODES:
             raise InputError(
-                f"setting modes of effect {self.name} is {MAX_MODES} at most, not {self.settings['modes']:g}"
+                "invalid_value",
+                f"setting modes of effect {self.name} is {MAX_MODES} at most, not {self.settings['modes']:g}",
             )
         self.refined = tuple(f"{key}{end}" for end in self._ends for key in ("frequency", "damping"))
 

@@ -60,7 +60,8 @@ class TimingEffect(Effect):
         """Return force per second of the amplitude (N, na, 1), at samples in the order of time."""
         if motion.t is None:
             raise InputError(
-                f"effect {self.name} needs samples in the order of time; it acts on a recording, not on a single state"
+                "unsupported",
+                f"effect {self.name} needs samples in the order of time; it acts on a recording, not on a single state",
             )
         force, out = motion.signal("force"), np.zeros((*motion.v.shape, 1))
         for k in self._indices(motion):

@@ -54,6 +54,7 @@ def solve_least_squares(
     base = find_base(np.concatenate([rows.W, rows.prior_W]), rows.names, units=units)
     if base.rank == 0 or rows.count.sum() <= base.rank:
         raise CannotAnswer(
+            "too_little_data",
             f"only {rows.count.sum()} usable samples for {max(base.rank, 1)} parameters",
             "record a longer motion that moves every joint in both directions",
         )

@@ -48,6 +48,7 @@ def combine_parameters(estimate: Estimate, weights: Mapping[str, float]) -> Para
         names = [base.names[c] for c in base.dropped[unseen]]
         text = " + ".join(f"{x:g}*{name}" for name, x in weights.items())
         raise CannotAnswer(
+            "not_identifiable",
             f"the data do not identify {text}; what they see holds other shares of {', '.join(names)}",
             "ask for a base parameter's expression, or record a motion that tells these apart",
         )

@@ -148,14 +148,16 @@ def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[Inert
             break
     if x.value is None and not bodies:  # bounds alone always leave room
         raise CannotAnswer(
+            "too_little_data",
             f"{x.size} parameters are too many for so short or dull a log",
             "record 10 s or more of varied motion of all joints",
         )
     if x.value is None:
         listed = ", ".join(body.name for body in bodies) or "the bounds"
         raise InputError(
+            "infeasible",
             f"no admissible parameters exist ({problem.status}): what is fixed or bounded contradicts itself or the physics of "
-            f"{listed}"
+            f"{listed}",
         )
 
 

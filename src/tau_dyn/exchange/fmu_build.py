@@ -50,10 +50,13 @@ def compile_library(source: str, with_: str) -> bytes:
                 [with_, *_FLAGS, str(text), "-o", str(library), "-lm"], capture_output=True, text=True, timeout=SECONDS
             )
         except (OSError, subprocess.TimeoutExpired) as fault:
-            raise InputError(f"the C compiler {with_} did not run ({fault}); name another one in CC") from None
+            raise InputError(
+                "not_available", f"the C compiler {with_} did not run ({fault}); name another one in CC"
+            ) from None
         if done.returncode or not library.is_file():
             why = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
             raise InputError(
-                f"the C compiler {with_} did not take the FMU's source ({why.strip()}); name another one in CC"
+                "not_available",
+                f"the C compiler {with_} did not take the FMU's source ({why.strip()}); name another one in CC",
             )
         return library.read_bytes()

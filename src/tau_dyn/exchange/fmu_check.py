@@ -31,8 +31,9 @@ def compute_largest_difference(equations: Equations) -> float:
         difference = np.max(np.abs(found - expected)) / max(float(np.max(np.abs(expected))), 1e-300)
         if not difference < AGREEMENT or not fine.all():
             raise InputError(
+                "unsupported",
                 f"{model.robot.source}: the traced {' and '.join(part.gives)} differ from the simulator's by {difference:.2g}, "
-                "so no FMU is written"
+                "so no FMU is written",
             )
         worst = max(worst, float(difference))
     return worst

@@ -74,7 +74,9 @@ def build_equations(model: Model) -> Equations:
         return _built(model)
     except TypeError as fault:
         names = ", ".join(effect.name for effect in model.effects) or "no effects"
-        raise InputError(f"{model.robot.source} with {names} cannot be written as an FMU: it uses {fault}") from fault
+        raise InputError(
+            "unsupported", f"{model.robot.source} with {names} cannot be written as an FMU: it uses {fault}"
+        ) from fault
 
 
 def _built(model: Model) -> Equations:

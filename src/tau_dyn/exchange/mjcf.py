@@ -42,7 +42,9 @@ def build_mjcf(model: Model) -> Exported:
     robot = model.robot
     joints = list_joints(robot.model)
     if joints is None:
-        raise InputError(f"{robot.source}: MJCF is written for robots of joints with one degree of freedom each")
+        raise InputError(
+            "unsupported", f"{robot.source}: MJCF is written for robots of joints with one degree of freedom each"
+        )
     root = Element("mujoco", model=robot.name)
     root.append(Comment(f" {format_header(model)} "))
     SubElement(root, "compiler", angle="radian", autolimits="true", boundmass="1e-9", boundinertia="1e-12")

@@ -85,11 +85,14 @@ class Bounds:
         if box is not None:
             tool = model.mechanism.tool_position(robot.home[None])[0]
             if np.any(box[0] >= box[1]):
-                raise InputError("the tool's box must be given as its lowest corner, then its highest: X Y Z X Y Z")
+                raise InputError(
+                    "invalid_value", "the tool's box must be given as its lowest corner, then its highest: X Y Z X Y Z"
+                )
             if np.any((tool < box[0]) | (tool > box[1])):
                 place = ", ".join(f"{x:.3g}" for x in tool)
                 raise InputError(
-                    f"the tool's box does not hold the tool at home ({place}) m, where every motion starts"
+                    "invalid_value",
+                    f"the tool's box does not hold the tool at home ({place}) m, where every motion starts",
                 )
         speed = np.minimum(speed, (1 - MARGIN) * robot.velocity_limit)
         most = compute_condition_bound(model) if condition is None else condition

@@ -112,7 +112,9 @@ def design_motion(
     progress(f"{trials} random motions")
     start, value, finished = _searched(search, rng, trials)
     if search.best is None or start is None:
-        raise InputError(f"{model.robot.source}: no motion around home was found within the limits in {seconds:g} s")
+        raise InputError(
+            "unreachable", f"{model.robot.source}: no motion around home was found within the limits in {seconds:g} s"
+        )
     progress("predicting")
     chosen, random = (build_full_motion(model, layout, x) for x in (search.best, start))
     taken = time.monotonic() - begun
@@ -159,9 +161,11 @@ def _refuse(criterion: str, trials: int, duration: float) -> None:
     if criterion not in CRITERIA:
         raise UnknownName("criterion", criterion, CRITERIA)
     if trials < 1:
-        raise InputError(f"a search needs at least one random motion to start from, not {trials}")
+        raise InputError("invalid_value", f"a search needs at least one random motion to start from, not {trials}")
     if not SHORTEST_S <= duration <= LONGEST_S:
-        raise InputError(f"an optimal motion takes between {SHORTEST_S:g} s and an hour, not {duration:g} s")
+        raise InputError(
+            "invalid_value", f"an optimal motion takes between {SHORTEST_S:g} s and an hour, not {duration:g} s"
+        )
 
 
 def _bounds(
@@ -235,7 +239,9 @@ def _generic(model: Model, series: Series, waves: MotionProfile, rng: np.random.
             x = 0.9 * x
         else:
             return path
-    raise InputError(f"{model.robot.source}: the loops do not close anywhere around home, so no motion is possible")
+    raise InputError(
+        "unreachable", f"{model.robot.source}: the loops do not close anywhere around home, so no motion is possible"
+    )
 
 
 def _information(model: Model, noise: Noise, fast_hz: float, path: MotionProfile) -> Information:
@@ -259,7 +265,8 @@ def _per_joint(model: Model, name: str, given: Sequence[float] | None, default: 
     x = np.asarray(given, float).ravel()
     if len(x) not in (1, model.robot.na) or not np.all(x > 0):
         raise InputError(
-            f"the highest {name} must be a positive number, or one for each of {', '.join(model.robot.actuated)}"
+            "wrong_shape",
+            f"the highest {name} must be a positive number, or one for each of {', '.join(model.robot.actuated)}",
         )
     return np.broadcast_to(x, (model.robot.na,)).copy()
 

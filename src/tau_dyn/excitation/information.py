@@ -73,7 +73,9 @@ class Information:
         base = find_base(W, tuple(p.name for p in free), units=[p.unit for p in free])
         if base.rank == 0:
             raise CannotAnswer(
-                "no free parameter shows in the forces of this robot", "free some with --free, or name another model"
+                "not_identifiable",
+                "no free parameter shows in the forces of this robot",
+                "free some with --free, or name another model",
             )
         rows = model.parameters.select([base.names[k] for k in base.kept])
         values = base.combine(np.array([model.parameters[name].value for name in base.names]))

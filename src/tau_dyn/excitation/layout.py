@@ -36,7 +36,7 @@ def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> Mo
         InputError: The share is none, or what is left for the series holds too few harmonics.
     """
     if not 0 <= share < 1:
-        raise InputError(f"strokes take a share of the duration from 0 to below 1, not {share:g}")
+        raise InputError("invalid_value", f"strokes take a share of the duration from 0 to below 1, not {share:g}")
     model, after = bounds.model, None
     if share * duration >= _STROKES_S - 1e-9:
         after = build_stroke_motion(model, round(share * duration, 3), 0)
@@ -47,8 +47,9 @@ def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> Mo
     harmonics = int(np.floor(fast_hz * left / periods + 1e-9))
     if harmonics < _MIN_HARMONICS:
         raise InputError(
+            "invalid_value",
             f"{fast_hz:g} Hz leaves {harmonics} harmonics in a period of {left / periods:.3g} s; a design needs at least "
-            f"{_MIN_HARMONICS}: take a longer motion or a higher --fastest"
+            f"{_MIN_HARMONICS}: take a longer motion or a higher --fastest",
         )
     return MotionLayout(after, Series(model.robot.home, compute_reach(model), left / periods, harmonics, periods))
 
@@ -74,5 +75,5 @@ def build_full_motion(model: Model, layout: MotionLayout, x: np.ndarray) -> Traj
     motion = Trajectory(model.robot.actuated, clock, *path, "optimal")
     broken = describe_exceeded_limit(model, motion, condition=np.inf)
     if broken:
-        raise InputError(f"{model.robot.source}: the designed motion breaks a limit: {broken}")
+        raise InputError("unreachable", f"{model.robot.source}: the designed motion breaks a limit: {broken}")
     return motion

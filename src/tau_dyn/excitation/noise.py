@@ -54,10 +54,12 @@ class Noise:
         for name, values in (("force", force), ("encoder", encoder)):
             x = np.asarray(values, float).ravel()
             if len(x) not in (1, na):
-                raise InputError(f"{name} noise: give {PER_JOINT.format(na)}, not {len(x)}")
+                raise InputError("wrong_shape", f"{name} noise: give {PER_JOINT.format(na)}, not {len(x)}")
             found.append(np.broadcast_to(x, (na,)).copy())
         if not np.all(found[0] > 0):
-            raise InputError("force noise must be above zero; without noise every motion tells everything")
+            raise InputError(
+                "invalid_value", "force noise must be above zero; without noise every motion tells everything"
+            )
         return cls(found[0], found[1], rate_hz, source)
 
     @classmethod

@@ -157,6 +157,7 @@ def refuse_memory(model: Model) -> None:
     for effect in model.effects:
         if isinstance(effect, Hysteresis) or {"reversal", "temperature"} & set(effect.needs):
             raise InputError(
+                "unsupported",
                 f"effect {effect.name} remembers more than a block of a recording holds; give logs that fit in memory "
-                "(split the recording, or take the effect out of the model)"
+                "(split the recording, or take the effect out of the model)",
             )

@@ -82,7 +82,7 @@ class Choices:
                 raise UnknownName("actuated joint", pattern, joints)
             _, value, sigma = _fixed(text)
             if value is None or value <= 0:
-                raise InputError(f"--fix {text}: a drive gain is a positive factor, such as 1+-0.02")
+                raise InputError("bad_option", f"--fix {text}: a drive gain is a positive factor, such as 1+-0.02")
             found.update({j: (value, (sigma or 0.0) / value) for j in chosen})
         return found
 
@@ -98,7 +98,9 @@ def scale_outputs(regression: Regression, factors: dict[str, float]) -> Regressi
 def _refuse_outside(parameters: Parameters) -> None:
     for p in parameters:
         if p.origin == "given" and not p.lower <= p.value <= p.upper:
-            raise InputError(f"{p.name}={p.value:g} {p.unit} lies outside its bounds, {p.lower:g} to {p.upper:g}")
+            raise InputError(
+                "invalid_value", f"{p.name}={p.value:g} {p.unit} lies outside its bounds, {p.lower:g} to {p.upper:g}"
+            )
 
 
 def _is_gain(name: str) -> bool:
@@ -112,7 +114,7 @@ def _fixed(text: str) -> tuple[str, float | None, float | None]:
     value, uncertain, sigma = rest.replace("±", "+-").partition("+-")
     deviation = _number(sigma, text) if uncertain else None
     if deviation is not None and deviation <= 0:
-        raise InputError(f"--fix {text}: the uncertainty after +- must be positive")
+        raise InputError("bad_option", f"--fix {text}: the uncertainty after +- must be positive")
     return pattern, _number(value, text), deviation
 
 
@@ -120,11 +122,11 @@ def _bounded(text: str) -> tuple[str, float, float]:
     pattern, _, rest = text.partition("=")
     low, colon, high = rest.partition(":")
     if not colon:
-        raise InputError(f"--bound {text}: write NAME=LO:HI, either may be empty")
+        raise InputError("bad_option", f"--bound {text}: write NAME=LO:HI, either may be empty")
     lower = _number(low, text) if low else float("-inf")
     upper = _number(high, text) if high else float("inf")
     if lower > upper:
-        raise InputError(f"--bound {text}: the lower bound is above the upper one")
+        raise InputError("bad_option", f"--bound {text}: the lower bound is above the upper one")
     return pattern, lower, upper
 
 
@@ -135,6 +137,7 @@ def _number(word: str, text: str) -> float:
         value = float("nan")
     if not abs(value) < 1e15:
         raise InputError(
-            f"'{text}': '{word}' is not a finite number of sensible size; write NAME=VALUE, such as plate_link.mass=9.13"
+            "bad_option",
+            f"'{text}': '{word}' is not a finite number of sensible size; write NAME=VALUE, such as plate_link.mass=9.13",
         )
     return value

@@ -62,11 +62,11 @@ class Estimator:
     def __post_init__(self) -> None:
         """Refuse an unknown name, and logs or models that the one asked for cannot take."""
         if self.kind not in ESTIMATORS:
-            raise InputError(f"estimator '{self.kind}' is none of {', '.join(ESTIMATORS)}")
+            raise InputError("bad_option", f"estimator '{self.kind}' is none of {', '.join(ESTIMATORS)}")
         if self.kind in ("ml", "iv", "robust"):
             fault = self._fault(self.kind)
             if fault:
-                raise InputError(f"--estimator {self.kind}: {fault}")
+                raise InputError("bad_option", f"--estimator {self.kind}: {fault}")
 
     def __call__(self, first: Estimate) -> Estimate:
         """Return the estimate that answers, given weighted least squares on a regression of the pieces or of parts of them."""

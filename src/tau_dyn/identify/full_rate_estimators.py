@@ -90,7 +90,9 @@ def estimate_full_rate(
         for s in (build_full_rate_equations(at, piece, preparation) for piece in pieces)
     )
     if sum(int(s.keep.sum()) for s in stretches) <= 10 * first.base.rank:
-        raise CannotAnswer("too few samples are left where every sign is sure", "record a longer motion")
+        raise CannotAnswer(
+            "too_little_data", "too few samples are left where every sign is sure", "record a longer motion"
+        )
     fit = _Fit(at, first, stretches, any(sigma for _, sigma in gains.values()))
     references = tuple(_reference_columns(at, s, preparation) for s in stretches) if kind == "iv" else None
     solution, rows, factor = fit.robust() if kind == "robust" else fit.settled(references)

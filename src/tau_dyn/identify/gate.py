@@ -69,7 +69,7 @@ def find_excluded_samples(
     bad = np.abs(log.joint("tau", joints)) >= SATURATION_RATIO * effort_limit
     for column in columns:
         if column not in log.channels:
-            raise InputError(f"{log.name} has no column {column} to exclude samples by")
+            raise InputError("missing_column", f"{log.name} has no column {column} to exclude samples by")
         bad |= (log.channels[column] != 0)[:, None]
     return bad
 
@@ -86,4 +86,4 @@ def refuse_jumps(log: Log, robot: Robot, columns: tuple[str, ...]) -> None:
     for joint, kind, fastest in zip(robot.actuated, robot.joint_kinds, robot.velocity_limit, strict=True):
         found = check_jumps(log, joint, revolute=kind != "prismatic", fastest=float(fastest), left_out=left_out)
         if found is not None:
-            raise InputError(f"{found.sentence} {found.remedy}")
+            raise InputError("bad_sample", f"{found.sentence} {found.remedy}")

@@ -27,6 +27,7 @@ from tau_dyn.identify.estimate_warnings import (
     list_equivalent_models,
     list_estimate_warnings,
     list_friction_sign_warnings,
+    list_held_out_warnings,
     list_inertia_scale_warnings,
     list_unjudged_joint_warnings,
 )
@@ -135,7 +136,7 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     """Do what `identify` says, leaving in `warnings` what was doubtful even if no answer comes."""
     model = ask.choices.apply(build_model(ask.robot, ask.model))
     if not model.parameters.free.any():
-        raise InputError("every parameter is fixed; nothing is left to estimate")
+        raise InputError("bad_option", "every parameter is fixed; nothing is left to estimate")
     gains = ask.choices.gains(model.robot.actuated)
     data, held_out = _data(ask, model, {joint: factor for joint, (factor, _) in gains.items()}, warnings)
     ask.progress("columns")
@@ -160,6 +161,7 @@ def _identify(ask: _Request, warnings: list[str]) -> Identification:
     _refuse_if_nothing_determined(estimate)
     train = build_force_errors(training, estimate.theta)
     warnings += list_unjudged_joint_warnings(train, held.errors)
+    warnings += list_held_out_warnings(train, held.errors if held_out.logs else None)
     return Identification(
         model=replace(
             model.with_parameters(estimate.parameters), provenance=_provenance(data.logs, held_out.logs, ask.seed)
@@ -225,7 +227,8 @@ def refuse_in_blocks(estimator: str, streams: bool) -> None:
     """Refuse estimators that look at all rows again and again, where the rows are on disk."""
     if streams and estimator not in ("wls", "auto"):
         raise InputError(
-            f"estimator {estimator} needs all rows in memory, and a recording is too large; use wls, or give an excerpt"
+            "unsupported",
+            f"estimator {estimator} needs all rows in memory, and a recording is too large; use wls, or give an excerpt",
         )
 
 
@@ -245,7 +248,9 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
         model = Model.load(model)
     if model.robot.actuated != robot.actuated:
         theirs = ", ".join(model.robot.actuated)
-        raise InputError(f"the model is of a robot with joints {theirs}; this one has {', '.join(robot.actuated)}")
+        raise InputError(
+            "mismatch", f"the model is of a robot with joints {theirs}; this one has {', '.join(robot.actuated)}"
+        )
     return free_drive_inertias(model.on(robot))
 
 
@@ -286,6 +291,7 @@ def _settled_or_scarce(
         if training.everything is not None or held >= rank:
             raise
         raise TooShort(
+            "too_little_data",
             f"the logs hold about {held:.0f} independent values for {rank} parameters and combinations",
             "record half a minute or more, in both directions and over several speeds",
         ) from fault
@@ -328,6 +334,7 @@ def _refuse_if_nothing_determined(estimate: Estimate) -> None:
         return
     suspected = "".join(f" ({text})" for text in list_friction_sign_warnings(estimate)[:1])
     raise CannotAnswer(
+        "not_identifiable",
         f"this motion determines no parameter, alone or in combination, to within 30 %{suspected}",
         f"move {', '.join(estimate.regression.outputs)} in both directions over several speeds, accelerate more than the "
         "noise shows, and let the model have friction (--model asymmetric)",
@@ -342,7 +349,9 @@ def _refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regress
     flat = [j for j in flat if not all(_flat(log, "q", j) for log in here)]
     if flat:
         raise CannotAnswer(
-            f"the logged force of {', '.join(flat)} never changes", "log the drives' forces and repeat the motion"
+            "poor_excitation",
+            f"the logged force of {', '.join(flat)} never changes",
+            "log the drives' forces and repeat the motion",
         )
 
 

@@ -30,7 +30,7 @@ def get_log_list(logs: Log | Recording | Iterable[Log | Recording]) -> list[Log 
     if isinstance(logs, Log | Recording):
         return [logs]
     if isinstance(logs, str | Path):
-        raise InputError(f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
+        raise InputError("invalid_value", f"{str(logs)[:80]} is a path, not a Log; read it with read_log(path)")
     return list(logs)
 
 
@@ -117,7 +117,8 @@ def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
         ):
             commands = " and commands" if log.has("cmd", robot.actuated[:1]) else ""
             raise InputError(
+                "missing_column",
                 f"{log.name} holds positions{commands} and no force; log each drive's force (tau_{robot.actuated[0]}), or its "
                 "current, which a column map scales by torque constant and gear ratio; tool positions (x_tool, y_tool, z_tool) "
-                "are diagnosed without forces"
+                "are diagnosed without forces",
             )

@@ -93,15 +93,19 @@ def choose_preparation(
     short = min(logs, key=lambda log: log.n_samples)
     if short.n_samples < MIN_SEGMENT_SAMPLES:
         raise InputError(
-            f"{short.name} has {short.n_samples} samples in a row; {MIN_SEGMENT_SAMPLES} are needed to say anything"
+            "too_little_data",
+            f"{short.name} has {short.n_samples} samples in a row; {MIN_SEGMENT_SAMPLES} are needed to say anything",
         )
     rate = min(log.rate_hz for log in logs)
     if rate < MIN_RATE_HZ:
-        raise InputError(f"{logs[0].name} is sampled at {rate:.3g} Hz; t must be in s (does it stand in ms or us?)")
+        raise InputError(
+            "wrong_unit", f"{logs[0].name} is sampled at {rate:.3g} Hz; t must be in s (does it stand in ms or us?)"
+        )
     bands = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     edge = max(float(band.edge_hz.max()) for band in bands)
     if edge <= 0:
         raise CannotAnswer(
+            "poor_excitation",
             f"no joint moves above its encoder's noise in {', '.join(log.name for log in logs)}",
             f"move {', '.join(robot.actuated)} in both directions, over several speeds, for a minute or more",
         )

@@ -60,7 +60,7 @@ def build_regression(
     logs = list(logs)
     pieces = [piece for log in logs for piece in resample_segments(log)]
     if not logs:
-        raise InputError("no log was given")
+        raise InputError("missing_input", "no log was given")
     if not pieces:
         raise refuse_short(logs, MIN_SEGMENT_SAMPLES / logs[0].rate_hz)
     preparation = preparation or choose_from_long(pieces, lambda long: choose_preparation(model.robot, long, exclude))
@@ -246,11 +246,13 @@ def _nothing_left(model: Model, logs: list[Log], preparation: Preparation) -> Ca
     )
     if bad.mean() > 0.5:
         return CannotAnswer(
+            "bad_sample",
             f"{100 * bad.mean():.0f} % of the forces are flagged or at the drives' limits "
             f"({', '.join(f'{x:g}' for x in robot.effort_limit)})",
             "check the units of tau and the effort limits in the robot file, or record a gentler motion",
         )
     return CannotAnswer(
+        "poor_excitation",
         f"no joint moves steadily faster than its velocity noise ({_thresholds(preparation, model)})",
         f"move {', '.join(robot.actuated)} in both directions, over several speeds, for a minute or more",
     )

@@ -105,6 +105,7 @@ def refuse_short(pieces: Sequence[ShortSegment], needed_s: float) -> TooShort:
     names = ", ".join(dict.fromkeys(piece.name for piece in pieces))
     longest = max((piece.n_samples / piece.rate_hz for piece in pieces), default=0.0)
     return TooShort(
+        "too_little_data",
         f"no piece of {names} without a gap is long enough: the longest lasts {longest:.2g} s, and the filters that this "
         f"motion needs take {needed_s:.2g} s",
         EXPERIMENT,

@@ -46,9 +46,13 @@ def refuse_missing_temperature(model: Model, log: Log, measured: Mapping[str, np
         return
     columns = f"{ROOM_TEMPERATURE} or {', '.join(f'temp_{j}' for j in model.robot.actuated)}"
     if "temperature" not in measured:
-        raise InputError(f"{log.name} has no column {columns}, which effect {feeling[0]} of the model needs")
+        raise InputError(
+            "missing_column", f"{log.name} has no column {columns}, which effect {feeling[0]} of the model needs"
+        )
     if not np.all(np.isfinite(measured["temperature"])):
-        raise InputError(f"{log.name}: a sample of {columns}, which effect {feeling[0]} needs, is no finite number")
+        raise InputError(
+            "bad_sample", f"{log.name}: a sample of {columns}, which effect {feeling[0]} needs, is no finite number"
+        )
 
 
 def refuse_missing_campaign(model: Model, names: Sequence[str]) -> None:
@@ -57,6 +61,7 @@ def refuse_missing_campaign(model: Model, names: Sequence[str]) -> None:
         number = int(effect.settings.get("number", 0))
         if "campaign" in effect.needs and number >= len(names):
             raise InputError(
+                "unsupported",
                 f"effect {effect.name} sets log {number + 1} apart from others, and there is only {len(names)}: give the logs "
-                "in the order in which it was found, or fit the model without it"
+                "in the order in which it was found, or fit the model without it",
             )

@@ -126,7 +126,7 @@ def build_stream_regression(
     refuse_missing(model, [log for log in recordings if isinstance(log, Recording)], exclude)
     pieces = tuple(piece for log in recordings for piece in _pieces(log))
     if not pieces:
-        raise InputError(f"{recordings[0].name} has no stretch of 10 samples without a gap")
+        raise InputError("too_little_data", f"{recordings[0].name} has no stretch of 10 samples without a gap")
     preparation = preparation or choose_from_long(
         pieces, lambda long: choose_preparation(model.robot, sample_recordings(long, model, exclude), exclude)
     )
@@ -186,7 +186,9 @@ def refuse_missing(model: Model, recordings: Sequence[Recording], exclude: tuple
     for recording in recordings:
         for name in needed:
             if not recording.has(name):
-                raise InputError(f"{recording.name} has no column {name}; it has {', '.join(recording.columns)}.")
+                raise InputError(
+                    "missing_column", f"{recording.name} has no column {name}; it has {', '.join(recording.columns)}."
+                )
 
 
 def _pieces(log: Log | Recording) -> Sequence[EvenSegment | InMemorySegment]:

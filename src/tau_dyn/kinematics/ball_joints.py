@@ -102,7 +102,9 @@ def _hints(rods: Rods) -> list[tuple[int, int, np.ndarray | None, float | None]]
         if name not in rods.names:
             raise UnknownName("rod", name, rods.names, f"{where}: <ball_joint>")
         if side not in SIDES:
-            raise InputError(f"{where}: <ball_joint rod='{name}' side='{side}'>: side is cart or plate")
+            raise InputError(
+                "robot_structure", f"{where}: <ball_joint rod='{name}' side='{side}'>: side is cart or plate"
+            )
         axis, most = _axis(element.get("axis"), where, name), _angle(element.get("angle"), where, name)
         found.append((SIDES.index(side), rods.names.index(name), axis, most))
     return found
@@ -117,7 +119,9 @@ def _axis(text: str | None, where: str, name: str) -> np.ndarray | None:
         axis = np.zeros(0)
     size = float(np.linalg.norm(axis))
     if axis.shape != (3,) or not np.isfinite(size) or size < 1e-9:
-        raise InputError(f"{where}: <ball_joint rod='{name}' axis='{text}'> must hold three numbers, not all zero")
+        raise InputError(
+            "robot_structure", f"{where}: <ball_joint rod='{name}' axis='{text}'> must hold three numbers, not all zero"
+        )
     return axis / size
 
 
@@ -129,5 +133,7 @@ def _angle(text: str | None, where: str, name: str) -> float | None:
     except ValueError:
         angle = np.nan
     if not 0 < angle <= np.pi:
-        raise InputError(f"{where}: <ball_joint rod='{name}' angle='{text}'> must be between 0 and pi rad")
+        raise InputError(
+            "robot_structure", f"{where}: <ball_joint rod='{name}' angle='{text}'> must be between 0 and pi rad"
+        )
     return angle

@@ -41,7 +41,9 @@ def forward_kinematics(robot: Robot | Rods, q: np.ndarray, *, start: Poses | Non
     if start is not None:
         start = require_poses(start)
         if len(start.position) not in (1, len(q)):
-            raise InputError(f"start must hold one pose or {len(q)}, one a sample, not {len(start.position)}")
+            raise InputError(
+                "wrong_shape", f"start must hold one pose or {len(q)}, one a sample, not {len(start.position)}"
+            )
         start = start if rods is None else rods.plate_poses(start)
     plate, code = engine.forward(q, start)
     return ForwardResult(plate if rods is None else rods.tool_poses(plate), plate, code)
@@ -55,6 +57,6 @@ def solve_both_forward(rods: Rods, q: np.ndarray) -> np.ndarray:
     """
     engine = get_solver(rods)
     if not isinstance(engine, SlidingPlate):
-        raise InputError(f"{rods.robot.source}: two closed solutions are for plates that translate only")
+        raise InputError("unsupported", f"{rods.robot.source}: two closed solutions are for plates that translate only")
     positions = engine.both(require_positions(rods.robot, q))
     return positions + rods.rotation @ rods.tool.translation

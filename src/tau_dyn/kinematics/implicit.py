@@ -62,7 +62,9 @@ def _arms(rods: Rods) -> list[list[int]]:
     lengths = [rods.lengths[arm] for arm in arms.values()]
     unequal = any(np.ptp(length) > _EQUAL * length.mean() for length in lengths)
     if rods.translates or len(arms) != 3 or unequal or np.any(rods.numbers.slides >= 0):
-        raise InputError(f"{rods.robot.source}: the closed form needs a free plate on three arms of equally long rods")
+        raise InputError(
+            "unsupported", f"{rods.robot.source}: the closed form needs a free plate on three arms of equally long rods"
+        )
     return list(arms.values())
 
 

@@ -69,7 +69,9 @@ def inverse_kinematics(
         check_limits(owner)
     if rods is None:
         if configuration is not None:
-            raise InputError(f"{owner.source}: has no rods, hence no named configurations; give a start instead")
+            raise InputError(
+                "unsupported", f"{owner.source}: has no rods, hence no named configurations; give a start instead"
+            )
         return refuse_beyond_limits(owner, solve_tree_inverse(_tree(robot), poses, start, limits), limits)
     solver = _solver(rods)
     return refuse_beyond_limits(
@@ -121,12 +123,12 @@ def _tree(robot: Robot | Rods) -> TreeNewton:
 def _rods(robot: Robot | Rods) -> Rods:
     rods = get_rods(robot)
     if rods is None:
-        raise InputError(f"{get_robot(robot).source}: has no rods, hence no named configurations")
+        raise InputError("unsupported", f"{get_robot(robot).source}: has no rods, hence no named configurations")
     return rods
 
 
 def _starts(robot: Robot, start: np.ndarray, n: int) -> np.ndarray:
     start = require_positions(robot, start)
     if len(start) not in (1, n):
-        raise InputError(f"start must hold one row of positions or {n}, one a pose, not {len(start)}")
+        raise InputError("wrong_shape", f"start must hold one row of positions or {n}, one a pose, not {len(start)}")
     return np.repeat(start, n, axis=0) if len(start) != n else start

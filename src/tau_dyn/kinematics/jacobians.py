@@ -71,7 +71,7 @@ def compute_inverse_jacobian(robot: Robot | Rods, q: np.ndarray, poses: Poses | 
     """
     rods, q = get_rods(robot), require_positions(get_robot(robot), q)
     if rods is None:
-        raise InputError(f"{get_robot(robot).source}: has no rods; invert its Jacobian instead")
+        raise InputError("unsupported", f"{get_robot(robot).source}: has no rods; invert its Jacobian instead")
     return _by_tool(rods, q, _plate(rods, q, poses))
 
 
@@ -82,7 +82,7 @@ def compute_acceleration_bias(
     rods, q = get_rods(robot), require_positions(get_robot(robot), q)
     v = require_positions(get_robot(robot), v)
     if len(v) != len(q):
-        raise InputError(f"as many velocities as positions are needed, not {len(v)} and {len(q)}")
+        raise InputError("wrong_shape", f"as many velocities as positions are needed, not {len(v)} and {len(q)}")
     if rods is None:
         engine = get_solver(robot)
         assert isinstance(engine, TreePose)
@@ -112,7 +112,9 @@ def _plate(rods: Rods, q: np.ndarray, poses: Poses | None) -> Poses:
         return forward_kinematics(rods, q).plate
     poses = require_poses(poses)
     if len(poses.position) != len(q):
-        raise InputError(f"as many poses as positions are needed, not {len(poses.position)} and {len(q)}")
+        raise InputError(
+            "wrong_shape", f"as many poses as positions are needed, not {len(poses.position)} and {len(q)}"
+        )
     return rods.plate_poses(poses)
 
 

@@ -40,7 +40,8 @@ def check_limits(robot: Robot) -> None:
     for name, low, high in zip(robot.actuated, robot.lower, robot.upper, strict=True):
         if low > high:
             raise InputError(
-                f"{robot.source}: joint '{name}': its lower limit {low:g} is above its upper limit {high:g}"
+                "robot_structure",
+                f"{robot.source}: joint '{name}': its lower limit {low:g} is above its upper limit {high:g}",
             )
 
 

@@ -31,9 +31,7 @@ from tau_dyn.kinematics.tree_arrays import (
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
 _DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square
 _MAX_ITERATIONS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
-_MAX_PASSIVE_STEP = (
-    0.5  # [m or rad] what Newton may move a passive joint away from its guess; more may be another assembly mode
-)
+_MAX_PASSIVE_STEP = 0.5  # [m or rad] of a passive joint from its guess; more may be another assembly mode
 _MAX_CELLS_FROM_HOME = 2000  # cells from home beyond which positions are taken for a mistake of units
 _TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPACK
 

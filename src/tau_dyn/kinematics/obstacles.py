@@ -109,7 +109,7 @@ class _Reader:
         self.where = where
 
     def fault(self, text: str) -> NoReturn:
-        raise InputError(f"{self.where}: {text}")
+        raise InputError("file_format", f"{self.where}: {text}")
 
     def keys(self, given: Mapping[Any, Any], needed: set[str], optional: set[str]) -> None:
         unknown = [k for k in given if k not in needed | optional]
@@ -217,9 +217,11 @@ def add_limits(around: Surroundings, texts: Sequence[str]) -> Surroundings:
         except ValueError:
             ends = np.nan, np.nan
         if axis not in ("x", "y", "z") or not equals or not colon or np.isnan(ends).any():
-            raise InputError(f"a limit of the tool is an axis and two places, such as x=0.5:2.5, not '{text}'")
+            raise InputError(
+                "invalid_value", f"a limit of the tool is an axis and two places, such as x=0.5:2.5, not '{text}'"
+            )
         if not ends[0] < ends[1]:
-            raise InputError(f"the limits '{text}' are inverted: {ends[0]:g} is not below {ends[1]:g}")
+            raise InputError("invalid_value", f"the limits '{text}' are inverted: {ends[0]:g} is not below {ends[1]:g}")
         k = "xyz".index(axis)
         lower[k], upper[k] = max(lower[k], ends[0]), min(upper[k], ends[1])
     return Surroundings(around.obstacles, lower, upper)

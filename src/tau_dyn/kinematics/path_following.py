@@ -63,10 +63,10 @@ def follow_path(robot: Robot | Rods, path: Poses | np.ndarray, *, start: np.ndar
     """
     owner, by_pose = get_robot(robot), isinstance(path, Poses)
     if start is not None and not by_pose:
-        raise InputError("a path of actuated positions needs no start: its first sample is one")
+        raise InputError("invalid_value", "a path of actuated positions needs no start: its first sample is one")
     asked = require_poses(path) if isinstance(path, Poses) else require_positions(owner, path)
     if not len(asked[0] if isinstance(asked, Poses) else asked):
-        raise InputError("a path needs at least one sample")
+        raise InputError("too_little_data", "a path needs at least one sample")
     if isinstance(asked, Poses):
         here = None if start is None else require_positions(owner, start)[0]
         q, poses, reason = _solved(robot, asked, here)

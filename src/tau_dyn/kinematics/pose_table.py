@@ -97,7 +97,9 @@ def build_forward_table(robot: Robot, q: np.ndarray) -> PoseTable:
     """
     found = forward_kinematics(robot, q)
     if not found.ok.any():
-        raise InputError(f"{robot.source}: no pose at {_listed(robot, q[0])}: {found.reason[0]}{_row(q)}")
+        raise InputError(
+            "unreachable", f"{robot.source}: no pose at {_listed(robot, q[0])}: {found.reason[0]}{_row(q)}"
+        )
     beyond = (q < robot.lower - 1e-9) | (q > robot.upper + 1e-9)
     warnings = [
         f"{robot.actuated[k]} is outside its limits {robot.lower[k]:.6g} .. {robot.upper[k]:.6g} {robot.position_units[k]} "
@@ -118,7 +120,8 @@ def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool 
     found = inverse_kinematics(robot, poses)
     if not found.ok.any():
         raise InputError(
-            f"{robot.source}: {_place(poses)} cannot be reached: {_why(robot, found)}{_row(poses.position)}{_millimetres(poses)}"
+            "unreachable",
+            f"{robot.source}: {_place(poses)} cannot be reached: {_why(robot, found)}{_row(poses.position)}{_millimetres(poses)}",
         )
     warnings = _lost(found.reason)
     turned = found.ok & (found.orientation_error > _TOLD)
@@ -161,7 +164,8 @@ def _all(robot: Robot, poses: Poses) -> PoseTable:
     there = np.isfinite(q).all(axis=1)
     if not there.any():
         raise InputError(
-            f"{robot.source}: {_place(poses)} cannot be reached in any configuration{_row(poses.position)}"
+            "unreachable",
+            f"{robot.source}: {_place(poses)} cannot be reached in any configuration{_row(poses.position)}",
         )
     q, pose, name = q[there], pose[there], name[there]
     beyond = ((q < robot.lower - 1e-9) | (q > robot.upper + 1e-9)).any(axis=1)
@@ -200,7 +204,7 @@ def pick_columns(columns: dict[str, np.ndarray], names: list[str], where: str) -
     """
     for name in names:
         if name not in columns:
-            raise InputError(f"{where}: no column '{name}'; there are {', '.join(columns)}")
+            raise InputError("missing_column", f"{where}: no column '{name}'; there are {', '.join(columns)}")
     return np.stack([_numbers(columns[name], f"{where}: column '{name}'") for name in names], axis=1)
 
 
@@ -212,7 +216,7 @@ def _numbers(cells: np.ndarray, where: str) -> np.ndarray:
     try:
         return np.array([float(text) if text else np.nan for text in texts])
     except ValueError as fault:
-        raise InputError(f"{where} must hold numbers; {fault}") from fault
+        raise InputError("bad_sample", f"{where} must hold numbers; {fault}") from fault
 
 
 def _lost(reason: np.ndarray) -> list[str]:

@@ -64,12 +64,15 @@ def convert_from_quaternions(position: np.ndarray, quaternion: np.ndarray) -> Po
     quaternion = np.atleast_2d(np.asarray(quaternion, float))
     if position.shape[1:] != (3,) or quaternion.shape != (len(position), 4):
         raise InputError(
+            "wrong_shape",
             "a pose is a position x y z and a quaternion x y z w; "
-            f"the arrays have shapes {position.shape} and {quaternion.shape}"
+            f"the arrays have shapes {position.shape} and {quaternion.shape}",
         )
     size = np.max(np.abs(quaternion), axis=1, initial=0.0)
     if np.any(size < 1e-9):
-        raise InputError(f"the quaternion of pose {int(np.argmax(size < 1e-9)) + 1} is zero; it must have a direction")
+        raise InputError(
+            "bad_sample", f"the quaternion of pose {int(np.argmax(size < 1e-9)) + 1} is zero; it must have a direction"
+        )
     rotation = np.full((len(position), 3, 3), np.nan)
     sound = np.isfinite(size)
     if sound.any():
@@ -89,7 +92,8 @@ def require_poses(poses: Poses) -> Poses:
     rotation = rotation[None] if rotation.ndim == 2 else rotation
     if position.ndim != 2 or position.shape[1] != 3 or rotation.shape != (len(position), 3, 3):
         raise InputError(
-            f"poses need positions (N, 3) and rotations (N, 3, 3), not {position.shape} and {rotation.shape}"
+            "wrong_shape",
+            f"poses need positions (N, 3) and rotations (N, 3, 3), not {position.shape} and {rotation.shape}",
         )
     if rotation.strides[0] == 0:  # one rotation for all
         return Poses(position, _all_rotations(rotation[:1], len(position)))
@@ -102,5 +106,7 @@ def _all_rotations(rotation: np.ndarray, n: int) -> np.ndarray:
     wrong = (off > _ROTATION) | (np.linalg.det(known) < 0)
     if wrong.any():
         k = int(np.argmax(wrong))
-        raise InputError(f"the rotation of pose {k + 1} is not a rotation matrix: its columns must be orthonormal")
+        raise InputError(
+            "invalid_value", f"the rotation of pose {k + 1} is not a rotation matrix: its columns must be orthonormal"
+        )
     return np.broadcast_to(rotation, (n, 3, 3)) if len(rotation) == 1 else rotation

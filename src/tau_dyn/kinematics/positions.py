@@ -18,7 +18,8 @@ def require_positions(robot: Robot, q: np.ndarray) -> np.ndarray:
     q = q[None] if q.ndim == 1 else q
     if q.ndim != 2 or q.shape[1] != robot.na:
         raise InputError(
+            "wrong_shape",
             f"{robot.source} has {robot.na} actuated joints ({', '.join(robot.actuated)}); "
-            f"positions must be (N, {robot.na}), not {q.shape}"
+            f"positions must be (N, {robot.na}), not {q.shape}",
         )
     return q

@@ -27,6 +27,10 @@ _MEET = 1e-9  # [m] by how much lines may miss each other's point
 class NotRods(InputError):
     """The mechanism is no plate held by rods between actuated chains."""
 
+    def __init__(self, sentence: str) -> None:
+        """Build it from its sentence."""
+        super().__init__("unsupported", sentence)
+
 
 @dataclass(frozen=True, eq=False)
 class RodFound:

@@ -40,7 +40,9 @@ class RodInverse:
         signs = tuple(int(s) for s in configuration)
         if len(signs) != len(self.chains) or any(s not in c.signs for s, c in zip(signs, self.chains, strict=True)):
             wanted = ", ".join(" or ".join(map(str, chain.signs)) for chain in self.chains)
-            raise InputError(f"{self.rods.robot.source}: configuration {signs} does not exist; one holds ({wanted})")
+            raise InputError(
+                "invalid_value", f"{self.rods.robot.source}: configuration {signs} does not exist; one holds ({wanted})"
+            )
         return signs
 
     def signs_near(self, tool: Poses, q: np.ndarray) -> tuple[int, ...]:

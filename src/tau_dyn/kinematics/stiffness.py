@@ -57,7 +57,7 @@ def compute_compliance(rates: Rates, springs: Springs) -> np.ndarray:
     """
     soft_rods, soft_drives = 1.0 / springs.rods, 1.0 / springs.actuators
     if not soft_rods.any() and not soft_drives.any():
-        raise InputError("rods and actuators are rigid; give a stiffness of either")
+        raise InputError("unsupported", "rods and actuators are rigid; give a stiffness of either")
     J = compute_tool_jacobian(rates)
     total = np.einsum("nia,a,nja->nij", J, soft_drives, J)
     if soft_rods.any():
@@ -75,7 +75,10 @@ def compute_stiffness_matrix(rates: Rates, springs: Springs) -> np.ndarray:
     sound = np.isfinite(C).all(axis=(1, 2))
     K = np.full(C.shape, np.nan)
     if sound.any() and np.linalg.matrix_rank(_scaled(C[sound], rates.length), hermitian=True).min() < C.shape[1]:
-        raise InputError("some direction of the tool is rigid, so K is not finite; give rods and actuators a stiffness")
+        raise InputError(
+            "unsupported",
+            "some direction of the tool is rigid, so K is not finite; give rods and actuators a stiffness",
+        )
     K[sound] = np.linalg.inv(C[sound])
     return K
 

@@ -39,12 +39,15 @@ class TreePose:
         """
         if robot.tool_frame is None:
             raise InputError(
+                "unsupported",
                 f"{robot.source}: has no evident tool frame whose pose could be computed; name one with --tool FRAME "
-                '(load_robot(..., tool="FRAME"))'
+                '(load_robot(..., tool="FRAME"))',
             )
         joints = list_joints(robot.model)
         if joints is None:
-            raise InputError(f"{robot.source}: kinematics of a tree needs joints of one degree of freedom each")
+            raise InputError(
+                "unsupported", f"{robot.source}: kinematics of a tree needs joints of one degree of freedom each"
+            )
         self.robot, self.joints = robot, joints
         self.loops = LoopArrays(LoopSolver(robot), joints)
         frame = robot.model.frames[robot.tool_frame]

@@ -24,7 +24,7 @@ class CheckFinding:
     remedy: str = ""
     """What would help; empty where nothing has to."""
     code: str = ""
-    """Stable code, see docs/reference/warning_codes.md; empty where there is none."""
+    """Stable code, see docs/reference/message_codes.md; empty where there is none."""
 
 
 def build_fault(warning: str) -> CheckFinding:

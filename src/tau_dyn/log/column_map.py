@@ -92,10 +92,14 @@ class ColumnMap:
         rate_hz = _rate(name, entries)
         sources = {_our_name(name, key, value): _source(name, key, value, files) for key, value in entries.items()}
         if not sources:
-            raise InputError(f"{name} maps no column; give at least one line such as 'q_axis: position'.")
+            raise InputError(
+                "file_format", f"{name} maps no column; give at least one line such as 'q_axis: position'."
+            )
         unused = set(files) - {source.file for source in sources.values()}
         if unused:
-            raise InputError(f"{name}: no column is taken from file '{min(unused)}'; use it or leave it out of files.")
+            raise InputError(
+                "file_format", f"{name}: no column is taken from file '{min(unused)}'; use it or leave it out of files."
+            )
         return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name)
 
 
@@ -118,21 +122,24 @@ def _load_yaml(path: Path) -> dict[Any, Any]:
     except InputError:
         raise
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; give the path of a column map.") from None
+        raise InputError("file_not_found", f"{path}: there is no such file; give the path of a column map.") from None
     except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}; give a readable column map.") from None
+        raise InputError(
+            "cannot_read", f"{path} cannot be read: {error.strerror or error}; give a readable column map."
+        ) from None
     except UnicodeDecodeError:
-        raise InputError(f"{path.name} is not UTF-8; save the column map as UTF-8.") from None
+        raise InputError("cannot_read", f"{path.name} is not UTF-8; save the column map as UTF-8.") from None
     except YAML_FAULTS as error:
         mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
         line = f", line {mark.line + 1}" if mark is not None else ""
         raise InputError(
-            f"{path.name}{line}: this is not YAML as a map needs it ({problem or 'unreadable'})."
+            "file_format", f"{path.name}{line}: this is not YAML as a map needs it ({problem or 'unreadable'})."
         ) from None
     if not isinstance(entries, dict):
         example = "such as 'q_axis: position'"
         raise InputError(
-            f"{path.name} has to hold one 'our_column: their_column' a line, {example}, not {_kind(entries)}."
+            "file_format",
+            f"{path.name} has to hold one 'our_column: their_column' a line, {example}, not {_kind(entries)}.",
         )
     return entries
 
@@ -141,10 +148,11 @@ def _our_name(name: str, key: Any, value: Any = None) -> str:
     if not isinstance(key, str) or not is_contract_name(key):
         if isinstance(value, str) and is_contract_name(value):
             raise InputError(
-                f"{name}: '{key}: {value}' is the wrong way round; write '{value}: {key}', our name first."
+                "file_format",
+                f"{name}: '{key}: {value}' is the wrong way round; write '{value}: {key}', our name first.",
             )
         known = "t, files, couplings, temp_room, x_tool.. and " + ", ".join(f"{signal}_JOINT" for signal in SIGNALS)
-        raise InputError(f"{name}: key {key} is none of our column names, which are {known}.")
+        raise InputError("file_format", f"{name}: key {key} is none of our column names, which are {known}.")
     return key
 
 
@@ -153,20 +161,27 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
         return Source(value)
     if not isinstance(value, dict):
         raise InputError(
-            f"{name}: {key} has to be a column's name or {{column: .., scale: .., offset: ..}}, not {_kind(value)}."
+            "file_format",
+            f"{name}: {key} has to be a column's name or {{column: .., scale: .., offset: ..}}, not {_kind(value)}.",
         )
     unknown = [k for k in value if k not in SOURCE_KEYS]
     if unknown:
         hint = _HINTS.get(type(unknown[0]), _HINTS.get(unknown[0], ""))
-        raise InputError(f"{name}: {key} has a key {unknown[0]}; it may have {format_names(SOURCE_KEYS)}{hint}.")
+        raise InputError(
+            "file_format", f"{name}: {key} has a key {unknown[0]}; it may have {format_names(SOURCE_KEYS)}{hint}."
+        )
     if not isinstance(value.get("column"), str):
-        raise InputError(f"{name}: {key} needs a 'column', the foreign column's name as text (in quotes if need be).")
+        raise InputError(
+            "file_format", f"{name}: {key} needs a 'column', the foreign column's name as text (in quotes if need be)."
+        )
     file = value.get("file")
     if file is not None and (not isinstance(file, str) or file not in files):
-        raise InputError(f"{name}: {key} names file {file}, and 'files' has {format_names(files)}.")
+        raise InputError("file_format", f"{name}: {key} names file {file}, and 'files' has {format_names(files)}.")
     scale, offset = (_number(f"{name}: {key}.{k}", value.get(k, d)) for k, d in (("scale", 1.0), ("offset", 0.0)))
     if scale == 0.0:
-        raise InputError(f"{name}: {key}.scale is 0, which would erase the column; give a number other than 0.")
+        raise InputError(
+            "file_format", f"{name}: {key}.scale is 0, which would erase the column; give a number other than 0."
+        )
     return Source(value["column"], scale, offset, file)
 
 
@@ -177,17 +192,22 @@ def _rate(name: str, entries: dict[Any, Any]) -> float | None:
         return None
     if len(clock) > 1:
         raise InputError(
-            f"{name}: t has rate_hz and {format_names(set(clock) - {'rate_hz'})}; a log without a clock has rate_hz only."
+            "time_stamps",
+            f"{name}: t has rate_hz and {format_names(set(clock) - {'rate_hz'})}; a log without a clock has rate_hz only.",
         )
     rate = _number(f"{name}: t.rate_hz", entries.pop("t")["rate_hz"])
     if rate <= 0.0:
-        raise InputError(f"{name}: t.rate_hz is {rate:g}; it has to be a positive number of samples a second.")
+        raise InputError(
+            "file_format", f"{name}: t.rate_hz is {rate:g}; it has to be a positive number of samples a second."
+        )
     return rate
 
 
 def _files(name: str, value: Any) -> dict[str, str]:
     if not isinstance(value, dict) or not all(isinstance(x, str) for pair in value.items() for x in pair):
-        raise InputError(f"{name}: files has to be a mapping such as {{pos: positions.csv, cur: currents.csv}}.")
+        raise InputError(
+            "file_format", f"{name}: files has to be a mapping such as {{pos: positions.csv, cur: currents.csv}}."
+        )
     for key, path in value.items():
         windows = PureWindowsPath(path)  # understands both kinds of separators
         if (
@@ -198,7 +218,9 @@ def _files(name: str, value: Any) -> dict[str, str]:
             or path.startswith("~")
             or "\0" in path
         ):
-            raise InputError(f"{name}: files.{key} is '{path}'; name a file in the log's own folder or below it.")
+            raise InputError(
+                "file_format", f"{name}: files.{key} is '{path}'; name a file in the log's own folder or below it."
+            )
     return dict(value)
 
 
@@ -208,7 +230,8 @@ def _couplings(name: str, value: Any, columns: tuple[str, ...]) -> dict[str, Cou
     if not isinstance(value, dict) or any(key not in allowed for key in value):
         wrong = format_names(k for k in value if k not in allowed) if isinstance(value, dict) else _kind(value)
         raise InputError(
-            f"{name}: couplings holds {wrong}; it may hold matrices q, tau, v, a, q_ref and lists such as q_offset."
+            "file_format",
+            f"{name}: couplings holds {wrong}; it may hold matrices q, tau, v, a, q_ref and lists such as q_offset.",
         )
     couplings = {}
     for signal in dict.fromkeys(key.removesuffix("_offset") for key in value):
@@ -230,7 +253,9 @@ def _array(where: str, value: Any, shape: tuple[int, ...], signal: str) -> NDArr
     )
     if not fits or not cells:
         wanted = " by ".join(map(str, shape))
-        raise InputError(f"{where} has to hold {wanted} numbers, for the {shape[0]} joints with a key {signal}_JOINT.")
+        raise InputError(
+            "wrong_shape", f"{where} has to hold {wanted} numbers, for the {shape[0]} joints with a key {signal}_JOINT."
+        )
     return np.asarray(numbers, dtype=np.float64).reshape(shape)
 
 
@@ -241,7 +266,9 @@ def _number(where: str, value: Any) -> float:
     except (ValueError, OverflowError):
         number = np.nan
     if not np.isfinite(number):
-        raise InputError(f"{where} is {value!r}, and has to be a finite number written out, such as 0.0174532925.")
+        raise InputError(
+            "file_format", f"{where} is {value!r}, and has to be a finite number written out, such as 0.0174532925."
+        )
     return number
 
 

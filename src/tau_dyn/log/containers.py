@@ -50,12 +50,16 @@ def _check_there(path: Path) -> None:
     if path.is_dir():
         return
     if path.exists() and not path.is_file():
-        raise InputError(f"{path.name} is a pipe or a device; a recording is read from a file.")
+        raise InputError("cannot_read", f"{path.name} is a pipe or a device; a recording is read from a file.")
     try:
         with path.open("rb") as file:
             if not file.read(1):
-                raise InputError(f"{path.name} is empty; a log needs a message or a row for each sample.")
+                raise InputError(
+                    "damaged_file", f"{path.name} is empty; a log needs a message or a row for each sample."
+                )
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; give the path of a log.") from None
+        raise InputError("file_not_found", f"{path}: there is no such file; give the path of a log.") from None
     except OSError as fault:
-        raise InputError(f"{path} cannot be read: {fault.strerror or fault}; give a readable log.") from None
+        raise InputError(
+            "cannot_read", f"{path} cannot be read: {fault.strerror or fault}; give a readable log."
+        ) from None

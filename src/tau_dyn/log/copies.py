@@ -81,7 +81,7 @@ def copy_text(path: Path, map_: ColumnMap | None) -> Copy:
             kept = {c: none if columns[c] is None else columns[c] for c in writer.schema.names}
             writer.write_table(pa.table(kept, writer.schema), row_group_size=_ROWS)
         if writer is None:
-            raise InputError(f"{path.name} has no rows; a log needs one line a sample.")
+            raise InputError("too_little_data", f"{path.name} has no rows; a log needs one line a sample.")
         writer.close()
     return Copy((target,), folder, digest.hexdigest(), tuple(warnings), frozenset(texts))
 
@@ -114,7 +114,7 @@ def _batches(path: Path, file: pq.ParquetFile, rows: int) -> Iterator[pa.RecordB
     try:
         yield from file.iter_batches(batch_size=rows)
     except (pa.ArrowException, OSError) as fault:
-        raise InputError(f"{path.name} is damaged: {str(fault).splitlines()[0]}") from None
+        raise InputError("damaged_file", f"{path.name} is damaged: {str(fault).splitlines()[0]}") from None
 
 
 @contextmanager
@@ -124,6 +124,7 @@ def _room_for_a_copy(name: str, folder: TemporaryFolder) -> Iterator[None]:
         yield
     except OSError as fault:
         raise InputError(
+            "file_too_large",
             f"{name} is too large to be read at once, and its copy in {folder.path.parent} failed ({fault.strerror or fault}); "
-            "free some space there, or name another folder in TMPDIR"
+            "free some space there, or name another folder in TMPDIR",
         ) from fault

@@ -24,6 +24,7 @@ class DecompressionLimit:
         self.left -= n
         if self.left < 0:
             raise InputError(
+                "file_too_large",
                 f"{self.name} inflates to more than {MAX_INFLATION_RATIO} times its size, which no recording does; "
-                f"record it again."
+                f"record it again.",
             )

@@ -60,15 +60,15 @@ def parse_delimited(name: str, data: bytes) -> tuple[dict[str, NDArray[Any]], ND
 def _decode(name: str, data: bytes) -> str:
     """Return the text with Unix line ends and without a byte order mark."""
     if words := describe_foreign_file(data):
-        raise InputError(f"{name} is {words}.")
+        raise InputError("file_format", f"{name} is {words}.")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(f"{name}, line 1: the file is UTF-16; save it as UTF-8.")
+        raise InputError("cannot_read", f"{name}, line 1: the file is UTF-16; save it as UTF-8.")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         wrong = f"byte 0x{data[error.start]:02x} is not UTF-8"
-        raise InputError(f"{name}, line {line}: {wrong}; save the log as CSV in UTF-8.") from None
+        raise InputError("file_format", f"{name}, line {line}: {wrong}; save the log as CSV in UTF-8.") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -77,13 +77,17 @@ def _lay_out(name: str, text: str) -> _Layout:
     lines = text.split("\n")
     at = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
     if at is None:
-        raise InputError(f"{name} has no header; a log needs a line naming its columns and one line a sample.")
+        raise InputError(
+            "missing_column", f"{name} has no header; a log needs a line naming its columns and one line a sample."
+        )
     separator = max(SEPARATORS, key=lambda s: (lines[at].count(s), s == ","))
     header = [cell.strip() for cell in _cells_of(name, at + 1, lines[at], separator)]
     _check_header(name, at + 1, header)
     kept = [i for i in range(at + 1, len(lines)) if lines[i].strip()]
     if not kept:
-        raise InputError(f"{name} ends after its header in line {at + 1}; a log needs one line a sample below it.")
+        raise InputError(
+            "too_little_data", f"{name} ends after its header in line {at + 1}; a log needs one line a sample below it."
+        )
     rows = [lines[i] for i in kept]
     return _Layout(
         name, separator, header, at + 1, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip()
@@ -95,27 +99,35 @@ def _cells_of(name: str, line: int, text: str, separator: str) -> list[str]:
     try:
         return next(csv.reader([text], delimiter=separator))
     except csv.Error as fault:
-        raise InputError(f"{name}, line {line}: not a line of cells ({fault}); write plain CSV.") from None
+        raise InputError(
+            "file_format", f"{name}, line {line}: not a line of cells ({fault}); write plain CSV."
+        ) from None
 
 
 def _check_header(name: str, line: int, header: list[str]) -> None:
     if len(header) > MAX_COLUMNS:
         raise InputError(
-            f"{name}, line {line}: the header names {len(header)} columns; a log has {MAX_COLUMNS} at most."
+            "file_too_large",
+            f"{name}, line {line}: the header names {len(header)} columns; a log has {MAX_COLUMNS} at most.",
         )
     seen: set[str] = set()
     for position, column in enumerate(header, start=1):
         if not column:
-            raise InputError(f"{name}, line {line}: column {position} has no name; the header must name every column.")
+            raise InputError(
+                "missing_column",
+                f"{name}, line {line}: column {position} has no name; the header must name every column.",
+            )
         if column in seen:
             raise InputError(
-                f"{name}, line {line}: column {column} stands twice; every column needs a name of its own."
+                "duplicate_name",
+                f"{name}, line {line}: column {column} stands twice; every column needs a name of its own.",
             )
         seen.add(column)
     if all(_is_number(column) for column in header):
         first = ", ".join(header[:3])
         raise InputError(
-            f"{name}, line {line}: the header is missing ({first} are numbers); name the columns: t,q_axis,tau_axis."
+            "missing_column",
+            f"{name}, line {line}: the header is missing ({first} are numbers); name the columns: t,q_axis,tau_axis.",
         )
 
 
@@ -133,12 +145,14 @@ def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
     if first == 0 and len(counts) > 1 and (counts[1:] == counts[0]).all() or wanted == 1:
         taken = layout.separator.join(layout.header)
         raise InputError(
+            "file_format",
             f"{where} has {has}, and line {layout.header_line}, '{taken[:60]}', is taken for the header; the first line has to "
-            "name the columns, and lines above it have to begin with #."
+            "name the columns, and lines above it have to begin with #.",
         )
     raise InputError(
+        "file_format",
         f"{where} has {has}, the header names {wanted} columns; "
-        f"every line needs {wanted}, separated by {SEPARATORS[layout.separator]}."
+        f"every line needs {wanted}, separated by {SEPARATORS[layout.separator]}.",
     )
 
 
@@ -169,10 +183,13 @@ def _parse(layout: _Layout) -> pd.DataFrame:
         )
     except (pd.errors.ParserError, ValueError) as error:
         raise InputError(
-            f"{layout.name} is not a table of cells: {str(error).splitlines()[0]}; write plain CSV."
+            "file_format", f"{layout.name} is not a table of cells: {str(error).splitlines()[0]}; write plain CSV."
         ) from None
     if len(frame) != len(layout.lines):
-        raise InputError(f"{layout.name} has a quoted cell that runs over its line; close every quote on its own line.")
+        raise InputError(
+            "file_format",
+            f"{layout.name} has a quoted cell that runs over its line; close every quote on its own line.",
+        )
     return frame
 
 

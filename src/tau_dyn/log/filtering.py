@@ -44,12 +44,14 @@ def lowpass(x: ArrayLike, cutoff_hz: float, rate_hz: float, order: int = 4) -> N
     x = np.asarray(x, dtype=np.float64)
     if not 0.0 < cutoff_hz < rate_hz / 2:
         raise InputError(
-            f"cutoff {cutoff_hz:g} Hz has to be above 0 and below {rate_hz / 2:g} Hz, half the sampling rate."
+            "invalid_value",
+            f"cutoff {cutoff_hz:g} Hz has to be above 0 and below {rate_hz / 2:g} Hz, half the sampling rate.",
         )
     pad = compute_edge_samples(cutoff_hz, rate_hz, order)
     if len(x) <= pad:
         raise InputError(
-            f"{len(x)} samples at {rate_hz:g} Hz are too few for a low-pass of {cutoff_hz:g} Hz; give more than {pad}."
+            "invalid_value",
+            f"{len(x)} samples at {rate_hz:g} Hz are too few for a low-pass of {cutoff_hz:g} Hz; give more than {pad}.",
         )
     sections = _sections(order, cutoff_hz, rate_hz)
     floor = _FLOOR * float(np.max(np.abs(x), initial=0.0))
@@ -94,7 +96,8 @@ def differentiate(x: ArrayLike, dt: float, accuracy: int = 2) -> NDArray[np.floa
     x = np.asarray(x, dtype=np.float64)
     if accuracy not in (2, 4) or len(x) < accuracy + 1:
         raise InputError(
-            f"{len(x)} samples cannot be differentiated with accuracy {accuracy}; give 2 or 4 and more samples."
+            "invalid_value",
+            f"{len(x)} samples cannot be differentiated with accuracy {accuracy}; give 2 or 4 and more samples.",
         )
     derivative = cast(Any, np.gradient(x, dt, axis=0, edge_order=2))
     if accuracy == 4:
@@ -105,7 +108,7 @@ def differentiate(x: ArrayLike, dt: float, accuracy: int = 2) -> NDArray[np.floa
 def decimate(x: ArrayLike, factor: int) -> NDArray[np.float64]:
     """Keep every `factor`-th sample of (N, ...), starting with the first; low-pass it below half the new rate first."""
     if factor < 1:
-        raise InputError(f"decimation by {factor} makes no sense; give a whole number from 1.")
+        raise InputError("invalid_value", f"decimation by {factor} makes no sense; give a whole number from 1.")
     return np.asarray(x, dtype=np.float64)[::factor]
 
 

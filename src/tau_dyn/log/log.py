@@ -49,12 +49,14 @@ class Log(Shown):
         t = _frozen(self.t)
         channels = {key: _frozen(value) for key, value in self.channels.items()}
         if t.ndim != 1 or t.size < 2:
-            raise InputError(f"{self.name} has {count(t.size, 'sample')}; a log needs at least two.")
+            raise InputError("too_little_data", f"{self.name} has {count(t.size, 'sample')}; a log needs at least two.")
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0.0):
-            raise InputError(f"{self.name}: t must be finite and increase from sample to sample.")
+            raise InputError("time_stamps", f"{self.name}: t must be finite and increase from sample to sample.")
         for key, value in channels.items():
             if value.shape != t.shape:
-                raise InputError(f"{self.name}: {key} has shape {value.shape} where t has {t.size} samples.")
+                raise InputError(
+                    "wrong_shape", f"{self.name}: {key} has shape {value.shape} where t has {t.size} samples."
+                )
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "channels", MappingProxyType(channels))
         object.__setattr__(self, "warnings", tuple(self.warnings))
@@ -112,7 +114,9 @@ class Log(Shown):
         columns = [f"{signal}_{name}" for name in names]
         for column in columns:
             if column not in self.channels:
-                raise InputError(describe_missing_column(self.name, column, ("t", *self.channels), more=_NAME_IT))
+                raise InputError(
+                    "missing_column", describe_missing_column(self.name, column, ("t", *self.channels), more=_NAME_IT)
+                )
         return np.column_stack([self.channels[c] for c in columns]) if columns else np.empty((self.n_samples, 0))
 
     def temperatures(self, names: Iterable[str]) -> NDArray[np.float64] | None:
@@ -131,7 +135,10 @@ class Log(Shown):
         """
         cut = int(np.floor(fraction * self.n_samples + 1e-9))
         if not 2 <= cut <= self.n_samples - 2:
-            raise InputError(f"{self.name}: {fraction:g} of {self.n_samples} samples leaves a part with less than two.")
+            raise InputError(
+                "invalid_value",
+                f"{self.name}: {fraction:g} of {self.n_samples} samples leaves a part with less than two.",
+            )
         return self.window(0, cut), self.window(cut, self.n_samples)
 
     def window(self, start: int, stop: int) -> "Log":
@@ -144,8 +151,9 @@ class Log(Shown):
         start, stop = np.searchsorted(self.t, t0, "left"), np.searchsorted(self.t, t1, "right")
         if stop - start < 2:
             raise InputError(
+                "too_little_data",
                 f"{self.name} has fewer than two samples from {t0:g} to {t1:g} s; "
-                f"it runs from {self.t[0]:g} to {self.t[-1]:g} s."
+                f"it runs from {self.t[0]:g} to {self.t[-1]:g} s.",
             )
         return self.window(int(start), int(stop))
 

@@ -60,7 +60,9 @@ def open_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
 def _files_in(folder: Path) -> tuple[Path, ...]:
     found = tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in PARQUET_SUFFIXES and p.is_file()))
     if not found:
-        raise InputError(f"{folder} has no Parquet file in it; give a log, or a folder of .parquet files.")
+        raise InputError(
+            "file_not_found", f"{folder} has no Parquet file in it; give a log, or a folder of .parquet files."
+        )
     return found
 
 
@@ -72,13 +74,16 @@ def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recor
         theirs = tuple(file.schema_arrow.names)
         if len(set(theirs)) < len(theirs):
             twice = next(c for c in theirs if theirs.count(c) > 1)
-            raise InputError(f"{path.name} names column {twice} twice; every column needs a name of its own.")
+            raise InputError(
+                "duplicate_name", f"{path.name} names column {twice} twice; every column needs a name of its own."
+            )
         columns = columns or theirs
         if set(theirs) != set(columns):
             odd = min(set(theirs) ^ set(columns))
             has, lacks = (path.name, paths[0].name) if odd in theirs else (paths[0].name, path.name)
             raise InputError(
-                f"{has} has a column {odd} and {lacks} has none; the files of one recording need the same columns."
+                "missing_column",
+                f"{has} has a column {odd} and {lacks} has none; the files of one recording need the same columns.",
             )
         in_file = 0
         for group in range(file.metadata.num_row_groups):
@@ -87,7 +92,7 @@ def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recor
                 parts.append(RowGroup(str(path), state, group, first, in_file, rows))
             first, in_file = first + rows, in_file + rows
     if not parts:
-        raise InputError(f"{name} has columns but no rows; a log needs one row a sample.")
+        raise InputError("too_little_data", f"{name} has columns but no rows; a log needs one row a sample.")
     if any(part.rows > GROUP_ROWS for part in parts):
         return _copied_groups(name, paths, states, map_)
     return Recording(name, paths, tuple(parts), columns, map_, states=states)

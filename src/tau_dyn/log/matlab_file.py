@@ -59,7 +59,9 @@ def read_variables(path: Path) -> dict[str, Any]:
     except (struct.error, ValueError, zlib.error) as fault:
         if isinstance(fault, InputError):
             raise
-        raise InputError(f"{path.name} is damaged ({str(fault)[:80]}); copy or save it again.") from None
+        raise InputError(
+            "damaged_file", f"{path.name} is damaged ({str(fault)[:80]}); copy or save it again."
+        ) from None
     return found
 
 
@@ -69,10 +71,13 @@ def _bytes(path: Path) -> tuple[bytes, str]:
         head = file.read(_HEADER)
         if head.startswith(_HDF5) or head.startswith(b"MATLAB 7.3"):
             raise InputError(
-                f"{path.name} is a MATLAB file of version 7.3, which is not read; save it with: save(.., '-v7')."
+                "unsupported",
+                f"{path.name} is a MATLAB file of version 7.3, which is not read; save it with: save(.., '-v7').",
             )
         if len(head) < _HEADER or head[126:128] not in (b"IM", b"MI"):
-            raise InputError(f"{path.name} is not a MATLAB file of version 5 to 7.2; save it with: save(.., '-v7').")
+            raise InputError(
+                "file_format", f"{path.name} is not a MATLAB file of version 5 to 7.2; save it with: save(.., '-v7')."
+            )
         if path.stat().st_size > MAX_INFLATED_BYTES:
             raise _too_large(path)
         return head + file.read(), "<" if head[126:128] == b"IM" else ">"
@@ -84,7 +89,7 @@ def _variables(path: Path, whole_file: bytes, order: str) -> Iterator[memoryview
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, at)
         if size > len(data) - at - 8:
-            raise InputError(f"{path.name} breaks off inside a variable; copy or save it again.")
+            raise InputError("damaged_file", f"{path.name} breaks off inside a variable; copy or save it again.")
         inside = data[at + 8 : at + 8 + size]
         at += 8 + size
         if kind == _COMPRESSED:
@@ -178,5 +183,6 @@ def _text(data: memoryview) -> str:
 
 def _too_large(path: Path) -> InputError:
     return InputError(
-        f"{path.name} holds more than {MAX_INFLATED_BYTES / 2**20:.0f} MB; save the variables needed alone, or Parquet."
+        "file_too_large",
+        f"{path.name} holds more than {MAX_INFLATED_BYTES / 2**20:.0f} MB; save the variables needed alone, or Parquet.",
     )

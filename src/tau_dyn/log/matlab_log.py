@@ -54,7 +54,7 @@ def _levels(variables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
     opaque = sorted(key for key, value in variables.items() if key and value is Opaque)
     if not found or not any(fields for _, fields in found):
         about = f"{format_names(opaque)} is an object that only MATLAB can open" if opaque else "it has no numbers"
-        raise InputError(f"{name}: {about}; save numbers, such as t = x.Time, q_axis = x.Data.")
+        raise InputError("file_format", f"{name}: {about}; save numbers, such as t = x.Time, q_axis = x.Data.")
     yield from found
 
 
@@ -94,7 +94,8 @@ def _numeric(value: Any) -> np.ndarray | None:
         return None
     if value.size > MAX_CELLS:  # bytes become numbers of eight bytes
         raise InputError(
-            f"a variable holds {value.size} numbers, more than {MAX_CELLS}; save a part of it, or Parquet."
+            "file_too_large",
+            f"a variable holds {value.size} numbers, more than {MAX_CELLS}; save a part of it, or Parquet.",
         )
     array = value.squeeze()
     return array if array.ndim in (1, 2) else None
@@ -123,7 +124,10 @@ def _columns(fields: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
         if not wide and array.shape != (n,):
             continue
         if n * len(found) + array.size > MAX_CELLS:  # before they are copied
-            raise InputError(f"the file holds more than {MAX_CELLS} numbers; save the variables needed, or Parquet.")
+            raise InputError(
+                "file_too_large",
+                f"the file holds more than {MAX_CELLS} numbers; save the variables needed, or Parquet.",
+            )
         if not wide:
             found[key] = array.astype(np.float64)
         else:

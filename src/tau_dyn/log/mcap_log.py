@@ -49,7 +49,7 @@ def read_mcap(path: Path, wanted: Mapping[str, str] | None = None, files: Sequen
     for file in paths:
         kinds |= {m.topic: m.kind for m in _messages(file, [])}
     if not kinds:
-        raise InputError(f"{path.name} is an MCAP file without messages; record it again.")
+        raise InputError("damaged_file", f"{path.name} is an MCAP file without messages; record it again.")
     messages = (message for file in paths for message in _messages(file, warnings))
     return build_message_table(path, paths, messages, kinds, wanted, warnings)
 
@@ -59,7 +59,7 @@ def _library() -> None:
         import mcap.records  # noqa: F401
         import mcap_ros2.decoder  # noqa: F401
     except ImportError:
-        raise InputError("reading MCAP files needs an extra: pip install 'tau_dyn[mcap]'.") from None
+        raise InputError("missing_package", "reading MCAP files needs an extra: pip install 'tau_dyn[mcap]'.") from None
 
 
 def _messages(path: Path, warnings: list[str]) -> Iterator[Recorded]:
@@ -91,7 +91,7 @@ def _records(path: Path, warnings: list[str]) -> Iterator[tuple[int, Any]]:
         raise
     except (McapError, ValueError, struct.error, EOFError, MemoryError, OverflowError) as fault:
         raise InputError(
-            f"{path.name} is damaged: {describe_fault(fault)}; 'mcap recover' may save the rest of it."
+            "damaged_file", f"{path.name} is damaged: {describe_fault(fault)}; 'mcap recover' may save the rest of it."
         ) from None
 
 
@@ -99,7 +99,8 @@ def _framed(path: Path, file: BinaryIO, warnings: list[str]) -> Iterator[tuple[i
     size = path.stat().st_size
     if file.read(len(_MAGIC)) != _MAGIC:
         raise InputError(
-            f"{path.name} is not an MCAP file (it does not begin as one); give CSV another suffix than .mcap."
+            "file_format",
+            f"{path.name} is not an MCAP file (it does not begin as one); give CSV another suffix than .mcap.",
         )
     opcode, inflated = 0, DecompressionLimit(path)
     while opcode != _DATA_END:
@@ -147,8 +148,9 @@ def _opened(name: str, data: bytes, inflated: DecompressionLimit) -> bytes:
     chunk = Chunk.read(ReadDataStream(BytesIO(data)))
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         raise InputError(
+            "file_too_large",
             f"{name} has a chunk of {chunk.uncompressed_size / 2**20:.0f} MB; chunks up to {MAX_CHUNK_BYTES / 2**20:.0f} MB are "
-            "opened; write it again with 'mcap filter'."
+            "opened; write it again with 'mcap filter'.",
         )
     inflated.take(chunk.uncompressed_size)
     plain = _decompressed(name, chunk.compression, chunk.data, chunk.uncompressed_size)
@@ -175,7 +177,8 @@ def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
     except Exception as fault:  # the file's fault, whatever its bytes break; ZstdError has no base of its own
         raise ValueError(f"a chunk cannot be decompressed ({describe_fault(fault)})") from None
     raise InputError(
-        f"{name} has chunks compressed by '{kind[:20]}', which is not read; write it again with zstd or lz4."
+        "unsupported",
+        f"{name} has chunks compressed by '{kind[:20]}', which is not read; write it again with zstd or lz4.",
     )
 
 
@@ -213,10 +216,12 @@ class _Decoders:
                 return decoder(_Whole(data))
         except Exception as fault:  # definitions and messages come from the file: whatever they break is its fault
             raise InputError(
-                f"{self.name}: a message of {channel.topic} cannot be decoded ({describe_fault(fault)})."
+                "damaged_file",
+                f"{self.name}: a message of {channel.topic} cannot be decoded ({describe_fault(fault)}).",
             ) from None
         definition = f" with a definition in {schema.encoding}" if schema is not None and schema.encoding else ""
         raise InputError(
+            "unsupported",
             f"{self.name}: messages of {channel.topic} are encoded as '{encoding[:20]}'{definition}; json, and cdr with a "
-            "definition in ros2msg, are read."
+            "definition in ros2msg, are read.",
         )

@@ -47,7 +47,9 @@ class MeasuredPoints:
             InputError: The file does not have them.
         """
         if joint not in self.joints:
-            raise InputError(f"{self.name} has no column q_{joint}; it is needed to know where {joint} was")
+            raise InputError(
+                "missing_column", f"{self.name} has no column q_{joint}; it is needed to know where {joint} was"
+            )
         return self.q[:, self.joints.index(joint)]
 
 
@@ -65,7 +67,8 @@ def read_measured(path: str | Path, actuated: Sequence[str]) -> MeasuredPoints:
     joints = tuple(j for j in actuated if f"q_{j}" in table.cells)
     if not joints:
         raise InputError(
-            f"{table.name} has no column q_J of an actuated joint; it needs q_{', q_'.join(actuated)} or some of them"
+            "missing_column",
+            f"{table.name} has no column q_J of an actuated joint; it needs q_{', q_'.join(actuated)} or some of them",
         )
     points, quaternions = (
         np.column_stack([table.numbers(c) for c in wanted]) if all(c in table.cells for c in wanted) else None
@@ -76,6 +79,8 @@ def read_measured(path: str | Path, actuated: Sequence[str]) -> MeasuredPoints:
         wrong = np.flatnonzero(np.abs(sizes - 1) > 1e-3)
         if wrong.size:
             k = int(wrong[0])
-            raise InputError(f"{table.where(k)}: the quaternion qx_tool .. qw_tool has length {sizes[k]:.4g}, not 1")
+            raise InputError(
+                "bad_sample", f"{table.where(k)}: the quaternion qx_tool .. qw_tool has length {sizes[k]:.4g}, not 1"
+            )
     q = np.column_stack([table.numbers(f"q_{j}") for j in joints])
     return MeasuredPoints(table.name, table.sha256, joints, q, points, quaternions, table.warnings)

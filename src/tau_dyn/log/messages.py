@@ -67,7 +67,8 @@ def build_message_table(
     if not topics:
         about = f"it has {format_names(sorted(others))}" if others else "it has no messages"
         raise InputError(
-            f"{path.name} has no joint states, and no topic that a map names: {about}; name one in a column map."
+            "file_format",
+            f"{path.name} has no joint states, and no topic that a map names: {about}; name one in a column map.",
         )
     digest = compute_joint_sha256(map(compute_sha256, files))
     return build_topic_table(path, digest, _in_order(topics), wanted, warnings)

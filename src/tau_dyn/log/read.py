@@ -49,7 +49,8 @@ def refuse_few(name: str, n_samples: int) -> None:
     """Refuse a log with fewer samples than any answer needs."""
     if n_samples < MIN_SAMPLES:
         raise InputError(
-            f"{name} has {count(n_samples, 'sample')}; a log needs at least {MIN_SAMPLES} to say anything."
+            "too_little_data",
+            f"{name} has {count(n_samples, 'sample')}; a log needs at least {MIN_SAMPLES} to say anything.",
         )
 
 
@@ -81,12 +82,14 @@ def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
     wanted = dict.fromkeys(source.file for source in map_.sources.values())
     if path.is_dir() and None in wanted:
         raise InputError(
-            f"{path} is a folder, and {map_.name} does not say which file every column is from; give the log's file."
+            "file_format",
+            f"{path} is a folder, and {map_.name} does not say which file every column is from; give the log's file.",
         )
     paths = {key: path if key is None else folder / map_.files[key] for key in wanted}
     if not path.is_dir() and not any(_same_file(path, other) for other in paths.values()):
         raise InputError(
-            f"{path.name} is none of the files that {map_.name} reads ({format_names(map_.files.values())}); give one."
+            "mismatch",
+            f"{path.name} is none of the files that {map_.name} reads ({format_names(map_.files.values())}); give one.",
         )
     asked = {key: {o: s.column for o, s in map_.sources.items() if s.file == key} for key in wanted}
     return {key: read_any(file, asked[key]) for key, file in paths.items()}
@@ -103,8 +106,9 @@ def _same_length(tables: dict[str | None, Table]) -> tuple[dict[str | None, Tabl
         extra = table.n_rows - shortest.n_rows
         if extra > 1 or extra == 1 and not shortest.warnings:
             raise InputError(
+                "mismatch",
                 f"{table.name} has {table.n_rows} samples and {shortest.name} has {shortest.n_rows}; "
-                "files of one log have to be sampled together and be of equal length."
+                "files of one log have to be sampled together and be of equal length.",
             )
         if extra:
             tables[key] = table.first_rows(
@@ -118,9 +122,10 @@ def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str) -> N
     table = tables[source.file]
     if source.column not in table.cells:
         raise InputError(
+            "missing_column",
             describe_missing_column(
                 table.name, source.column, tuple(table.cells), f", which {map_.name} takes for {ours}"
-            )
+            ),
         )
     return table.numbers(source.column, source.scale)
 
@@ -142,7 +147,7 @@ def _build(
     """Check the clock and the length, and freeze everything into a log."""
     refuse_few(main.name, main.n_rows)
     if "t" not in channels:
-        raise InputError(describe_missing_clock(main.name, tuple(main.cells)))
+        raise InputError("missing_column", describe_missing_clock(main.name, tuple(main.cells)))
     t = channels.pop("t")
     _check_clock(main, t)
     digest = compute_joint_sha256(table.sha256 for table in tables.values())
@@ -161,7 +166,7 @@ def _check_clock(table: Table, t: NDArray[np.float64]) -> None:
             f"t = {_seconds(t[row])} s comes after {_seconds(t[row - 1])} s; logs must run forward in time. "
             "Two recordings joined? Pass them as two files."
         )
-    raise InputError(f"{table.where(row)}: {what}")
+    raise InputError("bad_sample", f"{table.where(row)}: {what}")
 
 
 def _seconds(t: float) -> str:

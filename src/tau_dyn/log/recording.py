@@ -87,7 +87,8 @@ class Recording:
         for path, state in zip(self.paths, self.states, strict=True):
             if not path.is_file() or get_file_state(path) != state:
                 raise InputError(
-                    f"{path.name} was written to while it was read; let the recording end, or copy it first"
+                    "damaged_file",
+                    f"{path.name} was written to while it was read; let the recording end, or copy it first",
                 )
         return compute_joint_sha256(
             _sha256(str(path), state) for path, state in zip(self.paths, self.states, strict=True)
@@ -145,9 +146,10 @@ class Recording:
             if name not in self.columns:
                 file, columns = Path(part.path).name, tuple(self.columns)
                 raise InputError(
+                    "missing_column",
                     describe_missing_clock(file, columns)
                     if name == "t"
-                    else describe_missing_column(file, name, columns)
+                    else describe_missing_column(file, name, columns),
                 )
             return _cells(part, name, name in self._used)
         if name == "t" and self.map_.rate_hz:
@@ -164,7 +166,9 @@ class Recording:
         source = self.map_.sources[ours]  # type: ignore[union-attr]
         if source.column not in self.columns:
             wanted = f", which {self.map_.name} takes for {ours}"  # type: ignore[union-attr]
-            raise InputError(describe_missing_column(self.name, source.column, tuple(self.columns), wanted))
+            raise InputError(
+                "missing_column", describe_missing_column(self.name, source.column, tuple(self.columns), wanted)
+            )
         return source.scale * _cells(part, source.column, True, source.scale) + source.offset
 
 
@@ -182,7 +186,9 @@ def open_parquet_file(path: str, state: State) -> pq.ParquetFile:
         file.schema_arrow.names  # noqa: B018  a name that is no UTF-8 is found here
         return file
     except (pa.ArrowException, OSError, ValueError):
-        raise InputError(f"{Path(path).name} is not a Parquet file; give CSV another suffix than .parquet.") from None
+        raise InputError(
+            "file_format", f"{Path(path).name} is not a Parquet file; give CSV another suffix than .parquet."
+        ) from None
 
 
 @lru_cache(maxsize=32)
@@ -194,7 +200,7 @@ def _cells(part: RowGroup, column: str, checked: bool, scale: float = 1.0) -> np
     try:
         cells = open_parquet_file(part.path, part.state).read_row_group(part.group, columns=[column]).column(column)
     except (pa.ArrowException, OSError) as fault:
-        raise InputError(f"{Path(part.path).name} is damaged: {str(fault).splitlines()[0]}") from None
+        raise InputError("damaged_file", f"{Path(part.path).name} is damaged: {str(fault).splitlines()[0]}") from None
     path, places = Path(part.path), np.arange(part.in_file + 1, part.in_file + part.rows + 1)
     table = Table(path.name, path, "", {column: read_parquet_column(path.name, column, cells)}, places, "row")
     values = None if checked else table.numbers_or_none(column)
@@ -207,12 +213,13 @@ def _refuse_backwards(part: RowGroup, t: np.ndarray, row: int, before: float, wh
     name = Path(part.path).name
     if row == 0 and where and where != part.path:
         raise InputError(
+            "time_stamps",
             f"{name} begins at t = {t[0]:.9g} s, and {Path(where).name} before it ends at {before:.9g} s; the files of one "
-            "recording must follow each other in time. Several recordings? Give the files one by one."
+            "recording must follow each other in time. Several recordings? Give the files one by one.",
         )
     last = before if row == 0 else t[row - 1]
     what = f"t = {t[row]:.9g} s stands twice" if t[row] == last else f"t = {t[row]:.9g} s comes after {last:.9g} s"
-    raise InputError(f"{name}, row {part.in_file + row + 1}: {what}; every sample needs a later time.")
+    raise InputError("time_stamps", f"{name}, row {part.in_file + row + 1}: {what}; every sample needs a later time.")
 
 
 @lru_cache(maxsize=4096)

@@ -106,7 +106,7 @@ def ensure_even(log: Log) -> Log:
     """
     clock = examine_clock(log)
     if clock.gaps:
-        raise InputError(describe_gaps(log, clock) + " Pass the parts as separate logs.")
+        raise InputError("time_stamps", describe_gaps(log, clock) + " Pass the parts as separate logs.")
     return _resample(log, clock)
 
 

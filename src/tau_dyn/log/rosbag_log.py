@@ -45,10 +45,11 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise InputError("reading ROS bags needs an extra: pip install 'tau_dyn[rosbag]'.") from None
+        raise InputError("missing_package", "reading ROS bags needs an extra: pip install 'tau_dyn[rosbag]'.") from None
     if path.is_dir() and path.suffix == ".bag":  # by this name the library takes it for a ROS 1 file
         raise InputError(
-            f"{path.name} is a ROS 2 folder called as a ROS 1 file; give it a name that does not end in .bag."
+            "file_format",
+            f"{path.name} is a ROS 2 folder called as a ROS 1 file; give it a name that does not end in .bag.",
         )
     with ExitStack() as stack:
         try:
@@ -76,15 +77,20 @@ def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
     about = found if isinstance(found, dict) else {}
     names = about.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        raise InputError(f"{path / METADATA} does not list the bag's files; 'ros2 bag reindex' writes it anew.")
+        raise InputError(
+            "damaged_file", f"{path / METADATA} does not list the bag's files; 'ros2 bag reindex' writes it anew."
+        )
     if str(about.get("compression_mode") or "none").lower() != "none" or any(n.endswith(".zstd") for n in names):
         raise InputError(
-            f"{path.name} is compressed as a whole, which is not read; 'ros2 bag convert' writes it plainly."
+            "unsupported",
+            f"{path.name} is compressed as a whole, which is not read; 'ros2 bag convert' writes it plainly.",
         )
     files = tuple(path / Path(n).name for n in names)
     missing = next((f for f in files if not _there(f)), None)
     if missing is not None:
-        raise InputError(f"{path.name} lacks {missing.name}, which its {METADATA} lists; give the whole folder.")
+        raise InputError(
+            "file_not_found", f"{path.name} lacks {missing.name}, which its {METADATA} lists; give the whole folder."
+        )
     _check_topics(path, about)
     return files, about.get("storage_identifier") == "mcap" or all(f.suffix.lower() == ".mcap" for f in files)
 
@@ -141,7 +147,8 @@ def _decoder(path: Path, reader: Any, connection: Any, data: bytes) -> Callable[
             return reader.deserialize(data, connection.msgtype)
         except Exception as fault:  # definitions and messages come from the file
             raise InputError(
-                f"{path.name}: a message of {connection.topic} cannot be decoded ({describe_fault(fault)})."
+                "damaged_file",
+                f"{path.name}: a message of {connection.topic} cannot be decoded ({describe_fault(fault)}).",
             ) from None
 
     return decode
@@ -158,4 +165,4 @@ def _bound(path: Path, reader: Any) -> None:
 
 def _damaged(path: Path, fault: Exception) -> InputError:
     remedy = "'ros2 bag reindex' or 'rosbag reindex' may mend it"
-    return InputError(f"{path.name} cannot be read as a ROS bag ({describe_fault(fault)}); {remedy}.")
+    return InputError("damaged_file", f"{path.name} cannot be read as a ROS bag ({describe_fault(fault)}); {remedy}.")

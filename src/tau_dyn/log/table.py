@@ -73,14 +73,18 @@ class Table:
             InputError: The column does not exist, or a cell is empty, text, NaN or infinite.
         """
         if column not in self.cells:
-            raise InputError(describe_missing_column(self.name, column, tuple(self.cells)))
+            raise InputError("missing_column", describe_missing_column(self.name, column, tuple(self.cells)))
         values = _to_float(self.cells[column])
         wrong = np.flatnonzero(~(np.abs(values) * abs(scale) < MAX_MAGNITUDE))
         if wrong.size:
             row, cells = int(wrong[0]), self.cells[column]
             if row == 0 and len(cells) > 1 and is_unit_row(cells[0], cells[1]):
-                raise InputError(f"{self.where(0)} holds units ({column}: {cells[0]}), not a sample; delete that line.")
-            raise InputError(f"{self.where(row)}, column {column}: {describe_bad_cell(cells[row], MAX_MAGNITUDE)}.")
+                raise InputError(
+                    "bad_sample", f"{self.where(0)} holds units ({column}: {cells[0]}), not a sample; delete that line."
+                )
+            raise InputError(
+                "bad_sample", f"{self.where(row)}, column {column}: {describe_bad_cell(cells[row], MAX_MAGNITUDE)}."
+            )
         return values
 
     def numbers_or_none(self, column: str) -> NDArray[np.float64] | None:
@@ -118,7 +122,9 @@ def read_table(path: str | Path, *, most: int | None = None) -> Table:
         rows = np.arange(1, len(next(iter(cells.values()), ())) + 1)
         return Table(path.name, path, digest, cells, rows, place="row")
     if path.suffix.lower() == ".mcap":
-        raise InputError(f"{path.name} is an MCAP file, which cannot be read here; export it as CSV or Parquet.")
+        raise InputError(
+            "file_format", f"{path.name} is an MCAP file, which cannot be read here; export it as CSV or Parquet."
+        )
     cells, lines, warnings = parse_delimited(path.name, data)
     return Table(path.name, path, digest, cells, lines, warnings=warnings)
 
@@ -127,15 +133,17 @@ def _read_bytes(path: Path, most: int | None) -> bytes:
     try:
         data = read_bytes(path, most)
     except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; give the path of a CSV or Parquet log.") from None
+        raise InputError(
+            "file_not_found", f"{path}: there is no such file; give the path of a CSV or Parquet log."
+        ) from None
     except IsADirectoryError:
-        raise InputError(f"{path} is a folder; give the path of a CSV or Parquet log in it.") from None
+        raise InputError("cannot_read", f"{path} is a folder; give the path of a CSV or Parquet log in it.") from None
     except OSError as error:
         raise InputError(
-            f"{path} cannot be read: {error.strerror or error}; give a readable CSV or Parquet log."
+            "cannot_read", f"{path} cannot be read: {error.strerror or error}; give a readable CSV or Parquet log."
         ) from None
     if not data:
-        raise InputError(f"{path.name} is empty; a log needs a header line and one line a sample.")
+        raise InputError("damaged_file", f"{path.name} is empty; a log needs a header line and one line a sample.")
     return data
 
 
@@ -145,21 +153,26 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
         about = pq.read_metadata(pa.BufferReader(data))
         names = Counter(about.schema.to_arrow_schema().names)
         if twice := [column for column, times in names.items() if times > 1]:  # which pyarrow calls no Parquet
-            raise InputError(f"{name} names column {twice[0]} twice; every column needs a name of its own.")
+            raise InputError(
+                "duplicate_name", f"{name} names column {twice[0]} twice; every column needs a name of its own."
+            )
         if 8 * about.num_rows * about.num_columns > FREE_BYTES + MAX_INFLATION_RATIO * len(data):
             raise InputError(
+                "file_format",
                 f"{name} says in {len(data)} bytes that it holds {about.num_rows} rows of {about.num_columns} columns, which no "
-                "recording does; write it again."
+                "recording does; write it again.",
             )
         table = pq.read_table(pa.BufferReader(data))
     except InputError:
         raise
     except (pa.ArrowException, OSError, ValueError):  # ValueError: a name that is no UTF-8
-        raise InputError(f"{name} is not a Parquet file; give CSV another suffix than .parquet.") from None
+        raise InputError(
+            "file_format", f"{name} is not a Parquet file; give CSV another suffix than .parquet."
+        ) from None
     if table.num_rows == 0:
-        raise InputError(f"{name} has columns but no rows; a log needs one row a sample.")
+        raise InputError("too_little_data", f"{name} has columns but no rows; a log needs one row a sample.")
     if len(names) > MAX_COLUMNS:
-        raise InputError(f"{name} has {len(names)} columns; a log has {MAX_COLUMNS} at most.")
+        raise InputError("file_too_large", f"{name} has {len(names)} columns; a log has {MAX_COLUMNS} at most.")
     return {column: read_parquet_column(name, column, table.column(column)) for column in table.column_names}
 
 
@@ -173,7 +186,8 @@ def read_parquet_column(name: str, column: str, cells: pa.ChunkedArray) -> NDArr
         return cells.to_pandas().to_numpy()
     except (pa.ArrowException, ValueError, OverflowError, TypeError) as fault:
         raise InputError(
-            f"{name}, column {column}: its {cells.type} cannot be read ({' '.join(str(fault).split())[:200]})."
+            "file_format",
+            f"{name}, column {column}: its {cells.type} cannot be read ({' '.join(str(fault).split())[:200]}).",
         ) from None
 
 

@@ -43,7 +43,7 @@ def iterate_text_chunks(path: Path, digest: Any = None) -> Iterator[Table]:
             try:
                 cells, places, warnings = parse_delimited(path.name, b"".join([head, *body]))
             except InputError as fault:
-                raise InputError(_shifted(str(fault), shift)) from None
+                raise InputError(fault.code, _shifted(str(fault), shift)) from None
             yield Table(
                 path.name, path, "", cells, places + shift, warnings=tuple(_shifted(w, shift) for w in warnings)
             )
@@ -72,7 +72,9 @@ def _head(file: BinaryIO, path: Path) -> tuple[bytes, int, bytes]:
         text = line.removeprefix(b"\xef\xbb\xbf")
         if text.strip() and not text.lstrip().startswith(b"#"):
             return text if text.endswith(b"\n") else text + b"\n", number, b"".join(taken)
-    raise InputError(f"{path.name} has no header; a log needs a line naming its columns and one line a sample.")
+    raise InputError(
+        "missing_column", f"{path.name} has no header; a log needs a line naming its columns and one line a sample."
+    )
 
 
 def _shifted(sentence: str, shift: int) -> str:

@@ -39,24 +39,31 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
     if np.array_equal(t[at], wanted):
         return x[at], ""
     if t.size < MIN_CLOCK_SAMPLES:
-        raise InputError(f"{where} has {t.size} samples, too few to be put on another topic's clock.")
+        raise InputError(
+            "too_little_data", f"{where} has {t.size} samples, too few to be put on another topic's clock."
+        )
     step = float(np.median(np.diff(t)))
     inside = (t >= wanted[0] - step) & (t <= wanted[-1] + step)
     t, x = t[inside], x[inside]
     if t.size < MIN_CLOCK_SAMPLES:
-        raise InputError(f"{where} has {t.size} samples during the log, too few to be put on another topic's clock.")
+        raise InputError(
+            "too_little_data",
+            f"{where} has {t.size} samples during the log, too few to be put on another topic's clock.",
+        )
     steps = np.diff(t)
     widest = int(np.argmax(steps))
     if steps[widest] > MIN_GAP_STEPS * step:
         raise InputError(
+            "time_stamps",
             f"{where} has a gap of {steps[widest]:.3g} s at t = {t[widest]:.4g} s (its step is {step:.3g} s), which is not "
-            "bridged; cut the log there."
+            "bridged; cut the log there.",
         )
     share = estimate_interpolation_error(t, x)
     if share > MAX_INTERPOLATION_ERROR:
         raise InputError(
+            "time_stamps",
             f"{where} cannot be put on another topic's clock: its samples ({1 / step:.4g} Hz) cannot be told from their "
-            "neighbours, so neither can what lies between them; record both in one message, or faster."
+            "neighbours, so neither can what lies between them; record both in one message, or faster.",
         )
     error = 100 * share / 16
     return CubicSpline(t, x)(wanted), f"interpolated from {1 / step:.4g} Hz, error about {max(error, 0.01):.2g} %"

@@ -70,8 +70,9 @@ class Budget:
         self.left -= n
         if self.left < 0:
             raise InputError(
+                "file_too_large",
                 f"{self.name} holds more than {MAX_CELLS} numbers in the topics asked for; cut it, or convert it to Parquet, "
-                "which is read in windows."
+                "which is read in windows.",
             )
 
 
@@ -120,9 +121,11 @@ class _Joints:
     def add(self, log: int, stamp: int, names: tuple[str, ...], message: Any, where: str) -> int:
         place = {n: k for k, n in enumerate(names)}
         if len(place) < len(names):
-            raise InputError(f"{where} names a joint twice; every joint of a joint state needs a name of its own.")
+            raise InputError(
+                "duplicate_name", f"{where} names a joint twice; every joint of a joint state needs a name of its own."
+            )
         if len(names) > MOST_COLUMNS:
-            raise InputError(f"{where} has {len(names)} joints; a robot has {MOST_COLUMNS} at most.")
+            raise InputError("file_too_large", f"{where} has {len(names)} joints; a robot has {MOST_COLUMNS} at most.")
         order = None if names == self.names else [place[n] for n in self.names]
         taken = 0
         for field, values in self.values.items():
@@ -130,15 +133,16 @@ class _Joints:
             try:
                 numbers = [] if given is None else list(given)
             except TypeError:
-                raise InputError(f"{where}: {field} is no list of numbers.") from None
+                raise InputError("bad_sample", f"{where}: {field} is no list of numbers.") from None
             if len(numbers) not in (0, len(names)):
                 raise InputError(
-                    f"{where} has {len(names)} names and {len(numbers)} in {field}; each joint needs one, or none of them."
+                    "bad_sample",
+                    f"{where} has {len(names)} names and {len(numbers)} in {field}; each joint needs one, or none of them.",
                 )
             try:
                 values.extend(map(float, numbers if order is None or not numbers else [numbers[k] for k in order]))
             except (TypeError, ValueError, OverflowError):
-                raise InputError(f"{where}: {field} holds something else than numbers.") from None
+                raise InputError("bad_sample", f"{where}: {field} holds something else than numbers.") from None
             taken += len(numbers)
         self.log.append(log)
         self.stamp.append(stamp)
@@ -152,7 +156,9 @@ class _Joints:
             if not k or len(values) == 0:
                 continue
             if len(values) != n * k:
-                raise InputError(f"{name}: only some of its messages have {field}; all of them need it, or none.")
+                raise InputError(
+                    "file_format", f"{name}: only some of its messages have {field}; all of them need it, or none."
+                )
             for joint, column in zip(self.names, np.frombuffer(values).reshape(n, k).T, strict=True):
                 if not np.isnan(column).all():  # a driver without torque sensing says NaN
                     columns[f"{field}.{joint}"] = column.copy()

@@ -51,8 +51,9 @@ def build_topic_table(
     if covered.sum() < MIN_OVERLAP * t.size:
         names = format_names([topic.name for topic, _ in others])
         raise InputError(
+            "mismatch",
             f"{path.name}: {names} and {main.name} were recorded together for {covered.mean():.0%} of the messages only; their "
-            "clocks have to be one and the same."
+            "clocks have to be one and the same.",
         )
     chosen = np.flatnonzero(keep)[covered]
     cells = {"t": t[covered], **_own(main, chosen)}
@@ -65,7 +66,7 @@ def build_topic_table(
 
 def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topic:
     if not topics:
-        raise InputError(f"{name} has no topic with numbers in it; a log needs joint positions.")
+        raise InputError("file_format", f"{name} has no topic with numbers in it; a log needs joint positions.")
     for key in (*(k for k in wanted if k.startswith("q_")), *wanted):
         for topic in topics:
             if _field(topic, wanted[key]) is not None:
@@ -79,8 +80,9 @@ def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topi
         if most:
             break
     raise InputError(
+        "file_format",
         f"{name} has the topics {format_names(_names(topics))}, and it is not clear which is the log; a column map says so: "
-        f"q_axis: {_example(topics)}."
+        f"q_axis: {_example(topics)}.",
     )
 
 
@@ -96,7 +98,8 @@ def _others(name: str, topics: Sequence[Topic], main: Topic, wanted: Mapping[str
             start = column.rpartition(".")[0].split(".")[0]
             near = [c for c in known if start and c.startswith(start)] or known
             raise InputError(
-                f"{name} has no column {column}, which the map takes for {ours}; it has {format_names(near)}."
+                "missing_column",
+                f"{name} has no column {column}, which the map takes for {ours}; it has {format_names(near)}.",
             )
         if (topic, column) not in found:
             found.append((topic, column))
@@ -166,13 +169,16 @@ class _Clock:
         """Return a column of another topic at the main one's times (M,) [s], and how."""
         field = _field(topic, column) or ""
         if field in topic.truths:
-            raise InputError(f"{self.name}: {column} is true or false, which cannot be put on another topic's clock.")
+            raise InputError(
+                "file_format", f"{self.name}: {column} is true or false, which cannot be put on another topic's clock."
+            )
         keep = self.distinct(topic)
         t, x = self.seconds(topic)[keep], topic.columns[field][keep]
         if not np.isfinite(x).all():
             row = int(np.flatnonzero(keep)[int(np.argmin(np.isfinite(x)))]) + 1
             raise InputError(
-                f"{self.name}, {_word(topic)} {row} of {topic.name}: {column} is not a finite number; each needs one."
+                "bad_sample",
+                f"{self.name}, {_word(topic)} {row} of {topic.name}: {column} is not a finite number; each needs one.",
             )
         return resample_to_clock(f"{self.name}: {column}", t, x, wanted)
 
@@ -210,8 +216,9 @@ class _Clock:
             else "cut the log there"
         )
         raise InputError(
+            "time_stamps",
             f"{self.name}, {_word(topic)} {k + 1} of {topic.name or 'the log'}: its clock {what} (t = {times[k]:.9g} s after "
-            f"{times[k - 1]:.9g} s); was something restarted? {remedy}."
+            f"{times[k - 1]:.9g} s); was something restarted? {remedy}.",
         )
 
 

@@ -64,10 +64,10 @@ def fit_actuator(t: np.ndarray, reference: np.ndarray, position: np.ndarray) -> 
     """
     t, reference, position = (np.asarray(x, float) for x in (t, reference, position))
     if not (t.ndim == 1 and t.shape == reference.shape == position.shape) or len(t) < 2:
-        raise InputError("time, reference and position must be columns of one length")
+        raise InputError("wrong_shape", "time, reference and position must be columns of one length")
     step = np.diff(t)
     if not np.all(np.isfinite(t)) or np.ptp(step) > 1e-3 * np.mean(step) or np.mean(step) <= 0:
-        raise InputError("the times are not evenly spaced")
+        raise InputError("time_stamps", "the times are not evenly spaced")
     dt = float(t[-1] - t[0]) / (len(t) - 1)
     (found,) = fit_actuators([Record(reference[:, None], position[:, None], dt, ("reference",), ("position",))])
     return found
@@ -81,11 +81,13 @@ def fit_actuators(records: Sequence[Record]) -> tuple[ActuatorFit, ...]:
         CannotAnswer: A reference never moves, a position does not follow, or a test is too short.
     """
     if not records or any(r.u.shape != r.y.shape or r.u.shape[1] == 0 for r in records):
-        raise InputError("every position needs its reference: name as many inputs as outputs, in the same order")
+        raise InputError(
+            "mismatch", "every position needs its reference: name as many inputs as outputs, in the same order"
+        )
     if any(r.u.shape[1] != records[0].u.shape[1] or abs(r.dt / records[0].dt - 1) > 1e-6 for r in records):
-        raise InputError("the tests differ in their axes or their sampling rate")
+        raise InputError("mismatch", "the tests differ in their axes or their sampling rate")
     if not all(np.all(np.isfinite(r.u)) and np.all(np.isfinite(r.y)) for r in records):
-        raise InputError("a reference or a position is not a number")
+        raise InputError("bad_sample", "a reference or a position is not a number")
     return tuple(_axis([(r.u[:, k], r.y[:, k]) for r in records], records[0].dt) for k in range(records[0].u.shape[1]))
 
 
@@ -95,7 +97,11 @@ Tests = list[tuple[np.ndarray, np.ndarray]]
 def _axis(tests: Tests, dt: float) -> ActuatorFit:
     tests = [(r, y) for r, y in tests if len(r) >= 8 and np.ptp(r) > 0]
     if not tests:
-        raise CannotAnswer("the reference never moves", "record a step of the reference and wait until the axis stands")
+        raise CannotAnswer(
+            "poor_excitation",
+            "the reference never moves",
+            "record a step of the reference and wait until the axis stands",
+        )
     time_constant, delay = _walk(tests, dt, *_scan(tests, dt))
     linear = np.linalg.lstsq(
         np.vstack(_basis(tests, dt, time_constant, delay)), np.concatenate([y for _, y in tests]), rcond=None
@@ -106,7 +112,9 @@ def _axis(tests: Tests, dt: float) -> ActuatorFit:
     percent = 100 * (1 - np.sqrt(sum(np.sum(e**2) for e in errors) / max(spread, 1e-300)))
     gain = float(linear[0])
     if not gain > 2 * np.sqrt(covariance[0, 0]):
-        raise CannotAnswer("the position does not follow its reference", "check that the two columns belong together")
+        raise CannotAnswer(
+            "mismatch", "the position does not follow its reference", "check that the two columns belong together"
+        )
     return ActuatorFit(Actuator(gain, time_constant, delay), covariance, tuple(errors), float(percent))
 
 
@@ -205,7 +213,9 @@ def _covariance(
     ]
     n, q = sum(len(e) for e in errors), J[0].shape[1]
     if n <= q:
-        raise CannotAnswer("the tests are too short", "record at least a few time constants after each step")
+        raise CannotAnswer(
+            "too_little_data", "the tests are too short", "record at least a few time constants after each step"
+        )
     noise = fit_autoregression(errors)
     size = np.linalg.norm(np.vstack(J), axis=0)
     J = [part / np.where(size > 0, size, 1.0) for part in J]

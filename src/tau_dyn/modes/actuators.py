@@ -53,7 +53,8 @@ class Actuator:
         """
         if not 0 < a < 1 or d < 1:
             raise InputError(
-                f"q^-{d} {b:g} / (1 - {a:g} q^-1) is no delayed first-order system: it takes 0 < a < 1 and d >= 1"
+                "invalid_value",
+                f"q^-{d} {b:g} / (1 - {a:g} q^-1) is no delayed first-order system: it takes 0 < a < 1 and d >= 1",
             )
         return Actuator(b / (1 - a), -dt / float(np.log(a)), (d - 1) * dt)
 

@@ -31,7 +31,7 @@ def arx(records: Sequence[Record], order: int, *, delay: int = 0, direct: bool =
         InputError: The order is below 1 or the records are too short for it.
     """
     if order < 1:
-        raise InputError(f"an ARX model needs at least one lag, not {order}")
+        raise InputError("invalid_value", f"an ARX model needs at least one lag, not {order}")
     scales = Scales.of(records)
     factor = compress([record.aligned(delay).scaled(scales) for record in records], order + 1)
     lags, D, noise = fit_predictor(factor, order, direct)

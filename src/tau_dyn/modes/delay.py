@@ -110,7 +110,9 @@ def choose_delay(
         best = min(found, key=lambda d: found[d], default=0)
         wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in tried and found]
     if not found:
-        raise CannotAnswer("no model follows from these data", "a longer log, with more excitation against the noise")
+        raise CannotAnswer(
+            "no_solution", "no model follows from these data", "a longer log, with more excitation against the noise"
+        )
     lowest = min(bic for bic, _ in found.values())
     close = sorted((bic, d) for d, (bic, _) in found.items() if bic < lowest + CLOSE_BIC_DIFFERENCE)[:RIVALS]
     refined = {}

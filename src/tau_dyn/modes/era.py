@@ -67,7 +67,7 @@ class Realisation:
             InputError: There are too few samples for the order.
         """
         if not 1 <= order <= min(self.shifted.shape) - self.p:
-            raise InputError(f"these responses are too short to give order {order}")
+            raise InputError("too_little_data", f"these responses are too short to give order {order}")
         root = np.sqrt(self.values[:order])
         A = self.shifted[:order, :order] / np.outer(root, root)
         return A, root[:, None] * self.start[:order], self.U[: self.p, :order] * root
@@ -118,7 +118,7 @@ def era(impulse_response: np.ndarray, dt: float, order: int) -> StateSpace:
     """
     h = np.asarray(impulse_response, dtype=float)
     if h.ndim != 3:
-        raise InputError("an impulse response has the shape (samples, outputs, inputs)")
+        raise InputError("wrong_shape", "an impulse response has the shape (samples, outputs, inputs)")
     A, B, C = Realisation.of(h[1:]).matrices(order)
     return StateSpace(A, B, C, h[0], np.zeros((order, h.shape[1])), dt)
 
@@ -139,7 +139,7 @@ def decompose_pulse_tests(records: Sequence[Record], *, delay: int = 0) -> EraFa
     decays = [record.y[_first_at_rest(record) :] for record in ready]
     n = _heard(decays)
     if n < 10:
-        raise InputError("the records are too short after their pulses; record the whole decay")
+        raise InputError("too_little_data", "the records are too short after their pulses; record the whole decay")
     return EraFactors(ready, scales, Realisation.of(np.stack([decay[:n] for decay in decays], axis=2)), delay)
 
 
@@ -166,6 +166,7 @@ def _first_at_rest(record: Record) -> int:
     first = int(busy[-1]) + 1 if len(busy) else 0
     if first > 0.7 * record.n_samples:
         raise CannotAnswer(
+            "poor_excitation",
             f"the input of {record.name or 'a record'} never comes to rest, so there is no decay to see",
             "use a method for lasting excitation, or record longer after the pulse",
         )

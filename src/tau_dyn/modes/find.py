@@ -80,7 +80,7 @@ def find_modes(
     say = progress or (lambda step: None)
     asked, fixed = _order(order), _delay(delay)
     if method not in ("auto", *METHODS):
-        raise InputError(f"--method {method}: there are auto, {', '.join(METHODS)}")
+        raise InputError("bad_option", f"--method {method}: there are auto, {', '.join(METHODS)}")
     places = _places(collocated, inputs, outputs)
     data = prepare_records(
         _several(logs), tuple(inputs), tuple(outputs), holdout=_several(holdout), references=tuple(references)
@@ -178,7 +178,8 @@ def _places(
     for one, other in pairs:
         if one not in inputs or other not in outputs:
             raise InputError(
-                f"--collocated {one}:{other}: write an input of {list(inputs)} and an output of {list(outputs)}"
+                "bad_option",
+                f"--collocated {one}:{other}: write an input of {list(inputs)} and an output of {list(outputs)}",
             )
     return [(list(inputs).index(a), list(outputs).index(b)) for a, b in pairs] or None
 
@@ -192,7 +193,9 @@ def _order(order: str | int) -> int | None:
     except ValueError:
         value = 0
     if not 1 <= value <= MAX_REQUESTED_ORDER:
-        raise InputError(f"--order {order}: write auto, or a number of states from 1 to {MAX_REQUESTED_ORDER}")
+        raise InputError(
+            "bad_option", f"--order {order}: write auto, or a number of states from 1 to {MAX_REQUESTED_ORDER}"
+        )
     return value
 
 
@@ -202,8 +205,9 @@ def _refuse_costly(order: int | None, data: PreparedRecords) -> None:
     most = data.n_train * p // (4 * (p + m))
     if order is not None and order > most:
         raise InputError(
+            "bad_option",
             f"--order {order}: {data.n_train} training samples cannot pay for it with {m} inputs and {p} outputs; "
-            f"at most {most}, better far fewer"
+            f"at most {most}, better far fewer",
         )
 
 
@@ -216,7 +220,7 @@ def _delay(delay: str | int) -> int | None:
     except ValueError:
         value = -1
     if not 0 <= value <= 10_000:
-        raise InputError(f"--delay {delay}: write auto, or a number of samples from 0 up")
+        raise InputError("bad_option", f"--delay {delay}: write auto, or a number of samples from 0 up")
     return value
 
 
@@ -230,6 +234,7 @@ def _method(method: str, data: PreparedRecords, feedback: Feedback) -> tuple[str
     """Return the method to begin with, and why."""
     if method == "era" and data.kind != "impulse":
         raise CannotAnswer(
+            "poor_excitation",
             "era needs impulse tests, and these inputs are not short pulses followed by rest",
             "a hammer's blow and its decay, or another method for these data",
         )
@@ -300,7 +305,9 @@ def _refined(
         if isinstance(fault, InputError):
             raise fault
         raise CannotAnswer(
-            f"no stable model of order {order} follows from these data", "a longer log, or a lower --order"
+            "no_solution",
+            f"no stable model of order {order} follows from these data",
+            "a longer log, or a lower --order",
         )
     _, name, best = min(found, key=lambda row: row[0])
     what = "simulation" if kind == SIMULATED else "one-step predictions"

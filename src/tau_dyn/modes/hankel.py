@@ -81,7 +81,10 @@ def compress(records: Sequence[Record], rows: int, method: str = "auto") -> Hank
     n_columns = sum(len(z) - rows + 1 for z in data)
     if n_columns < rows * w:
         samples = sum(record.n_samples for record in records)
-        raise InputError(f"{samples} samples are too few for {rows} block rows of {w} signals; shorten the horizon")
+        raise InputError(
+            "too_little_data",
+            f"{samples} samples are too few for {rows} block rows of {w} signals; shorten the horizon",
+        )
     L = None
     if method in ("auto", "gram"):
         L = _cholesky(np.sum([_gram(z, rows) for z in data], axis=0), forced=method == "gram")

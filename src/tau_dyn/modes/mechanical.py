@@ -127,7 +127,7 @@ def fit_mechanical(
     derivative, places = count_derivatives(output), find_places(p, m, collocated)
     span = band or (0.0, _TOP / model.dt)
     if not 0 <= span[0] < span[1]:
-        raise InputError(f"the band {span[0]:g} to {span[1]:g} Hz is empty")
+        raise InputError("invalid_value", f"the band {span[0]:g} to {span[1]:g} Hz is empty")
     if not places.pairs:
         return _refused("no collocated pair: name an input and an output at one place and in one direction")
     try:

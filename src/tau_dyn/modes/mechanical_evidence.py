@@ -87,6 +87,7 @@ def convert_to_continuous(model: StateSpace, derivative: int = 0) -> Continuous:
     z = z.astype(complex)
     if np.any((np.abs(z.imag) < 1e-12) & (z.real <= 0)):
         raise CannotAnswer(
+            "not_identifiable",
             "a pole of the model lies at or beyond half the sampling rate",
             "choose another order, or sample faster than twice the highest resonance",
         )

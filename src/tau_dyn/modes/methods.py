@@ -53,7 +53,7 @@ def build_initial_estimator(method: str, records: Sequence[Record], *, delay: in
     if method == "era":
         decays = decompose_pulse_tests(records, delay=delay)
         return lambda order: stabilise_poles(decays.model(order))
-    raise InputError(f"--method {method}: there are auto, {', '.join(METHODS)}")
+    raise InputError("bad_option", f"--method {method}: there are auto, {', '.join(METHODS)}")
 
 
 @dataclass(frozen=True, eq=False)

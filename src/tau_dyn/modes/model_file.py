@@ -60,10 +60,12 @@ def load_state_space(path: str | Path) -> ModelFile:
     """
     entries = read_yaml(path)
     if not isinstance(entries, dict) or entries.get("tau_dyn_state_space") != _FORMAT:
-        raise InputError(f"{path}: not a state space model (its first key is 'tau_dyn_state_space: {_FORMAT}')")
+        raise InputError(
+            "file_format", f"{path}: not a state space model (its first key is 'tau_dyn_state_space: {_FORMAT}')"
+        )
     for key, kind in (("inputs", list), ("outputs", list), ("A", list), ("provenance", dict)):
         if not isinstance(entries.get(key) or kind(), kind):
-            raise InputError(f"{path}: '{key}' has to be a {kind.__name__}")
+            raise InputError("file_format", f"{path}: '{key}' has to be a {kind.__name__}")
     inputs, outputs = (tuple(map(str, entries.get(k) or ())) for k in ("inputs", "outputs"))
     n, m, p = len(entries.get("A") or ()), len(inputs), len(outputs)
     shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "K": (n, p)}
@@ -71,7 +73,9 @@ def load_state_space(path: str | Path) -> ModelFile:
     noise = None if entries.get("noise") is None else _matrix(path, entries, "noise", (p, p))
     dt, delay = entries.get("dt"), entries.get("delay")
     if not isinstance(dt, int | float) or not 0 < dt < 1e9 or not isinstance(delay, int) or not 0 <= delay < 1e9:
-        raise InputError(f"{path}: 'dt' has to be a positive number and 'delay' a whole number from 0 up")
+        raise InputError(
+            "file_format", f"{path}: 'dt' has to be a positive number and 'delay' a whole number from 0 up"
+        )
     model = StateSpace(**matrices, dt=float(dt), delay=delay, noise=noise)
     return ModelFile(model, inputs, outputs, dict(entries.get("provenance") or {}))
 
@@ -80,7 +84,9 @@ def _matrix(path: str | Path, entries: dict[str, Any], name: str, shape: tuple[i
     try:
         matrix = np.array(entries.get(name), dtype=float).reshape(shape)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{path}: '{name}' has to be a matrix of {shape[0]} by {shape[1]} numbers") from None
+        raise InputError(
+            "file_format", f"{path}: '{name}' has to be a matrix of {shape[0]} by {shape[1]} numbers"
+        ) from None
     if not np.all(np.isfinite(matrix)):
-        raise InputError(f"{path}: '{name}' holds a number that is not finite")
+        raise InputError("file_format", f"{path}: '{name}' holds a number that is not finite")
     return matrix

@@ -175,7 +175,9 @@ def choose_order(
         _refine_near(search, scanned, asked)
     rows = sorted(search.rows, key=lambda row: row.order)
     if not rows:
-        raise CannotAnswer("no order gave a stable model", "a longer log, with more excitation against the noise")
+        raise CannotAnswer(
+            "no_solution", "no order gave a stable model", "a longer log, with more excitation against the noise"
+        )
     best = min(rows, key=lambda row: row.lost)
     done = {row.order for row in rows}
     rows = sorted([*rows, *(r for r in scanned if r.order not in done)], key=lambda row: row.order)
@@ -397,5 +399,7 @@ def _affordable(records: Sequence[Record], orders: Sequence[int], *, strict: boo
     n = sum(r.n_samples for r in records)
     kept = [o for o in orders if 8 * count_free_parameters(o, p, m, direct=True, predicts=False) <= n * p]
     if strict and not kept:
-        raise InputError(f"{n} samples cannot pay for order {min(orders)} with {m} inputs and {p} outputs")
+        raise InputError(
+            "invalid_value", f"{n} samples cannot pay for order {min(orders)} with {m} inputs and {p} outputs"
+        )
     return kept

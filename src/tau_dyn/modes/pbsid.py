@@ -40,7 +40,9 @@ def pbsid(
     factor = compress_predictor_data(ready, past, least=-(-2 * order // records[0].y.shape[1]))
     past = factor.rows - 1
     if not 1 <= order <= past * factor.n_outputs:
-        raise InputError(f"order {order} is not between 1 and {past * factor.n_outputs}; take a longer past")
+        raise InputError(
+            "invalid_value", f"order {order} is not between 1 and {past * factor.n_outputs}; take a longer past"
+        )
     T, _ = estimate_states_of_past(factor, order, direct)
     A, B, C, D, K, noise = estimate_matrices_from_states(T, factor, past, direct)
     return StateSpace(A, B, C, D, K, records[0].dt, delay, noise).unscaled(scales)

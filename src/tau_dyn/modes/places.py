@@ -101,8 +101,11 @@ def find_places(p: int, m: int, collocated: Sequence[tuple[int, int]] | None) ->
     pairs = [(k, k) for k in range(p)] if collocated is None and p == m else list(collocated or ())
     for side, size, used in (("input", m, [j for j, _ in pairs]), ("output", p, [i for _, i in pairs])):
         if any(not 0 <= k < size for k in used):
-            raise InputError(f"a collocated pair names {side} {max(used, key=abs)}; there are {size}, counted from 0")
+            raise InputError(
+                "invalid_value",
+                f"a collocated pair names {side} {max(used, key=abs)}; there are {size}, counted from 0",
+            )
         if len(set(used)) < len(used):
-            raise InputError(f"a collocated pair names the same {side} twice")
+            raise InputError("duplicate_name", f"a collocated pair names the same {side} twice")
     at, free = dict(pairs), iter(range(p, p + m))
     return Places(tuple(range(p)), tuple(at[j] if j in at else next(free) for j in range(m)))

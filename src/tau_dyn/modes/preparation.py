@@ -154,15 +154,17 @@ def _records(log: Log, inputs: Sequence[str], outputs: Sequence[str], references
             first = int(np.flatnonzero(~np.isfinite(column))[0])
             n = int(np.sum(~np.isfinite(column)))
             raise InputError(
+                "bad_sample",
                 f"{log.name}: column '{name}' holds no number in {n} sample(s), first at t = {log.t[first]:.6g} s; "
-                "mend them, or cut the log there"
+                "mend them, or cut the log there",
             )
     records = build_records(log, inputs, outputs, references)
     for i, one in enumerate(inputs):
         for j, other in enumerate(outputs):
             if all(_alike(r.u[:, i], r.y[:, j]) for r in records):
                 raise InputError(
-                    f"{log.name}: output '{other}' is input '{one}' again, but for scale; name the measured response"
+                    "mismatch",
+                    f"{log.name}: output '{other}' is input '{one}' again, but for scale; name the measured response",
                 )
     return records
 
@@ -174,28 +176,31 @@ def _alike(a: np.ndarray, b: np.ndarray) -> bool:
 
 def _refuse_names(inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str]) -> None:
     if not outputs:
-        raise InputError("no outputs are named; name the columns that respond with --outputs")
+        raise InputError("bad_option", "no outputs are named; name the columns that respond with --outputs")
     if not inputs:
         raise InputError(
+            "bad_option",
             "no inputs are named; resonances are identified from what excites the structure and what responds. "
-            "Name the columns that excite with --inputs; a response alone, without its input, is not supported"
+            "Name the columns that excite with --inputs; a response alone, without its input, is not supported",
         )
     twice = [n for n in references if n in (*inputs, *outputs)]
     if twice:
         raise InputError(
-            f"column '{twice[0]}' is a reference and also an input or output; a reference is what the loop was asked for"
+            "duplicate_name",
+            f"column '{twice[0]}' is a reference and also an input or output; a reference is what the loop was asked for",
         )
 
 
 def _refuse_steps(records: Sequence[Record]) -> None:
     if not records:
-        raise InputError("every stretch between gaps is shorter than 10 samples; no record is left")
+        raise InputError("too_little_data", "every stretch between gaps is shorter than 10 samples; no record is left")
     dt = records[0].dt
     for r in records:
         if abs(r.dt / dt - 1) > STEP_TOLERANCE:
             raise InputError(
+                "time_stamps",
                 f"{r.name} is sampled at {1 / r.dt:.6g} Hz and {records[0].name} at {1 / dt:.6g} Hz; "
-                "one model needs one sampling rate"
+                "one model needs one sampling rate",
             )
 
 
@@ -203,6 +208,7 @@ def _refuse_short(records: Sequence[Record], channels: int) -> None:
     n, needed = sum(r.n_samples for r in records), int(SAMPLES_PER_CHANNEL * channels / TRAIN_SHARE)
     if n < needed:
         raise CannotAnswer(
+            "too_little_data",
             f"{n} samples are too few for {channels} channels",
             f"record at least {needed} samples, better ten times as many",
         )

@@ -54,7 +54,8 @@ class Record:
             return self
         if not 0 < delay < self.n_samples:
             raise InputError(
-                f"a delay of {delay} samples does not fit into {self.name or 'a record'} of {self.n_samples}"
+                "invalid_value",
+                f"a delay of {delay} samples does not fit into {self.name or 'a record'} of {self.n_samples}",
             )
         reference = None if self.reference is None else self.reference[:-delay]
         return replace(self, u=self.u[:-delay], y=self.y[delay:], reference=reference)
@@ -102,17 +103,20 @@ def check_alike(records: Sequence[Record]) -> None:
         InputError: There is none, they differ in step or columns, or hold numbers that are not finite.
     """
     if not records:
-        raise InputError("there is no record to identify from")
+        raise InputError("missing_input", "there is no record to identify from")
     first = records[0]
     for record in records:
         if abs(record.dt / first.dt - 1) > 1e-6:
             raise InputError(
-                f"records differ in sampling step: {first.dt:g} s and {record.dt:g} s; resample them alike"
+                "time_stamps",
+                f"records differ in sampling step: {first.dt:g} s and {record.dt:g} s; resample them alike",
             )
         if record.u.shape[1] != first.u.shape[1] or record.y.shape[1] != first.y.shape[1]:
-            raise InputError("records differ in their number of inputs or outputs")
+            raise InputError("mismatch", "records differ in their number of inputs or outputs")
         if not (np.isfinite(record.u).all() and np.isfinite(record.y).all()):
-            raise InputError(f"{record.name or 'a record'} holds numbers that are not finite; cut it there")
+            raise InputError(
+                "bad_sample", f"{record.name or 'a record'} holds numbers that are not finite; cut it there"
+            )
 
 
 def build_records(
@@ -132,12 +136,12 @@ def build_records(
     names = [*inputs, *outputs, *references]
     for name in names:
         if name not in log.channels:
-            raise InputError(describe_missing_column(log.name, name, tuple(log.channels)))
+            raise InputError("missing_column", describe_missing_column(log.name, name, tuple(log.channels)))
     for name in [*inputs, *outputs]:
         if names.count(name) > 1:
-            raise InputError(f"column '{name}' is named twice; each is an input or an output")
+            raise InputError("duplicate_name", f"column '{name}' is named twice; each is an input or an output")
         if np.ptp(log.channels[name]) == 0:
-            raise InputError(f"{log.name}: column '{name}' never changes")
+            raise InputError("poor_excitation", f"{log.name}: column '{name}' never changes")
 
     def stacked(piece: Log, columns: Iterable[str]) -> np.ndarray:
         return np.column_stack([np.zeros((piece.n_samples, 0)), *(piece.channels[name] for name in columns)])

@@ -35,7 +35,7 @@ def reduce_order(model: StateSpace, order: int) -> StateSpace:
         InputError: The order is not between 1 and the model's.
     """
     if not 1 <= order <= model.order:
-        raise InputError(f"cannot reduce a model of order {model.order} to {order}")
+        raise InputError("invalid_value", f"cannot reduce a model of order {model.order} to {order}")
     if model.spectral_radius() >= 1:
         small = era(model.markov(MARKOV), model.dt, order)
         return replace(small, delay=model.delay, noise=model.noise)

@@ -98,10 +98,10 @@ def refine(
         InputError: The kind is unknown or the records do not fit the model.
     """
     if kind not in KINDS:
-        raise InputError(f"there is no refinement '{kind}'; there are {' and '.join(KINDS)}")
+        raise InputError("invalid_value", f"there is no refinement '{kind}'; there are {' and '.join(KINDS)}")
     scales = Scales.of(records)
     if model.D.shape != (records[0].y.shape[1], records[0].u.shape[1]):
-        raise InputError("the records' inputs or outputs are not those of the model")
+        raise InputError("mismatch", "the records' inputs or outputs are not those of the model")
     ready = [record.aligned(model.delay).scaled(scales) for record in records]
     direct = bool(np.any(model.D)) if direct is None else direct
     start = replace(model.scaled(scales), delay=0)

@@ -75,7 +75,7 @@ def count_derivatives(output: str) -> int:
         InputError: It is not one of `OUTPUTS`.
     """
     if output not in OUTPUTS:
-        raise InputError(f"output '{output}' is not known; it is one of {', '.join(OUTPUTS)}")
+        raise InputError("invalid_value", f"output '{output}' is not known; it is one of {', '.join(OUTPUTS)}")
     return OUTPUTS.index(output)
 
 

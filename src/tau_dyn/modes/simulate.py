@@ -50,7 +50,7 @@ def predict(model: StateSpace, record: Record, k: int = 1) -> np.ndarray:
     The first k rows rest on the initial state alone.
     """
     if k < 1:
-        raise InputError(f"predictions look at least one sample ahead, not {k}")
+        raise InputError("invalid_value", f"predictions look at least one sample ahead, not {k}")
     u = delay_inputs(model, record)
     A, drive = _predictor(model, u, record.y)
     first = estimate_initial_state(model, record, predictor=True)
@@ -86,7 +86,7 @@ def _triangular(T: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> tuple[np.nd
 def delay_inputs(model: StateSpace, record: Record) -> np.ndarray:
     """Return the inputs as the model sees them (N, m): late by its delay, the first one held before the record."""
     if record.u.shape[1] != model.B.shape[1] or record.y.shape[1] != len(model.C):
-        raise InputError("the record's inputs or outputs are not those of the model")
+        raise InputError("mismatch", "the record's inputs or outputs are not those of the model")
     if model.delay == 0 or record.n_samples == 0:
         return record.u
     late = min(model.delay, record.n_samples)

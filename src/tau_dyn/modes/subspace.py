@@ -75,7 +75,7 @@ class SubspaceFactors:
             return self._oblique @ np.hstack([L21, L22]), None
         if weighting == "moesp":
             return L32, None
-        raise InputError(f"there is no weighting '{weighting}'; there are {', '.join(WEIGHTINGS)}")
+        raise InputError("invalid_value", f"there is no weighting '{weighting}'; there are {', '.join(WEIGHTINGS)}")
 
     @cached_property
     def _oblique(self) -> np.ndarray:
@@ -103,7 +103,9 @@ class SubspaceFactors:
     def observability(self, order: int, weighting: str = "cva") -> np.ndarray:
         """Return the extended observability matrix (s p, n), in scaled outputs."""
         if not 1 <= order <= self.largest_order:
-            raise InputError(f"order {order} is not between 1 and {self.largest_order}; take a longer horizon")
+            raise InputError(
+                "invalid_value", f"order {order} is not between 1 and {self.largest_order}; take a longer horizon"
+            )
         values, columns = self._decomposed(weighting)
         return columns[:, :order] * np.sqrt(values[:order])
 
@@ -148,7 +150,7 @@ def compress_subspace_data(records: Sequence[Record], *, horizon: int | None = N
     ready = tuple(record.aligned(delay).scaled(scales) for record in records)
     horizon = choose_default_horizon(ready) if horizon is None else horizon
     if horizon < 2:
-        raise InputError("the horizon must be at least 2 samples")
+        raise InputError("invalid_value", "the horizon must be at least 2 samples")
     return SubspaceFactors(ready, scales, compress(ready, 2 * horizon), horizon, delay)
 
 

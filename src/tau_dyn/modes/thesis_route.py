@@ -85,18 +85,23 @@ def solve_unconstrained(model: StateSpace, output: str = "displacement") -> Seco
     p, m = model.D.shape
     if m != p:
         raise CannotAnswer(
+            "not_identifiable",
             f"{m} inputs and {p} outputs leave M open: only M^-1 B can be read off",
             "give as many inputs as outputs, in the same order",
         )
     if model.order != 2 * p:
         raise CannotAnswer(
-            f"the states (x, x') of {p} outputs are {2 * p}, and the model has {model.order}", "choose that order"
+            "not_identifiable",
+            f"the states (x, x') of {p} outputs are {2 * p}, and the model has {model.order}",
+            "choose that order",
         )
     found = convert_to_continuous(model)
     left = found.left / found.poles ** count_derivatives(output)
     states = np.vstack([left, left * found.poles])
     if np.linalg.cond(states) > 1e12 * np.abs(found.poles).max():
-        raise CannotAnswer("the outputs and their rates do not span the model's states", "sense other places")
+        raise CannotAnswer(
+            "not_identifiable", "the outputs and their rates do not span the model's states", "sense other places"
+        )
     lower = ((left * found.poles**2) @ np.linalg.inv(states)).real
     M = np.linalg.inv(((left * found.poles) @ found.right).real)
     return SecondOrder(M, -M @ lower[:, p:], -M @ lower[:, :p])

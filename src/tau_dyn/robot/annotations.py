@@ -92,11 +92,11 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     try:
         root = fromstring(urdf, forbid_dtd=True)
     except DefusedXmlException as fault:
-        raise InputError(f"{where}: a robot file may not declare a document type or entities") from fault
+        raise InputError("file_format", f"{where}: a robot file may not declare a document type or entities") from fault
     except ParseError as fault:
-        raise InputError(f"{where}: not well-formed XML ({fault})") from fault
+        raise InputError("robot_structure", f"{where}: not well-formed XML ({fault})") from fault
     if root.tag != "robot":
-        raise InputError(f"{where}: the root element is <{root.tag}>, a robot file's is <robot>")
+        raise InputError("robot_structure", f"{where}: the root element is <{root.tag}>, a robot file's is <robot>")
     check_tree(root, where)
     check_numbers(root, where)
     check_parents(root, where)
@@ -131,7 +131,9 @@ class _Reader:
         self.mimics = tuple(e.get("name", "") for e in movable if e.find("mimic") is not None)
         both = set(self.links) & {e.get("name", "") for e in root.findall("joint")}
         if both:
-            raise InputError(f"{where}: '{min(both)}' names both a link and a joint; end link names in _link")
+            raise InputError(
+                "robot_structure", f"{where}: '{min(both)}' names both a link and a joint; end link names in _link"
+            )
 
     def leaves(self) -> tuple[str, ...]:
         parents = {e.get("link") for e in self.root.findall("joint/parent")}
@@ -154,7 +156,9 @@ class _Reader:
         name = element.get(attribute, "")
         if name not in known:
             tag = element.tag.split("}")[-1]
-            raise InputError(f"{self.where}: <{tag}> names {kind} '{name}'; there are {', '.join(known)}")
+            raise InputError(
+                "robot_structure", f"{self.where}: <{tag}> names {kind} '{name}'; there are {', '.join(known)}"
+            )
         return name
 
     def number(self, element: Element, attribute: str) -> float:
@@ -165,7 +169,9 @@ class _Reader:
         values = parse_numbers(text)
         if len(values) != count or not all(abs(v) < 1e12 for v in values):
             tag = element.tag.split("}")[-1]
-            raise InputError(f"{self.where}: <{tag} {attribute}='{text}'> must hold {count} finite number(s)")
+            raise InputError(
+                "robot_structure", f"{self.where}: <{tag} {attribute}='{text}'> must hold {count} finite number(s)"
+            )
         return values
 
     def loops(self) -> tuple[BallConstraint, ...]:
@@ -178,7 +184,8 @@ class _Reader:
                 missing = [p for p, e in part.items() if e is None]
                 if missing:
                     raise InputError(
-                        f"{self.where}: a <drake:ball_constraint> lacks <drake:ball_constraint_{missing[0]}>"
+                        "robot_structure",
+                        f"{self.where}: a <drake:ball_constraint> lacks <drake:ball_constraint_{missing[0]}>",
                     )
                 a, b, p_a, p_b = (e for e in part.values() if e is not None)
                 point_a, point_b = self._numbers(p_a, "value", 3), self._numbers(p_b, "value", 3)
@@ -210,10 +217,13 @@ class _Reader:
             spring = Spring(name, self.number(element, "stiffness"), damping)
             if name in found or name in driven:
                 why = "has a <transmission>" if name in driven else "has two springs"
-                raise InputError(f"{self.where}: joint '{name}' {why}; a spring stands alone on a passive joint")
+                raise InputError(
+                    "robot_structure", f"{self.where}: joint '{name}' {why}; a spring stands alone on a passive joint"
+                )
             if spring.stiffness <= 0 or spring.damping < 0:
                 raise InputError(
-                    f"{self.where}: the spring on '{name}' needs a stiffness above and a damping from zero up"
+                    "robot_structure",
+                    f"{self.where}: the spring on '{name}' needs a stiffness above and a damping from zero up",
                 )
             found[name] = spring
         return tuple(found.values())
@@ -227,7 +237,10 @@ class _Reader:
             if ratio is None and (text := element.findtext("mechanicalReduction")) is not None:
                 values = parse_numbers(text)
                 if len(values) != 1 or not abs(values[0]) < 1e12:
-                    raise InputError(f"{self.where}: <mechanicalReduction>{text[:40]}</...> must be one finite number")
+                    raise InputError(
+                        "robot_structure",
+                        f"{self.where}: <mechanicalReduction>{text[:40]}</...> must be one finite number",
+                    )
                 ratio = values[0]
         return inertia * (1.0 if ratio is None else ratio) ** 2
 

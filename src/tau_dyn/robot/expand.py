@@ -94,16 +94,18 @@ def find_robot(robot: str | Path) -> Path:
     try:
         there = path.is_file()
     except OSError as fault:
-        raise InputError(f"{path}: no such robot file ({fault.strerror})") from fault
+        raise InputError("file_not_found", f"{path}: no such robot file ({fault.strerror})") from fault
     if there:
         if not path.name.endswith((".urdf", ".urdf.xacro", ".xacro", ".xml")):
             raise InputError(
-                f"{path}: a robot file ends in .urdf or .urdf.xacro{_SWAPPED.get(path.suffix.lower(), '')}"
+                "file_format",
+                f"{path}: a robot file ends in .urdf or .urdf.xacro{_SWAPPED.get(path.suffix.lower(), '')}",
             )
         return path
     if path.suffix or len(path.parts) > 1:
         raise InputError(
-            f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau"
+            "file_not_found",
+            f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau",
         )
     ours = list_robot_names()
     if str(robot) in ours:
@@ -133,7 +135,8 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluat
             if is_xacro(path, document):
                 if not evaluate:
                     raise InputError(
-                        f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first"
+                        "unsupported",
+                        f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first",
                     )
                 xacro.init_stacks(str(path))
                 with redirect_stderr(io.StringIO()):
@@ -141,13 +144,13 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluat
                 check_depth(document, str(path))
             return document.toprettyxml(indent="  ")
         except InputError as fault:
-            raise fault if str(fault).startswith(str(path)) else InputError(f"{path}: {fault}") from fault
+            raise fault if str(fault).startswith(str(path)) else InputError(fault.code, f"{path}: {fault}") from fault
         except (RecursionError, MemoryError) as fault:
-            raise InputError(f"{path}: expands without end") from fault
+            raise InputError("file_format", f"{path}: expands without end") from fault
         except Exception as fault:  # whatever an expression in the file raised: its fault, named below
             reason = " ".join(str(fault).split()) or type(fault).__name__
             reason = reason.partition(" when evaluating expression 'xacro.fatal(")[0]
-            raise InputError(f"{path}: xacro cannot expand it: {reason}") from fault
+            raise InputError("file_format", f"{path}: xacro cannot expand it: {reason}") from fault
 
 
 def is_xacro(path: Path, document: Document) -> bool:
@@ -174,12 +177,12 @@ def _parse(inp: object, filename: str | None = None) -> Document:
         check_depth(document, name)
         return document
     except OSError as fault:
-        raise InputError(f"{name}: cannot be read ({fault.strerror})") from fault
+        raise InputError("cannot_read", f"{name}: cannot be read ({fault.strerror})") from fault
     except DefusedXmlException as fault:
-        raise InputError(f"{name}: a robot file may not declare a document type or entities") from fault
+        raise InputError("file_format", f"{name}: a robot file may not declare a document type or entities") from fault
     except ExpatError as fault:
         hint = _prefix_hint(str(fault))
-        raise InputError(f"{name}, line {fault.lineno}: not well-formed XML ({fault}){hint}") from fault
+        raise InputError("file_format", f"{name}, line {fault.lineno}: not well-formed XML ({fault}){hint}") from fault
 
 
 def _prefix_hint(message: str) -> str:

@@ -35,17 +35,19 @@ def check_expression(text: str) -> None:
         InputError: It names what leads to Python itself, or is longer than any sensible one. Bad syntax passes: xacro says it.
     """
     if len(text) > MAX_CHARACTERS:
-        raise InputError(f"an expression of {len(text)} characters; at most {MAX_CHARACTERS} are evaluated")
+        raise InputError(
+            "file_too_large", f"an expression of {len(text)} characters; at most {MAX_CHARACTERS} are evaluated"
+        )
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError):
         return
     for node in ast.walk(tree):
         if (name := _named(node)) and (name in _FORBIDDEN or name.startswith(_INSIDES)) and name != "_":
-            raise InputError(f"the expression '{' '.join(text.split())[:80]}' may not use {name}")
+            raise InputError("file_format", f"the expression '{' '.join(text.split())[:80]}' may not use {name}")
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and not _small(node.right):
             said = f"the expression '{' '.join(text.split())[:80]}' raises to a power that is no number up to {_MAX_EXPONENT}"
-            raise InputError(f"{said}; math.pow does")
+            raise InputError("file_format", f"{said}; math.pow does")
 
 
 def _small(power: ast.expr) -> bool:

@@ -89,7 +89,8 @@ def load_robot_from_urdf(
         )
     if notes.loops and not passive:
         raise InputError(
-            f"{source}: no passive joint is left to close its loops, of {', '.join(names)}; name only those with a motor"
+            "robot_structure",
+            f"{source}: no passive joint is left to close its loops, of {', '.join(names)}; name only those with a motor",
         )
     loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
     links = _links(model, notes, warnings)
@@ -127,12 +128,15 @@ def _build_model(urdf: str, where: str) -> pin.Model:
             model = None
     if model is None:
         words = re.sub(r"(Error|Warning):\s*|\s+at line \d+ in \S+", " ", said[0])
-        raise InputError(f"{where}: Pinocchio cannot build the tree: {' '.join(words.split()) or reason}")
+        raise InputError(
+            "robot_structure", f"{where}: Pinocchio cannot build the tree: {' '.join(words.split()) or reason}"
+        )
     if model.nv == 0:
-        raise InputError(f"{where}: the robot has no movable joint")
+        raise InputError("robot_structure", f"{where}: the robot has no movable joint")
     if model.nv > MAX_DEGREES_OF_FREEDOM:
         raise InputError(
-            f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MAX_DEGREES_OF_FREEDOM} at most"
+            "robot_structure",
+            f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MAX_DEGREES_OF_FREEDOM} at most",
         )
     return model
 
@@ -142,9 +146,11 @@ def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
     ids = [model.getJointId(j) for j in joints]
     several = next((j for j, k in zip(joints, ids, strict=True) if model.joints[k].nv != 1), None)
     if several is not None:
-        raise InputError(f"{where}: the spring on '{several}' needs a joint of one degree of freedom")
+        raise InputError(
+            "robot_structure", f"{where}: the spring on '{several}' needs a joint of one degree of freedom"
+        )
     if len(ids) == model.njoints - 1:
-        raise InputError(f"{where}: all joints have springs; at least one must move")
+        raise InputError("robot_structure", f"{where}: all joints have springs; at least one must move")
     return pin.buildReducedModel(model, ids, pin.neutral(model))
 
 
@@ -179,8 +185,9 @@ def _actuated(
             raise UnknownName("movable joint", name, movable, where)
     if not names and notes.loops:
         raise InputError(
+            "robot_structure",
             f"{where}: the robot has kinematic loops but no <transmission>; "
-            "name its actuated joints with --actuated (load_robot(..., actuated=[...]))"
+            "name its actuated joints with --actuated (load_robot(..., actuated=[...]))",
         )
     if not names:
         names = movable
@@ -189,7 +196,7 @@ def _actuated(
         )
     for name in names:
         if model.joints[model.getJointId(name)].nv != 1:
-            raise InputError(f"{where}: actuated joint '{name}' must have one degree of freedom")
+            raise InputError("robot_structure", f"{where}: actuated joint '{name}' must have one degree of freedom")
     return tuple(n for n in movable if n in names)
 
 
@@ -211,7 +218,9 @@ def _add_loop(model: pin.Model, k: int, ball: BallConstraint, where: str) -> Loo
 
 def _anchor(model: pin.Model, name: str, link: str, point: np.ndarray, where: str) -> int:
     if not model.existFrame(link, pin.FrameType.BODY):
-        raise InputError(f"{where}: <drake:ball_constraint> names link '{link}', which is not in the tree")
+        raise InputError(
+            "robot_structure", f"{where}: <drake:ball_constraint> names link '{link}', which is not in the tree"
+        )
     body = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
     placement = body.placement * pin.SE3(np.eye(3), point)
     return model.addFrame(pin.Frame(name, body.parentJoint, 0, placement, pin.FrameType.OP_FRAME))

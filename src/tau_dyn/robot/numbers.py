@@ -43,7 +43,7 @@ def check_tree(root: Element, where: str) -> None:
     _refuse_deep(root, list, where)
     links = len(root.findall("link"))
     if links > MAX_LINKS:
-        raise InputError(f"{where}: {links} links; a robot has {MAX_LINKS} at most")
+        raise InputError("robot_structure", f"{where}: {links} links; a robot has {MAX_LINKS} at most")
 
 
 def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str) -> None:
@@ -53,7 +53,8 @@ def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str
         if not level:
             return
     raise InputError(
-        f"{where}: elements stand more than {MAX_LEVELS} deep inside each other; a robot file has few levels"
+        "robot_structure",
+        f"{where}: elements stand more than {MAX_LEVELS} deep inside each other; a robot file has few levels",
     )
 
 
@@ -73,8 +74,9 @@ def check_parents(root: Element, where: str) -> None:
         name, (parent, child) = joint.get("name", ""), ends
         if child in above:
             raise InputError(
+                "robot_structure",
                 f"{where}: link '{child}' is the child of joints '{above[child][0]}' and '{name}'; a link has one, and loops are "
-                "closed by <drake:ball_constraint>"
+                "closed by <drake:ball_constraint>",
             )
         if child:
             above[child] = name, parent
@@ -84,7 +86,9 @@ def check_parents(root: Element, where: str) -> None:
         while link in above and link not in rooted:
             if link in path:
                 ring = list(path)[list(path).index(link) :]
-                raise InputError(f"{where}: link '{link}' hangs on itself, by {', '.join(path[x] for x in ring)}")
+                raise InputError(
+                    "robot_structure", f"{where}: link '{link}' hangs on itself, by {', '.join(path[x] for x in ring)}"
+                )
             path[link], link = above[link]
         rooted.update(path)
 
@@ -103,7 +107,9 @@ def check_numbers(root: Element, where: str) -> None:
             _check(inertial, "origin", ("xyz", "rpy"), 3, place)
             mass = inertial.find("mass")
             if mass is not None and float(mass.get("value", "")) < 0:
-                raise InputError(f"{place}: its mass is {mass.get('value')} kg; a mass is not negative")
+                raise InputError(
+                    "robot_structure", f"{place}: its mass is {mass.get('value')} kg; a mass is not negative"
+                )
     for joint in root.findall("joint"):
         place = f"{where}: joint '{joint.get('name', '')}'"
         _check(joint, "origin", ("xyz", "rpy"), 3, place)
@@ -115,14 +121,16 @@ def _check(parent: Element, tag: str, names: tuple[str, ...], count: int, place:
     element = parent.find(tag)
     if element is None:
         if required:
-            raise InputError(f"{place}: <{parent.tag}> lacks <{tag}>")
+            raise InputError("robot_structure", f"{place}: <{parent.tag}> lacks <{tag}>")
         return
     for name in names:
         text = element.get(name)
         if text is None and not required:
             continue
         if not _are_numbers(text or "", count):
-            raise InputError(f"{place}: <{tag} {name}='{text or ''}'> must hold {count} finite number(s)")
+            raise InputError(
+                "robot_structure", f"{place}: <{tag} {name}='{text or ''}'> must hold {count} finite number(s)"
+            )
 
 
 def _are_numbers(text: str, count: int) -> bool:

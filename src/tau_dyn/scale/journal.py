@@ -78,7 +78,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
         file = path.open("a+b")
     except OSError as fault:
         raise InputError(
-            f"{path} cannot be written: {fault.strerror or fault}; name a file in an existing folder"
+            "cannot_write", f"{path} cannot be written: {fault.strerror or fault}; name a file in an existing folder"
         ) from fault
     with file:
         try:
@@ -89,7 +89,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
             pass
         except OSError:
             raise InputError(
-                f"{path} is being written by another run; let that one end, or name another file"
+                "not_available", f"{path} is being written by another run; let that one end, or name another file"
             ) from None
         yield file
 
@@ -106,9 +106,11 @@ def _done(file: BinaryIO, path: Path, head: dict[str, Any]) -> dict[str, Any]:
         _append(file, head)
         return {}
     if rows[0].get("about") != head["about"]:
-        raise InputError(f"{path} holds results of {rows[0].get('about')}, not of {head['about']}; name another file")
+        raise InputError(
+            "mismatch", f"{path} holds results of {rows[0].get('about')}, not of {head['about']}; name another file"
+        )
     if (rows[0].get("version"), rows[0].get("code")) != (head["version"], head["code"]):
-        raise InputError(f"{path} was begun by other code than this; remove it to begin anew")
+        raise InputError("mismatch", f"{path} was begun by other code than this; remove it to begin anew")
     return {row["item"]: row["result"] for row in rows[1:]}
 
 
@@ -119,7 +121,7 @@ def _row(path: Path, number: int, line: bytes) -> dict[str, Any]:
             return row
     except (ValueError, RecursionError):
         pass
-    raise InputError(f"{path}, line {number} is no line of a journal; remove the file to begin anew")
+    raise InputError("file_format", f"{path}, line {number} is no line of a journal; remove the file to begin anew")
 
 
 def _append(file: BinaryIO, row: dict[str, Any]) -> None:

@@ -109,7 +109,7 @@ def run_on_workers(
                 return
         except _WorkersLost as fault:
             if cluster is not None or start == MAX_STARTS:
-                raise TauDynError(f"{fault}; {_remedy(cluster)}") from fault
+                raise TauDynError("workers_lost", f"{fault}; {_remedy(cluster)}") from fault
         queue.put_back()
 
 
@@ -167,7 +167,7 @@ def _await_result(future: Any, client: Any) -> Any:
             return future.result(timeout=_LOOK_INTERVAL_S)
         except KilledWorker as fault:
             raise TauDynError(
-                f"an item ended each of the {_DEATHS + 1} processes that took it; run it alone"
+                "workers_lost", f"an item ended each of the {_DEATHS + 1} processes that took it; run it alone"
             ) from fault
         except FutureCancelledError as fault:
             raise _WorkersLost("the scheduler is gone") from fault
@@ -195,7 +195,7 @@ def connect_client(cluster: str | None, jobs: int) -> Iterator[Any]:
         from dask import config  # pyright: ignore[reportPrivateImportUsage]
         from distributed import Client, LocalCluster
     except ImportError:
-        raise InputError("this needs Dask; install it with pip install 'tau_dyn[scale]'") from None
+        raise InputError("missing_package", "this needs Dask; install it with pip install 'tau_dyn[scale]'") from None
     quiet = {
         "distributed.scheduler.allowed-failures": _DEATHS,
         "distributed.nanny.pre-spawn-environ": {**_ONE_THREAD},
@@ -220,7 +220,8 @@ def connect_client(cluster: str | None, jobs: int) -> Iterator[Any]:
             client = Client(cluster, timeout="10s")
         except (OSError, ValueError) as fault:
             raise InputError(
-                f"no Dask scheduler answers at {cluster} ({type(fault).__name__}); start one with dask scheduler"
+                "not_available",
+                f"no Dask scheduler answers at {cluster} ({type(fault).__name__}); start one with dask scheduler",
             ) from None
         yield stack.enter_context(client)
 

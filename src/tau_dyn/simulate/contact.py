@@ -126,8 +126,9 @@ def run_contact(
     """
     if abs(law.sample_time - dt) > 1e-9:
         raise InputError(
+            "mismatch",
             f"the lead-through law is for samples of {law.sample_time * 1e3:g} ms, the robot takes commands "
-            f"every {dt * 1e3:g} ms; its gains and stability limits hold for its own sampling alone"
+            f"every {dt * 1e3:g} ms; its gains and stability limits hold for its own sampling alone",
         )
     sensors, n = sensors or ContactSensors(), round(duration / dt)
     rng = np.random.default_rng(seed)

@@ -55,7 +55,8 @@ class ServoArm:
         """
         if robot.loops or robot.na < 6 or robot.model.nq != robot.model.nv:
             raise InputError(
-                f"{robot.source}: lead-through needs a serial arm of six or more joints with limits, no loops"
+                "unsupported",
+                f"{robot.source}: lead-through needs a serial arm of six or more joints with limits, no loops",
             )
         self.robot, self._model, self._data = robot, robot.model, robot.model.createData()
         self._frame = _frame(robot, frame)
@@ -63,7 +64,9 @@ class ServoArm:
         self.q, self._v = np.array(q, float), np.zeros(robot.na)
         rates = 2 * np.pi * np.broadcast_to(np.asarray(servo_hz, float), (robot.na,))
         if self.q.shape != (robot.na,) or not np.isfinite(self.q).all() or not np.all(np.isfinite(rates) & (rates > 0)):
-            raise InputError(f"{robot.source}: q must be {robot.na} finite numbers and servo_hz above zero")
+            raise InputError(
+                "wrong_shape", f"{robot.source}: q must be {robot.na} finite numbers and servo_hz above zero"
+            )
         self._rates = rates
         self._lower, self._upper, self._speeds = robot.lower, robot.upper, robot.velocity_limit
         self._u = np.zeros(robot.na)
@@ -109,11 +112,12 @@ class ServoArm:
         """
         u, s, vt = np.linalg.svd(self._jacobian, full_matrices=False)
         if s[-1] < _SINGULAR * s[0]:
-            raise InputError(f"{self.robot.source}: the arm came to a singularity; start it elsewhere")
+            raise InputError("unreachable", f"{self.robot.source}: the arm came to a singularity; start it elsewhere")
         joint = vt.T @ ((u.T @ twist) / s)
         if (np.abs(joint) > self._speeds).any():
             raise InputError(
-                f"{self.robot.source}: a command of the tool is faster than the joints; lower the speed limits"
+                "unreachable",
+                f"{self.robot.source}: a command of the tool is faster than the joints; lower the speed limits",
             )
         self._late.append(joint)
         self._u = self._late.popleft()
@@ -124,7 +128,9 @@ class ServoArm:
         self.q = self.q + step * self._v + (dt - step) * self._u
         self._v = e * self._v + (1 - e) * self._u
         if (self.q < self._lower).any() or (self.q > self._upper).any():
-            raise InputError(f"{self.robot.source}: a joint came to the end of its travel; start elsewhere")
+            raise InputError(
+                "unreachable", f"{self.robot.source}: a joint came to the end of its travel; start elsewhere"
+            )
         self._look()
 
 

@@ -43,7 +43,7 @@ class Hand:
         """Refuse way points out of order."""
         times, points = np.asarray(self.times, float), np.asarray(self.points, float)
         if points.shape != (len(times), 3) or len(times) < 1 or np.any(np.diff(times) <= 0):
-            raise InputError("a hand's way points are rising times (n,) and points (n, 3)")
+            raise InputError("wrong_shape", "a hand's way points are rising times (n,) and points (n, 3)")
         object.__setattr__(self, "points", points)
 
     def path(self, t: np.ndarray, seed: int) -> np.ndarray:

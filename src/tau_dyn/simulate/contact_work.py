@@ -215,5 +215,6 @@ def _physical(work: object, positive: tuple[str, ...], not_negative: tuple[str, 
         value = float(getattr(work, name))
         if not np.isfinite(value) or value < 0 or (name in positive and value == 0):
             raise InputError(
-                f"{name} of a contact must be a finite number {'above' if name in positive else 'not below'} zero, not {value:g}"
+                "invalid_value",
+                f"{name} of a contact must be a finite number {'above' if name in positive else 'not below'} zero, not {value:g}",
             )

@@ -77,7 +77,9 @@ class CascadeLaw:
         for key in (f.name for f in fields(self) if f.name != "inertia"):
             values = np.array(np.atleast_1d(getattr(self, key)), dtype=float)
             if values.shape != (n,) or np.any(np.isnan(values)) or np.any(values < 0):
-                raise InputError(f"a controller's {key} must be {n} number(s) not below zero, one a joint")
+                raise InputError(
+                    "file_format", f"a controller's {key} must be {n} number(s) not below zero, one a joint"
+                )
             values.setflags(write=False)
             object.__setattr__(self, key, values)
 
@@ -137,7 +139,7 @@ class CascadeController:
         na = len(reference.joints)
         if len(self.law.position_gain) != na:
             raise InputError(
-                f"the controller is for {len(self.law.position_gain)} joint(s), {reference.name} moves {na}"
+                "mismatch", f"the controller is for {len(self.law.position_gain)} joint(s), {reference.name} moves {na}"
             )
         self._dt = reference.duration / (reference.n_samples - 1)
         self._before = (np.array(reference.q[0]), np.array(reference.q[0]))

@@ -37,7 +37,8 @@ def read_effects_file(path: str | Path, robot: Robot) -> Model:
     where, content = str(path), read_yaml(path)
     if not isinstance(content, dict) or not content or not set(content) <= {"effects", "parameters"}:
         raise InputError(
-            f"{where}: an effects file holds 'effects', a list, and 'parameters', a mapping, and nothing else"
+            "file_format",
+            f"{where}: an effects file holds 'effects', a list, and 'parameters', a mapping, and nothing else",
         )
     rows = content.get("effects") or []
     effects = _effects(rows, robot, where)
@@ -60,9 +61,11 @@ def _effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
         odd = sorted(set(map(str, row)) - set(_KEYS)) if isinstance(row, dict) else []
         if odd:
             known = ", ".join(f"'{key}'" for key in _KEYS)
-            raise InputError(f"{where}: an effect has {known}, not '{odd[0]}'")
+            raise InputError("file_format", f"{where}: an effect has {known}, not '{odd[0]}'")
         if isinstance(row, dict) and not isinstance(row.get("joints", []), list):
-            raise InputError(f"{where}: joints of {row.get('effect')} must be a list, such as [{robot.actuated[0]}]")
+            raise InputError(
+                "file_format", f"{where}: joints of {row.get('effect')} must be a list, such as [{robot.actuated[0]}]"
+            )
     return read_effects(rows, robot, where)
 
 
@@ -70,7 +73,7 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise InputError(f"{where} must be a mapping from names to numbers")
+        raise InputError("file_format", f"{where} must be a mapping from names to numbers")
     return value
 
 
@@ -80,7 +83,9 @@ def _check_names(effects: tuple[Effect, ...], where: str) -> None:
     for effect in effects:
         for name in effect.parameters.names:
             if name in seen:
-                raise InputError(f"{where}: two effects have a parameter {name}; give one {effect.name} a 'label'")
+                raise InputError(
+                    "file_format", f"{where}: two effects have a parameter {name}; give one {effect.name} a 'label'"
+                )
             seen.add(name)
 
 
@@ -98,9 +103,10 @@ def _names(key: str, effect: Effect, where: str) -> list[str]:
 def _number(value: object, name: str, parameters: Parameters, where: str) -> float:
     parameter = parameters[name]
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise InputError(f"{where}: {name} must be a finite number in {parameter.unit}, not {value!r}")
+        raise InputError("file_format", f"{where}: {name} must be a finite number in {parameter.unit}, not {value!r}")
     if not parameter.lower <= value <= parameter.upper:
         raise InputError(
-            f"{where}: {name} = {value:g} {parameter.unit} is not between {parameter.lower:g} and {parameter.upper:g}"
+            "file_format",
+            f"{where}: {name} = {value:g} {parameter.unit} is not between {parameter.lower:g} and {parameter.upper:g}",
         )
     return float(value)

@@ -39,7 +39,7 @@ class VibrationSensors:
     def __post_init__(self) -> None:
         """Refuse negative noise."""
         if min(self.encoder_noise, self.tool_noise, self.acceleration_noise) < 0:
-            raise InputError("a sensor's noise must not be below zero")
+            raise InputError("invalid_value", "a sensor's noise must not be below zero")
 
     @classmethod
     def length_gauges(cls) -> VibrationSensors:
@@ -82,7 +82,8 @@ def simulate_vibration_log(
     reference, force = np.atleast_2d(np.asarray(reference, float)), np.atleast_2d(np.asarray(force, float))
     if reference.shape[1:] != (flexible.na,) or force.shape != (len(reference), 3):
         raise InputError(
-            f"expected references (N, {flexible.na}) and forces (N, 3), not {reference.shape}, {force.shape}"
+            "wrong_shape",
+            f"expected references (N, {flexible.na}) and forces (N, 3), not {reference.shape}, {force.shape}",
         )
     bandwidth = sensors.accelerometer_hz
     model = flexible.state_space(drives, acceleration=bandwidth is not None, accelerometer_hz=bandwidth or 1.0)
@@ -132,7 +133,9 @@ def simulate_binary_log(
     n = _samples(duration, rate_hz)
     moved = _moved(flexible, joints)
     if not (amplitude > 0 and np.isfinite(amplitude)) or hold < 1:
-        raise InputError("a binary reference needs a positive amplitude and at least one sample between jumps")
+        raise InputError(
+            "invalid_value", "a binary reference needs a positive amplitude and at least one sample between jumps"
+        )
     jumps = -(-n // hold)
     bits = max(6, int(np.ceil(np.log2(jumps + 1))))
     start = np.random.default_rng([seed, 1]).integers(0, 2, bits)
@@ -187,7 +190,7 @@ def push_log(
     steps, share = max(2, round(width * rate_hz)), n // max(pushes, 1)
     first = 1 + share // 50
     if not (impulse > 0 and width > 0 and pushes >= 1) or first + steps >= share:
-        raise InputError(f"{pushes} push(es) of {width:g} s do not fit into {duration:g} s")
+        raise InputError("invalid_value", f"{pushes} push(es) of {width:g} s do not fit into {duration:g} s")
     shape = np.sin(np.pi * (np.arange(steps) + 0.5) / steps)
     force = np.zeros((n, 3))
     for k in range(pushes):
@@ -202,7 +205,9 @@ def push_log(
 
 def _samples(duration: float, rate_hz: float) -> int:
     if not (0 < rate_hz < np.inf and 0 < duration < np.inf) or not 2 <= round(duration * rate_hz) <= 10_000_000:
-        raise InputError(f"{duration:g} s at {rate_hz:g} Hz is no log; it needs two to ten million samples")
+        raise InputError(
+            "invalid_value", f"{duration:g} s at {rate_hz:g} Hz is no log; it needs two to ten million samples"
+        )
     return round(duration * rate_hz)
 
 
@@ -212,5 +217,5 @@ def _moved(flexible: Linearised, joints: Sequence[str] | None) -> tuple[str, ...
         if joint not in flexible.robot.actuated:
             raise UnknownName("actuated joint", joint, flexible.robot.actuated)
     if not moved:
-        raise InputError("at least one joint must move")
+        raise InputError("invalid_value", "at least one joint must move")
     return moved

@@ -93,11 +93,14 @@ class SampledForces:
         """Sort an effect by how it is asked for its force."""
         unknown = [name for name in effect.needs if name not in _KNOWN]
         if unknown:
-            raise InputError(f"effect {effect.name} feels {unknown[0]}, which a simulation does not give")
+            raise InputError(
+                "unsupported", f"effect {effect.name} feels {unknown[0]}, which a simulation does not give"
+            )
         if "campaign" in effect.needs and self.memory.surroundings.campaign is None:
             raise InputError(
+                "unsupported",
                 f"effect {effect.name} sets one recording apart from others, and a simulation is one recording: give this "
-                "one its own coulomb and viscous friction instead"
+                "one its own coulomb and viscous friction instead",
             )
         if "force" in effect.needs:
             self._scaled.append((effect, values))

@@ -32,7 +32,8 @@ def compute_reach(model: Model) -> np.ndarray:
     if np.any(room <= 0):
         joint = robot.actuated[int(np.argmin(room))]
         raise InputError(
-            f"{robot.source}: home of joint {joint} is not inside its range, so no motion around it is possible"
+            "unreachable",
+            f"{robot.source}: home of joint {joint} is not inside its range, so no motion around it is possible",
         )
     return np.where(np.isfinite(room), 0.95 * room, default)
 
@@ -46,7 +47,9 @@ def compute_top_speed(model: Model) -> np.ndarray:
 def build_clock(duration: float, shortest: float, name: str) -> np.ndarray:
     """Return times (N,) [s] at 1 kHz; a motion shorter than `shortest` [s] is refused."""
     if not shortest <= duration <= 3600:
-        raise InputError(f"a {name} motion takes between {shortest:g} s and an hour, not {duration:g} s")
+        raise InputError(
+            "invalid_value", f"a {name} motion takes between {shortest:g} s and an hour, not {duration:g} s"
+        )
     return np.arange(round(duration * RATE_HZ) + 1) / RATE_HZ
 
 
@@ -102,7 +105,7 @@ def build_exciting_motion(
         InputError: As `build_fourier_motion`; or fewer than one trial is asked for.
     """
     if trials < 1:
-        raise InputError(f"a search needs at least one trial, not {trials}")
+        raise InputError("invalid_value", f"a search needs at least one trial, not {trials}")
     seeds = np.random.default_rng(seed).integers(2**31, size=trials)  # neighbouring seeds must not share trials
     motions = [build_fourier_motion(model, duration, int(k), harmonics=harmonics) for k in seeds]
     conditions = [compute_base_condition(model, motion) for motion in motions]

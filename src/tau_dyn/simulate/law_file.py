@@ -43,13 +43,15 @@ def read_law_file(path: str | Path, robot: Robot) -> CascadeLaw:
     """
     where, content = str(path), read_yaml(path)
     if not isinstance(content, dict) or not content:
-        raise InputError(f"{where}: a controller file is a mapping with {', '.join(_DEFAULTS)}")
+        raise InputError("file_format", f"{where}: a controller file is a mapping with {', '.join(_DEFAULTS)}")
     for key in content:
         if key not in _DEFAULTS:
             raise UnknownName("controller entry", str(key), _DEFAULTS, where)
     for key in ("position_gain", "velocity_gain"):
         if content.get(key) is None:
-            raise InputError(f"{where}: '{key}' is missing; a controller needs a position gain and a velocity gain")
+            raise InputError(
+                "file_format", f"{where}: '{key}' is missing; a controller needs a position gain and a velocity gain"
+            )
     given = {**_DEFAULTS, **{key: value for key, value in content.items() if value is not None}}
     found = {key: _numbers(key, value, robot, where) for key, value in given.items() if value is not None}
     if "limit" not in found:
@@ -73,13 +75,14 @@ def _numbers(key: str, value: object, robot: Robot, where: str) -> np.ndarray:
                 raise UnknownName("actuated joint", str(joint), joints, f"{where}: {key}")
         missing = [joint for joint in joints if joint not in value]
         if missing:
-            raise InputError(f"{where}: {key} has no number for joint {missing[0]}")
+            raise InputError("file_format", f"{where}: {key} has no number for joint {missing[0]}")
         row = [value[joint] for joint in joints]
     elif isinstance(value, list):
         if len(value) != len(joints):
             raise InputError(
+                "wrong_shape",
                 f"{where}: {key} has {len(value)} number(s) for {len(joints)} joint(s); give one, or one a joint in the "
-                f"order {', '.join(joints)}"
+                f"order {', '.join(joints)}",
             )
         row = value
     else:
@@ -93,11 +96,11 @@ def _number(key: str, value: object, where: str) -> float:
     wanted = f"{where}: {key} must be a {'' if key == 'limit' else 'finite '}number {least}"
     if isinstance(value, bool) or not isinstance(value, int | float):
         hint = "; YAML reads a number such as 1.0e+5 only with a point and a sign" if isinstance(value, str) else ""
-        raise InputError(f"{wanted}, not {_short(value)}{hint}")
+        raise InputError("file_format", f"{wanted}, not {_short(value)}{hint}")
     number = float(value)
     fits = number >= 0 if key in _MAY_BE_ZERO else number > 0
     if not fits or not (isfinite(number) or key == "limit"):
-        raise InputError(f"{wanted}, not {_short(value)}")
+        raise InputError("file_format", f"{wanted}, not {_short(value)}")
     return number
 
 

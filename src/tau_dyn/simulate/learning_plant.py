@@ -46,7 +46,7 @@ class Unrepeatable:
     def __post_init__(self) -> None:
         """Refuse what is no noise."""
         if min(self.drive, self.push) < 0 or not min(self.drive_hz, self.push_hz) > 0:
-            raise InputError("disturbances have a size not below zero and a positive bandwidth")
+            raise InputError("invalid_value", "disturbances have a size not below zero and a positive bandwidth")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class LearningPlant:
     def __post_init__(self) -> None:
         """Sample the structure behind its drives."""
         if self.sensors.accelerometer_hz is None:
-            raise InputError("a plant for observers needs an accelerometer; give its bandwidth")
+            raise InputError("unsupported", "a plant for observers needs an accelerometer; give its bandwidth")
         continuous = self.flexible.state_space(
             self.drives, acceleration=True, accelerometer_hz=self.sensors.accelerometer_hz
         )
@@ -122,7 +122,9 @@ class LearningPlant:
                 return q
             q = q + np.linalg.solve(self.kinematics.tool_jacobian(q), gap[..., None])[..., 0]
         worst = int(np.argmax(np.abs(gap).max(axis=1)))
-        raise InputError(f"sample {worst}: the tool cannot be brought to {np.round(tool[worst], 4)} m from this pose")
+        raise InputError(
+            "unreachable", f"sample {worst}: the tool cannot be brought to {np.round(tool[worst], 4)} m from this pose"
+        )
 
     def run(self, reference: np.ndarray, trial: int = 0) -> Trial:
         """Return what the sensors show of actuator references (N, na), starting at rest at the pose.
@@ -132,11 +134,12 @@ class LearningPlant:
         """
         na, n = self.flexible.na, len(reference)
         if reference.shape != (n, na) or not np.isfinite(reference).all():
-            raise InputError(f"expected finite references (N, {na}), not {reference.shape}")
+            raise InputError("wrong_shape", f"expected finite references (N, {na}), not {reference.shape}")
         away = reference - self.flexible.q
         if np.abs(away).max(initial=0) > _CURVED:
             raise InputError(
-                f"a reference goes {1000 * np.abs(away).max():.0f} mm from the pose; it is linear up to {1000 * _CURVED:g}"
+                "invalid_value",
+                f"a reference goes {1000 * np.abs(away).max():.0f} mm from the pose; it is linear up to {1000 * _CURVED:g}",
             )
         rng = np.random.default_rng([self.seed, trial])
         y = self._model.simulate(np.hstack([self._commanded(away) + self._wander(n, rng), self._pushes(n, rng)]))

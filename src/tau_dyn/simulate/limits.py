@@ -68,7 +68,9 @@ def scale_to_limits(model: Model, build: Callable[[float], Trajectory], name: st
         if fault is None:
             return motion if share == 1 else _noted(motion, float(share), str(broken))
         broken = broken or fault
-    raise InputError(f"{model.robot.source}: no {name} motion around home is within the robot's limits: {broken}")
+    raise InputError(
+        "unreachable", f"{model.robot.source}: no {name} motion around home is within the robot's limits: {broken}"
+    )
 
 
 def _noted(motion: Trajectory, share: float, broken: str) -> Trajectory:

@@ -67,7 +67,7 @@ def record_run(run: PlantRun) -> PlantRun:
     model = run.model
     odd = [e for e in model.effects if acts_on_recording(e) and not isinstance(e, DisplacementEffect | TimingEffect)]
     if odd:
-        raise InputError(f"effect {odd[0].name} cannot be simulated")
+        raise InputError("unsupported", f"effect {odd[0].name} cannot be simulated")
     yielding = _yielding(run)
     shown, read = None, run.q_read
     if read is not None:

@@ -134,8 +134,9 @@ class Plant:
         added = self.forces.mass(self.q, np.zeros(len(self.q)))
         if np.linalg.eigvalsh(M if added is None else M + added)[0] <= 1e-12 * np.trace(M):
             raise InputError(
+                "robot_structure",
                 f"{model.robot.source}: the mass matrix is singular, so the robot cannot be simulated; give every joint a "
-                "mass or a drive inertia (parameters <link>.mass, <joint>.armature)"
+                "mass or a drive inertia (parameters <link>.mass, <joint>.armature)",
             )
 
     def _after(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +242,8 @@ def _is_far(plant: Plant, reference: Trajectory, k: int) -> bool:
 
 def _ran_away(reference: Trajectory, k: int) -> InputError:
     return InputError(
+        "unstable",
         f"{reference.name}: the simulated robot ran away before t = {reference.t[k]:.4g} s; the controller's gains are "
         f"too high for this robot and control rate ({(reference.n_samples - 1) / reference.duration:.4g} Hz), or its forces "
-        "too small"
+        "too small",
     )

@@ -67,9 +67,14 @@ def replay(
     joints = model.robot.actuated
     log = ensure_even(_checked(log, joints))
     if substeps < 1:
-        raise InputError(f"a replay takes {substeps} substeps of the plant; give a whole number from 1")
+        raise InputError(
+            "invalid_value", f"a replay takes {substeps} substeps of the plant; give a whole number from 1"
+        )
     if any("temperature" in effect.needs for effect in model.effects) and _surroundings(log, joints) is None:
-        raise InputError(f"{log.name} has no temperature, which the model's friction follows; give temp_room or temp_J")
+        raise InputError(
+            "missing_column",
+            f"{log.name} has no temperature, which the model's friction follows; give temp_room or temp_J",
+        )
     often = _per_sample(log, rate_hz)
     cutoff = _cutoff(log.joint("q", joints), _rate(log)) if cutoff_hz is None else cutoff_hz
     reference = log.joint("q_ref", joints)
@@ -149,8 +154,9 @@ def _drive(model: Model, log: Log, law: CascadeLaw, often: int, substeps: int, p
         if k % max(1, reference.n_samples // 100) == 0:
             if not np.all(np.abs(plant.q) < far):
                 raise InputError(
+                    "unstable",
                     f"{log.name}: the simulated robot ran away before t = {reference.t[k]:.4g} s; the controller's gains, "
-                    "their units or its rate are not this robot's"
+                    "their units or its rate are not this robot's",
                 )
             if progress is not None:
                 progress(k / reference.n_samples)
@@ -206,7 +212,8 @@ def _per_sample(log: Log, rate_hz: float | None) -> int:
     ratio = rate_hz / _rate(log) if np.isfinite(rate_hz) else 0.0
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-3 * ratio:
         raise InputError(
-            f"a control loop of {rate_hz:g} Hz is no whole multiple of the {_rate(log):g} Hz of {log.name}; resample the log"
+            "mismatch",
+            f"a control loop of {rate_hz:g} Hz is no whole multiple of the {_rate(log):g} Hz of {log.name}; resample the log",
         )
     return round(ratio)
 
@@ -215,15 +222,19 @@ def _checked(log: Log, joints: tuple[str, ...]) -> Log:
     """Return the log with the columns that count, all there and finite."""
     if not log.has("q_ref", joints):
         raise InputError(
+            "missing_column",
             f"{log.name} has no q_ref column for {', '.join(j for j in joints if not log.has('q_ref', [j]))}; without the "
-            "references its controller got, a recording cannot be simulated again"
+            "references its controller got, a recording cannot be simulated again",
         )
     columns = {f"{s}_{j}": log.joint(s, [j])[:, 0] for s in ("q", "tau", "q_ref") for j in joints}
     for name, values in columns.items():
         if not np.all(np.isfinite(values)):
-            raise InputError(f"{log.name}: {name} has samples that are no finite number")
+            raise InputError("bad_sample", f"{log.name}: {name} has samples that are no finite number")
     if log.n_samples < 10:
-        raise InputError(f"{log.name} has {log.n_samples} samples, too few to be simulated again; give ten or more")
+        raise InputError(
+            "too_little_data",
+            f"{log.name} has {log.n_samples} samples, too few to be simulated again; give ten or more",
+        )
     warmth = (ROOM_TEMPERATURE, *(f"temp_{j}" for j in joints))
     columns |= {key: log.channels[key] for key in warmth if np.all(np.isfinite(log.channels.get(key, np.nan)))}
     return Log(log.t, columns, log.name, log.sha256, log.warnings)

@@ -52,13 +52,15 @@ class Sensors:
         """Refuse negative noise, colours that contradict each other, and noise that would grow without end."""
         for key in ("encoder_noise", "encoder_resolution", "force_noise", "force_noise_relative", "tool_noise"):
             if not np.all(np.asarray(getattr(self, key)) >= 0):
-                raise InputError(f"a sensor's {key} must not be below zero")
+                raise InputError("invalid_value", f"a sensor's {key} must not be below zero")
         if self.force_ar and self.force_power_law:
-            raise InputError("force noise is coloured by force_ar or by force_power_law, not by both")
+            raise InputError("invalid_value", "force noise is coloured by force_ar or by force_power_law, not by both")
         if not 0 <= self.force_power_law <= 2:
-            raise InputError("force_power_law must lie between 0 (white) and 2 (a random walk's)")
+            raise InputError("invalid_value", "force_power_law must lie between 0 (white) and 2 (a random walk's)")
         if self.force_ar and np.max(np.abs(np.roots([1.0, *(-c for c in self.force_ar)]))) >= 1:
-            raise InputError(f"force_ar {self.force_ar} has a root on or outside the unit circle; its noise would grow")
+            raise InputError(
+                "unstable", f"force_ar {self.force_ar} has a root on or outside the unit circle; its noise would grow"
+            )
 
     @classmethod
     def typical(cls, robot: Robot, *, log_rate_hz: float | None = None) -> Sensors:
@@ -95,7 +97,8 @@ class Sensors:
         ratio = 1 / (dt * self.log_rate_hz) if self.log_rate_hz > 0 else 0.0
         if not np.isfinite(ratio) or round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise InputError(
-                f"a log rate of {self.log_rate_hz:g} Hz is not the control rate of {1 / dt:g} Hz divided by a whole number"
+                "invalid_value",
+                f"a log rate of {self.log_rate_hz:g} Hz is not the control rate of {1 / dt:g} Hz divided by a whole number",
             )
         return round(ratio)
 
@@ -138,7 +141,9 @@ def broadcast_per_joint(value: PerJoint, na: int, what: str) -> np.ndarray:
     """Return one number a joint (na,)."""
     array = np.asarray(value, dtype=float)
     if array.shape not in ((), (na,)):
-        raise InputError(f"a sensor's {what} has {array.size} numbers for {na} joint(s); give one, or one a joint")
+        raise InputError(
+            "wrong_shape", f"a sensor's {what} has {array.size} numbers for {na} joint(s); give one, or one a joint"
+        )
     return np.broadcast_to(array, (na,))
 
 

@@ -73,17 +73,19 @@ def simulate_drive(
     """Return what really happens, to be measured by `measure`, if need be many times (`feedback='ideal'`)."""
     if motion.joints != model.robot.actuated:
         expected, got = ", ".join(model.robot.actuated), ", ".join(motion.joints)
-        raise InputError(f"{motion.name} moves joints {got}; {model.robot.source} has {expected}, in this order")
+        raise InputError(
+            "mismatch", f"{motion.name} moves joints {got}; {model.robot.source} has {expected}, in this order"
+        )
     _refuse_impossible_bodies(model)
     reference = motion.resampled(rate_hz)
     fault = describe_exceeded_limit(model, reference, condition=np.inf)
     if fault:
-        raise InputError(f"{motion.name}: {fault}")
+        raise InputError("unreachable", f"{motion.name}: {fault}")
     controller = controller or CascadeController(CascadeLaw.for_model(model), start=model.steady())
     if feedback == "ideal":
         return record_run(run_plant(model, reference, controller, progress=progress))
     if feedback != "encoder":
-        raise InputError(f"feedback is 'encoder' or 'ideal', not '{feedback}'")
+        raise InputError("invalid_value", f"feedback is 'encoder' or 'ideal', not '{feedback}'")
     noise = broadcast_per_joint(sensors.encoder_noise, model.robot.na, "encoder_noise") * rng.standard_normal(
         reference.q.shape
     )
@@ -100,4 +102,6 @@ def _refuse_impossible_bodies(model: Model) -> None:
     for link in model.robot.links:
         J = pseudo_inertia(link.map @ model.robot.parameters.select(link.names).values)
         if np.linalg.eigvalsh(J)[0] < -1e-9 * max(float(np.trace(J)), 1e-12):
-            raise InputError(f"{model.robot.source}: no body has the mass, centre and inertia given for {link.link}")
+            raise InputError(
+                "unsupported", f"{model.robot.source}: no body has the mass, centre and inertia given for {link.link}"
+            )

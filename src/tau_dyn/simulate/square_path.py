@@ -40,13 +40,14 @@ def square_path(
         InputError: A number is not positive, or the path does not end within n samples.
     """
     if not min(n, dt, side, speed, acceleration, jerk_time, rounds) > 0 or min(pause, start) < 0:
-        raise InputError("a square needs positive sizes, speeds and times")
+        raise InputError("invalid_value", "a square needs positive sizes, speeds and times")
     top = min(speed, np.sqrt(side * acceleration))
     moving = side / top + top / acceleration + jerk_time
     edge = moving + pause
     if start + 4 * rounds * edge > n * dt:
         raise InputError(
-            f"{rounds} rounds take {start + 4 * rounds * edge:.2f} s; {n} samples of {1000 * dt:g} ms are {n * dt:.2f} s"
+            "invalid_value",
+            f"{rounds} rounds take {start + 4 * rounds * edge:.2f} s; {n} samples of {1000 * dt:g} ms are {n * dt:.2f} s",
         )
     t = np.arange(n) * dt - start
     corner = np.clip(np.floor(t / edge), 0, 4 * rounds - 1).astype(int)

@@ -57,9 +57,13 @@ class Trajectory:
             object.__setattr__(self, key, array)
         shape = (len(self.t), len(self.joints))
         if len(self.t) < 2 or any(x.shape != shape for x in (self.q, self.v, self.a)):
-            raise InputError(f"{self.name}: q, v and a must have shape {shape} with at least two samples")
+            raise InputError(
+                "wrong_shape", f"{self.name}: q, v and a must have shape {shape} with at least two samples"
+            )
         if not all(np.isfinite(x).all() for x in (self.t, self.q, self.v, self.a)) or np.any(np.diff(self.t) <= 0):
-            raise InputError(f"{self.name}: all numbers must be finite and t must increase from sample to sample")
+            raise InputError(
+                "bad_sample", f"{self.name}: all numbers must be finite and t must increase from sample to sample"
+            )
 
     @property
     def n_samples(self) -> int:
@@ -75,7 +79,7 @@ class Trajectory:
     def through(cls, joints: Iterable[str], t: np.ndarray, q: np.ndarray, name: str = "motion") -> Trajectory:
         """Return the quintic spline through positions (N, na) at times (N,) [s], with its speeds and accelerations."""
         if len(t) < 6:
-            raise InputError(f"{name} has {len(t)} sample(s); a reference motion needs at least six")
+            raise InputError("too_little_data", f"{name} has {len(t)} sample(s); a reference motion needs at least six")
         spline = make_interp_spline(t, q, k=5)
         return cls(tuple(joints), t, q, spline.derivative(1)(t), spline.derivative(2)(t), name)
 
@@ -127,13 +131,16 @@ class Trajectory:
         n = int(np.floor(self.duration * rate_hz * (1 + 1e-9) + 1e-6)) + 1
         if n > _MAX_SAMPLES:
             raise InputError(
-                f"{self.name} lasts {self.duration:g} s, {n:.3g} samples at {rate_hz:g} Hz; are its times in s?"
+                "wrong_unit",
+                f"{self.name} lasts {self.duration:g} s, {n:.3g} samples at {rate_hz:g} Hz; are its times in s?",
             )
         clock = np.arange(n) / rate_hz
         if n == self.n_samples and np.max(np.abs(self.t - self.t[0] - clock)) < 1e-6 / rate_hz:
             return replace(self, t=clock)
         if n < 2 or self.n_samples < 6:
-            raise InputError(f"{self.name} lasts {self.duration:g} s, too short to be followed at {rate_hz:g} Hz")
+            raise InputError(
+                "too_little_data", f"{self.name} lasts {self.duration:g} s, too short to be followed at {rate_hz:g} Hz"
+            )
         spline = make_interp_spline(self.t - self.t[0], self.q, k=5)
         return replace(self, t=clock, q=spline(clock), v=spline.derivative(1)(clock), a=spline.derivative(2)(clock))
 
@@ -177,11 +184,11 @@ def concatenate(
         InputError: There are no pieces, their joints differ, or one does not start and end at rest.
     """
     if not pieces or any(p.joints != pieces[0].joints for p in pieces):
-        raise InputError(f"{name}: the pieces of a motion must be of the same joints, in the same order")
+        raise InputError("mismatch", f"{name}: the pieces of a motion must be of the same joints, in the same order")
     joints, parts = pieces[0].joints, []
     for k, piece in enumerate(pieces):
         if max(np.max(np.abs(piece.v[0])), np.max(np.abs(piece.v[-1]))) > 1e-3:
-            raise InputError(f"{name}: '{piece.name}' must start and end at rest to be joined with others")
+            raise InputError("mismatch", f"{name}: '{piece.name}' must start and end at rest to be joined with others")
         if k:
             gap = float(np.max(np.abs(piece.q[0] - pieces[k - 1].q[-1])))
             stand = move(joints, pieces[k - 1].q[-1], pieces[k - 1].q[-1], rest, rate_hz)

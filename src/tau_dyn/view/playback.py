@@ -65,7 +65,7 @@ def _resampled(log: Log, robot: Robot, t: np.ndarray) -> np.ndarray:
     """Return a log's positions at other times (n, na), nan after its end."""
     own, q = log.t - log.t[0], log.joint("q", robot.actuated)
     if own[-1] <= 0:
-        raise InputError("the simulated log has no duration; simulate the motion that was measured")
+        raise InputError("too_little_data", "the simulated log has no duration; simulate the motion that was measured")
     return np.column_stack([np.interp(t, own, column, right=np.nan) for column in q.T])
 
 

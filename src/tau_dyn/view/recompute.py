@@ -46,10 +46,12 @@ def recompute_calibration(content: dict[str, Any], robot: Robot, path: Path) -> 
 
     files = [i for i in content.get("inputs", []) if str(i["path"]).endswith(".csv")]
     if not files:
-        raise InputError(f"{path}: it names no file of measured poses")
+        raise InputError("mismatch", f"{path}: it names no file of measured poses")
     poses = read_poses(Path(files[0]["path"]), robot.actuated)
     if poses.sha256 != files[0]["sha256"]:
-        raise InputError(f"{files[0]['path']}: changed since {path.name} was written; its errors would not be those")
+        raise InputError(
+            "mismatch", f"{files[0]['path']}: changed since {path.name} was written; its errors would not be those"
+        )
     found = forward_kinematics(robot, poses.q)
     at, seen = found.poses.position[found.ok], poses.position[found.ok]
     device = align(at, seen)  # the base frame where the measuring device's points fit best

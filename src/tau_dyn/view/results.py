@@ -41,11 +41,13 @@ def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Cont
         reader = _diagnose
     if reader is None:
         known = ", ".join(_READERS)
-        raise InputError(f"{path}: not a result that can be shown; --json of {known} can")
+        raise InputError("file_format", f"{path}: not a result that can be shown; --json of {known} can")
     try:
         return reader(content, robot, path, compute)
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as fault:
-        raise InputError(f"{path}: not a whole result of tau-dyn {command or 'diagnose'}: {fault!r}") from fault
+        raise InputError(
+            "file_format", f"{path}: not a whole result of tau-dyn {command or 'diagnose'}: {fault!r}"
+        ) from fault
 
 
 def read_cloud(path: Path) -> Cloud:
@@ -61,7 +63,9 @@ def read_cloud(path: Path) -> Cloud:
     names = next((n for n in sets if set(n) <= set(table.cells)), None)
     if names is None:
         there = ", ".join(table.cells)
-        raise InputError(f"{path}: a cloud needs columns x y z or x_tool y_tool z_tool; there are {there}")
+        raise InputError(
+            "file_format", f"{path}: a cloud needs columns x y z or x_tool y_tool z_tool; there are {there}"
+        )
     columns = {column: table.numbers_or_none(column) for column in table.cells}
     numbers = {column: values for column, values in columns.items() if values is not None}
     for name in names:
@@ -83,11 +87,11 @@ def _content(path: Path) -> dict[str, Any]:
     except InputError:
         raise
     except OSError as fault:
-        raise InputError(f"{path}: {fault.strerror or 'cannot be read'}") from fault
+        raise InputError("cannot_read", f"{path}: {fault.strerror or 'cannot be read'}") from fault
     except (ValueError, RecursionError) as fault:
-        raise InputError(f"{path}: not a result of tau-dyn: no JSON; give what --json wrote") from fault
+        raise InputError("file_format", f"{path}: not a result of tau-dyn: no JSON; give what --json wrote") from fault
     if not isinstance(content, dict):
-        raise InputError(f"{path}: not a result of tau-dyn: a JSON object is expected")
+        raise InputError("file_format", f"{path}: not a result of tau-dyn: a JSON object is expected")
     return content
 
 
@@ -126,7 +130,7 @@ def _workspace(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
     note = f"{size['name']} {float(size['value']):.3g} {unit} ({low:.3g} to {high:.3g})"
     corners = np.array([box["lower"], box["upper"]], float)
     if not np.all(np.isfinite(corners)):
-        raise InputError(f"{path}: its bounding_box must hold finite numbers")
+        raise InputError("file_format", f"{path}: its bounding_box must hold finite numbers")
     if content.get("cloud"):
         points = np.array(content["cloud"]["points"], float).reshape(-1, 3)
         values = {str(k): np.array(v, float) for k, v in content["cloud"].get("values", {}).items()}
@@ -143,7 +147,9 @@ def _accuracy(content: dict[str, Any], robot: Robot, path: Path, compute: bool) 
     if not methods or grid is None or section is None:
         worst = [content["methods"][m]["worst_pose"]["tool"] for m in methods]
         if not worst:
-            raise InputError(f"{path}: no errors of the tool in it; name what is wrong with --actuator-error")
+            raise InputError(
+                "file_format", f"{path}: no errors of the tool in it; name what is wrong with --actuator-error"
+            )
         values = {f"largest error, {m} [mm]": np.array([1e3 * content["methods"][m]["max"]]) for m in methods[:1]}
         return [Cloud("accuracy: worst pose", np.array(worst[:1], float), values)]
     u, v = np.array(grid["u"], float), np.array(grid["v"], float)
@@ -185,7 +191,7 @@ def _modes(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> 
     shapes = project_shapes_on_robot(robot, modes, outputs)
     if shapes is None:
         why = "no mode" if not modes else f"its outputs ({', '.join(outputs)}) name no place of {robot.name}"
-        raise InputError(f"{path}: nothing to swing: {why}")
+        raise InputError("unsupported", f"{path}: nothing to swing: {why}")
     return [shapes]
 
 
@@ -198,7 +204,7 @@ def _identify(content: dict[str, Any], robot: Robot, path: Path, compute: bool) 
             error, value = p.get("stderr"), float(p["value"])
             links[link.link] = float("nan") if error is None or not value else abs(float(error) / value)
     if not links:
-        raise InputError(f"{path}: none of its parameters is the mass of a link of {robot.name}")
+        raise InputError("unsupported", f"{path}: none of its parameters is the mass of a link of {robot.name}")
     return [Uncertainty(links)]
 
 

@@ -67,7 +67,7 @@ class Viewer:
             with redirect_stdout(StringIO()):  # stdout is ours: viser draws a banner there
                 self.server = viser.ViserServer(host=host, port=port, label=f"tau_dyn: {robot.name}", verbose=False)
         except OSError as fault:
-            raise InputError(f"{host}:{port} cannot be opened: {fault.strerror or fault}") from fault
+            raise InputError("not_available", f"{host}:{port} cannot be opened: {fault.strerror or fault}") from fault
         self.url = f"http://{host}:{self.server.get_port()}"
         self.lock, self.closed = threading.RLock(), threading.Event()
         self.panels: list[Any] = []
@@ -235,7 +235,8 @@ def _viser() -> Any:
         import viser
     except ImportError as fault:
         raise InputError(
-            "the viewer needs viser, which is not installed; install tau_dyn with its extra: tau_dyn[view]"
+            "missing_package",
+            "the viewer needs viser, which is not installed; install tau_dyn with its extra: tau_dyn[view]",
         ) from fault
     return viser
 
@@ -255,5 +256,6 @@ def _refuse_address(host: str) -> None:
     except (OSError, UnicodeError, ValueError) as fault:
         reason = getattr(fault, "strerror", None) or "no such address"
         raise InputError(
-            f"nothing can listen at {host!r}: {reason}; give an address of this computer, such as {LOOPBACK}"
+            "not_available",
+            f"nothing can listen at {host!r}: {reason}; give an address of this computer, such as {LOOPBACK}",
         ) from fault

@@ -58,7 +58,7 @@ def read_album(
     """
     given = [(images, extra)] + ([(second, second_extra)] if second is not None else [])
     if second is None and second_extra is not None:
-        raise InputError("extra images of a second camera were given, but no images of it")
+        raise InputError("missing_input", "extra images of a second camera were given, but no images of it")
     main = [find_images(of) for of, _ in given]
     more = [find_images(of) if of is not None else [] for _, of in given]
     _once([*main, *more])
@@ -81,7 +81,9 @@ def _once(lists: list[list[Path]]) -> None:
     every = [path.resolve() for of in lists for path in of]
     if len(set(every)) < len(every):
         twice = next(p for k, p in enumerate(every) if p in every[:k])
-        raise InputError(f"{twice.name} is given twice; every image belongs to one camera and is read once")
+        raise InputError(
+            "duplicate_name", f"{twice.name} is given twice; every image belongs to one camera and is read once"
+        )
 
 
 def _detect(
@@ -94,8 +96,9 @@ def _detect(
         here = (image.shape[1], image.shape[0])
         if k and here != size:
             raise InputError(
+                "mismatch",
                 f"{path}: {here[0]}x{here[1]} pixels, but {paths[0].name} has {size[0]}x{size[1]}; "
-                "one camera gives images of one size"
+                "one camera gives images of one size",
             )
         size = here
         out.append(find_corners(image, pattern))
@@ -111,23 +114,26 @@ def check_some(seen: Album, pattern: Pattern) -> None:
     if others and max(map(others.count, others)) >= max(2, len(every) // 2):
         usual = max(set(others), key=others.count)
         raise InputError(
+            "not_visible",
             f"no image shows a pattern of {pattern.name} inner corners, but {others.count(usual)} of {len(every)} "
-            f"show one of {usual}; is that yours?"
+            f"show one of {usual}; is that yours?",
         )
     reason = max({d.reason for d in every}, key=[d.reason for d in every].count)
     raise InputError(
+        "not_visible",
         f"none of the {len(every)} images shows the pattern; {seen.paths[0][0].name}: "
-        f"{every[0].reason if len(every) == 1 else reason}"
+        f"{every[0].reason if len(every) == 1 else reason}",
     )
 
 
 def check_cameras(cameras: Cameras, seen: Album) -> None:
     """Refuse known cameras that are not those of the images."""
     if cameras.n != len(seen.paths):
-        raise InputError(f"the cameras file has {cameras.n} cameras, the images are of {len(seen.paths)}")
+        raise InputError("mismatch", f"the cameras file has {cameras.n} cameras, the images are of {len(seen.paths)}")
     for c, (known, here) in enumerate(zip(cameras.size, seen.sizes, strict=True)):
         if tuple(known) != tuple(here):
             raise InputError(
+                "mismatch",
                 f"{seen.paths[c][0].name} has {here[0]}x{here[1]} pixels, but camera {c + 1} was calibrated with "
-                f"{known[0]}x{known[1]}; calibrate it anew with images of this size"
+                f"{known[0]}x{known[1]}; calibrate it anew with images of this size",
             )

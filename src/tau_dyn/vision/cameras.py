@@ -155,17 +155,19 @@ def read_cameras(path: str | Path) -> Cameras:
         )
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as fault:
         raise InputError(
+            "file_format",
             f"{path}: not a cameras file ({' '.join(str(fault).split())}); it needs `cameras`, each with size, fx, fy, "
-            "cx, cy and, after the first, quaternion and position"
+            "cx, cy and, after the first, quaternion and position",
         ) from fault
     check_lens(lens)
     if not np.all(inner[:, :2] > 0) or np.any(size < 1):
-        raise InputError(f"{path}: focal lengths and image sizes must be positive")
+        raise InputError("file_format", f"{path}: focal lengths and image sizes must be positive")
     if covariance.shape != (len(cameras.names),) * 2 or np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[
         0
     ] < -1e-9 * np.trace(covariance).clip(1e-300):
         raise InputError(
-            f"{path}: the covariance must be a positive matrix of {len(cameras.names)} by {len(cameras.names)} numbers"
+            "wrong_shape",
+            f"{path}: the covariance must be a positive matrix of {len(cameras.names)} by {len(cameras.names)} numbers",
         )
     return replace(cameras, covariance=covariance)
 

@@ -28,7 +28,9 @@ def import_opencv() -> ModuleType:
     try:
         import cv2
     except ImportError as fault:
-        raise InputError("reading images needs OpenCV; install it with: pip install 'tau_dyn[vision]'") from fault
+        raise InputError(
+            "missing_package", "reading images needs OpenCV; install it with: pip install 'tau_dyn[vision]'"
+        ) from fault
     return cv2
 
 
@@ -44,14 +46,14 @@ def find_images(given: str | Path | Sequence[str | Path]) -> list[Path]:
         if item.is_dir():
             inside = sorted((p for p in item.iterdir() if p.suffix.lower() in SUFFIXES), key=get_natural_sort_key)
             if not inside:
-                raise InputError(f"{item}: the folder has no images ({', '.join(SUFFIXES[:6])})")
+                raise InputError("file_not_found", f"{item}: the folder has no images ({', '.join(SUFFIXES[:6])})")
             files += inside
         elif item.is_file():
             files.append(item)
         else:
-            raise InputError(f"{item}: no such image or folder")
+            raise InputError("file_not_found", f"{item}: no such image or folder")
     if not files:
-        raise InputError("no images given; name files or a folder")
+        raise InputError("missing_input", "no images given; name files or a folder")
     return files
 
 
@@ -72,7 +74,7 @@ def read_image(path: Path) -> np.ndarray:
     try:
         data = np.frombuffer(read_bytes(path, _MAX_FILE_BYTES), np.uint8)
     except OSError as fault:
-        raise InputError(f"{path}: cannot be read ({fault.strerror or fault})") from fault
+        raise InputError("cannot_read", f"{path}: cannot be read ({fault.strerror or fault})") from fault
     try:
         image = (
             cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -82,9 +84,9 @@ def read_image(path: Path) -> np.ndarray:
     except cv2.error:
         image = None
     if image is None:
-        raise InputError(f"{path}: not an image that can be read; give PNG, JPEG, TIFF or BMP")
+        raise InputError("damaged_file", f"{path}: not an image that can be read; give PNG, JPEG, TIFF or BMP")
     if image.size > _MAX_PIXELS:  # where OpenCV was there before us
-        raise InputError(f"{path}: {image.shape[1]}x{image.shape[0]} pixels; that is no photograph")
+        raise InputError("file_format", f"{path}: {image.shape[1]}x{image.shape[0]} pixels; that is no photograph")
     if image.dtype != np.uint8:
         top = max(float(np.nanmax(image)), 1e-9)
         image = np.clip(255.0 * image / top, 0, 255).astype(np.uint8)
@@ -110,7 +112,8 @@ def match_images(cameras: Sequence[Sequence[Path]]) -> list[list[int]]:
         return [list(range(len(paths))) for paths in cameras]
     counts = " and ".join(str(len(paths)) for paths in cameras)
     raise InputError(
-        f"{counts} images of the two cameras cannot be told to belong together; number them alike, as left_001 and right_001"
+        "mismatch",
+        f"{counts} images of the two cameras cannot be told to belong together; number them alike, as left_001 and right_001",
     )
 
 

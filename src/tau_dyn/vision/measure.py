@@ -77,7 +77,9 @@ def _table(
     keep = np.flatnonzero(~extra & (np.isfinite(q).all(axis=1) if joints else True))
     if not len(keep):
         raise CannotAnswer(
-            "no image of a robot position shows the pattern", "take images in which the whole plate can be seen"
+            "not_visible",
+            "no image of a robot position shows the pattern",
+            "take images in which the whole plate can be seen",
         )
     bundle = solved.bundle
     rms = np.array(

@@ -39,16 +39,19 @@ class Pattern:
         """Refuse a pattern that cannot be told from itself upside down, or that has no size."""
         if min(self.columns, self.rows) < _MIN_CORNERS:
             raise InputError(
-                f"a pattern of {self.name} inner corners is too small; it needs 3 a side, and 9x6 is usual"
+                "invalid_value",
+                f"a pattern of {self.name} inner corners is too small; it needs 3 a side, and 9x6 is usual",
             )
         if (self.columns + self.rows) % 2 == 0:
             raise InputError(
+                "invalid_value",
                 f"a pattern of {self.name} inner corners looks the same upside down, so its orientation cannot be told; "
-                f"use one with an odd and an even number, such as {self.columns}x{self.rows - 1}"
+                f"use one with an odd and an even number, such as {self.columns}x{self.rows - 1}",
             )
         if not 1e-4 <= self.square <= 1.0:
             raise InputError(
-                f"a square of {self.square:g} m is no size for a printed pattern; give the side in m, such as 0.02"
+                "invalid_value",
+                f"a square of {self.square:g} m is no size for a printed pattern; give the side in m, such as 0.02",
             )
 
     @property
@@ -82,5 +85,5 @@ def parse_pattern(size: str, square: float) -> Pattern:
     """
     found = re.fullmatch(r"\s*(\d{1,3})\s*[xX*]\s*(\d{1,3})\s*", size)
     if found is None:
-        raise InputError(f"--pattern {size}: write the inner corners as COLUMNSxROWS, such as 9x6")
+        raise InputError("bad_option", f"--pattern {size}: write the inner corners as COLUMNSxROWS, such as 9x6")
     return Pattern(int(found[1]), int(found[2]), square)

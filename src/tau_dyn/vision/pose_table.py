@@ -138,23 +138,28 @@ class Positions:
         if self.images is None:
             if len(names) != len(self.q):
                 raise InputError(
+                    "missing_column",
                     f"{self.source} has {len(self.q)} rows for {len(names)} images and no column image that says which belong "
-                    "together; add one with the file names of the (first) camera's images"
+                    "together; add one with the file names of the (first) camera's images",
                 )
             return self.q
         twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
         if twice:
             raise InputError(
-                f"two images are called {twice}, so {self.source} cannot say which is meant; give them names of their own"
+                "duplicate_name",
+                f"two images are called {twice}, so {self.source} cannot say which is meant; give them names of their own",
             )
         row = {name: k for k, name in enumerate(self.images)}
         unknown = [name for name in self.images if name not in set(names)]
         if len(unknown) == len(self.images):
             raise InputError(
-                f"{self.source}, column image: {unknown[0]} and all others are not among the images, such as {names[0]}"
+                "mismatch",
+                f"{self.source}, column image: {unknown[0]} and all others are not among the images, such as {names[0]}",
             )
         if unknown:
-            raise InputError(f"{self.source}, column image: {format_names(unknown[:5])} not among the images given")
+            raise InputError(
+                "mismatch", f"{self.source}, column image: {format_names(unknown[:5])} not among the images given"
+            )
         return np.array([self.q[row[n]] if n in row else np.full(self.q.shape[1], np.nan) for n in names]).reshape(
             len(names), -1
         )
@@ -170,8 +175,9 @@ def read_positions(path: str | Path) -> Positions:
     columns = [name for name in table.cells if name.startswith("q_") and len(name) > 2]
     if not columns:
         raise InputError(
+            "missing_column",
             f"{table.name} has no column q_<joint>; robot positions need one for each actuated joint; "
-            f"it has {format_names(table.cells)}"
+            f"it has {format_names(table.cells)}",
         )
     q = np.column_stack([table.numbers(name) for name in columns])
     images = None
@@ -179,5 +185,8 @@ def read_positions(path: str | Path) -> Positions:
         images = tuple(Path(str(cell).strip()).name for cell in table.cells["image"])
         twice = next((name for k, name in enumerate(images) if name in images[:k]), None)
         if twice:
-            raise InputError(f"{table.name}, column image: {twice} stands there twice; every image is of one position")
+            raise InputError(
+                "duplicate_name",
+                f"{table.name}, column image: {twice} stands there twice; every image is of one position",
+            )
     return Positions(tuple(name[2:] for name in columns), q, images, table.name)

@@ -86,6 +86,7 @@ def _enough(views: Views, n_cameras: int, known: Cameras | None) -> None:
         n = int((views.camera == c).sum())
         if n < (1 if known is not None else MIN_VIEWS):
             raise CannotAnswer(
+                "too_little_data",
                 f"{n} image{'' if n == 1 else 's'} of camera {c + 1} show{'s' if n == 1 else ''} the pattern; "
                 f"its focal length and lens need {MIN_VIEWS} or more",
                 "take 15 images of the plate at tilts of 20 to 45 degrees that together fill the image, or give known cameras",
@@ -127,6 +128,7 @@ def _determined(bundle: Bundle, known: Cameras | None) -> None:
         singular = known is None and np.linalg.eigvalsh(bundle.scaled)[0] < 1e-12
         if singular or not stderr < _MAX_RELATIVE_FOCAL_STDERR * abs(f):
             raise CannotAnswer(
+                "not_identifiable",
                 f"the images do not tell the focal length of camera {c + 1} from the distance of the plate "
                 f"(f = {f:.0f} px, 95 % interval [{f - 1.96 * stderr:.0f}, {f + 1.96 * stderr:.0f}] px): the plate "
                 f"has nearly the same tilt in all of them",

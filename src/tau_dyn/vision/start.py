@@ -78,6 +78,7 @@ def estimate_relative_cameras(views: Views, plates: Plates, cameras: Cameras) ->
         pairs = [(first[views.plate[k]], k) for k in np.flatnonzero(views.camera == c) if views.plate[k] in first]
         if not pairs:
             raise CannotAnswer(
+                "not_visible",
                 f"no image pair shows the pattern to camera 1 and camera {c + 1} at one moment, so their places to each other "
                 "are unknown",
                 "take images of the plate where both cameras see it whole",

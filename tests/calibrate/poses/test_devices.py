@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 sys.path.insert(0, str(Path(__file__).parent))
 from pose_rigs import MIDDLE, at, camera, candidates, l1, tracker
@@ -18,7 +19,7 @@ from tau_dyn.calibrate.poses.line_of_sight import find_occlusions
 from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.calibrate.poses.reachable import Reachable
 from tau_dyn.calibrate.poses.visible import find_visible
-from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.obstacles import Surroundings, build_surroundings
 from tau_dyn.kinematics.workspace.machines import build_machine
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
@@ -174,12 +175,12 @@ def test_a_camera_inside_an_obstacle_is_refused_and_none_in_sight_says_why() -> 
     q = candidates()[::20]
     reach = Reachable(q, check.poses(q)[0], check, ())
     box = around(box={"centre": [5.5, -0.6, 0.7], "size": [0.3, 0.3, 0.3]})
-    with pytest.raises(InputError, match="inside the obstacle 'post'"):
+    with raises_code("invalid_value"):
         find_visible(camera(), reach, box, None)
     away = camera(
         pose=build_camera_frame(np.array([5.5, -0.6, 0.7]), np.array([9.0, -0.6, 0.7]), np.array([0.0, 0.0, 1.0]))
     )
-    with pytest.raises(CannotAnswer, match="sees none") as fault:
+    with raises_code("not_visible") as fault:
         find_visible(away, reach, Surroundings(), None)
     assert "looks at the robot" in fault.value.experiment
     assert len(find_visible(camera(), reach, Surroundings(), None).index) == len(q)

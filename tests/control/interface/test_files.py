@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from raising import raises_code
 from scipy.signal import lfilter
 
 from tau_dyn.control import (
@@ -64,7 +65,7 @@ def test_a_reference_is_read_as_it_was_written(tmp_path) -> None:
 def test_another_period_is_refused_or_resampled_on_demand(rate_hz, tmp_path) -> None:
     """Nothing is played at another speed: refused with both periods, or interpolated to within a thousandth of the stroke."""
     motion = there(rate_hz)
-    with pytest.raises(InputError, match=f"a sample every {1e3 / rate_hz:.6g} ms, the controller takes one every 4 ms"):
+    with raises_code("time_stamps", f"{1000.0 / rate_hz:.6g}", "4"):
         write_reference(tmp_path / "r.csv", MODEL, motion)
     assert not (tmp_path / "r.csv").exists()
     found = build_reference(MODEL, motion, resample=True)
@@ -77,9 +78,7 @@ def test_another_period_is_refused_or_resampled_on_demand(rate_hz, tmp_path) -> 
 def test_a_file_at_another_period_is_not_read(tmp_path) -> None:
     """A file of 10 ms is no file for a controller of 4 ms; for one of 10 ms it is."""
     write_reference(tmp_path / "r.csv", MODEL, there(100.0), period=0.01)
-    with pytest.raises(
-        InputError, match=r"r\.csv: it has a sample every 10 ms.*resample it, or say the controller's period"
-    ):
+    with raises_code("time_stamps", "r.csv", "10"):
         read_reference(tmp_path / "r.csv", ROBOT.actuated)
     assert read_reference(tmp_path / "r.csv", ROBOT.actuated, period=0.01).n_samples == 61
 
@@ -89,7 +88,7 @@ def test_a_motion_too_fast_for_the_period_is_not_resampled() -> None:
     t = np.arange(600) * 0.001
     shake = 1e-3 * np.sin(2 * np.pi * 30 * t) * np.sin(np.pi * t / 0.599) ** 2
     motion = Trajectory.through(ROBOT.actuated, t, ROBOT.home + shake[:, None])
-    with pytest.raises(InputError, match="would miss joint cart1 by up to .*too fast for this period"):
+    with raises_code("invalid_value", "cart1"):
         build_reference(MODEL, motion, period=0.02, resample=True)
 
 
@@ -170,7 +169,7 @@ def test_ten_degrees_are_the_most_of_a_turning_drive() -> None:
     limits = CommandLimits.of(robot)
     turning = np.array(robot.joint_kinds) == "revolute"
     np.testing.assert_allclose(np.rad2deg(limits.correction[turning]), 10.0)
-    with pytest.raises(InputError, match="the speed limit must be above zero"):
+    with raises_code("invalid_value"):
         CommandLimits.of(robot, speed=0.0)
 
 

@@ -1,8 +1,8 @@
 """Filters of learning: zero phase, dips, shifts, weights; and case 1 of the thesis."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.control.iterative import (
     LearningLaw,
@@ -17,7 +17,6 @@ from tau_dyn.control.iterative import (
     design_low_pass,
     stack_controlled_actuators,
 )
-from tau_dyn.exceptions import InputError
 from tau_dyn.modes.actuators import Actuator
 
 DT = 0.004
@@ -79,11 +78,11 @@ def test_case_1_has_the_singular_values_of_the_thesis() -> None:
 
 def test_filters_that_are_none_are_refused() -> None:
     """Cutoffs beyond half the rate, unstable filters, dips without depth, different steps in one product."""
-    with pytest.raises(InputError, match="0 to 125 Hz"):
+    with raises_code("invalid_value", "0", "125"):
         design_low_pass(130, DT)
-    with pytest.raises(InputError, match="unstable"):
+    with raises_code("unstable", "unstable"):
         ZeroPhase(np.array([[1.0, 0, 0, 1, -2.1, 1.1]]), DT)
-    with pytest.raises(InputError, match="floor"):
+    with raises_code("invalid_value", "floor"):
         build_notch(7, 1, 0.0, DT)
-    with pytest.raises(InputError, match="cannot be joined"):
+    with raises_code("mismatch"):
         chain_filters([design_low_pass(10, DT), design_low_pass(10, 0.002)])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.control import Feedforward
 from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
@@ -15,7 +16,6 @@ from tau_dyn.control.motion.coordinates import Free
 from tau_dyn.control.motion.limit_check import tighten_limits
 from tau_dyn.control.motion.nodes import Nodes
 from tau_dyn.control.motion.path import build_joint_line
-from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.simulate import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -168,5 +168,5 @@ def test_what_a_limit_is_left_by_between_the_nodes_is_tightened():
 def test_no_plan_leaves_the_conditionings_limit(gantry):
     """Where the shortest motion would close its loops worse than allowed, there is no plan, and the reason has both numbers."""
     limits = MotionLimits.of(gantry, force=FORCE, condition=4.2)  # 4.13 and 4.15 at the ends, 4.39 between
-    with pytest.raises(CannotAnswer, match=r"singularity of the loops: conditioning 4\.\d+, the limit is 4\.2"):
+    with raises_code("no_solution", "4", "4.2"):
         plan_motion(gantry, [1.75, -1.2, 0.15], [1.75, -0.25, 0.15], limits=limits, nodes=15)

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 from tau_dyn.control.motion import MotionLimits, plan_motion
-from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.exceptions import InputError
 from tau_dyn.robot import load_robot_from_urdf
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -48,7 +49,7 @@ def test_ends_that_cannot_be(start, end, said: str):
 
 def test_a_weight_that_cannot_be_held():
     """A drive that cannot hold the arm still at an end: the joint, what it needs and what it may."""
-    with pytest.raises(InputError, match=r"joint pivot needs 9\.\d+ N m to hold still .* may use 5 N m"):
+    with raises_code("unreachable", "9", "5"):
         plan_motion(pendulum(5.0), [0.0], [np.pi / 2], joints=True)
 
 
@@ -61,24 +62,24 @@ def test_a_weak_drive_swings_up_without_holding_on_the_way():
 def test_a_path_no_limit_allows():
     """What no motion can do is no plan (exit status 3), not even where the solver found one that cheats between its nodes."""
     limits = MotionLimits.of(pendulum(6.0), force=6.0, speed=0.05)  # no speed to pass the level pose
-    with pytest.raises(CannotAnswer, match="within the limits"):
+    with raises_code("no_solution"):
         plan_motion(pendulum(6.0), [0.0], [np.pi - 0.05], joints=True, limits=limits, nodes=12)
 
 
 def test_a_place_near_a_singularity():
     """A conditioning above the limit at an end, or on a prescribed path, is refused by its number."""
     model = l1()
-    with pytest.raises(InputError, match="near a singularity of the loops: conditioning"):
+    with raises_code("unreachable"):
         plan_motion(model, START, END, limits=MotionLimits.of(model, condition=3.0))
 
 
 def test_a_path_that_leaves_the_workspace():
     """A line or a spline through points that the robot cannot follow to its end."""
-    with pytest.raises(InputError, match="path"):
+    with raises_code("unreachable", "path"):
         plan_motion(l1(), START, END, path=np.array([[1.75, -0.6, 3.0]]))
-    with pytest.raises(InputError, match=r"\(n, 3\)"):
+    with raises_code("wrong_shape", "3"):
         plan_motion(l1(), START, END, path=np.zeros((4, 2)))
-    with pytest.raises(InputError, match="'circle'"):
+    with raises_code("invalid_value"):
         plan_motion(l1(), START, END, path="circle")
 
 
@@ -104,5 +105,5 @@ def test_limits_that_make_no_sense(given: dict, said: str):
 )
 def test_settings_out_of_range(given: dict):
     """Weights, clocks and numbers of intervals that no plan can have."""
-    with pytest.raises(InputError):
+    with raises_code("invalid_value"):
         plan_motion(block(), [-0.4], [0.4], joints=True, **given)

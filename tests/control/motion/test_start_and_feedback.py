@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from raising import raises_code
 
 from tau_dyn.control.motion import MotionLimits, compute_feedback_margin, estimate_feedback_noise
 from tau_dyn.control.motion.profile import compute_trapezoid
-from tau_dyn.exceptions import InputError
 from tau_dyn.simulate import CascadeController, CascadeLaw, Trajectory
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -50,7 +50,7 @@ def test_the_margin_leaves_room_for_noise_and_for_what_is_unknown():
     margin = compute_feedback_margin(limits, law, q, 5e-6, unknown=0.1)
     assert_allclose((1 - margin) * 400.0 * 1.1 + 4 * noise, 400.0)
     assert_allclose(compute_feedback_margin(limits, law, q, 0.0, unknown=0.0), 0.0, atol=1e-15)
-    with pytest.raises(InputError, match="lower its gains"):
+    with raises_code("invalid_value"):
         compute_feedback_margin(limits, law, q, 1e-3)
-    with pytest.raises(InputError, match="unknown"):
+    with raises_code("invalid_value", "unknown"):
         compute_feedback_margin(limits, law, q, 0.0, unknown=1.5)

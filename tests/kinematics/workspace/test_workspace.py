@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises_code
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.obstacles import build_surroundings
@@ -206,7 +207,7 @@ def test_stewart_platform_leans_as_far_to_both_sides() -> None:
 def test_unreached_orientation_is_refused(gantry) -> None:
     """A plate that only translates has no range of tilt; the sentence says so."""
     found = find_workspace(gantry, resolution=0.1, demands=FREE)
-    with pytest.raises(InputError, match="does not turn freely"):
+    with raises_code("unsupported"):
         measure_tilt(found, found.machine.home.position[0])
 
 
@@ -223,13 +224,13 @@ def test_inverted_limits_are_refused(travel: tuple[float, float], message: str) 
 @pytest.mark.parametrize("resolution", [0.0, -0.1, np.nan, 5.0, 1e-5])
 def test_senseless_resolution_is_refused(resolution: float) -> None:
     """Zero, negative, not a number, coarser than the robot, finer than memory: one sentence."""
-    with pytest.raises(InputError, match="resolution"):
+    with raises_code("invalid_value", "resolution"):
         find_workspace(robots.cartesian(), resolution=resolution, demands=FREE)
 
 
 def test_home_that_does_not_belong_is_refused(gantry) -> None:
     """An obstacle over home leaves nothing to be connected to; the sentence names it."""
-    with pytest.raises(InputError, match=r"home .* does not belong itself \(safety zone: block\)"):
+    with raises_code("unreachable"):
         find_workspace(gantry, demands=obstacle(sphere={"centre": [0, 0, 0.2], "radius": 0.1}, blocks="tool"))
 
 
@@ -246,7 +247,7 @@ def test_workspace_that_runs_on_beyond_the_box_searched_says_so() -> None:
 def test_place_of_the_tilt_may_be_an_array() -> None:
     """A place given as an array is asked for as one given as a list: a planar arm says that its tool does not turn freely."""
     for place in (np.array([0.4, 0.2, 0.0]), [0.4, 0.2, 0.0]):
-        with pytest.raises(InputError, match="does not turn freely"):
+        with raises_code("unsupported"):
             study_workspace(robots.planar(), resolution=0.1, demands=FREE, tilt_at=place)
 
 

@@ -217,6 +217,7 @@ def _tour(choice: PoseChoice, robot: Robot, reach: Reachable) -> Tour:
     tour = plan_tour(choice.q, robot.home, reach.check, reach.q)
     if not (tour.pose >= 0).any():
         raise CannotAnswer(
+            "no_solution",
             f"no move from home to any of the chosen poses is free ({next(iter(tour.left_out.values()), 'blocked')})",
             "fewer obstacles around home",
         )
@@ -230,7 +231,9 @@ def _predictable(reach: Reachable, geometry: Geometry) -> Reachable:
     good = np.flatnonzero(found.ok & (away < 1e-6))
     if not len(good):
         raise CannotAnswer(
-            "the model to be calibrated reaches none of the poses", "another model, or a robot file that agrees with it"
+            "no_solution",
+            "the model to be calibrated reaches none of the poses",
+            "another model, or a robot file that agrees with it",
         )
     return Reachable(reach.q[good], reach.tool.take(good), reach.check, reach.warnings)
 

@@ -171,7 +171,8 @@ class Camera:
                 step = np.linalg.solve(turned @ slope, turned @ gap)[:, :, 0]
             except np.linalg.LinAlgError:
                 raise InputError(
-                    "the pattern's corners in the pictures do not tell its pose; check its size, the focal length, the distance"
+                    "unsupported",
+                    "the pattern's corners in the pictures do not tell its pose; check its size, the focal length, the distance",
                 ) from None
             position = position + step[:, :3]
             if turns:
@@ -202,7 +203,8 @@ def build_camera_frame(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -
     x = np.cross(z, up)
     if np.linalg.norm(z) < 1e-9 or np.linalg.norm(x) < 1e-9 * np.linalg.norm(z) * max(np.linalg.norm(up), 1e-9):
         raise InputError(
-            "the camera's direction is not given: look_at must differ from position, and up from the line between them"
+            "invalid_value",
+            "the camera's direction is not given: look_at must differ from position, and up from the line between them",
         )
     z, x = z / np.linalg.norm(z), x / np.linalg.norm(x)
     return Frame(np.stack([x, np.cross(z, x), z], axis=1), place)

@@ -188,18 +188,22 @@ def _check_numbers(design: PoseDesign, n: int | Literal["auto"], gain: float, ta
     if design.n < least:
         have = "1 candidate pose is" if design.n == 1 else f"{design.n} candidate poses are"
         raise InputError(
+            "too_little_data",
             f"{have} too few for {len(design.found.names)} unknowns at {design.per_pose} numbers a pose; at least {least} "
-            f"are needed, {3 * least} are sensible"
+            f"are needed, {3 * least} are sensible",
         )
     if n != "auto" and not least <= n <= design.n:
         raise InputError(
+            "too_little_data",
             f"{n} poses cannot be chosen: {design.found.rank} parameters need at least {least}, and "
-            f"there are {design.n} candidates"
+            f"there are {design.n} candidates",
         )
     if not 0 < gain < 1:
-        raise InputError(f"the gain that twice as many poses must bring is a share between 0 and 1, not {gain}")
+        raise InputError(
+            "invalid_value", f"the gain that twice as many poses must bring is a share between 0 and 1, not {gain}"
+        )
     if target is not None and not 0 < target < np.inf:
-        raise InputError(f"the accuracy asked for must be a length above zero, not {target}")
+        raise InputError("invalid_value", f"the accuracy asked for must be a length above zero, not {target}")
 
 
 def _warnings(

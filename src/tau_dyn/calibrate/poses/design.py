@@ -146,13 +146,14 @@ def build_design(
     frames = frames if frames is not None else DeviceFrames()
     unknowns = collect(geometry, frames, fix=fix, free=free, device=device, tool=tool, turned=turned)
     if not unknowns.free.any():
-        raise InputError("no parameter is free that poses could tell; free some, or leave `fix` out")
+        raise InputError("invalid_value", "no parameter is free that poses could tell; free some, or leave `fix` out")
     slopes, base, ok = _slopes(geometry, frames, unknowns, q, turned)
     if not ok.all():
         raise InputError(
+            "unreachable",
             f"the nominal robot reaches {int(ok.sum())} of {len(q)} candidate poses (the first that "
             "it does not is number "
-            f"{int(np.argmin(ok)) + 1}); leave the others out"
+            f"{int(np.argmin(ok)) + 1}); leave the others out",
         )
     names = tuple(name for name, may in zip(unknowns.names, unknowns.free, strict=True) if may)
     scales = unknowns.scales[unknowns.free]
@@ -160,7 +161,7 @@ def build_design(
     flat = (slopes / _mean_sigma(cov)[:, None]).reshape(-1, slopes.shape[2])
     found = find_identifiable(flat, names, scales, unknowns.priority[unknowns.free])
     if not found.rank:
-        raise InputError("no parameter is free that poses could tell; free some, or leave `fix` out")
+        raise InputError("invalid_value", "no parameter is free that poses could tell; free some, or leave `fix` out")
     there = q if workspace is None else _checked_q(geometry, workspace)
     shifts, _, good = _slopes(geometry, frames, unknowns, there, geometry.orients)
     shifts = shifts[good] * scales
@@ -213,11 +214,12 @@ def _checked_q(geometry: Geometry, q: np.ndarray) -> np.ndarray:
     na = len(geometry.actuated)
     if q.ndim != 2 or q.shape[1] != na or not len(q):
         raise InputError(
-            f"candidate poses must be positions (N, {na}) of {', '.join(geometry.actuated)}, not {q.shape}"
+            "wrong_shape",
+            f"candidate poses must be positions (N, {na}) of {', '.join(geometry.actuated)}, not {q.shape}",
         )
     bad = np.flatnonzero(~np.isfinite(q).all(axis=1))
     if len(bad):
-        raise InputError(f"candidate pose {bad[0] + 1} holds a number that is not finite; leave it out")
+        raise InputError("bad_sample", f"candidate pose {bad[0] + 1} holds a number that is not finite; leave it out")
     return q
 
 
@@ -226,13 +228,15 @@ def _covariances(noise: tuple[float, ...] | np.ndarray, n: int) -> np.ndarray:
         good = noise.shape[0] == n and noise.shape[1:] in ((3, 3), (6, 6)) and np.isfinite(noise).all()
         if not good or not (np.linalg.eigvalsh(noise) > 0).all():
             raise InputError(
-                f"covariances of the noise must be finite, positive and ({n}, 3, 3) or ({n}, 6, 6), not {noise.shape}"
+                "wrong_shape",
+                f"covariances of the noise must be finite, positive and ({n}, 3, 3) or ({n}, 6, 6), not {noise.shape}",
             )
         return noise
     sigma = np.atleast_1d(np.asarray(noise, float))
     if sigma.shape not in ((1,), (2,)) or not np.isfinite(sigma).all() or not (sigma > 0).all():
         raise InputError(
+            "invalid_value",
             "the noise is a standard deviation of positions [m] and perhaps one of orientations "
-            f"[rad], above zero, not {noise}"
+            f"[rad], above zero, not {noise}",
         )
     return np.repeat(np.diag(np.repeat(sigma**2, 3))[None], n, axis=0)

@@ -97,7 +97,7 @@ class _Part:
         self.content = content
 
     def fault(self, text: str) -> NoReturn:
-        raise InputError(f"{self.where}: {text}")
+        raise InputError("file_format", f"{self.where}: {text}")
 
     def part(self, key: str, known: set[str], *, needed: bool = True) -> _Part:
         if needed and key not in self.content:

@@ -27,7 +27,8 @@ def check_place(device: MeasuringDevice, around: Surroundings) -> None:
         if solid.blocks == "robot" and solid.distance(device.place[None])[0] < 0:
             place = ", ".join(f"{x:g}" for x in device.place)
             raise InputError(
-                f"the {device.name} at ({place}) m stands inside the obstacle '{solid.name}'; move one of them"
+                "invalid_value",
+                f"the {device.name} at ({place}) m stands inside the obstacle '{solid.name}'; move one of them",
             )
 
 

@@ -74,6 +74,7 @@ def draw_robot(geometry: Geometry, q: np.ndarray, scales: np.ndarray, rng: np.ra
         if geometry.forward(theta, q).ok.all():
             return theta
     raise CannotAnswer(
+        "no_solution",
         "robots whose dimensions are off by their usual size do not reach the chosen poses",
         "larger safety distances, or dimensions that are known better",
     )
@@ -113,7 +114,7 @@ def simulate_calibrations(
         InputError: No runs.
     """
     if runs < 1:
-        raise InputError(f"a simulated calibration needs at least one run, not {runs}")
+        raise InputError("invalid_value", f"a simulated calibration needs at least one run, not {runs}")
     geometry, design = choice.design.geometry, choice.design
     p = len(geometry.parameters)
     device_free, tool_free = "device" not in known, "tool" not in known
@@ -158,17 +159,20 @@ def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, requi
     made, design = choice.predicted, choice.design
     if rehearsal.failures and len(rehearsal.failures) >= max(1, len(rehearsal.after)):
         raise CannotAnswer(
+            "not_accurate_enough",
             f"simulated calibrations with these {choice.n} poses fail ({rehearsal.failures[0]})",
             "more poses spread wider, a device that measures orientation as well, or a robot file "
             "nearer to the machine",
         )
     if required is not None and made.rms > required:
         raise CannotAnswer(
+            "not_accurate_enough",
             f"{choice.n} poses will bring {1e3 * made.rms:.3g} mm, not the {1e3 * required:.3g} mm asked for",
             _remedy(choice, required),
         )
     if rehearsal.achieved > _MAX_ERROR_RATIO * (made.rms + 3 * made.scatter / np.sqrt(max(len(rehearsal.after), 1))):
         raise CannotAnswer(
+            "not_accurate_enough",
             f"simulated calibrations reach {1e3 * rehearsal.achieved:.3g} mm where "
             f"{1e3 * made.rms:.3g} mm were predicted, so errors of the usual "
             "size are too large for one step from the nominal dimensions",
@@ -177,12 +181,14 @@ def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, requi
     if design.untold and required is not None and design.untold[0][1] > required:
         name, shift = max(design.untold, key=lambda row: row[1])
         raise CannotAnswer(
+            "not_identifiable",
             f"no candidate tells {name}, and an error of its usual size leaves {1e3 * shift:.3g} mm "
             "elsewhere in the workspace",
             "candidates over the whole workspace: another place for the device, or fewer obstacles",
         )
     if len(rehearsal.after) and rehearsal.achieved >= float(np.sqrt(np.mean(rehearsal.before**2))):
         raise CannotAnswer(
+            "not_accurate_enough",
             "the calibrated robot would be no better than the nominal one "
             f"({1e3 * rehearsal.achieved:.3g} mm): the device's noise is larger than "
             "the errors to be found",

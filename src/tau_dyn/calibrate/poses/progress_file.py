@@ -120,15 +120,18 @@ def read_progress(path: str | Path, actuated: tuple[str, ...]) -> CampaignProgre
     except InputError:
         raise
     except FileNotFoundError as fault:
-        raise InputError(f"{path}: no such file") from fault
+        raise InputError("file_not_found", f"{path}: no such file") from fault
     except (OSError, UnicodeDecodeError) as fault:
-        raise InputError(f"{path}: cannot be read as text ({fault})") from fault
+        raise InputError("cannot_read", f"{path}: cannot be read as text ({fault})") from fault
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
         raise InputError(
-            f"{path} is no progress file of a calibration (JSON with actuated, places and version {_VERSION})"
+            "file_format",
+            f"{path} is no progress file of a calibration (JSON with actuated, places and version {_VERSION})",
         ) from fault
     if joints != actuated:
-        raise InputError(f"{path} belongs to a robot with the joints {', '.join(joints)}, not {', '.join(actuated)}")
+        raise InputError(
+            "mismatch", f"{path} belongs to a robot with the joints {', '.join(joints)}, not {', '.join(actuated)}"
+        )
     return found
 
 
@@ -172,7 +175,9 @@ def run_campaign(plan: CampaignProgress, measure: Measure, path: str | Path) -> 
     if Path(path).exists():
         now = read_progress(path, plan.actuated)
         if now.q.shape != plan.q.shape or not np.allclose(now.q, plan.q, atol=1e-9) or (now.pose != plan.pose).any():
-            raise InputError(f"{path} belongs to another plan; name another file, or take the plan from this one")
+            raise InputError(
+                "mismatch", f"{path} belongs to another plan; name another file, or take the plan from this one"
+            )
     else:
         now.save(path)
     for place in now.left:
@@ -182,6 +187,8 @@ def run_campaign(plan: CampaignProgress, measure: Measure, path: str | Path) -> 
     done = now.measured()
     if not done.n:
         raise CannotAnswer(
-            f"none of the {int((plan.pose >= 0).sum())} poses was seen by the device", "another place for the device"
+            "not_visible",
+            f"none of the {int((plan.pose >= 0).sum())} poses was seen by the device",
+            "another place for the device",
         )
     return done

@@ -50,7 +50,7 @@ def format_rapid_module(
         InputError: More than twelve joints, a name that RAPID does not take, or nothing to drive to.
     """
     if not len(q):
-        raise InputError("there is no pose to write a RAPID module for")
+        raise InputError("missing_input", "there is no pose to write a RAPID module for")
     require_few_joints(kinds)
     require_rapid_name(name)
     joints = [format_jointtarget(row, kinds) for row in q]

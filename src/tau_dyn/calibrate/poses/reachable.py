@@ -52,9 +52,10 @@ class Safety:
         """Refuse numbers that make no sense."""
         if not (0 <= self.distance < 1e3 and 0 <= self.angle < np.pi / 2 and 0 <= self.travel < 0.5):
             raise InputError(
+                "invalid_value",
                 "safety distances are a length and an angle (below 90 degrees) from zero up and a "
                 "share of the travel below a half, not "
-                f"{self.distance} m, {np.rad2deg(self.angle):.3g} degrees and {self.travel}"
+                f"{self.distance} m, {np.rad2deg(self.angle):.3g} degrees and {self.travel}",
             )
 
     def apply(self, demands: PoseRequirements) -> PoseRequirements:
@@ -64,8 +65,9 @@ class Safety:
         limit = demands.ball_angle if demands.ball_angle is not None else DEFAULT_ANGLE
         if self.angle > 0 and limit - self.angle <= 0:
             raise InputError(
+                "invalid_value",
                 f"a safety angle of {np.rad2deg(self.angle):.3g} degrees leaves nothing of the ball "
-                f"joints' {np.rad2deg(limit):.3g}"
+                f"joints' {np.rad2deg(limit):.3g}",
             )
         return replace(
             demands,
@@ -135,6 +137,7 @@ def find_reachable(
     inside = ((q >= low + room) & (q <= high - room)).all(axis=1)
     if not inside.any():
         raise CannotAnswer(
+            "no_solution",
             f"{machine.robot.source}: no pose keeps the safety distances ({1e3 * safety.distance:.0f} mm, "
             f"{np.rad2deg(safety.angle):.0f} degrees, {100 * safety.travel:.0f} % of the travel)",
             "smaller safety distances, after the dimensions were measured better, or fewer obstacles",

@@ -33,9 +33,11 @@ def refine(fitted: GeometryFit, covariance: np.ndarray) -> GeometryFit:
     """
     n, m = fitted.residuals.shape
     if fitted.kind != "forward":
-        raise InputError(f"only forward residuals can be weighed by a device's covariance, not {fitted.kind} ones")
+        raise InputError(
+            "unsupported", f"only forward residuals can be weighed by a device's covariance, not {fitted.kind} ones"
+        )
     if covariance.ndim != 3 or len(covariance) != n or covariance.shape[1] < m or not np.isfinite(covariance).all():
-        raise InputError(f"the fit has {n} poses of {m} numbers, the covariances are {covariance.shape}")
+        raise InputError("wrong_shape", f"the fit has {n} poses of {m} numbers, the covariances are {covariance.shape}")
     problem = Problem(fitted.geometry, fitted.poses, fitted.unknowns, fitted.kind, m == 6)
     root = np.linalg.cholesky(covariance[:, :m, :m])
     kept = np.flatnonzero(fitted.unknowns.free)[fitted.identifiability.kept]

@@ -66,6 +66,7 @@ def find_visible(
         word = next(iter(reasons))
         remedy = next((text for start, text in _HELP.items() if word.startswith(start)), "another place for the device")
         raise CannotAnswer(
+            "not_visible",
             f"the {device.name} sees none of the {poses.n} poses in reach (mostly: {word}, {reasons[word]} of them)",
             remedy,
         )

@@ -24,7 +24,7 @@ def check_motion(model: Model, motion: Trajectory, limits: CommandLimits | None 
     """
     broken = list_exceeded_limits(model, motion, CommandLimits.of(model.robot) if limits is None else limits)
     if broken:
-        raise InputError(f"{motion.name} is not written: {'; '.join(broken)}")
+        raise InputError("unreachable", f"{motion.name} is not written: {'; '.join(broken)}")
 
 
 def list_exceeded_limits(model: Model, motion: Trajectory, limits: CommandLimits) -> list[str]:

@@ -54,10 +54,11 @@ class Correction:
             or not np.isfinite(self.dq).all()
         ):
             raise InputError(
-                f"a correction of {len(self.joints)} joints is finite and (N, {len(self.joints)}), not {self.dq.shape}"
+                "wrong_shape",
+                f"a correction of {len(self.joints)} joints is finite and (N, {len(self.joints)}), not {self.dq.shape}",
             )
         if not self.dt > 0:
-            raise InputError(f"a correction's sample period must be positive, not {self.dt:g} s")
+            raise InputError("invalid_value", f"a correction's sample period must be positive, not {self.dt:g} s")
 
     @property
     def dv(self) -> np.ndarray:
@@ -109,15 +110,19 @@ def require_same_motion(reference: Trajectory, correction: Correction) -> None:
     """
     if correction.joints != reference.joints:
         raise InputError(
-            f"the correction is for {', '.join(correction.joints)}, the motion moves {', '.join(reference.joints)}"
+            "mismatch",
+            f"the correction is for {', '.join(correction.joints)}, the motion moves {', '.join(reference.joints)}",
         )
     require_period(reference.t, correction.dt, f"{reference.name}, for a correction every {1e3 * correction.dt:g} ms")
     if len(correction.dq) != reference.n_samples:
-        raise InputError(f"the correction has {len(correction.dq)} samples, {reference.name} has {reference.n_samples}")
+        raise InputError(
+            "mismatch", f"the correction has {len(correction.dq)} samples, {reference.name} has {reference.n_samples}"
+        )
     if correction.motion != compute_digest(reference):
         raise InputError(
+            "mismatch",
             f"the correction was learnt on another motion ({correction.motion}) than {reference.name} "
-            f"({compute_digest(reference)})"
+            f"({compute_digest(reference)})",
         )
 
 
@@ -168,11 +173,12 @@ def read_correction(path: str | Path, joints: Sequence[str], *, period: float = 
     head = _HEAD.fullmatch(first.decode("utf-8", "replace"))
     if head is None:
         raise InputError(
-            f"{table.name}: its first line does not say which motion it corrects; it is no correction file"
+            "file_format",
+            f"{table.name}: its first line does not say which motion it corrects; it is no correction file",
         )
     t = table.numbers("t")
     if len(t) < 2:
-        raise InputError(f"{table.name}: a correction has at least two samples, not {len(t)}")
+        raise InputError("too_little_data", f"{table.name}: a correction has at least two samples, not {len(t)}")
     require_period(t, period, table.name)
     dq = np.column_stack([table.numbers(f"dq_{j}") for j in joints])
     return Correction(tuple(joints), period, dq, head[1])
@@ -184,13 +190,15 @@ def _require_small(correction: Correction, limits: CommandLimits, units: Sequenc
     if excess[k, j] > 0:
         factor, unit = (np.rad2deg(1.0), "deg") if units[j] == "rad" else (1e3, "mm")
         raise InputError(
+            "invalid_value",
             f"the correction of joint {correction.joints[j]} is {factor * correction.dq[k, j]:.4g} {unit} at sample {k + 1} and "
-            f"may be no more than {factor * limits.correction[j]:.4g} {unit}"
+            f"may be no more than {factor * limits.correction[j]:.4g} {unit}",
         )
     jump = np.abs(np.diff(np.pad(correction.dq, ((1, 1), (0, 0))), axis=0)) / correction.dt
     k, j = divmod(int(np.argmax(jump - limits.speed)), jump.shape[1])
     if jump[k, j] > limits.speed[j]:
         raise InputError(
+            "invalid_value",
             f"the correction of joint {correction.joints[j]} jumps at sample {k + 1}: {jump[k, j]:.4g} {units[j]}/s, the drive "
-            f"may no more than {limits.speed[j]:.4g}; fade it in and out"
+            f"may no more than {limits.speed[j]:.4g}; fade it in and out",
         )

@@ -30,13 +30,15 @@ def require_period(t: np.ndarray, period: float, name: str) -> None:
     worst = int(np.argmax(np.abs(steps - mean)))
     if abs(steps[worst] - mean) > _JITTER * mean:
         raise InputError(
+            "time_stamps",
             f"{name}: its samples are not even ({1e3 * steps[worst]:.4g} ms after sample {worst + 1}, {1e3 * mean:.4g} ms in the "
-            "mean); resample it"
+            "mean); resample it",
         )
     if abs(mean - period) > _JITTER * period:
         raise InputError(
+            "time_stamps",
             f"{name}: it has a sample every {1e3 * mean:.6g} ms, the controller takes one every {1e3 * period:.6g} ms and would "
-            f"play it {mean / period:.3g} times as fast; resample it, or say the controller's period"
+            f"play it {mean / period:.3g} times as fast; resample it, or say the controller's period",
         )
 
 
@@ -52,13 +54,16 @@ def resample_to_period(motion: Trajectory, period: float, *, resample: bool = Fa
         InputError: The period is another one and resampling was not asked for, or it would lose part of the motion.
     """
     if not 0 < period < 1:
-        raise InputError(f"a controller's sample period is a positive number of seconds below 1, not {period:g}")
+        raise InputError(
+            "invalid_value", f"a controller's sample period is a positive number of seconds below 1, not {period:g}"
+        )
     if not resample:
         require_period(motion.t, period, motion.name)
     found = motion.resampled(1 / period)
     if len(found.t) < 6:
         raise InputError(
-            f"{motion.name} lasts {motion.duration:g} s, {len(found.t)} samples of {1e3 * period:g} ms; too short"
+            "too_little_data",
+            f"{motion.name} lasts {motion.duration:g} s, {len(found.t)} samples of {1e3 * period:g} ms; too short",
         )
     left = motion.duration - found.duration
     if left > _JITTER * period:  # the last sample falls between two of the controller's: end where the motion ends
@@ -91,6 +96,7 @@ def _require_kept(motion: Trajectory, found: Trajectory, period: float) -> None:
     if np.any(off > allowed):
         k = int(np.argmax(off / allowed))
         raise InputError(
+            "invalid_value",
             f"{motion.name}: samples every {1e3 * period:g} ms would miss joint {motion.joints[k]} by up to {off[k]:.3g} "
-            f"({100 * off[k] / np.ptp(motion.q[:, k]):.2g} % of its stroke); the motion is too fast for this period"
+            f"({100 * off[k] / np.ptp(motion.q[:, k]):.2g} % of its stroke); the motion is too fast for this period",
         )

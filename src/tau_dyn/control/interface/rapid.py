@@ -54,14 +54,18 @@ def format_rapid_motion(
     for text, what in ((name, "a RAPID module"), (tool, "RAPID tool data"), (wobj, "a RAPID work object")):
         require_rapid_name(text, what)
     if by not in ("joints", "tool"):
-        raise InputError(f"a RAPID motion goes by 'joints' or by 'tool', not by '{by}'")
+        raise InputError("invalid_value", f"a RAPID motion goes by 'joints' or by 'tool', not by '{by}'")
     if motion.joints != robot.actuated:
-        raise InputError(f"{motion.name} moves {', '.join(motion.joints)}, the robot has {', '.join(robot.actuated)}")
+        raise InputError(
+            "mismatch", f"{motion.name} moves {', '.join(motion.joints)}, the robot has {', '.join(robot.actuated)}"
+        )
     if not (np.isfinite(tolerance) and tolerance > 0):
-        raise InputError(f"the tolerance of a RAPID motion must be above zero, not {tolerance:g}")
+        raise InputError("invalid_value", f"the tolerance of a RAPID motion must be above zero, not {tolerance:g}")
     poses = forward_kinematics(robot, motion.q).poses if by == "tool" else None
     if poses is not None and not np.isfinite(poses.position).all():
-        raise InputError(f"{motion.name}: it leaves the robot's reach, so there is no tool path to write")
+        raise InputError(
+            "unreachable", f"{motion.name}: it leaves the robot's reach, so there is no tool path to write"
+        )
     keep = select_waypoints(motion.t, motion.q if poses is None else poses.position, tolerance)
     if poses is None:
         rows, kind = [format_jointtarget(row, robot.joint_kinds) for row in motion.q[keep]], "jointtarget"
@@ -87,7 +91,8 @@ def select_waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.nd
     while keep[-1] < len(t) - 1:
         if len(keep) >= MAX_WAYPOINTS:
             raise InputError(
-                f"a RAPID module of more than {MAX_WAYPOINTS} places is asked for; allow a larger tolerance, or cut the motion"
+                "invalid_value",
+                f"a RAPID module of more than {MAX_WAYPOINTS} places is asked for; allow a larger tolerance, or cut the motion",
             )
         keep.append(_farthest(t, path, keep[-1], tolerance))
     return np.array(keep)

@@ -28,7 +28,8 @@ def require_rapid_name(name: str, what: str = "a RAPID module") -> str:
     """
     if not _NAME.fullmatch(name) or name.lower() in _RESERVED:
         raise InputError(
-            f"'{name}' is no name for {what}: a letter, then letters, digits and _, at most 32, no word of RAPID"
+            "invalid_value",
+            f"'{name}' is no name for {what}: a letter, then letters, digits and _, at most 32, no word of RAPID",
         )
     return name
 
@@ -40,7 +41,9 @@ def require_few_joints(kinds: Sequence[str]) -> None:
         InputError: More than twelve joints.
     """
     if len(kinds) > 2 * AXES:
-        raise InputError(f"a RAPID jointtarget holds 12 axes; this robot has {len(kinds)} actuated joints")
+        raise InputError(
+            "unsupported", f"a RAPID jointtarget holds 12 axes; this robot has {len(kinds)} actuated joints"
+        )
 
 
 def format_jointtarget(row: np.ndarray, kinds: Sequence[str]) -> str:

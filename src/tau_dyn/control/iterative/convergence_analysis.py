@@ -84,7 +84,8 @@ def analyse_convergence(law: UpdateLaw, motion: Reference, frequency: np.ndarray
     """
     if abs(law.side.dt - motion.dt) > 1e-9 * motion.dt:
         raise InputError(
-            f"the law is made for steps of {1000 * law.side.dt:g} ms, the motion has {1000 * motion.dt:g} ms"
+            "mismatch",
+            f"the law is made for steps of {1000 * law.side.dt:g} ms, the motion has {1000 * motion.dt:g} ms",
         )
     if law.bound is not None:
         return Convergence((law.bound,), law.bound, compute_frequency_condition(law, frequency))
@@ -146,7 +147,8 @@ def require_convergence(found: Convergence, *, monotone: bool = True) -> None:
         low, high = found.picture.fails
         where = f"; an error at {f:.1f} Hz grows {growth:.2f} times in an iteration (above 1 from {low:.1f} to {high:.1f} Hz)"
     raise InputError(
-        f"{what}: {size}{where}. Let Q forget there (lower cutoff, or a dip), or take a smaller gain or a better shift in L"
+        "unstable",
+        f"{what}: {size}{where}. Let Q forget there (lower cutoff, or a dip), or take a smaller gain or a better shift in L",
     )
 
 

@@ -62,14 +62,17 @@ class LearningLaw:
         for what, dt in [("L", self.learning.dt), *(("Q", q.dt) for q in self.forgetting)]:
             if abs(dt - self.side.dt) > 1e-9 * self.side.dt:
                 raise InputError(
+                    "mismatch",
                     f"filter {what} is made for {1000 * dt:g} ms, the model for {1000 * self.side.dt:g} ms; "
-                    "a law, its models and the robot need the same sampling step"
+                    "a law, its models and the robot need the same sampling step",
                 )
 
     def update(self, motion: Reference, correction: np.ndarray, error: np.ndarray) -> np.ndarray:
         """Return the next correction (N, m)."""
         if error.shape != (motion.n, len(self.forgetting)):
-            raise InputError(f"{len(self.forgetting)} filter(s) Q for errors {error.shape}; one a channel is needed")
+            raise InputError(
+                "mismatch", f"{len(self.forgetting)} filter(s) Q for errors {error.shape}; one a channel is needed"
+            )
         asked = correction + self.learning.apply(error)
         kept = [q.apply(asked[:, k]) for k, q in enumerate(self.forgetting)]
         return motion.weights()[:, None] * np.column_stack(kept)

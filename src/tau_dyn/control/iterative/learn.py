@@ -53,10 +53,11 @@ def learn(
     """
     if abs(plant.dt - motion.dt) > 1e-9 * motion.dt:
         raise InputError(
-            f"the robot takes references every {1000 * plant.dt:g} ms, the motion has one every {1000 * motion.dt:g} ms"
+            "mismatch",
+            f"the robot takes references every {1000 * plant.dt:g} ms, the motion has one every {1000 * motion.dt:g} ms",
         )
     if iterations < 1:
-        raise InputError("learning takes at least one iteration")
+        raise InputError("invalid_value", "learning takes at least one iteration")
     before = analyse_convergence(law, motion)
     require_convergence(before, monotone=monotone)
     wanted = law.side.reference(motion)
@@ -76,6 +77,7 @@ def _require_small(u: np.ndarray, allowed: float, k: int) -> None:
     size = float(np.abs(u).max(initial=0.0))
     if not size <= allowed:
         raise InputError(
+            "invalid_value",
             f"iteration {k} asks for a correction of {size:.3g}, more than the {allowed:.3g} allowed; the robot does not do what "
-            "its model says, or the limit is too low"
+            "its model says, or the limit is too low",
         )

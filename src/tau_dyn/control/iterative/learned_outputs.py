@@ -160,17 +160,21 @@ class ToolSide:
         m = len(self.axes)
         if self.model.D.shape != (m, m):
             raise InputError(
-                f"learning {m} tool axes takes a model with {m} inputs and outputs, not {self.model.D.shape}"
+                "mismatch",
+                f"learning {m} tool axes takes a model with {m} inputs and outputs, not {self.model.D.shape}",
             )
         if self.observer is None:
             return
         if self.kinematic_model is None:
             raise InputError(
-                "learning from an observer needs the model from the tool's reference to the computed tool too"
+                "mismatch",
+                "learning from an observer needs the model from the tool's reference to the computed tool too",
             )
         for what, dt in (("observer", self.observer.dt), ("model of the computed tool", self.kinematic_model.dt)):
             if abs(dt - self.dt) > 1e-9 * self.dt:
-                raise InputError(f"the {what} is made for {1000 * dt:g} ms, the tool's model for {1000 * self.dt:g} ms")
+                raise InputError(
+                    "mismatch", f"the {what} is made for {1000 * dt:g} ms, the tool's model for {1000 * self.dt:g} ms"
+                )
 
     @property
     def dt(self) -> float:

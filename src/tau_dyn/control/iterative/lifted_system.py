@@ -94,7 +94,7 @@ def stack_controlled_actuators(
     b, poles = np.array([s[0].sum() for s in sampled]), np.array([s[1] for s in sampled])
     steps = {s[2] for s in sampled}
     if len(steps) != 1 or any(abs(s[0][1]) > 1e-9 * abs(s[0][0]) for s in sampled):
-        raise InputError("actuators side by side need the same delay, of whole samples")
+        raise InputError("mismatch", "actuators side by side need the same delay, of whole samples")
     eye = np.eye(len(b))
     B, C = (eye, np.diag(b)) if jacobian is None else (np.linalg.pinv(jacobian), jacobian * b)
     p = len(C)

@@ -44,7 +44,7 @@ class NormOptimalLaw:
     def __post_init__(self) -> None:
         """Refuse costs that leave nothing to minimise."""
         if min(self.effort, self.change) < 0 or not self.effort + self.change > 0:
-            raise InputError("norm-optimal learning takes costs not below zero, and not both zero")
+            raise InputError("invalid_value", "norm-optimal learning takes costs not below zero, and not both zero")
 
     @property
     def bound(self) -> float:

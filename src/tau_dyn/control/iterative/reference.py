@@ -40,14 +40,17 @@ class Reference:
         """Refuse a part that does not fit into the motion."""
         n = len(self.q)
         if self.q.ndim != 2 or self.tool.shape != (n, 3):
-            raise InputError(f"a reference has q (N, na) and tool (N, 3), not {self.q.shape} and {self.tool.shape}")
+            raise InputError(
+                "wrong_shape", f"a reference has q (N, na) and tool (N, 3), not {self.q.shape} and {self.tool.shape}"
+            )
         if not 0 <= self.first - self.lead < self.last + self.lead <= n or not self.first < self.last:
             raise InputError(
+                "mismatch",
                 f"learning from sample {self.first} to {self.last} with {self.lead} samples of lead-in and lead-out "
-                f"does not fit into a motion of {n} samples"
+                f"does not fit into a motion of {n} samples",
             )
         if not (self.dt > 0 and np.isfinite(self.q).all() and np.isfinite(self.tool).all()):
-            raise InputError("a reference has a positive step and finite positions")
+            raise InputError("invalid_value", "a reference has a positive step and finite positions")
 
     @property
     def n(self) -> int:

@@ -35,7 +35,7 @@ def design_robust_filter(
         InputError: Nothing of this form keeps the growth below what is asked.
     """
     if not 0 < growth < 1 or not 0 <= tolerance < 0.5:
-        raise InputError("a growth between 0 and 1 and a tolerance between 0 and 0.5 are needed")
+        raise InputError("invalid_value", "a growth between 0 and 1 and a tolerance between 0 and 0.5 are needed")
     base, dips = design_low_pass(cutoff_hz, side.dt), {}
     f = np.geomspace(0.2, 0.499 / side.dt, 1500)
     left = _worst_nearby(f, side, learning, tolerance)
@@ -47,8 +47,9 @@ def design_robust_filter(
             return Q
         _deepen(dips, float(f[k]), growth / float(whole[k]))
     raise InputError(
+        "unstable",
         f"no low-pass at {cutoff_hz:g} Hz with dips keeps the growth below {growth:g}; at {f[k]:.1f} Hz it is {whole[k]:.2f}. "
-        "Take a lower cutoff, a smaller gain or a better shift"
+        "Take a lower cutoff, a smaller gain or a better shift",
     )
 
 

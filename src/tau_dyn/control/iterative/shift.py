@@ -29,7 +29,9 @@ class TimeShift:
     def __post_init__(self) -> None:
         """Refuse what is no filter of this kind."""
         if not np.isfinite(self.gain) or self.samples < 0 or not self.dt > 0:
-            raise InputError("a learning filter has a finite gain, a shift of 0 samples or more and a positive step")
+            raise InputError(
+                "invalid_value", "a learning filter has a finite gain, a shift of 0 samples or more and a positive step"
+            )
 
     def apply(self, e: np.ndarray) -> np.ndarray:
         """Return errors (N, ...) shifted, the last one held."""

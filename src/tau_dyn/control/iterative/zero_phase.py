@@ -34,7 +34,9 @@ class ZeroPhase:
         """Refuse a filter that is not stable."""
         radius = max((np.abs(np.roots(s[3:])).max(initial=0.0) for s in self.sections), default=0.0)
         if not radius < 1:
-            raise InputError(f"the filter is unstable: it has a pole of magnitude {radius:.4g}; all must be below 1")
+            raise InputError(
+                "unstable", f"the filter is unstable: it has a pole of magnitude {radius:.4g}; all must be below 1"
+            )
 
     def apply(self, x: np.ndarray) -> np.ndarray:
         """Return signals (N, ...) filtered along time."""
@@ -59,7 +61,9 @@ class ZeroPhase:
             InputError: They are made for different sampling steps.
         """
         if abs(self.dt - other.dt) > 1e-9 * self.dt:
-            raise InputError(f"filters for steps of {1000 * self.dt:g} and {1000 * other.dt:g} ms cannot be joined")
+            raise InputError(
+                "mismatch", f"filters for steps of {1000 * self.dt:g} and {1000 * other.dt:g} ms cannot be joined"
+            )
         return ZeroPhase(np.vstack([self.sections, other.sections]), self.dt)
 
 
@@ -75,7 +79,9 @@ def design_low_pass(cutoff_hz: float, dt: float, order: int = 2) -> ZeroPhase:
 def design_band_stop(low_hz: float, high_hz: float, dt: float, order: int = 1) -> ZeroPhase:
     """Return a Butterworth band-stop, in both directions: nothing is learnt in the middle of the band."""
     if not low_hz < high_hz:
-        raise InputError(f"a band goes from a lower to a higher frequency, not from {low_hz:g} to {high_hz:g} Hz")
+        raise InputError(
+            "invalid_value", f"a band goes from a lower to a higher frequency, not from {low_hz:g} to {high_hz:g} Hz"
+        )
     return ZeroPhase(_butter(order, (low_hz, high_hz), "bandstop", dt), dt)
 
 
@@ -86,7 +92,9 @@ def build_notch(centre_hz: float, width_hz: float, floor: float, dt: float) -> Z
     bilinear transform that keeps the centre. Learning forgets there, but not all.
     """
     if not (0 < floor <= 1 and width_hz > 0):
-        raise InputError(f"a dip has a positive width and a floor between 0 and 1, not {width_hz:g} Hz, {floor:g}")
+        raise InputError(
+            "invalid_value", f"a dip has a positive width and a floor between 0 and 1, not {width_hz:g} Hz, {floor:g}"
+        )
     _inside(centre_hz, dt)
     t, w = np.tan(np.pi * centre_hz * dt), width_hz / centre_hz
     damped = [t * w * np.sqrt(floor), t * w]
@@ -108,5 +116,6 @@ def _butter(order: int, cutoff: float | tuple[float, float], kind: str, dt: floa
 def _inside(frequency: float, dt: float) -> None:
     if not 0 < frequency < 0.5 / dt:
         raise InputError(
-            f"a cutoff of {frequency:g} Hz does not fit to samples every {1000 * dt:g} ms; it takes 0 to {0.5 / dt:g} Hz"
+            "invalid_value",
+            f"a cutoff of {frequency:g} Hz does not fit to samples every {1000 * dt:g} ms; it takes 0 to {0.5 / dt:g} Hz",
         )

@@ -25,19 +25,26 @@ def expand_matrix(name: str, value: float | np.ndarray) -> np.ndarray:
     """
     given = np.asarray(value, float)
     if given.shape not in ((), (1,), (3,), (6,), (6, 6)):
-        raise InputError(f"{name} must be a number, 3 or 6 of them or a 6 x 6 matrix, not of shape {given.shape}")
+        raise InputError(
+            "wrong_shape", f"{name} must be a number, 3 or 6 of them or a 6 x 6 matrix, not of shape {given.shape}"
+        )
     if not np.isfinite(given).all():
-        raise InputError(f"{name} holds nan or inf; every entry must be a finite number")
+        raise InputError("invalid_value", f"{name} holds nan or inf; every entry must be a finite number")
     if given.ndim < 2:
         given = np.diag(np.concatenate([given, given]) if given.shape == (3,) else np.broadcast_to(given, 6))
     least = _least(given)
     if name == "mass" and not (least > 0 and np.allclose(given, given.T)):
-        raise InputError(f"mass must be symmetric and positive definite; its least eigenvalue is {least:.3g}")
+        raise InputError(
+            "invalid_value", f"mass must be symmetric and positive definite; its least eigenvalue is {least:.3g}"
+        )
     if name == "damping" and least < 0:
-        raise InputError(f"damping has a negative part ({least:.3g}): the handle would push the hand and run away")
+        raise InputError(
+            "invalid_value", f"damping has a negative part ({least:.3g}): the handle would push the hand and run away"
+        )
     if name == "force_gain" and (least < 0 or not np.allclose(given, given.T)):
         raise InputError(
-            f"force_gain must be symmetric and not negative ({least:.3g}): the tool would press ever harder"
+            "invalid_value",
+            f"force_gain must be symmetric and not negative ({least:.3g}): the tool would press ever harder",
         )
     given = given.copy()
     given.setflags(write=False)
@@ -48,7 +55,7 @@ def normalise_axis(name: str, value: np.ndarray) -> np.ndarray:
     """Return a unit vector (3,); raises `InputError` for anything without a direction."""
     given = np.asarray(value, float)
     if given.shape != (3,) or not np.isfinite(given).all() or np.linalg.norm(given) < 1e-9:
-        raise InputError(f"{name} must be three finite numbers with a direction, not {value}")
+        raise InputError("invalid_value", f"{name} must be three finite numbers with a direction, not {value}")
     return given / np.linalg.norm(given)
 
 
@@ -58,9 +65,11 @@ def require_valid_scalar(name: str, value: object) -> None:
         return
     number = float(np.asarray(value, float)) if np.ndim(np.asarray(value, float)) == 0 else np.nan
     if not np.isfinite(number):
-        raise InputError(f"{name} must be a finite number, not {value}")
+        raise InputError("invalid_value", f"{name} must be a finite number, not {value}")
     if number < 0 or (name in _POSITIVE and number == 0):
-        raise InputError(f"{name} must {'be above' if name in _POSITIVE else 'not be below'} zero, not {number:g}")
+        raise InputError(
+            "invalid_value", f"{name} must {'be above' if name in _POSITIVE else 'not be below'} zero, not {number:g}"
+        )
 
 
 def refuse_unstable(s: LeadThroughSettings) -> None:
@@ -75,22 +84,25 @@ def refuse_unstable(s: LeadThroughSettings) -> None:
     if s.turns:
         if s.turning_stiffness is None:
             raise InputError(
-                "task 'peg' turns the tool: turning_stiffness [N m/rad], the stiffest to expect, is needed"
+                "invalid_value",
+                "task 'peg' turns the tool: turning_stiffness [N m/rad], the stiffest to expect, is needed",
             )
         most = float(np.linalg.eigvalsh(gain[3:, 3:])[-1])
         _below("force_gain against turning", most, s, s.turning_stiffness, 0.0, "rad/s per N m", "N m/rad")
     decay = s.loop.sample_time * np.abs(np.linalg.eigvals(np.linalg.solve(mass, damping))).max()
     if decay >= 1:
         raise InputError(
+            "unstable",
             f"damping / mass is too fast for the sampling: T D / M is {decay:.3g} and must be below 1; "
-            f"take a heavier handle, less damping or a shorter sample than {s.loop.sample_time:g} s"
+            f"take a heavier handle, less damping or a shorter sample than {s.loop.sample_time:g} s",
         )
     light, least = float(np.linalg.eigvalsh(mass[:3, :3])[0]), _least(damping[:3, :3])
     limit = s.loop.hand_limit(light, least)
     if s.hand_stiffness >= limit.gain:
         raise InputError(
+            "unstable",
             f"a hand of {s.hand_stiffness:g} N/m on a handle of {light:g} kg and {least:g} N s/m oscillates "
-            f"at {limit.hz:.1f} Hz; this handle bears {limit.gain:.3g} N/m: more mass or damping is needed"
+            f"at {limit.hz:.1f} Hz; this handle bears {limit.gain:.3g} N/m: more mass or damping is needed",
         )
 
 
@@ -98,9 +110,10 @@ def _below(what: str, gain: float, s: LeadThroughSettings, stiffness: float, c: 
     limit = s.loop.limit(stiffness, c)
     if gain >= limit.gain:
         raise InputError(
+            "unstable",
             f"{what} is {gain:.4g} {unit}, but at the stated contact stiffness of {stiffness:g} {of} the loop with a servo of "
             f"{s.loop.servo_hz:g} Hz and {s.loop.delay} sample(s) of delay at {s.loop.sample_time * 1e3:g} ms oscillates "
-            f"at {limit.hz:.0f} Hz from {limit.gain:.4g} on; take at most half of that"
+            f"at {limit.hz:.0f} Hz from {limit.gain:.4g} on; take at most half of that",
         )
 
 

@@ -94,7 +94,7 @@ class LeadThrough:
         """
         rotation = np.asarray(pose.rotation, float)
         if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
-            raise InputError("the pose's rotation must be a 3 x 3 matrix of finite numbers")
+            raise InputError("wrong_shape", "the pose's rotation must be a 3 x 3 matrix of finite numbers")
         self._check_time(time)
         hand = self.settings.handle_sensor.at_tool(_sound("handle", handle_wrench), rotation)
         work = self.settings.tool_sensor.at_tool(_sound("tool", tool_wrench), rotation)
@@ -166,8 +166,9 @@ class LeadThrough:
         gap = None if self._last is None else time - self._last
         if not np.isfinite(time) or (gap is not None and abs(gap - self.sample_time) > _LATE * self.sample_time):
             raise InputError(
+                "mismatch",
                 f"readings came {'at no time' if gap is None else f'{gap * 1e3:.4g} ms'} after the last ones, but the settings' "
-                f"loop is for {self.sample_time * 1e3:g} ms; its stability limits hold for that alone"
+                f"loop is for {self.sample_time * 1e3:g} ms; its stability limits hold for that alone",
             )
         self._last = time
 
@@ -175,5 +176,7 @@ class LeadThrough:
 def _sound(which: str, wrench: np.ndarray) -> np.ndarray:
     wrench = np.asarray(wrench, float)
     if wrench.shape != (6,) or not np.isfinite(wrench).all():
-        raise InputError(f"the {which} wrench must be six finite numbers, force then torque; the sensor gave {wrench}")
+        raise InputError(
+            "bad_sample", f"the {which} wrench must be six finite numbers, force then torque; the sensor gave {wrench}"
+        )
     return wrench

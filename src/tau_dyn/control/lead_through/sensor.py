@@ -36,13 +36,15 @@ class ForceSensor:
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), float)
             if value.shape != shape or not np.isfinite(value).all():
-                raise InputError(f"a force sensor's {name} must be {shape} finite numbers")
+                raise InputError("wrong_shape", f"a force sensor's {name} must be {shape} finite numbers")
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if np.abs(self.rotation.T @ self.rotation - np.eye(3)).max() > 1e-6 or np.linalg.det(self.rotation) < 0:
-            raise InputError("a force sensor's rotation must be a rotation matrix")
+            raise InputError("mismatch", "a force sensor's rotation must be a rotation matrix")
         if not (np.isfinite(self.mass) and self.mass >= 0):
-            raise InputError(f"the mass on a force sensor must not be below zero, but it is {self.mass}")
+            raise InputError(
+                "invalid_value", f"the mass on a force sensor must not be below zero, but it is {self.mass}"
+            )
 
     def at_tool(self, reading: np.ndarray, tool_rotation: np.ndarray) -> np.ndarray:
         """Return the wrench (6,) at the tool point in world axes, the weight taken off.

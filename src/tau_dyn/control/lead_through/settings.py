@@ -133,8 +133,12 @@ class LeadThroughSettings:
         pairs = (("contact_off", "contact_on"), ("press", "force_limit"), ("contact_on", "force_limit"))
         for low, high in pairs:
             if not getattr(self, low) < getattr(self, high):
-                raise InputError(f"{low} ({getattr(self, low):g} N) must be below {high} ({getattr(self, high):g} N)")
+                raise InputError(
+                    "invalid_value",
+                    f"{low} ({getattr(self, low):g} N) must be below {high} ({getattr(self, high):g} N)",
+                )
         if 0 < self.press <= self.contact_on:
             raise InputError(
-                f"press ({self.press:g} N) must be zero or above contact_on ({self.contact_on:g} N), or contact is lost"
+                "invalid_value",
+                f"press ({self.press:g} N) must be zero or above contact_on ({self.contact_on:g} N), or contact is lost",
             )

@@ -61,11 +61,15 @@ class ForceLoop:
         """Refuse values that describe no loop."""
         for name in ("sample_time", "servo_hz", "filter_hz"):
             if not getattr(self, name) > 0:
-                raise InputError(f"{name} of the force loop must be above zero, not {getattr(self, name)}")
+                raise InputError(
+                    "invalid_value", f"{name} of the force loop must be above zero, not {getattr(self, name)}"
+                )
         if not np.isfinite([self.sample_time, self.servo_hz]).all():
-            raise InputError("sample_time and servo_hz of the force loop must be finite")
+            raise InputError("invalid_value", "sample_time and servo_hz of the force loop must be finite")
         if int(self.delay) != self.delay or self.delay < 0:
-            raise InputError(f"delay of the force loop is a number of samples, 0, 1, .., not {self.delay}")
+            raise InputError(
+                "invalid_value", f"delay of the force loop is a number of samples, 0, 1, .., not {self.delay}"
+            )
 
     @property
     def smoothing(self) -> float:

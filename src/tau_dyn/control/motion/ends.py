@@ -35,13 +35,13 @@ def compute_end_positions(
     wanted = robot.na if joints else 3
     if given.shape != (wanted,) or not np.isfinite(given).all():
         what = f"{robot.na} positions of {', '.join(robot.actuated)}" if joints else "a tool position x, y, z in m"
-        raise InputError(f"the {name} must be {what}: {wanted} finite numbers, not {place}")
+        raise InputError("wrong_shape", f"the {name} must be {what}: {wanted} finite numbers, not {place}")
     q = given if joints else _reached(robot, given, name, near)
     where = _place(robot, given) if joints else f"the {name} ({', '.join(f'{x:.6g}' for x in given)}) m"
     for k, joint in enumerate(robot.actuated):
         if not robot.lower[k] - _SLACK <= q[k] <= robot.upper[k] + _SLACK:
             allowed = f"{robot.lower[k]:g} to {robot.upper[k]:g} {robot.position_units[k]}"
-            raise InputError(f"{where} asks {q[k]:.4g} of joint {joint}, whose range is {allowed}")
+            raise InputError("unreachable", f"{where} asks {q[k]:.4g} of joint {joint}, whose range is {allowed}")
     _check_closure(model, q, where, limits)
     _check_hold(model, q, where, limits)
     return q
@@ -50,8 +50,9 @@ def compute_end_positions(
 def _reached(robot: Robot, position: np.ndarray, name: str, near: np.ndarray | None) -> np.ndarray:
     if robot.tool_frame is None:
         raise InputError(
+            "unsupported",
             f"{robot.source}: there is no evident tool frame; name one with --tool FRAME, or give start and end as positions "
-            "of the actuated joints"
+            "of the actuated joints",
         )
     found = inverse_kinematics(
         robot, place_home_orientation(robot, position[None]), start=None if near is None else near[None]
@@ -59,7 +60,9 @@ def _reached(robot: Robot, position: np.ndarray, name: str, near: np.ndarray | N
     if not found.ok[0]:
         joint = f" at {found.culprit[0]}" if found.culprit[0] else ""
         at = ", ".join(f"{x:.6g}" for x in position)
-        raise InputError(f"{robot.source}: the tool cannot stand at the {name} ({at}) m: {found.reason[0]}{joint}")
+        raise InputError(
+            "unreachable", f"{robot.source}: the tool cannot stand at the {name} ({at}) m: {found.reason[0]}{joint}"
+        )
     return found.q[0]
 
 
@@ -67,7 +70,8 @@ def _check_closure(model: Model, q: np.ndarray, where: str, limits: MotionLimits
     condition = float(model.mechanism.condition(q[None])[0])  # raises LoopClosureError where the loops do not close
     if condition > limits.condition:
         raise InputError(
-            f"{where} is near a singularity of the loops: conditioning {condition:.3g}, the limit is {limits.condition:.3g}"
+            "unreachable",
+            f"{where} is near a singularity of the loops: conditioning {condition:.3g}, the limit is {limits.condition:.3g}",
         )
 
 
@@ -79,8 +83,9 @@ def _check_hold(model: Model, q: np.ndarray, where: str, limits: MotionLimits) -
     if abs(weight[k]) >= limits.force[k]:
         unit = model.robot.force_units[k]
         raise InputError(
+            "unreachable",
             f"joint {model.robot.actuated[k]} needs {abs(weight[k]):.4g} {unit} to hold still at {where}, and may use "
-            f"{limits.force[k]:.4g} {unit}"
+            f"{limits.force[k]:.4g} {unit}",
         )
 
 

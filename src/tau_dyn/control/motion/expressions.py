@@ -31,7 +31,7 @@ def import_casadi() -> Any:
     try:
         import casadi as found
     except ImportError as fault:
-        raise InputError(MISSING) from fault
+        raise InputError("missing_package", MISSING) from fault
     return found
 
 

@@ -28,7 +28,9 @@ def estimate_feedback_noise(law: CascadeLaw, q: np.ndarray, encoder_noise: PerJo
         dt: The controller's step [s].
     """
     if not dt > 0 or not np.all(np.asarray(encoder_noise) >= 0):
-        raise InputError("the noise of the feedback needs a step above zero and encoder noise not below zero")
+        raise InputError(
+            "invalid_value", "the noise of the feedback needs a step above zero and encoder noise not below zero"
+        )
     error = np.asarray(encoder_noise) * np.hypot(law.position_gain + 0.5 / dt, 0.5 / dt)
     size = law.force_per_unit * law.velocity_gain
     if law.inertia is None:
@@ -62,10 +64,11 @@ def compute_feedback_margin(
         InputError: The noise alone fills a drive's limit.
     """
     if not 0 <= unknown < 1:
-        raise InputError(f"the unknown share of the forces must be from 0 to below 1, not {unknown:g}")
+        raise InputError("invalid_value", f"the unknown share of the forces must be from 0 to below 1, not {unknown:g}")
     share = PEAK * estimate_feedback_noise(law, q, encoder_noise, dt) / limits.force
     if not np.all(share < 1):
         raise InputError(
-            f"the feedback makes of the encoders' noise {100 * share.max():.0f} % of a drive's limit; lower its gains"
+            "invalid_value",
+            f"the feedback makes of the encoders' noise {100 * share.max():.0f} % of a drive's limit; lower its gains",
         )
     return float(1 - (1 - share.max()) / (1 + unknown))

@@ -66,7 +66,10 @@ class MotionLimits:
         model = model if isinstance(model, Model) else Model.of(model)
         robot = model.robot
         if not 0 <= margin < 1:
-            raise InputError(f"margin is the share of the forces kept for feedback, from 0 to below 1, not {margin:g}")
+            raise InputError(
+                "invalid_value",
+                f"margin is the share of the forces kept for feedback, from 0 to below 1, not {margin:g}",
+            )
         found = cls(
             (1 - margin) * _limit(robot, "force", force, robot.effort_limit),
             _limit(robot, "speed", speed, robot.velocity_limit),
@@ -79,11 +82,14 @@ class MotionLimits:
         for joint, force_, most in zip(robot.actuated, found.force, found.acceleration, strict=True):
             if not np.isfinite(min(force_, most)):
                 raise InputError(
+                    "unsupported",
                     f"{robot.source}: joint {joint} has no force limit, so no shortest time; give a limit of its force or "
-                    "acceleration"
+                    "acceleration",
                 )
         if not found.condition >= 1:
-            raise InputError(f"the largest conditioning of the loops must be at least 1, not {found.condition:g}")
+            raise InputError(
+                "invalid_value", f"the largest conditioning of the loops must be at least 1, not {found.condition:g}"
+            )
         return found
 
     def inside(self, share: float) -> MotionLimits:

@@ -69,11 +69,13 @@ def build_tool_path(
     found = follow_path(model.robot, poses, start=start)
     if found.until < len(s):
         at = _at(poses.position[found.until])
-        raise InputError(f"the path cannot be followed beyond {100 * s[found.until]:.0f} % at {at}: {found.reason}")
+        raise InputError(
+            "unreachable", f"the path cannot be followed beyond {100 * s[found.until]:.0f} % at {at}: {found.reason}"
+        )
     _check_range(model, found.q, poses, limits)
     spline = make_interp_spline(s, found.q, k=5)
     if np.abs(found.q[-1] - end).max() > 1e-6:
-        raise InputError("the path ends in another configuration of the robot than the end asks for")
+        raise InputError("unreachable", "the path ends in another configuration of the robot than the end asks for")
     _check_spline(model, spline, poses, start)
     return JointPath(spline, length)
 
@@ -91,19 +93,23 @@ def _points(shape: PathShape, ends: np.ndarray) -> np.ndarray:
     """Return the points (n, 3) of a path, both ends included and none twice."""
     if isinstance(shape, str):
         if shape != "line":
-            raise InputError(f"the path is 'line' or points (n, 3) [m], not '{shape}'")
+            raise InputError("invalid_value", f"the path is 'line' or points (n, 3) [m], not '{shape}'")
         points = ends
     else:
         between = np.asarray(shape, float)
         if between.ndim != 2 or between.shape[1] != 3:
-            raise InputError(f"the points of a path are numbers (n, 3) [m], not an array of {between.shape}")
+            raise InputError(
+                "wrong_shape", f"the points of a path are numbers (n, 3) [m], not an array of {between.shape}"
+            )
         if not (np.abs(between) < _MAX_COORDINATE_M).all():
-            raise InputError(f"the points of a path are finite numbers of less than {_MAX_COORDINATE_M:g} m")
+            raise InputError(
+                "invalid_value", f"the points of a path are finite numbers of less than {_MAX_COORDINATE_M:g} m"
+            )
         points = np.concatenate([ends[:1], between, ends[1:]])
     new = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
     points = points[np.concatenate([[True], new])]
     if len(points) < 2:
-        raise InputError("the path has no length: start and end are one place")
+        raise InputError("invalid_value", "the path has no length: start and end are one place")
     return points
 
 
@@ -126,14 +132,16 @@ def _check_range(model: Model, q: np.ndarray, poses: Poses, limits: MotionLimits
     if outside[k, j] > 1e-9:
         allowed = f"{limits.lower[j]:g} to {limits.upper[j]:g} {robot.position_units[j]}"
         raise InputError(
-            f"at {_at(poses.position[k])} the path asks {q[k, j]:.4g} of joint {robot.actuated[j]}, whose range is {allowed}"
+            "unreachable",
+            f"at {_at(poses.position[k])} the path asks {q[k, j]:.4g} of joint {robot.actuated[j]}, whose range is {allowed}",
         )
     condition = model.mechanism.condition(q)
     worst = int(np.argmax(condition))
     if condition[worst] > limits.condition:
         raise InputError(
+            "unreachable",
             f"at {_at(poses.position[worst])} the path comes near a singularity of the loops: "
-            f"conditioning {condition[worst]:.3g}, the limit is {limits.condition:.3g}"
+            f"conditioning {condition[worst]:.3g}, the limit is {limits.condition:.3g}",
         )
 
 
@@ -147,7 +155,9 @@ def _check_spline(model: Model, spline: BSpline, poses: Poses, start: np.ndarray
     worst = int(np.argmax(off))
     if not off[worst] < _OFF:
         where = _at(straight[worst])
-        raise InputError(f"at {where} the path asks joints to turn at once, as beside a singularity or a corner")
+        raise InputError(
+            "unreachable", f"at {where} the path asks joints to turn at once, as beside a singularity or a corner"
+        )
 
 
 def _at(place: np.ndarray) -> str:

@@ -66,7 +66,7 @@ def plan_motion(
     first = compute_end_positions(model, start, "start", limits, joints=joints)
     last = compute_end_positions(model, end, "end", limits, joints=joints, near=first)
     if np.abs(last - first).max() < _MIN_DISTANCE:
-        raise InputError("start and end are one place; there is nothing to move")
+        raise InputError("invalid_value", "start and end are one place; there is nothing to move")
     coordinates = _coordinates(model, first, last, path, limits)
     search = _search(model, coordinates, limits.inside(MAX_LIMIT_EXCESS), energy_weight, nodes)
     name = "free" if path is None else "line" if isinstance(path, str) else "points"
@@ -86,11 +86,13 @@ class _Search:
 
 def _check_settings(weight: float, dt: float, nodes: int) -> None:
     if not (np.isfinite(weight) and weight >= 0):
-        raise InputError(f"the energy weight must be zero or a positive number [s per N^2 s], not {weight}")
+        raise InputError(
+            "invalid_value", f"the energy weight must be zero or a positive number [s per N^2 s], not {weight}"
+        )
     if not (np.isfinite(dt) and 0 < dt <= 0.1):
-        raise InputError(f"the clock's step must be above zero and at most 0.1 s, not {dt}")
+        raise InputError("invalid_value", f"the clock's step must be above zero and at most 0.1 s, not {dt}")
     if not 10 <= nodes <= 2000:
-        raise InputError(f"the number of intervals must be from 10 to 2000, not {nodes}")
+        raise InputError("invalid_value", f"the number of intervals must be from 10 to 2000, not {nodes}")
 
 
 def _coordinates(
@@ -144,6 +146,7 @@ def _search(model: Model, coordinates: Coordinates, limits: MotionLimits, weight
 def _refuse(found: TranscriptionSolution, coordinates: Coordinates) -> NoReturn:
     where = "along this path" if coordinates.forward else "between these ends"
     raise CannotAnswer(
+        "no_solution",
         f"no motion {where} was found within the limits (IPOPT: {found.status.replace('_', ' ').lower()} after "
         f"{found.iterations} iterations)",
         "the same plan along a line or by way of points, with another number of nodes, or with larger limits of force",
@@ -191,6 +194,7 @@ def _refuse_between_nodes(used: np.ndarray) -> None:
     excess = float(used.max(initial=0.0)) - 1
     if excess > _WORST:
         raise CannotAnswer(
+            "no_solution",
             f"no motion within the limits was found: the solver's leaves one by {100 * excess:.0f} % between its nodes",
             "the same plan with larger limits, or with more nodes",
         )
@@ -201,6 +205,7 @@ def _refuse_singular(model: Model, q: np.ndarray, limits: MotionLimits) -> None:
     condition = float(model.mechanism.condition(q).max())
     if condition > (1 + _WORST) * limits.condition:
         raise CannotAnswer(
+            "no_solution",
             f"no motion was found that keeps clear of a singularity of the loops: conditioning {condition:.3g}, the limit is "
             f"{limits.condition:.3g}",
             "the same plan along a path that leads around it, or with a larger limit of the conditioning",

@@ -44,10 +44,12 @@ class ComplementaryToolObserver:
     def __post_init__(self) -> None:
         """Refuse cutoffs that no sampled filter has."""
         if not self.dt > 0:
-            raise InputError(f"a sampling step must be positive, not {self.dt:g} s")
+            raise InputError("invalid_value", f"a sampling step must be positive, not {self.dt:g} s")
         for f in self.cutoff_hz:
             if not 0 < f < 0.5 / self.dt:
-                raise InputError(f"a cutoff of {f:g} Hz does not fit to samples every {1000 * self.dt:g} ms")
+                raise InputError(
+                    "invalid_value", f"a cutoff of {f:g} Hz does not fit to samples every {1000 * self.dt:g} ms"
+                )
 
     @property
     def axes(self) -> int:

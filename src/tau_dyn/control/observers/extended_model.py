@@ -51,7 +51,8 @@ def extend_model(model: StateSpace) -> ExtendedModel:
     """
     if not model.spectral_radius() < 1:
         raise InputError(
-            f"the model is unstable: it has a pole of magnitude {model.spectral_radius():.4g}; all must be below 1"
+            "unstable",
+            f"the model is unstable: it has a pole of magnitude {model.spectral_radius():.4g}; all must be below 1",
         )
     undelayed = _with_delay_as_states(model)
     ahead = bool(np.any(undelayed.D))

@@ -51,11 +51,15 @@ class KalmanToolObserver:
     def __post_init__(self) -> None:
         """Refuse covariances that are none, models with unlike inputs and outputs."""
         if self.model.B.shape[1] != len(self.model.C):
-            raise InputError("the observer's model goes from computed to true tool positions, the same axes in and out")
+            raise InputError(
+                "mismatch", "the observer's model goes from computed to true tool positions, the same axes in and out"
+            )
         if not (np.linalg.eigvalsh(self.R1).min() >= -1e-7 * np.abs(self.R1).max() and np.all(np.isfinite(self.R1))):
-            raise InputError("the process noise must be a covariance: symmetric, finite, not negative")
+            raise InputError("invalid_value", "the process noise must be a covariance: symmetric, finite, not negative")
         if not np.linalg.eigvalsh(self.R2).min() > 0:
-            raise InputError("the accelerometer's variance must be positive; a perfect sensor has none of this use")
+            raise InputError(
+                "invalid_value", "the accelerometer's variance must be positive; a perfect sensor has none of this use"
+            )
 
     @property
     def dt(self) -> float:
@@ -80,7 +84,7 @@ class KalmanToolObserver:
         if given.ndim == 0:
             return float(given) * compute_disturbance_shape(self.extended)
         if given.shape != (n, n):
-            raise InputError(f"the process noise is a number or a matrix ({n}, {n}), not {given.shape}")
+            raise InputError("wrong_shape", f"the process noise is a number or a matrix ({n}, {n}), not {given.shape}")
         return given
 
     @cached_property

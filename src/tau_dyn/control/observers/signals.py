@@ -15,9 +15,10 @@ def require_signals(kinematic: np.ndarray, acceleration: np.ndarray, axes: int) 
     """
     if kinematic.shape != acceleration.shape or kinematic.shape[1:] != (axes,) or len(kinematic) < 2:
         raise InputError(
+            "wrong_shape",
             f"an observer of {axes} axes takes positions and accelerations (N, {axes}), "
-            f"not {kinematic.shape} and {acceleration.shape}"
+            f"not {kinematic.shape} and {acceleration.shape}",
         )
     if not (np.isfinite(kinematic).all() and np.isfinite(acceleration).all()):
-        raise InputError("positions or accelerations hold a number that is not finite")
+        raise InputError("bad_sample", "positions or accelerations hold a number that is not finite")
     return kinematic

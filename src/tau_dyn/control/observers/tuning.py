@@ -88,10 +88,12 @@ def tune_complementary(
         InputError: The signals are too short for a cutoff to be told, or their shapes differ.
     """
     if not kinematic.shape == acceleration.shape == tool.shape or kinematic.ndim != 2:
-        raise InputError("positions, accelerations and measured tool positions must be (N, m), all the same")
+        raise InputError(
+            "wrong_shape", "positions, accelerations and measured tool positions must be (N, m), all the same"
+        )
     lowest, highest = 3 / (len(tool) * dt), 0.4 / dt
     if not lowest < highest / 2:
-        raise InputError(f"{len(tool)} samples of {1000 * dt:g} ms are too short to choose a cutoff")
+        raise InputError("too_little_data", f"{len(tool)} samples of {1000 * dt:g} ms are too short to choose a cutoff")
     found = []
     for k in range(tool.shape[1]):
         z, a, truth = (x[:, k : k + 1] for x in (kinematic, acceleration, tool))

@@ -33,7 +33,7 @@ def check_whiteness(innovations: np.ndarray, covariance: np.ndarray, lags: int =
     """Return how white innovations (N, p) are, of which the filter expects a covariance (p, p)."""
     n = len(innovations)
     if n <= 2 * lags:
-        raise InputError(f"{n} samples are too few to look at correlations over {lags} lags")
+        raise InputError("too_little_data", f"{n} samples are too few to look at correlations over {lags} lags")
     x = innovations - innovations.mean(axis=0)
     power = np.mean(x**2, axis=0)
     r = np.array([np.sum(x[k:] * x[:-k], axis=0) / (n * power) for k in range(1, lags + 1)])

@@ -135,7 +135,9 @@ def read_errors_file(path: str | Path, actuated: Sequence[str], rods: Sequence[s
     """
     where, content = str(path), read_yaml(path)
     if not isinstance(content, dict) or not content or not set(content) <= {"actuators", "rods"}:
-        raise InputError(f"{where}: an errors file holds 'actuators' and 'rods', mappings, and nothing else")
+        raise InputError(
+            "file_format", f"{where}: an errors file holds 'actuators' and 'rods', mappings, and nothing else"
+        )
     actuators = {
         joint: _actuator(row, f"{where}: {joint}")
         for joint, row in _rows(content.get("actuators"), actuated, "actuated joint", where).items()
@@ -149,7 +151,7 @@ def _rows(content: object, names: Sequence[str], kind: str, where: str) -> dict[
     if content is None:
         return {}
     if not isinstance(content, dict):
-        raise InputError(f"{where}: write a mapping from each {kind} to its error in metres (radians)")
+        raise InputError("file_format", f"{where}: write a mapping from each {kind} to its error in metres (radians)")
     rows: dict[str, Any] = {}
     for name, row in sorted(content.items(), key=lambda item: item[0] != "all"):
         if name != "all" and name not in names:
@@ -167,14 +169,16 @@ def _actuator(row: object, where: str) -> ActuatorError:
     if "along" in row and set(row) <= {"along", "across"}:
         across = _size(row["across"], f"{where}, across") if "across" in row else None
         return ActuatorError(_size(row["along"], f"{where}, along"), across)
-    raise InputError(f"{where}: an actuator's error is one number, or along and across, or x, y and z")
+    raise InputError("file_format", f"{where}: an actuator's error is one number, or along and across, or x, y and z")
 
 
 def _rod(row: object, where: str) -> RodError:
     if not isinstance(row, dict):
         return RodError(length=_size(row, where))
     if not row or not set(row) <= set(_ROD):
-        raise InputError(f"{where}: a rod's error is one number (its length's), or any of length, base and plate")
+        raise InputError(
+            "file_format", f"{where}: a rod's error is one number (its length's), or any of length, base and plate"
+        )
     return RodError(**{key: _size(value, f"{where}, {key}") for key, value in row.items()})
 
 
@@ -182,11 +186,16 @@ def _size(value: object, where: str) -> float:
     try:
         size = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        raise InputError(f"{where}: '{value}' is no number; write metres (radians for a turning joint)") from None
+        raise InputError(
+            "file_format", f"{where}: '{value}' is no number; write metres (radians for a turning joint)"
+        ) from None
     if isinstance(value, bool) or not isfinite(size) or size < 0:
-        raise InputError(f"{where}: an error is a bound to both sides, zero or a positive number, not {value}")
+        raise InputError(
+            "file_format", f"{where}: an error is a bound to both sides, zero or a positive number, not {value}"
+        )
     if size > MAX_ERROR_SIZE:
         raise InputError(
-            f"{where}: {value} is more than {MAX_ERROR_SIZE} m (rad); errors are given in metres, not micrometres"
+            "wrong_unit",
+            f"{where}: {value} is more than {MAX_ERROR_SIZE} m (rad); errors are given in metres, not micrometres",
         )
     return size

@@ -214,7 +214,7 @@ def study_accuracy(
         progress: Told what is under way.
     """
     if not len(q):
-        raise InputError("there are no poses to look at")
+        raise InputError("missing_input", "there are no poses to look at")
     device = build_device(robot, rods, errors)
     found = compute_positioning_errors(
         device, errors, q, tool, methods=methods, samples=samples, seed=seed, progress=progress

@@ -78,7 +78,8 @@ class RodDevice:
         self.freedoms = 3 if rods.translates else 6
         if rods.n != self.freedoms:
             raise InputError(
-                f"{rods.robot.source}: {rods.n} rods hold a plate with {self.freedoms} freedoms; this analysis needs one each"
+                "unsupported",
+                f"{rods.robot.source}: {rods.n} rods hold a plate with {self.freedoms} freedoms; this analysis needs one each",
             )
 
     def state(self, q: np.ndarray, tool: Poses) -> State:

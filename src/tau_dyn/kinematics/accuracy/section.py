@@ -52,7 +52,9 @@ class Section:
         found = dict(_range(text) for text in ranges)
         wanted = [AXES[k] for k in self.others]
         if sorted(found) != wanted:
-            raise InputError(f"--range: a section {self.words} needs a range of {wanted[0]} and one of {wanted[1]}")
+            raise InputError(
+                "bad_option", f"--range: a section {self.words} needs a range of {wanted[0]} and one of {wanted[1]}"
+            )
         return replace(self, across=(found[wanted[0]], found[wanted[1]]))
 
     @property
@@ -100,7 +102,7 @@ def read_section(text: str) -> Section:
     except ValueError:
         value = np.nan
     if not equals or name not in AXES or len(name) != 1 or not abs(value) < 1e6:
-        raise InputError(f"--section {text}: write an axis and where to cut it, such as x=1.75")
+        raise InputError("bad_option", f"--section {text}: write an axis and where to cut it, such as x=1.75")
     return Section(AXES.index(name), value)
 
 
@@ -112,7 +114,7 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
     except ValueError:
         low_high = np.nan, np.nan
     if not equals or not colon or not -1e6 < low_high[0] < low_high[1] < 1e6:
-        raise InputError(f"--range {text}: write an axis, its low and its high end, such as y=-1:0.5")
+        raise InputError("bad_option", f"--range {text}: write an axis, its low and its high end, such as y=-1:0.5")
     return name, low_high
 
 
@@ -162,7 +164,7 @@ def lay_grid(
     u, v = (np.linspace(a, b, max(2, round((b - a) / step) + 1)) for a, b in ((u0, u1), (v0, v1)))
     grid = _filled(robot, rods, tool, Section(section.axis, section.value, range_), u, v, limits)
     if not grid.ok.any():
-        raise InputError(_outside(robot, section, tool))
+        raise InputError("invalid_value", _outside(robot, section, tool))
     return grid
 
 
@@ -221,7 +223,7 @@ def _same_side(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
 def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[float, float]]:
     picture = coarse.ok.reshape(len(coarse.v), len(coarse.u))
     if not picture.any():
-        raise InputError(_outside(robot, coarse.section, None))
+        raise InputError("invalid_value", _outside(robot, coarse.section, None))
     ends = []
     for x, axis in ((coarse.u, 0), (coarse.v, 1)):
         inside, step = np.flatnonzero(picture.any(axis=axis)), x[1] - x[0]

@@ -25,12 +25,14 @@ class SerialDevice:
         """
         if errors.rods:
             raise InputError(
-                f"{robot.source}: no rods between chains and a plate are known here; give errors of actuators only"
+                "unsupported",
+                f"{robot.source}: no rods between chains and a plate are known here; give errors of actuators only",
             )
         for joint, error in errors.actuators.items():
             if error.axes is not None:
                 raise InputError(
-                    f"{joint}: x, y and z are for carts that carry rods; give one number, its own motion's"
+                    "unsupported",
+                    f"{joint}: x, y and z are for carts that carry rods; give one number, its own motion's",
                 )
         self.robot = robot
         self.along = np.array([errors.actuators[j].along if j in errors.actuators else 0.0 for j in robot.actuated])

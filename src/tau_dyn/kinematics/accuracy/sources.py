@@ -117,7 +117,8 @@ def _actuators(rods: Rods, errors: ErrorBounds, lines: dict) -> Iterator[_Source
         if line is None:
             if error.axes is not None:
                 raise InputError(
-                    f"{joint}: x, y and z are for a joint that slides on a fixed guideway; give one number"
+                    "unsupported",
+                    f"{joint}: x, y and z are for a joint that slides on a fixed guideway; give one number",
                 )
             if error.along:
                 turned = np.zeros((na, 1))

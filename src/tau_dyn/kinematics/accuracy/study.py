@@ -76,7 +76,10 @@ def build_device(robot: Robot, rods: Rods | None, errors: ErrorBounds) -> Any:
         InputError: Nothing errs, or an error does not fit the robot.
     """
     if not errors.largest:
-        raise InputError("all errors are zero, so the tool is exact; give at least one, such as --actuator-error 50e-6")
+        raise InputError(
+            "invalid_value",
+            "all errors are zero, so the tool is exact; give at least one, such as --actuator-error 50e-6",
+        )
     if rods is not None:
         return RodDevice(rods, build_rod_sources(rods, errors))
     return SerialDevice(robot, errors)
@@ -110,13 +113,15 @@ def compute_positioning_errors(
     """
     unknown = [m for m in methods if m not in METHODS]
     if unknown:
-        raise InputError(f"no method named '{unknown[0]}'; there are {', '.join(METHODS)} and all")
+        raise InputError("unknown_name", f"no method named '{unknown[0]}'; there are {', '.join(METHODS)} and all")
     if not np.isfinite(q).all():
-        raise InputError("actuated positions must be finite numbers; a pose that is not reached has no error")
+        raise InputError(
+            "invalid_value", "actuated positions must be finite numbers; a pose that is not reached has no error"
+        )
     left_out = {m: why for m in methods if (why := _why_not(device, m))}
     asked = [m for m in methods if m not in left_out]
     if not asked:
-        raise InputError("; ".join(f"{m}: {why}" for m, why in left_out.items()))
+        raise InputError("unsupported", "; ".join(f"{m}: {why}" for m, why in left_out.items()))
     state = device.state(q, tool)
     parts: list[dict[str, np.ndarray]] = []
     for start in range(0, len(q), BLOCK):

@@ -196,10 +196,12 @@ def _checked(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray) -> tuple[
     ):
         array = np.asarray(values, dtype=float)
         if array.shape != shape:
-            raise InputError(f"assembly modes need {name} of shape {shape}; these have {array.shape}")
+            raise InputError("wrong_shape", f"assembly modes need {name} of shape {shape}; these have {array.shape}")
         if not np.isfinite(array).all():
-            raise InputError(f"{name} must be finite numbers")
+            raise InputError("bad_sample", f"{name} must be finite numbers")
         out.append(array)
     if not (out[2] > 0).all():
-        raise InputError(f"rod lengths must be positive; rod {int(np.argmin(out[2])) + 1} has {out[2].min():g} m")
+        raise InputError(
+            "invalid_value", f"rod lengths must be positive; rod {int(np.argmin(out[2])) + 1} has {out[2].min():g} m"
+        )
     return out[0], out[1], out[2]

@@ -37,7 +37,9 @@ def find_all_solutions(rng: np.random.Generator, max_loops: int = 60) -> tuple[H
             paths = track_homotopy(start, end, moved)
             moved = paths.x[paths.regular]
         found = select_distinct(np.concatenate([found, moved]))
-    raise TauDynError(f"monodromy found {len(found)} of {N_SOLUTIONS} solutions in {max_loops} loops; try another seed")
+    raise TauDynError(
+        "no_solution", f"monodromy found {len(found)} of {N_SOLUTIONS} solutions in {max_loops} loops; try another seed"
+    )
 
 
 def select_distinct(x: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:

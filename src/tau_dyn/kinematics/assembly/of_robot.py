@@ -29,15 +29,18 @@ def find_robot_assembly_modes(robot: Robot | Rods, q: np.ndarray) -> AssemblyMod
     rods = robot if isinstance(robot, Rods) else build_rods(robot)
     q = require_positions(rods.robot, q)
     if len(q) != 1 or not np.isfinite(q).all():
-        raise InputError(f"assembly modes are found at one set of finite positions; these are {np.shape(q)}")
+        raise InputError(
+            "wrong_shape", f"assembly modes are found at one set of finite positions; these are {np.shape(q)}"
+        )
     A, L = rods.base_points(q)[0], rods.leg_lengths(q)[0]
     if rods.translates and rods.n == 3:
         return find_translating_modes(A, rods.on_plate, L, rods.rotation)
     if rods.translates or rods.n != 6:
         kind = "translates" if rods.translates else "is free"
         raise InputError(
+            "unsupported",
             "assembly modes need six rods on a free plate or three on one that translates; "
-            f"{rods.robot.source} has {rods.n} on a plate that {kind}"
+            f"{rods.robot.source} has {rods.n} on a plate that {kind}",
         )
     return find_assembly_modes(A, rods.on_plate, L)
 
@@ -59,7 +62,8 @@ def find_translating_modes(
     area = normal @ normal
     if area <= 1e-24 * (u @ u) * (w @ w) or area == 0:
         raise InputError(
-            "the spheres' centres stand in one line, so the plate is free to go round it: infinitely many modes"
+            "unsupported",
+            "the spheres' centres stand in one line, so the plate is free to go round it: infinitely many modes",
         )
     square = lengths**2
     p, r = 0.5 * (u @ u + square[0] - square[1]), 0.5 * (w @ w + square[0] - square[2])

@@ -73,10 +73,11 @@ def find_reachable_modes(
     q = np.asarray(q, float).ravel()
     if rods.na != rods.n:
         raise InputError(
-            f"{rods.robot.source} has {rods.n} rods and {rods.na} actuators; motions between modes need as many"
+            "unsupported",
+            f"{rods.robot.source} has {rods.n} rods and {rods.na} actuators; motions between modes need as many",
         )
     if not 0 <= home < modes.n_samples:
-        raise InputError(f"home is one of the {modes.n_samples} modes; there is no number {home}")
+        raise InputError("invalid_value", f"home is one of the {modes.n_samples} modes; there is no number {home}")
     kept = _limits(rods, limits, clearance)
     states = solve_configuration_states(rods, np.repeat(q[None], modes.n_samples, axis=0), modes)
     samples = [sample_at(rods, q, modes.take(slice(k, k + 1))) for k in range(modes.n_samples)]

@@ -65,7 +65,8 @@ def compute_plate_jacobian(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarra
     freedoms = 3 if rods.translates else 6
     if rods.n != freedoms:
         raise InputError(
-            f"{rods.robot.source} has {rods.n} rods; states need as many as the plate has freedoms, {freedoms}"
+            "unsupported",
+            f"{rods.robot.source} has {rods.n} rods; states need as many as the plate has freedoms, {freedoms}",
         )
     if rods.translates:
         return J[:, :, :3]

@@ -191,14 +191,20 @@ def load_shift(line: Guideway, q: np.ndarray, points: np.ndarray) -> dict[str, A
 def _check(joint: str, q: np.ndarray, points: np.ndarray) -> None:
     if q.ndim != 1 or points.shape != (len(q), 3):
         raise InputError(
-            f"{joint}: a guideway needs positions (N,) and points (N, 3), not {q.shape} and {points.shape}"
+            "wrong_shape",
+            f"{joint}: a guideway needs positions (N,) and points (N, 3), not {q.shape} and {points.shape}",
         )
     if not (np.isfinite(q).all() and np.isfinite(points).all()):
-        raise InputError(f"{joint}: every measured point needs finite numbers")
+        raise InputError("bad_sample", f"{joint}: every measured point needs finite numbers")
     if len(q) < MIN_POINTS:
-        raise InputError(f"{joint}: {len(q)} points cannot tell a line from its errors; measure at least {MIN_POINTS}")
+        raise InputError(
+            "too_little_data",
+            f"{joint}: {len(q)} points cannot tell a line from its errors; measure at least {MIN_POINTS}",
+        )
     if np.ptp(q) < 10 * np.finfo(float).eps * max(1.0, np.abs(q).max()) or len(np.unique(q)) < SHAPE_DEGREE + 1:
-        raise InputError(f"{joint}: the cart stands at {len(np.unique(q))} places; measure it along its guideway")
+        raise InputError(
+            "too_little_data", f"{joint}: the cart stands at {len(np.unique(q))} places; measure it along its guideway"
+        )
 
 
 def _correlation(e: np.ndarray) -> float:

@@ -112,10 +112,11 @@ def check_orientation(q: np.ndarray, poses: Poses, *, tolerance: float = 2e-3) -
     q = np.asarray(q, float)
     if q.ndim != 2 or len(q) != len(poses.rotation) or len(q) < MIN_ORIENTATION_POSES:
         raise InputError(
-            f"orientation needs at least {MIN_ORIENTATION_POSES} poses with as many actuated positions, not {q.shape[0]}"
+            "too_little_data",
+            f"orientation needs at least {MIN_ORIENTATION_POSES} poses with as many actuated positions, not {q.shape[0]}",
         )
     if not (np.isfinite(q).all() and np.isfinite(poses.rotation).all()):
-        raise InputError("every measured pose needs finite numbers")
+        raise InputError("bad_sample", "every measured pose needs finite numbers")
     measured = Rotation.from_matrix(poses.rotation)
     mean = measured.mean()
     turn = (measured * mean.inv()).as_rotvec()

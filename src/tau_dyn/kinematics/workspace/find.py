@@ -126,8 +126,9 @@ def _check_home(machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray) -
     why = judge.reasons.words(int(judged.code[0]))
     at = "" if np.allclose(turn, np.asarray(machine.home.rotation)[0]) else " in this orientation"
     raise InputError(
+        "unreachable",
         f"{machine.robot.source}: the tool's home ({home} m){at} does not belong itself ({why}); a workspace is what "
-        "is connected to home, so loosen that demand"
+        "is connected to home, so loosen that demand",
     )
 
 
@@ -140,13 +141,16 @@ def _box(machine: WorkspaceModel, demands: PoseRequirements) -> tuple[np.ndarray
     lower, upper = np.where(flat, home, lower), np.where(flat, home, upper)
     if J.actuators.shape[2] < 3 and machine.rods is None and (~flat).sum() > J.actuators.shape[2]:
         raise CannotAnswer(
+            "unsupported",
             f"{machine.robot.source}: its tool moves in a plane or on a line that is not parallel to the axes",
             "a robot file whose base is turned so that it is",
         )
     lower, upper = np.maximum(lower, around.lower), np.minimum(upper, around.upper)
     if (lower > upper).any():
         axis = "xyz"[int(np.argmax(lower > upper))]
-        raise InputError(f"the tool's limits in {axis} leave nothing of what {machine.robot.source} reaches")
+        raise InputError(
+            "invalid_value", f"the tool's limits in {axis} leave nothing of what {machine.robot.source} reaches"
+        )
     return lower, upper
 
 
@@ -155,10 +159,11 @@ def _resolution(wanted: float | None, lower: np.ndarray, upper: np.ndarray) -> f
         return None
     longest = float((upper - lower).max())
     if not 0 < wanted < np.inf:
-        raise InputError(f"the resolution must be a length above zero, not {wanted}")
+        raise InputError("invalid_value", f"the resolution must be a length above zero, not {wanted}")
     if wanted > longest / 4:
         raise InputError(
-            f"a resolution of {wanted:g} m is too coarse for a reach of {longest:.3g} m; take a tenth or less"
+            "invalid_value",
+            f"a resolution of {wanted:g} m is too coarse for a reach of {longest:.3g} m; take a tenth or less",
         )
     return float(wanted)
 
@@ -189,7 +194,7 @@ def _result(
         code[belongs & ~kept] = judge.reasons.code("too close to the border")
         belongs = kept
         if not belongs.any():
-            raise InputError(f"nothing keeps {demands.border:g} m from the border; ask for less")
+            raise InputError("invalid_value", f"nothing keeps {demands.border:g} m from the border; ask for less")
     places, q = np.concatenate(recorder.places), np.concatenate(recorder.q)
     index = np.rint((places - lattice.low) / lattice.step).astype(int)
     size = measure_size(belongs, lattice.step, bound_missed_size(found))
@@ -222,7 +227,9 @@ def _start(lattice: Lattice, inside: np.ndarray, home: np.ndarray) -> tuple[int,
     index = np.argwhere(inside)
     away = np.abs(lattice.points(index) - home).max(axis=1, initial=0.0)
     if not len(index) or away.min() > 1.01 * lattice.step:
-        raise InputError(f"no point around home belongs at a resolution of {lattice.step:g} m; take a finer one")
+        raise InputError(
+            "invalid_value", f"no point around home belongs at a resolution of {lattice.step:g} m; take a finer one"
+        )
     return tuple(index[int(np.argmin(np.linalg.norm(lattice.points(index) - home, axis=1)))].tolist())
 
 

@@ -82,7 +82,8 @@ def build_lattice(lower: np.ndarray, upper: np.ndarray, through: np.ndarray, ste
     if total > MAX_LATTICE_POINTS:
         finest = step * (total / MAX_LATTICE_POINTS) ** (1 / max(int(extends.sum()), 1))
         raise InputError(
-            f"a resolution of {step:g} m gives {total:.1e} points; take {finest:.2g} m or more, or narrow the tool's limits"
+            "invalid_value",
+            f"a resolution of {step:g} m gives {total:.1e} points; take {finest:.2g} m or more, or narrow the tool's limits",
         )
     return Lattice(through - before * coarse, step, tuple(int(n) for n in counts), stride)  # type: ignore[arg-type]
 

@@ -77,11 +77,15 @@ def get_travel(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     for k, (name, kind) in enumerate(zip(robot.actuated, robot.joint_kinds, strict=True)):
         if not lower[k] < upper[k]:
             raise InputError(
-                f"{robot.source}: the limits of joint '{name}' are inverted or equal: {lower[k]:g} is not below {upper[k]:g}"
+                "robot_structure",
+                f"{robot.source}: the limits of joint '{name}' are inverted or equal: {lower[k]:g} is not below {upper[k]:g}",
             )
         if not np.isfinite([lower[k], upper[k]]).all():
             if kind == "prismatic":
-                raise InputError(f"{robot.source}: slide '{name}' has no limits; a workspace needs <limit lower upper>")
+                raise InputError(
+                    "robot_structure",
+                    f"{robot.source}: slide '{name}' has no limits; a workspace needs <limit lower upper>",
+                )
             lower[k], upper[k] = -np.pi, np.pi
     return lower, upper
 

@@ -68,10 +68,10 @@ def build_elasticity(
     robot, rods = machine.robot, machine.rods
     drives = _drives(robot, actuators or {})
     if rod is not None and not rod > 0:
-        raise InputError(f"a rod's stiffness must be above zero, not {rod}")
+        raise InputError("invalid_value", f"a rod's stiffness must be above zero, not {rod}")
     if rods is None:
         if rod is not None:
-            raise InputError(f"{robot.source} has no rods; give --actuator-stiffness")
+            raise InputError("unsupported", f"{robot.source} has no rods; give --actuator-stiffness")
         known = bool(np.isfinite(drives).any())
         origin = "actuators as given, links rigid" if known else "no stiffness is known: give the actuators'"
         return Elasticity(Springs(np.full(6, np.inf), drives) if known else None, origin, False)
@@ -96,7 +96,9 @@ def _drives(robot: Robot, given: Mapping[str, float]) -> np.ndarray:
     drives = np.full(robot.na, np.inf)
     for name, value in given.items():
         if not value > 0:
-            raise InputError(f"the stiffness of actuator '{name or 'all'}' must be above zero, not {value}")
+            raise InputError(
+                "invalid_value", f"the stiffness of actuator '{name or 'all'}' must be above zero, not {value}"
+            )
         if name and name not in robot.actuated:
             raise UnknownName("actuated joint", name, robot.actuated)
         drives[[robot.actuated.index(name)] if name else slice(None)] = value
@@ -155,7 +157,7 @@ class Quality:
     def softest(self, rates: Rates) -> Softest:
         """Return main stiffnesses and directions at the poses of these rates."""
         if self.elasticity.springs is None:
-            raise InputError(f"{self.machine.robot.source}: {self.elasticity.origin}")
+            raise InputError("unsupported", f"{self.machine.robot.source}: {self.elasticity.origin}")
         C = compute_compliance(rates, self.elasticity.springs)
         if C.shape[1] in (1, 2):  # a planar arm: what does not move is rigid
             wide = np.zeros((len(C), 3, 3))

@@ -59,13 +59,16 @@ def measure_tilt(found: Workspace, place: np.ndarray) -> Tilt:
         InputError: The robot's tool does not turn freely, or the place does not belong to the workspace.
     """
     if not turns_freely(found):
-        raise InputError(f"{found.machine.robot.source}: the tool does not turn freely, so it has no range of tilt")
+        raise InputError(
+            "unsupported", f"{found.machine.robot.source}: the tool does not turn freely, so it has no range of tilt"
+        )
     place = np.asarray(place, float)
     judged = found.judge.judge(found.poses(place[None]))
     if judged.code[0] != INSIDE:
         words = found.reasons.words(int(judged.code[0]))
         raise InputError(
-            f"the place {', '.join(f'{x:.4g}' for x in place)} m does not belong to the workspace ({words})"
+            "unreachable",
+            f"the place {', '.join(f'{x:.4g}' for x in place)} m does not belong to the workspace ({words})",
         )
     towards = np.arange(_SIDES) * 2 * np.pi / _SIDES
     angles = np.arange(1, round(_MAX_TILT_RAD / _STEP) + 1) * _STEP

@@ -55,13 +55,16 @@ class PoseRequirements:
         """Refuse numbers that make no sense."""
         if self.ball_angle is not None and not 0 < self.ball_angle <= np.pi:
             raise InputError(
-                f"the ball joints' angle must lie between 0 and 180 degrees, not {np.rad2deg(self.ball_angle):g}"
+                "invalid_value",
+                f"the ball joints' angle must lie between 0 and 180 degrees, not {np.rad2deg(self.ball_angle):g}",
             )
         for name in ("clearance", "singularity", "border"):
             if not 0 <= getattr(self, name) < 1e6:
-                raise InputError(f"{name} must be a finite number from zero up, not {getattr(self, name)}")
+                raise InputError(
+                    "invalid_value", f"{name} must be a finite number from zero up, not {getattr(self, name)}"
+                )
         if not self.condition >= 1:
-            raise InputError(f"the largest condition number must be 1 or more, not {self.condition}")
+            raise InputError("invalid_value", f"the largest condition number must be 1 or more, not {self.condition}")
 
 
 class Reasons:

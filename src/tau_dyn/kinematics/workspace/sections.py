@@ -66,7 +66,7 @@ def parse_section(text: str) -> tuple[int, float]:
     except ValueError:
         value = np.nan
     if axis.strip().lower() not in tuple(_AXES) or not equals or not abs(value) < 1e6:
-        raise InputError(f"a section is an axis and a place, such as x=1.75, not '{text}'")
+        raise InputError("invalid_value", f"a section is an axis and a place, such as x=1.75, not '{text}'")
     return _AXES.index(axis.strip().lower()), value
 
 
@@ -86,9 +86,12 @@ def judge_section(found: Workspace, axis: int, at: float, quality: Quality, name
     across, up = [k for k in range(3) if k != axis]
     low, high = found.lattice.low, found.lattice.points(np.array(found.lattice.shape) - 1)
     if not low[axis] - 1e-9 <= at <= high[axis] + 1e-9:
-        raise InputError(f"section {_AXES[axis]}={at:g} misses the searched box, {low[axis]:.3g} to {high[axis]:.3g} m")
+        raise InputError(
+            "unreachable",
+            f"section {_AXES[axis]}={at:g} misses the searched box, {low[axis]:.3g} to {high[axis]:.3g} m",
+        )
     if found.lattice.shape[across] < 2 or found.lattice.shape[up] < 2:
-        raise InputError(f"the tool does not move along both axes of a section across {_AXES[axis]}")
+        raise InputError("unsupported", f"the tool does not move along both axes of a section across {_AXES[axis]}")
     step = max(found.lattice.step, max(high[across] - low[across], high[up] - low[up]) / _MAX_SECTION_POINTS)
     u, v = (_along(low[k], high[k], step) for k in (across, up))
     places = np.zeros((len(u), len(v), 3))

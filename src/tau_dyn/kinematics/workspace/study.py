@@ -132,7 +132,7 @@ def study_workspace(
     progress("maps over the workspace")
     figures = build_catalogue(found, quality)
     if tilt_at is not None and not np.isfinite(tilt_at).all():
-        raise InputError("the place of --tilt must hold three finite numbers")
+        raise InputError("invalid_value", "the place of --tilt must hold three finite numbers")
     lean = (
         measure_tilt(found, np.asarray(tilt_at if tilt_at is not None else machine.home.position[0]))
         if tilt_at is not None or turns_freely(found)
@@ -147,5 +147,5 @@ def study_workspace(
 def _turned(degrees: Sequence[float]) -> np.ndarray:
     angles = np.deg2rad(np.asarray(degrees, float))
     if angles.shape != (3,) or not np.isfinite(angles).all():
-        raise InputError("an orientation is roll, pitch and yaw, three finite numbers of degrees")
+        raise InputError("invalid_value", "an orientation is roll, pitch and yaw, three finite numbers of degrees")
     return pin.rpy.rpyToMatrix(angles)

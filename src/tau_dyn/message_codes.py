@@ -1,0 +1,133 @@
+"""Codes of errors and warnings, each with cause and remedy: stable names for programs, while sentences may be reworded.
+
+An error's code stands in brackets behind its sentence, in `TauDynError.code` and, where the data cannot answer, as `code` in
+JSON. A warning's code stands in `warning_codes` of JSON. `docs/reference/message_codes.md` is made from these tables.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class MessageCode(NamedTuple):
+    """What a code says, and what to do."""
+
+    cause: str
+    remedy: str
+
+
+INPUT_CODES: dict[str, MessageCode] = {
+    "bad_option": MessageCode("an option is missing, malformed or excludes another", "`tau-dyn COMMAND --help`"),
+    "bad_sample": MessageCode(
+        "a value of a log or table is no finite number or cannot be true", "mend the row named, or leave it out"
+    ),
+    "cannot_read": MessageCode("a file exists and cannot be read", "check its permissions and that it is a file"),
+    "cannot_write": MessageCode("an output cannot be written, or would replace an input", "name another file"),
+    "damaged_file": MessageCode("a file is empty, cut off or damaged inside", "copy or record it again"),
+    "duplicate_name": MessageCode("a name stands twice where it must be unique", "rename one"),
+    "file_format": MessageCode(
+        "a file is not of the kind expected, or an entry of it is not as the format has it",
+        "[files](files.md) and [robot files](robots.md)",
+    ),
+    "file_not_found": MessageCode("a file or folder does not exist", "correct the path"),
+    "file_too_large": MessageCode("a file or table is larger than what is read", "give an excerpt, or Parquet"),
+    "infeasible": MessageCode(
+        "fixed and bounded values exclude every physical solution", "widen `--bound`, drop a `--fix`"
+    ),
+    "invalid_value": MessageCode("a value lies outside of what is allowed", "the range is in the sentence"),
+    "loop_not_closed": MessageCode(
+        "a kinematic loop does not close at a position", "correct position, units or geometry"
+    ),
+    "mismatch": MessageCode(
+        "two inputs do not belong together: joints, sampling, units, motion or campaign", "give the matching file"
+    ),
+    "missing_column": MessageCode("a log or table lacks a column", "name it in a column map (`--columns`)"),
+    "missing_input": MessageCode("no log, image or pose was given", "name one"),
+    "missing_package": MessageCode("an optional package is not installed", "the `pip install` in the sentence"),
+    "not_available": MessageCode("a compiler, port, scheduler or lock cannot be had", "start it, or name another"),
+    "robot_structure": MessageCode(
+        "a robot file's links, joints or loops do not make a robot", "correct the element named"
+    ),
+    "time_stamps": MessageCode(
+        "time stamps do not increase, are uneven or have a gap", "correct the clock, or cut the log"
+    ),
+    "unknown_name": MessageCode("a name does not exist", "the sentence lists those that do"),
+    "unreachable": MessageCode(
+        "a position, path or motion is out of reach or beyond a limit", "change the target or limit"
+    ),
+    "unstable": MessageCode("a filter, loop or simulation is unstable", "lower its gains or cutoff"),
+    "unsupported": MessageCode("this robot, effect or model cannot do what was asked", "the sentence says which can"),
+    "wrong_shape": MessageCode("an array has another shape than needed", "the shape is in the sentence"),
+    "wrong_unit": MessageCode(
+        "numbers are so large or small that their unit must be another", "SI units, or a column map"
+    ),
+}
+"""Codes of faulty input; exit status 2."""
+
+UNANSWERED_CODES: dict[str, MessageCode] = {
+    "no_solution": MessageCode(
+        "no motion, pose or model within the limits was found", "loosen a limit, or start nearer"
+    ),
+    "not_accurate_enough": MessageCode(
+        "the planned measurement would miss the accuracy asked for", "more or other poses"
+    ),
+    "not_identifiable": MessageCode("the data do not determine what was asked", "the experiment in the sentence"),
+    "not_visible": MessageCode("the camera or device does not see the target", "move the device or the target"),
+    "nothing_to_do": MessageCode("nothing is left open that a measurement would answer", "none needed"),
+    "poor_excitation": MessageCode("the motion or force hardly changes", "move every joint faster, both ways"),
+    "too_little_data": MessageCode("too few samples, poses or images", "record longer, or more"),
+}
+"""Codes of sound data that cannot answer; exit status 3. `too_little_data` comes with status 2 where a file cannot be used at
+all."""
+
+DEFECT_CODES: dict[str, MessageCode] = {
+    "workers_lost": MessageCode("processes of a study ended before their work", "run the item alone; more memory"),
+}
+"""Codes of failures that are not the input's; exit status 1."""
+
+ERROR_CODES = INPUT_CODES | UNANSWERED_CODES | DEFECT_CODES
+"""All codes of errors."""
+
+WARNING_CODES: dict[str, MessageCode] = {
+    "note": MessageCode("anything else", "read the sentence"),
+    "feedback_found": MessageCode(
+        "`modes`: an input follows what a causal model leaves of the outputs", "log the reference, `--reference`"
+    ),
+    "force_late": MessageCode(
+        "the force is late or early by more than 0.7 samples", "shift `tau` by the stated time; one clock for all"
+    ),
+    "force_lowpassed": MessageCode(
+        "a first-order lag explains the force better than a delay", "log the force before the filter"
+    ),
+    "gravity_direction": MessageCode("gravity acts from another side", "turn the base in the robot file"),
+    "held_channel": MessageCode(
+        "a channel stands still while its joint moves, or is updated less often than logged",
+        "log all channels at one rate; leave the segment out",
+    ),
+    "holdout_differs": MessageCode(
+        "the held-out error of a joint is over 3 times the training error", "check machine, tool and load of both logs"
+    ),
+    "joints_exchanged": MessageCode("columns of two joints are exchanged", "the column map's lines in the sentence"),
+    "lost_samples": MessageCode(
+        "samples are missing under an even clock", "log time stamps; up to 1 % is corrected, else record again"
+    ),
+    "not_physical": MessageCode(
+        "plain least squares lies over 3 standard errors outside what is physical", "`diagnose`; a richer motion"
+    ),
+    "order_at_limit": MessageCode("`modes`: the highest order tried was taken", "`--order N`; a longer log"),
+    "repeated_samples": MessageCode(
+        "samples stand twice or stale", "log each sample once; stale lines up to 1 % are left out"
+    ),
+    "rests_mostly": MessageCode("joints rest more than half of the time", "read `all_samples`; move them more"),
+    "scale_wrong": MessageCode(
+        "positions, forces or the clock have another scale", "the column map's line in the sentence"
+    ),
+    "short_log": MessageCode(
+        "segments left out, or few independent values", "record without gaps, half a minute or more"
+    ),
+    "sign_reversed": MessageCode(
+        "q, tau or both have the wrong sign, or friction is negative", "`scale: -1` in the column map"
+    ),
+    "zero_force_runs": MessageCode("a force is zero between large forces", "flag the samples (`--exclude`)"),
+}
+"""Codes of warnings."""
