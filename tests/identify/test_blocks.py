@@ -114,5 +114,5 @@ def test_effects_with_a_long_memory_cannot_go_in_blocks(two_link, name: str, fit
     if fits:
         refuse_memory(model)
     else:
-        with raises_code("unsupported", f"{name}"):
+        with raises_code("unsupported", name):
             refuse_memory(model)

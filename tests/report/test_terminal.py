@@ -9,6 +9,10 @@ from rich.console import Console
 
 from tau_dyn.log import check_log
 from tau_dyn.report import print_check, print_identification
+from tau_dyn.report.formatting import format_with_uncertainty
+from tau_dyn.report.identification_terminal import build_parameter_table
+from tau_dyn.report.parameter_rows import ParameterRow
+from tau_dyn.report.terminal import put
 
 
 def _printed(width: int, show, *args) -> str:
@@ -28,11 +32,22 @@ def test_fits_the_terminal(found, doubtful, width):
 
 
 def test_table_keeps_its_lines_at_80_columns(found):
-    """Each parameter stands on one line with its value and interval."""
+    """Each parameter that the data tell alone stands on one line, whole; of the others no value looks like an estimate."""
     lines = _printed(80, print_identification, found, {}).splitlines()
     for row in found.rows():
-        line = next(x for x in lines if x.strip().startswith(row["name"]))
-        assert "±" in line and "…" in line.split("±")[1]
+        own = [x for x in lines if x.strip().startswith(row["name"] + " ") and "=" not in x]
+        assert len(own) == (row["stderr"] is not None)
+        assert all("±" in line and "…" not in line for line in own)
+
+
+def test_names_of_a_stock_arm_fit_into_80_columns():
+    """`shoulder_lift_joint.coulomb_neg`, a standard error of 8e-5 and `N m/(rad/s)` leave room for the nominal value."""
+    row = ParameterRow(
+        "shoulder_lift_joint.coulomb_neg", "", "known", format_with_uncertainty(-0.0019, 9.7e-5), "a … b", "N m/(rad/s)",
+        "0.01714", "", None,
+    )  # fmt: skip
+    text = _printed(80, lambda console: put(console, build_parameter_table([row], {})))
+    assert "−0.001900 ± 0.000097" in text and "0.01714" in text and "…" not in text
 
 
 def test_colour_only_for_people(found):

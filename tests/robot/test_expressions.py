@@ -26,7 +26,7 @@ def test_lengths_and_conditions_pass(text: str) -> None:
 def test_every_way_into_python_is_named(name: str) -> None:
     """Of a value, of what is made in a comprehension, and deep inside a sum."""
     for text in (f"x.{name}", f"[y.{name} for y in (1,)]", f"1 + (2 * (x.{name}))"):
-        with raises_code("file_format", f"{name}"):
+        with raises_code("file_format", name):
             check_expression(text)
 
 

@@ -56,8 +56,8 @@ def test_a_range_without_an_end_has_no_middle(write, limits: str, home: float) -
     ("changes", "words"),
     [
         ((("</robot>", '<link name="rod_link"/></robot>'),), "link 'rod_link' is not unique"),
-        ((('type="revolute"', 'type="screw"'),), r"Joint \[pivot\] has no known type \[screw\]"),
-        ((('<child link="rod_link"/>', '<child link="no_link"/>'),), r"child link \[no_link\] of joint \[pivot\] not found"),
+        ((('type="revolute"', 'type="screw"'),), "Joint [pivot] has no known type [screw]"),
+        ((('<child link="rod_link"/>', '<child link="no_link"/>'),), "child link [no_link] of joint [pivot] not found"),
     ],
 )  # fmt: skip
 def test_a_tree_that_cannot_be_built_is_said_in_the_parsers_words(write, changes, words: str) -> None:
@@ -66,7 +66,7 @@ def test_a_tree_that_cannot_be_built_is_said_in_the_parsers_words(write, changes
     for old, new in changes:
         assert old in urdf
         urdf = urdf.replace(old, new)
-    with raises_code("robot_structure", "pendulum.urdf", f"{words}") as fault:
+    with raises_code("robot_structure", "pendulum.urdf", words) as fault:
         load_robot_from_urdf(urdf, "pendulum.urdf")
     assert "Error" not in str(fault.value) and " at line " not in str(fault.value)
 

@@ -132,7 +132,7 @@ def format_sentence(effects: Sequence[Effect], parameters: Parameters, gain: Gai
     text = "; ".join(said)
     if gain is not None:
         text += f"; held-out error {format_reduction(gain.reduction_percent)}"
-    return text[0].upper() + text[1:] + "."
+    return text + "."
 
 
 def format_reduction(percent: float) -> str:

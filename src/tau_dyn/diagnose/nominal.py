@@ -200,6 +200,6 @@ def _mass(model: Model, p: Parameter, n: Parameter, z: float, p_value: float, on
         None,
         tuple(twins),
         f"{p.name} differs from its nominal value",
-        f"{link.removesuffix('_link').capitalize()} moves like {error}.",
+        f"{link} moves like {error}.",
         f"weigh {link.removesuffix('_link')} without and with what it carries, and fix it (--fix {p.name}=...)",
     )

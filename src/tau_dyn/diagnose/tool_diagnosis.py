@@ -125,7 +125,7 @@ def _open(channel: ToolChannel, one: SelectedCause, finding: Finding, periods: t
         finding,
         status="suspected",
         gain=None,
-        sentence=f"{joint.capitalize()} has a cyclic error, but at places {step} apart periods of {listed}{more} fit alike.",
+        sentence=f"{joint} has a cyclic error, but at places {step} apart periods of {listed}{more} fit alike.",
         experiment=f"measure the tool while {joint} goes in steps of {finer} or less, or at as many places in uneven steps",
     )
 

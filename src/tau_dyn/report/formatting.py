@@ -76,7 +76,10 @@ def format_with_uncertainty(value: float, stderr: float | None, unit: str = "") 
     tail = f" {format_unit(unit)}" if unit else ""
     if stderr is None or not stderr > 0:
         return format_number(value) + tail
-    return f"{round_to_stderr(value, stderr)} ± {round_to_stderr(stderr, stderr)}{tail}"
+    decimals = choose_decimals(stderr)
+    if decimals > 7 or _tiny_or_huge(max(abs(value), stderr)):
+        return f"{round_to_stderr(value, stderr)} ± {round_to_stderr(stderr, stderr)}{tail}"
+    return f"{round_to_stderr(value, stderr)} ± {round(stderr, decimals):.{max(decimals, 0)}f}{tail}"
 
 
 def format_unit(unit: str) -> str:

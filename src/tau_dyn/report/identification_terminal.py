@@ -50,7 +50,11 @@ def print_identification(
     about = f"{found.model.robot.name} · {describe_inputs(found)}"
     say_opening(console, about, describe_headline(found, truth), judged.level, judged.sentence)
     put(console, _error_table(found, measure_columns(console)))
-    put(console, _parameter_table(build_parameter_rows(found), truth or {}))
+    together = list_combinations(found)
+    if together:
+        listed = together[:_MAX_COMBINATIONS] + _rest(len(together) - _MAX_COMBINATIONS)
+        say(console, f"Identifiable only in combination (value ± standard error): {'; '.join(listed)}.")
+    put(console, build_parameter_table(build_parameter_rows(found), truth or {}))
     for title, sentences in _uncertain(found):
         say(console, f"{title}: {'; '.join(sentences)}.")
     say_written(console, written)
@@ -84,19 +88,20 @@ def _error_table(found: Identification, columns: int) -> Table:
     return table
 
 
-def _parameter_table(rows: list[ParameterRow], truth: Mapping[str, float]) -> Table:
+def build_parameter_table(rows: list[ParameterRow], truth: Mapping[str, float]) -> Table:
+    """Return the parameters that the data tell alone; of the others no value is an estimate, so none is shown."""
     table = build_bare_table()
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("estimate", justify="right", no_wrap=True)
+    table.add_column("identifiable alone", no_wrap=True)
+    table.add_column("estimate ±\nstandard error", justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    table.add_column("95 % interval", justify="right", no_wrap=True)
     if truth or any(r.nominal for r in rows):
         table.add_column("true" if truth else "nominal", justify="right", no_wrap=True)
     for r in rows:
-        last = (format_number(truth[r.name], 5) if r.name in truth else "") if truth else r.nominal
-        cells = [r.name, r.estimate, r.unit, r.interval or "not seen alone", last]
-        style = "" if r.state == "known" else "dim"
-        table.add_row(*(escape_control_characters(c, style) for c in cells[: len(table.columns)]))
+        if r.interval:
+            last = (format_number(truth[r.name], 5) if r.name in truth else "") if truth else r.nominal
+            style = "" if r.state == "known" else "dim"
+            cells = (escape_control_characters(c, style) for c in (r.name, r.estimate, r.unit, last))
+            table.add_row(*list(cells)[: len(table.columns)])
     return table
 
 
@@ -105,13 +110,8 @@ def _uncertain(found: Identification) -> list[tuple[str, list[str]]]:
     rows = found.rows()
     weak = [r["name"] for r in rows if r["stderr"] is not None and not r["determined"]]
     unseen = [r["name"] for r in rows if r["stderr"] is None and not r.get("depends_on")]
-    together = list_combinations(found)
     groups = [
         ("Poorly determined (standard error above 30 %)", [format_list(weak)] if weak else []),
-        (
-            "Identifiable only in combination (value ± standard error)",
-            together[:_MAX_COMBINATIONS] + _rest(len(together) - _MAX_COMBINATIONS),
-        ),
         ("Not excited, nominal value kept", [format_list(unseen)] if unseen else []),
         ("Equivalent models", list(found.equivalent[:1]) + _more(found.equivalent)),
     ]
