@@ -45,7 +45,7 @@ def test_dimensions_that_do_not_fit_the_numbers_are_damage(tmp_path, said: int):
     data = path.read_bytes()
     assert data.count(struct.pack("<2i", 1, N)) == 1
     path.write_bytes(data.replace(struct.pack("<2i", 1, N), struct.pack("<2i", 1, said)))
-    with raises_code("damaged_file", f"{N}", said):
+    with raises_code("damaged_file", str(N), str(said)):
         read_variables(path)
 
 

@@ -86,7 +86,7 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-xacro",
         action="store_true",
-        help="take plain URDF only: a xacro is code, and is refused (built-in ones, too)",
+        help="accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too",
     )
 
 

@@ -192,9 +192,10 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     values[f"{joint}.stribeck"] = peak
     effect = Stribeck((joint,), (robot.force_units[stiff],), speed=_PEAK_SPEED)
     centre = ", ".join(f"{x:g}" for x in PAYLOAD_CENTRE)
-    last = robot.links[-1].link
+    joint_of_last = str(robot.model.names[robot.links[-1].joint_id])
     said = (
-        f"a payload of {PAYLOAD_KG:g} kg at ({centre}) m of {last}, and Stribeck friction of {peak:.3g} N m in {joint}"
+        f"a payload of {PAYLOAD_KG:g} kg at ({centre}) m in the frame of {joint_of_last}, and Stribeck friction of "
+        f"{peak:.3g} N m in {joint}"
     )
     sensors = {"encoder_noise": _ENCODER_RAD, "force_noise": (_GEARED["noise"] * effort).tolist(), "tool": False}
     return Made(robot, _extend(_with_friction(robot), (effect,), values), sensors, ("payload", "stribeck"), said, call)
@@ -227,7 +228,9 @@ def _extend(model: Model, effects: Sequence, values: dict[str, float]) -> Model:
 
 def _show(console, made: Made, found, written: dict[str, str]) -> None:
     from tau_dyn.report import print_diagnosis
+    from tau_dyn.report.terminal import say
 
     print_diagnosis(console, found, written)
     claims = " ".join(f.sentence for f in found.findings if f.status in ("confirmed", "parameter"))
-    console.print(f"Hidden in the made logs: {made.said}.\nFound: {claims or 'nothing.'}")
+    say(console, f"Hidden in the made logs: {made.said}.")
+    say(console, f"Found: {claims.replace('+-', '±') or 'nothing.'}")

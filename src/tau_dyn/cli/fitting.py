@@ -20,7 +20,8 @@ def add_fitting(parser: argparse.ArgumentParser, *, model: str, holdout: str, ou
         "logs",
         metavar="LOG",
         nargs="+",
-        help="CSV, Parquet, MCAP, a ROS bag or .mat with t, q_JOINT, tau_JOINT; or a folder of Parquet files; never joined",
+        help="CSV, Parquet, MCAP, a ROS bag or .mat with t, q_JOINT, tau_JOINT; or a folder of Parquet files; each log is "
+        "processed separately",
     )
     parser.add_argument("--holdout", metavar="LOG", nargs="+", action="extend", default=[], help=holdout)
     parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="how to read foreign column names and units")
@@ -32,7 +33,7 @@ def add_fitting(parser: argparse.ArgumentParser, *, model: str, holdout: str, ou
         metavar="NAME[=VALUE[+-SIGMA]]",
         action="append",
         default=[],
-        help="keep, set, or say what was measured beforehand",
+        help="hold the nominal value, set a value, or give a value measured beforehand with its standard error",
     )
     choices.add_argument(
         "--free",
@@ -41,7 +42,7 @@ def add_fitting(parser: argparse.ArgumentParser, *, model: str, holdout: str, ou
         default=[],
         help="estimate what is fixed by default, such as *.armature",
     )
-    choices.add_argument("--bound", metavar="NAME=LO:HI", action="append", default=[], help="keep within")
+    choices.add_argument("--bound", metavar="NAME=LO:HI", action="append", default=[], help="constrain the estimate")
     parser.add_argument(
         "--exclude",
         metavar="COLUMN",

@@ -1,4 +1,4 @@
-"""Masses and friction from torque logs, with uncertainty, judged on data the fit never saw."""
+"""Masses and friction from torque logs, with standard errors; evaluated on data that the fit did not use."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_robot(parser)
     add_fitting(
         parser,
-        model="rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg; default), or a model file",
+        model="friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg; default); or a "
+        "model file, which gives start values and effects",
         holdout="held-out logs, for evaluation only",
         out="write the identified model here",
     )
@@ -38,9 +39,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--estimator",
         choices=("auto", "wls", "ml", "iv", "robust"),
         default="auto",
-        help="wls: filtered weighted least squares; ml: full rate, encoder noise in the columns; iv: ml with instruments from "
-        "q_ref_J, for noise that the feedback answers; robust: ml that bears outliers in tau; auto (default): iv or ml where the "
-        "residual is noise, else wls",
+        help="wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder noise; "
+        "iv: ml with instrumental variables from q_ref_J, for encoder noise that the controller feeds back; robust: ml with "
+        "outlier weights; auto (default): iv or ml if the residual is consistent with noise, else wls",
     )
     add_engine(parser)
     add_common(parser)

@@ -1,5 +1,7 @@
 """What every channel goes through after its search: confirmation, the waterfall, findings, and what a page draws.
 
+`select_confirmed` and `select_supported` set the status of a cause: `confirmed`, or `suspected` with the reason.
+
 Forces, tool positions and deflections differ in how their channel is built and in what is said about them; the stages here are
 the same for all.
 """
@@ -68,8 +70,8 @@ _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
 _COMPANION = "it is {:.1f} % of the force of {} there, whose law is not known as exactly as that"
 _MAX_ROWS = 8000
 """Samples from which a force's size is taken: many times the number of parameters."""
-HELD_OUT = "held-out {what}, blocks in turn: one half confirms, the other measures the gain"
-SHARED = "60 % of the {what} train, 20 % confirm, 20 % measure the gain, in blocks that take turns"
+HELD_OUT = "the blocks of the held-out {what} alternate: half are validation data, half are test data"
+SHARED = "the blocks of the {what} alternate: 60 % training, 20 % validation and 20 % test data"
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,6 +349,14 @@ def build_extended_model(model: Model, fit: EvaluatedFit, effects: Sequence[Effe
     )
 
 
+def _with_finding_errors(model: Model, findings: Sequence[Finding]) -> Model:
+    """Return the model with its findings' standard errors, which count the settings' uncertainty: a parameter has one."""
+    own = {p.name: p.stderr for f in findings if f.status == "confirmed" for p in f.parameters}
+    return model.with_parameters(
+        Parameters(replace(p, stderr=own[p.name]) if own.get(p.name) else p for p in model.parameters)
+    )
+
+
 def get_fitted_parameters(fit: EvaluatedFit) -> Parameters:
     """Return a fit's parameters."""
     assert fit.estimate is not None  # only the nominal bar has none
@@ -418,6 +428,7 @@ def build_diagnosis(
     """
     before, after = bars.judgements[0], bars.judgements[-1]
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
+    extended = build_extended_model(model, after, [e for e in build_effects(claims.kept) if e.name in EFFECTS])
     return Diagnosis(
         verdict=answer.verdict,
         sentence=answer.sentence,
@@ -433,7 +444,7 @@ def build_diagnosis(
         limits=tuple(dict.fromkeys(answer.limits)),
         untestable=tuple(dict.fromkeys(answer.untestable)),
         model=build_extended_model(model, before, ()),
-        extended_model=build_extended_model(model, after, [e for e in build_effects(claims.kept) if e.name in EFFECTS]),
+        extended_model=_with_finding_errors(extended, answer.findings),
         traces=build_time_traces(channel, before, after),
         n_parts=measure_part_durations(channel),
         how=answer.how,

@@ -131,7 +131,9 @@ def format_sentence(effects: Sequence[Effect], parameters: Parameters, gain: Gai
         said.append(f"{where}: {effect.describe(parameters)}")
     text = "; ".join(said)
     if gain is not None:
-        text += f"; held-out error {format_reduction(gain.reduction_percent)}"
+        joints = list(dict.fromkeys(joint for effect in effects for joint in effect.joints))
+        whose = f" of {joints[0]}" if len(joints) == 1 else " of these joints" if joints else ""
+        text += f"; held-out error{whose} {format_reduction(gain.reduction_percent)}"
     return text + "."
 
 

@@ -144,10 +144,8 @@ def _explained(model: Model, found: Explanation, score: float) -> Finding:
         mass, *centre = parameters
         sentence = f"The robot carries {format_quantity(mass.value, 'kg', mass.stderr)}"
         if centre:
-            place = ", ".join(f"{c.value:.3f}" for c in centre)
-            errors = [c.stderr for c in centre if c.stderr is not None]
-            sentence += f" at ({place}) m" + (f", standard error of each {max(errors):.2g} m," if errors else "")
-            sentence += f" in the frame of {joint}"
+            place = ", ".join(f"{c.value:.3f}" + ("" if c.stderr is None else f" ± {c.stderr:.3f}") for c in centre)
+            sentence += f" at ({place}) m in the frame of {joint}"
         where = (found.place,)
         experiment = "record the same motion without the payload"
     elif found.cause == "link_mass":

@@ -40,7 +40,7 @@ class Backlash(JointwiseDisplacement):
     defaults = {"travel": 5e-5}
     setting_units = {"travel": "Q"}
     positive = ("travel",)
-    hidden = "forces show a play only within it, at the reversals, where no sign of the speed is sure"
+    hidden = "play shows in forces only at reversals, and those samples are left out because the sign of the speed is uncertain"
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return half the play's side: -1/2 or 1/2 once it is closed."""

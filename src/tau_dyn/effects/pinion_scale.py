@@ -31,7 +31,7 @@ class PinionScale(JointwiseDisplacement):
     # A pinion or belt pitch off by 1 % is a wrong part
     plausible = (PlausibleRange("pinion_scale", -0.01, 0.01),)
     quantities = (("pinion_scale", "1"),)
-    hidden = "forces see a scale of the positions as scaled masses, which the refit absorbs"
+    hidden = "a scale of the positions acts on forces as scaled masses do; the refit absorbs it"
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return the position."""

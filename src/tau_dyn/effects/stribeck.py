@@ -51,7 +51,7 @@ class Stribeck(JointwiseEffect):
         gone = format_quantity(
             3 ** (1 / self.settings["power"]) * self.settings["speed"], spell_unit("V", self.units[joint])
         )
-        return f"friction {format_amount(values['stribeck'])} higher at standstill than in motion, gone above {gone}"
+        return f"a Stribeck peak of {format_amount(values['stribeck'])}, of which 5 % are left at {gone}"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

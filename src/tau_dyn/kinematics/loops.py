@@ -7,7 +7,8 @@ actuated and passive columns,
 
 where `gamma` is the constraint's acceleration at zero joint acceleration. Closure is by Newton on the passive joints, started
 where `G` points from the last configuration; the inverse of `J_p` is kept while it converges well. The first configuration is
-reached by continuation from the robot's home, which selects the assembly mode. `constraints.py` has `c`, `J_c` and `gamma`.
+reached by continuation from the robot's home, which selects the assembly mode. `constraints.py` has `c`, `J_c` and `gamma`;
+`loop_arrays.py` closes many samples at once.
 Reference: Khalil & Dombre 2002, ch. 7; Featherstone 2008, ch. 8.
 """
 

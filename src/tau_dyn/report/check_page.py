@@ -39,7 +39,7 @@ def check_page(log: Log, checked: LogCheck, *, robot: Robot | None = None, comma
         _opening(log, checked, joints),
         _views(log, joints, units),
         robot=robot,
-        logs=[("log", log.name, log.sha256 or "not a file")],
+        logs=[("log", log.name, log.sha256 or "held in memory")],
         command_line=command_line,
         name=log.name,
         problems=[(f, _said(f, log)) for f in found if f.severity != "ok"],

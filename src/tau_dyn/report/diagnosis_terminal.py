@@ -118,16 +118,16 @@ def _uncertain(diagnosis: Diagnosis) -> list[tuple[str, list[str]]]:
     suspected = [f for f in diagnosis.findings if f.status == "suspected"]
     moved = [f for f in diagnosis.findings if f.status == "parameter"]
     twins = [
-        f"{said.format_title(f)} and {format_list(map(said.format_cause_name, f.indistinguishable_from))}"
-        + (f" ({f.experiment.rstrip('.')})" if f.experiment else "")
+        f"{said.format_title(f)} from {format_list(map(said.format_cause_name, f.indistinguishable_from))}"
+        + (f"; to separate them: {f.experiment.rstrip('.')}" if f.experiment else "")
         for f in diagnosis.findings
         if f.indistinguishable_from
     ]
     groups = [
         ("Suspected, not confirmed", [_suspicion(f) for f in suspected]),
-        ("Differs significantly from nominal", [said.end_sentence(f.sentence) for f in moved]),
+        ("Differs from the robot file", [_suspicion(f) for f in moved]),
         ("Unexplained", [said.describe_unexplained(u) for u in diagnosis.unexplained]),
-        ("Indistinguishable with these data", twins),
+        ("These data cannot separate", twins),
         ("Not detected; detection limit (95 % power)", _joined(said.list_limits(diagnosis.limits))),
         (
             "Not testable",

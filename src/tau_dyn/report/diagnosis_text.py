@@ -75,8 +75,8 @@ def describe_all_samples(diagnosis: Diagnosis) -> str:
     shares = diagnosis.baseline.used_shares
     each = format_list([f"{o} {format_percent(100 * x)}" for o, x in zip(diagnosis.outputs, shares, strict=True)], 7)
     return (
-        f"Over all samples, reversals and rests included, the residual of the refitted model is "
-        f"{format_percent(before.relative_error_percent)}{more}; the errors above use {each}."
+        f"These errors are over the used samples ({each}). Over all samples, reversals and rests included, the residual of the "
+        f"refitted model is {format_percent(before.relative_error_percent)}{more}."
     )
 
 
@@ -117,7 +117,7 @@ def format_p_value(p_value: float) -> str:
 def describe_gain(gain: Gain | None, unit: str = "") -> str:
     """Return what a cause is worth on data used for nothing else, with its interval."""
     if gain is None:
-        return "not measured"
+        return "not applicable: the refit absorbs the effect, so the error does not change"
     low, high = (format_number(x, 2) for x in gain.ci95)
     before, after = format_quantity(gain.rms_before, unit), format_quantity(gain.rms_after, unit)
     return f"{format_number(gain.reduction_percent, 2)} % less residual, 95 % interval [{low}, {high}] %; {before} → {after} rms"
@@ -128,7 +128,7 @@ def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
     if confirmation is None:
         return ""
     share, sigma = (100 * x for x in confirmation)
-    text = f"validation: {share:.0f} ± {max(sigma, 1.0):.0f} % of the predicted effect"
+    text = f"validation: {share:.0f} ± {max(sigma, 1.0):.0f} % of the effect predicted from the training data"
     return f"{text}, weaker than predicted" if share + 2 * sigma < 100 * FULL_EFFECT_SHARE else text
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import binom
 
 from tau_dyn.identify import Identification
 from tau_dyn.report.formatting import (
@@ -18,6 +19,7 @@ from tau_dyn.report.parameter_rows import ParameterRow
 from tau_dyn.report.residuals import ResidualSummary
 
 WELL, FAIR = 30.0, 200.0
+_BIASED_LEVEL = 0.01  # chance at which so few estimates of an unbiased fit lie within 2 standard errors
 MIN_REPORTED_CORRELATION = 0.9  # between two parameters; less leaves both readable
 
 
@@ -52,8 +54,8 @@ def describe_used_data(found: Identification) -> str:
     train, n = found.train, found.estimate.regression.n_samples
     text = f"The fit uses {format_percent(100 * train.used_share)} of the samples: {f'{n:,}'.replace(',', ' ')} force values."
     if train.all_samples is not None:
-        text += f" Over all samples, reversals included, its error is {format_percent(train.all_samples.relative_error_percent)}"
-        text += f" instead of {format_percent(train.relative_error_percent)}."
+        text += f" Training error: {format_percent(train.relative_error_percent)} of the used samples, "
+        text += f"{format_percent(train.all_samples.relative_error_percent)} of all."
     return text
 
 
@@ -94,14 +96,14 @@ def list_combinations(found: Identification) -> list[str]:
 
 
 def describe_truth_errors(rows: list[ParameterRow]) -> str:
-    """Return how the estimates compare with the true values of a simulation."""
+    """Return how the estimates compare with the true values of a simulation, by a binomial test of their coverage."""
     distances = [float(r.distance) for r in rows if r.distance]
     if not distances:
         return ""
     near = sum(d <= 2 for d in distances)
     text = f"{near} of {count(len(distances), 'estimate')} lie within 2 standard errors of the true value; "
     text += "95 % are expected."
-    if near < 0.8 * len(distances):
+    if binom.cdf(near, len(distances), 0.95) < _BIASED_LEVEL:
         text += " The model lacks a force that the simulated robot has; the estimates are biased."
     return text
 

@@ -115,7 +115,7 @@ def _hash(script: str) -> str:
 def list_logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return use, name and hash of each log that a model's provenance names."""
     pairs = (("training", provenance.get("trained_on", [])), ("held out", provenance.get("held_out", [])))
-    return [(use, row["path"], row["sha256"] or "not a file") for use, rows in pairs for row in rows]
+    return [(use, row["path"], row["sha256"] or "held in memory") for use, rows in pairs for row in rows]
 
 
 def _joints_drawn(robot: Robot) -> list[str]:

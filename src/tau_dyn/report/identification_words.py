@@ -67,7 +67,7 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
     if off:
         return UseRecommendation(
             "care",
-            f"Usable for force prediction; {format_list(off, 3)} differs from the true value by more than 3 standard errors.",
+            f"Usable for force prediction; more than 3 standard errors off the true value: {format_list(off, 3)}.",
         )
     if weak:
         return UseRecommendation(

@@ -150,12 +150,9 @@ def explain_unreliable(r: dict[str, Any]) -> str:
         return "at its bound"
     if r["determined"]:
         return ""
-    relative = 100 * r["stderr"] / max(abs(r["value"]), 1e-300)
-    return (
-        f"poorly determined: standard error {format_percent(relative)}"
-        if relative < 100
-        else "not significantly different from zero"
-    )
+    if r["ci95"][0] <= 0 <= r["ci95"][1]:
+        return "not significantly different from zero"
+    return f"poorly determined: standard error {format_percent(100 * r['stderr'] / abs(r['value']))}"
 
 
 def _unseen(r: dict[str, Any]) -> str:

@@ -55,9 +55,9 @@ def say_opening(console: Console, summary: str, headline: str, level: str, sente
 
 
 def say_written(console: Console, written: Mapping[str, str] | None) -> None:
-    """Print, as the last line, what was written and where; nothing where nothing was."""
+    """Print, as the last lines, what was written and where; nothing where nothing was."""
     if written:
-        say(console, "   ".join(f"{what} → {path}" for what, path in written.items()))
+        say(console, "\n".join(f"{what} → {path}" for what, path in written.items()))
 
 
 def put(console: Console, what: Text | Table) -> None:

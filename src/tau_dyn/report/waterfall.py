@@ -98,14 +98,16 @@ class OutputScale:
 
     def total(self, errors: OutputErrors) -> tuple[float, float, float]:
         """Return the error over all outputs and its 95 % interval [%]."""
+        error, (low, high) = errors.relative_error_percent, errors.relative_ci95
+        if np.isfinite(low):
+            return error, low, high
         n = np.where(self.count > 0, self.count, 0.0) if self.count.any() else np.ones(len(errors.rms))
         squares = n * errors.rms**2
         whole = float(squares.sum())
         if not whole > 0:
-            return errors.relative_error_percent, errors.relative_error_percent, errors.relative_error_percent
+            return error, error, error
         ends = n[:, None] * errors.ci95**2
         below, above = np.sqrt(np.sum((ends - squares[:, None]) ** 2, axis=0))
-        error = errors.relative_error_percent
         return error, error * float(np.sqrt(max(0.0, 1 - below / whole))), error * float(np.sqrt(1 + above / whole))
 
 
@@ -165,7 +167,7 @@ def _said(step: str, finding: Finding | None, findings: tuple[Finding, ...]) -> 
     if step == "refitted":
         return "refitted", ("masses and friction",), "start"
     if step == "noise_floor":
-        return "noise floor", ("no model of these variables gets below",), "floor"
+        return "noise floor", ("estimated error without any model error",), "floor"
     if finding is None:
         return f"+ {step}", (), "cause"
     several = sum(f.cause == finding.cause for f in findings) > 1

@@ -74,7 +74,7 @@ def scale_to_limits(model: Model, build: Callable[[float], Trajectory], name: st
 
 
 def _noted(motion: Trajectory, share: float, broken: str) -> Trajectory:
-    note = f"the {motion.name} motion was scaled to {100 * share:.0f} % about home, because {broken}"
+    note = f"the {motion.name} motion was reduced to {100 * share:.0f} % of its amplitude about home: {broken}"
     return replace(motion, notes=(*motion.notes, note))
 
 
