@@ -9,15 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from raising import raises_code
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import Spec, family_at, measured, rods_of, spoiled
 
 from tau_dyn.calibrate import calibrate, causes, read_poses
 from tau_dyn.calibrate.candidates import Options, fit_and_cross_validate
-from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain
 from tau_dyn.calibrate.families import get_family
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
+from tau_dyn.calibrate.measurement_noise import MeasurementNoise, estimate_measurement_noise
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.saved import load_calibration, save_calibration
 from tau_dyn.calibrate.sensitivity import compute_sensitivities
@@ -25,6 +27,7 @@ from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.forward import forward_kinematics
+from tau_dyn.report.calibration_words import describe_verdict
 from tau_dyn.robot import load_robot
 
 
@@ -42,7 +45,7 @@ def worn():
         cart2__error_sin=8e-5,
     )
     poses.position[17] += 0.02
-    return rods, poses, calibrate(rods.robot, poses), theta
+    return rods, poses, calibrate(rods.robot, poses, accuracy=(1e-5,)), theta
 
 
 def test_auto_finds_what_is_wrong_and_nothing_else(worn):
@@ -82,6 +85,103 @@ def test_predicted_accuracy_is_what_unseen_poses_show(worn):
     """Noise and the parameters' uncertainty foretell the error at held-out poses within a fifth."""
     _, _, found, _ = worn
     assert found.errors(found.chosen).position_size.rms == pytest.approx(found.predicted_error(), rel=0.2)
+
+
+def test_without_a_stated_accuracy_nothing_judges_the_error(worn):
+    """What a fit leaves is no measure of the device; the answer says that it is unknown, not that all is well."""
+    _, _, found, _ = worn
+    assert describe_verdict(found).level == "good"
+    unknown = replace(found, measured=MeasurementNoise("unknown"))
+    said = describe_verdict(unknown)
+    assert unknown.predicted_error() is None and unknown.to_dict()["predicted_rms"] is None
+    assert said.level == "care" and "--accuracy" in said.sentence
+    finer = replace(found, measured=MeasurementNoise("stated", 2e-6))
+    assert "lacks an effect" in describe_verdict(finer).sentence
+
+
+def test_an_error_of_millimetres_is_not_usable():
+    """Two campaigns whose device moved by 40 mm, read as one, leave centimetres: the answer says not to use it."""
+    rods = rods_of()
+    poses, _ = measured(rods, "frames", 60, 8, size=0.0)
+    poses.position[30:] += (0.04, 0.0, 0.0)
+    found = calibrate(rods.robot, poses, model="frames", accuracy=(1e-5,))
+    assert describe_verdict(found).level == "poor"
+
+
+def test_repeated_poses_tell_the_noise():
+    """Six joints' positions measured five times each: 24 differences give 10 um and 20 urad within a third."""
+    rods = rods_of("gantry_tau_f1")
+    rng = np.random.default_rng(2)
+    geometry = family_at(rods).build(family_at(rods).spec("frames"))
+    q = np.repeat(rods.robot.home + 0.3 * (2 * rng.random((6, 6)) - 1), 5, axis=0)
+    poses = simulate_poses(geometry, geometry.parameters.values, q, rng)
+    found = estimate_measurement_noise(poses)
+    assert found.source == "repeats"
+    assert found.position == pytest.approx(1e-5, rel=0.33) and found.orientation == pytest.approx(2e-5, rel=0.33)
+    assert estimate_measurement_noise(poses.take(np.arange(0, 30, 5))).source == "unknown"
+
+
+def test_a_target_that_turned_between_campaigns_is_named():
+    """The target turns by 0.3 mrad and stays in place: only orientations show it, and they decide."""
+    rods = rods_of("gantry_tau_f1")
+    rng = np.random.default_rng(4)
+    geometry = family_at(rods).build(family_at(rods).spec("frames"))
+    old = TRACKER.tool[0]
+    turn = Rotation.from_rotvec([3e-4, 0.0, 0.0]).as_matrix()
+    frames = DeviceFrames(TRACKER.device, (old, Frame(old.rotation @ turn, old.translation)))
+    q = rods.robot.home + 0.3 * (2 * rng.random((80, 6)) - 1)
+    campaign = np.repeat([0, 1], 40)
+    poses = simulate_poses(geometry, geometry.parameters.values, q, rng, frames=frames, campaign=campaign)
+    found = calibrate(rods.robot, poses)
+    (finding,) = found.findings
+    assert found.chosen.name == "frames+tool_frame" and finding.cause == "tool_frame" and finding.status == "confirmed"
+    assert finding.gain.orientation_after is not None and finding.gain.orientation_before is not None
+    assert finding.gain.orientation_after < 0.6 * finding.gain.orientation_before
+
+
+def test_stated_standard_errors_weigh_the_poses(tmp_path):
+    """Half of the poses are stated, and are, 500 times worse: the dimensions come out as from the good half alone."""
+    rods = rods_of()
+    poses, theta = measured(rods, "nonparallel", 120, 6)
+    rng = np.random.default_rng(0)
+    stated = np.full((120, 3), 1e-5)
+    stated[::2] = 5e-3
+    poses.position[::2] += 5e-3 * rng.standard_normal((60, 3))
+    path = tmp_path / "poses.csv"
+    header, *rows = format_csv(poses, rods.robot.actuated).splitlines()
+    more = (f"{row},{e[0]:g},{e[1]:g},{e[2]:g}" for row, e in zip(rows, stated, strict=True))
+    path.write_text("\n".join([header + ",x_tool_stderr,y_tool_stderr,z_tool_stderr", *more]) + "\n")
+    read = read_poses(path, rods.robot.actuated)
+    found = calibrate(rods.robot, read, model="nonparallel")
+    good = calibrate(rods.robot, read.take(np.arange(1, 120, 2)), model="nonparallel")
+    q = rods.robot.home + 0.3 * (2 * rng.random((50, 3)) - 1)
+    truth = found.fit.geometry.forward(theta, q).poses.position
+
+    def off(fitted):
+        device = fitted.frames.device[0]
+        seen = fitted.frames.measured(fitted.geometry.forward(fitted.theta, q).poses, np.zeros(50, int)).position
+        true_seen = TRACKER.device[0].translation + truth @ TRACKER.device[0].rotation.T
+        return float(
+            np.sqrt(np.mean(np.sum((seen - true_seen - (seen - true_seen).mean(axis=0)) ** 2, axis=1)))
+        ), device
+
+    assert off(found.fit)[0] < 2 * off(good.fit)[0] < 1e-4
+    assert found.measured.source == "columns" and not [w for w in found.warnings if "outlier" in w]
+
+
+@pytest.mark.parametrize(("ci95", "status"), [((5.0, 9.0), "confirmed"), ((-9.0, -2.0), "suspected")])
+def test_what_held_out_poses_contradict_is_not_confirmed(monkeypatch, ci95, status: str):
+    """Signed ranks may favour a cause whose squared errors grow at held-out poses: it is suspected only."""
+    rods = rods_of()
+    poses, _ = measured(rods, "nonparallel", 60, 5)
+    family, options = family_at(rods), Options()
+    chosen = fit_and_cross_validate(family, family.spec("nonparallel"), poses, options)
+    by_folds = CrossValidationGain(2e-5, 1e-5, 50.0, (40.0, 60.0), 1e-9)
+    held = CrossValidationGain(8.1e-5, 10.6e-5, ci95[0], ci95, 1e-3)
+    answers = iter([by_folds, held] * 20)
+    monkeypatch.setattr(causes, "compare_paired", lambda *_: next(answers))
+    found = causes.find_causes(family, chosen, poses, options)
+    assert found and {f.status for f in found} == {status}
 
 
 def test_saved_model_predicts_as_before(worn, tmp_path):
@@ -136,7 +236,7 @@ def test_models_without_a_cause_keep_what_the_user_fixed(monkeypatch):
     chosen = fit_and_cross_validate(family, family.spec("nonparallel"), poses, options)
     smaller = []
     monkeypatch.setattr(causes, "cross_validate", lambda fitted, seed: smaller.append(fitted) or chosen.unseen)
-    causes.find_causes(family, chosen, None, options, ORIENTATION_LEVER_M)
+    causes.find_causes(family, chosen, None, options)
     free = [dict(zip(f.unknowns.names, f.unknowns.free.tolist(), strict=True)) for f in smaller]
     assert any("arm1.length" in row and any(row.values()) for row in free)
     assert not any(row.get("arm1.length", False) for row in free)

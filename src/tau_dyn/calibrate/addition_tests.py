@@ -64,8 +64,7 @@ class _ProjectedResidual:
 
     def __init__(self, fitted: GeometryFit) -> None:
         self.fitted = fitted
-        blocks = (3, 3) if fitted.residuals.shape[1] == 6 else (3,)
-        self.sigma = np.concatenate([np.full(n, s) for n, s in zip(blocks, fitted.noise, strict=True)])
+        self.sigma = fitted.sigma
         self.q = np.linalg.qr(fitted.columns.reshape(-1, fitted.columns.shape[2]))[0]
         flat = np.where(fitted.state.ok[:, None], fitted.residuals / self.sigma, 0.0).ravel()
         self.r = self.free(flat)
@@ -79,7 +78,7 @@ class _ProjectedResidual:
     def twists(self, base: np.ndarray) -> np.ndarray:
         """Return whitened rows (N m, k) of tool twists (N, 6, k) in the robot's base frame."""
         moved = self.fitted.frames.carried(self.fitted.state.base, base, self.fitted.poses.campaign)
-        return (moved[:, : len(self.sigma)] / self.sigma[None, :, None]).reshape(len(self.q), -1)
+        return (moved[:, : self.sigma.shape[1]] / self.sigma[:, :, None]).reshape(len(self.q), -1)
 
     def judged(self, gain: float, k: int, tries: int = 1) -> tuple[float, float]:
         """Return the p-value and the share of a reduction by `k` columns."""

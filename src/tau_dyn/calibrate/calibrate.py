@@ -18,10 +18,11 @@ from tau_dyn.calibrate.candidates import (
     fit_spec,
 )
 from tau_dyn.calibrate.causes import find_causes
-from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M, compare_paired
+from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.families import Family, get_family
 from tau_dyn.calibrate.frames import align
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.measurement_noise import estimate_measurement_noise
 from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.outliers import describe_outliers, find_outliers
@@ -54,6 +55,7 @@ def calibrate(
     robust: str = "none",
     device: bool = True,
     tool: bool = True,
+    accuracy: tuple[float, ...] = (),
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
@@ -70,6 +72,8 @@ def calibrate(
         robust: Weights against bad poses: `none`, `huber` or `biweight`; gross outliers are left out in any case.
         device: Whether the measuring device's frame is unknown.
         tool: Whether the target's place on the tool is unknown.
+        accuracy: Standard errors of a measured coordinate [m] and perhaps of an orientation about an axis [rad], against which
+            the held-out error is judged; by default from the poses' columns of standard errors, or from repeated poses.
         seed: Of folds, splits and bootstrap.
         progress: Told what is being done.
 
@@ -79,6 +83,7 @@ def calibrate(
     """
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed)
     poses, warnings = drop_duplicate_poses(poses)
+    measured = estimate_measurement_noise(poses, accuracy)
     if holdout is not None:
         holdout = _same_campaigns(poses, holdout)
     family = get_family(robot, poses)
@@ -92,10 +97,19 @@ def calibrate(
     family = get_family(robot, poses)
     taken, steps, more = _models(family, poses, model, options, progress)
     progress("looking for causes")
-    findings = find_causes(family, taken[-1], holdout, options, ORIENTATION_LEVER_M)
+    findings = find_causes(family, taken[-1], holdout, options)
     sentences = (*poses.warnings, *warnings, *named, *more, *_doubts(taken[-1].fit))
     return Calibration(
-        robot, poses, holdout, split, tuple(taken), tuple(steps), findings, tuple(dict.fromkeys(sentences)), seed
+        robot,
+        poses,
+        holdout,
+        split,
+        tuple(taken),
+        tuple(steps),
+        findings,
+        tuple(dict.fromkeys(sentences)),
+        seed,
+        measured,
     )
 
 
@@ -111,7 +125,7 @@ def _models(
     asked = fit_and_cross_validate(family, spec, poses, options, periods=periods)
     if asked.spec == nominal.spec or asked.name == nominal.name:
         return [asked], [], ()
-    gain = compare_paired(nominal.unseen, asked.unseen, ORIENTATION_LEVER_M, options.seed)
+    gain = compare_paired(nominal.unseen, asked.unseen, options.seed)
     return [nominal, asked], [SelectionStep(asked.name, nominal.name, gain, True)], ()
 
 

@@ -42,6 +42,7 @@ EQUATIONS = {
 }
 """Causes and their equations; names are the contract's."""
 
+_LEVEL = 0.05  # significance at which held-out poses agree with a cause that cross-validation found at 1 %
 _OF_ADDITION = {
     "periodic": "transmission_error",
     "periodic2": "transmission_error",
@@ -78,7 +79,7 @@ class CalibrationFinding:
     Attributes:
         cause: The contract's name.
         joints: Where, for causes that have places.
-        status: `confirmed` where held-out poses agree, else `suspected`.
+        status: `confirmed` where the weighted error at held-out poses falls, its interval above zero; else `suspected`.
         gain: On held-out poses, or by cross-validation where there are none.
         parameters: Names of its parameters.
         equation: What it does.
@@ -111,22 +112,22 @@ class CalibrationFinding:
 
 
 def find_causes(
-    family: Family, chosen: CandidateModel, holdout: PoseSet | None, options: Options, lever: float
+    family: Family, chosen: CandidateModel, holdout: PoseSet | None, options: Options
 ) -> tuple[CalibrationFinding, ...]:
     """Return the causes in a chosen model, costliest first."""
     findings = []
     for cause, joints, geometry, spec in _leave_out_causes(family, chosen):
         try:
             smaller = _fitted(chosen, geometry, spec, options)
-            by_folds = compare_paired(cross_validate(smaller, options.seed), chosen.unseen, lever, options.seed)
+            by_folds = compare_paired(cross_validate(smaller, options.seed), chosen.unseen, options.seed)
         except (InputError, CannotAnswer):
             continue
         if not by_folds.is_significant:
             continue
         gain, agrees = by_folds, False
         if holdout is not None:
-            gain = compare_paired(_held(smaller, holdout), _held(chosen.fit, holdout), lever, options.seed)
-            agrees = gain.p_value < 0.05
+            gain = compare_paired(_held(smaller, holdout), _held(chosen.fit, holdout), options.seed)
+            agrees = gain.p_value < _LEVEL and gain.ci95[0] > 0
         names = _parameters(cause, joints, chosen.fit)
         findings.append(
             CalibrationFinding(cause, joints, "confirmed" if agrees else "suspected", gain, names, EQUATIONS[cause])
@@ -178,7 +179,7 @@ def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Opt
 
 
 def _held(fitted: GeometryFit, holdout: PoseSet) -> HeldOutErrors:
-    return summarise_held_out_errors(fitted.errors(holdout), oriented=fitted.geometry.orients)
+    return summarise_held_out_errors(fitted.errors(holdout), holdout, oriented=fitted.geometry.orients)
 
 
 def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tuple[str, ...]:

@@ -11,14 +11,13 @@ from scipy import stats
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.levenberg_marquardt import LevenbergMarquardt
 from tau_dyn.calibrate.pose_errors import PoseErrors
+from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.residuals import FitState, Problem
 
 FOLDS = 5  # a common choice between bias and variance (Hastie et al. 2009, section 7.10)
-ORIENTATION_LEVER_M = 0.3
-"""Length [m] at which an orientation error counts beside a position error when models are compared."""
 _DRAWS = 1000  # bootstrap draws of an interval; its ends vary by a few per cent of its width
 _SIGNIFICANCE_LEVEL = 0.01  # of the paired comparison by which a larger model is chosen
-_MIN_RELATIVE_GAIN = 0.02  # share of the rms error that a larger model must take away
+_MIN_RELATIVE_GAIN = 0.02  # share of the weighted rms error that a larger model must take away
 
 
 class CrossValidationGain(NamedTuple):
@@ -27,9 +26,11 @@ class CrossValidationGain(NamedTuple):
     Attributes:
         before: Rms position error of the smaller model [m].
         after: Of the larger one [m].
-        percent: Reduction [%].
+        percent: Reduction of the weighted error, position and orientation each in units of the larger model's [%].
         ci95: Its interval, by bootstrap over poses [%].
         p_value: Chance of so much gain where there is none (Wilcoxon's signed ranks, one-sided).
+        orientation_before: Rms orientation error of the smaller model [rad], None where orientation is not predicted.
+        orientation_after: Of the larger one.
     """
 
     before: float
@@ -37,6 +38,8 @@ class CrossValidationGain(NamedTuple):
     percent: float
     ci95: tuple[float, float]
     p_value: float
+    orientation_before: float | None = None
+    orientation_after: float | None = None
 
     @property
     def is_significant(self) -> bool:
@@ -48,6 +51,8 @@ class CrossValidationGain(NamedTuple):
         return {
             "rms_before": self.before,
             "rms_after": self.after,
+            "orientation_rms_before": self.orientation_before,
+            "orientation_rms_after": self.orientation_after,
             "reduction_percent": self.percent,
             "ci95": list(self.ci95),
             "p_value": self.p_value,
@@ -61,23 +66,50 @@ class HeldOutErrors:
     Attributes:
         position: (N, 3) [m].
         rotation: (N, 3) [rad], None where orientation is not predicted.
+        relative: Stated standard errors of the measurements over their median (N, 6), None where none are stated.
     """
 
     position: np.ndarray
     rotation: np.ndarray | None
+    relative: np.ndarray | None = None
 
-    def score(self, lever: float) -> np.ndarray:
-        """Return squared errors (N,) [m^2], orientation counted at a lever [m]; a pose without prediction counts as the worst."""
-        out = np.sum(self.position**2, axis=1)
-        if self.rotation is not None and lever > 0:
-            out = out + lever**2 * np.sum(self.rotation**2, axis=1)
-        worst = np.nanmax(out) if np.isfinite(out).any() else 1.0
-        return np.where(np.isfinite(out), out, worst)
+    def noise(self) -> tuple[float, float]:
+        """Return the rms of a coordinate [m] and of an angle [rad] (1 where there is none), at the median stated error."""
+        return _rms(self._weighted(0)) or 1.0, _rms(self._weighted(1)) or 1.0
+
+    def score(self, noise: tuple[float, float]) -> np.ndarray:
+        """Return squared errors (N,) in units of the noise [m, rad]; a pose without prediction counts as the worst."""
+        parts = [np.sum((self._weighted(k) / noise[k]) ** 2, axis=1) for k in (0, 1)]
+        return _with_worst(parts[0] + parts[1])
+
+    def squared_distance(self) -> np.ndarray:
+        """Return squared position errors (N,) [m^2]; a pose without prediction counts as the worst."""
+        return _with_worst(np.sum(self.position**2, axis=1))
+
+    def _weighted(self, block: int) -> np.ndarray:
+        errors = (self.position, self.rotation)[block]
+        if errors is None:
+            return np.zeros_like(self.position)
+        return errors if self.relative is None else errors / self.relative[:, 3 * block : 3 * block + 3]
 
     @property
     def rms(self) -> float:
         """Root mean square of the position errors [m]."""
         return float(np.sqrt(np.nanmean(np.sum(self.position**2, axis=1))))
+
+    @property
+    def orientation_rms(self) -> float | None:
+        """Root mean square of the orientation errors [rad], None where orientation is not predicted."""
+        return None if self.rotation is None else float(np.sqrt(np.nanmean(np.sum(self.rotation**2, axis=1))))
+
+
+def _rms(errors: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(errors**2)))
+
+
+def _with_worst(squares: np.ndarray) -> np.ndarray:
+    worst = np.nanmax(squares) if np.isfinite(squares).any() else 1.0
+    return np.where(np.isfinite(squares), squares, worst)
 
 
 def split_folds(n: int, seed: int, many: int = FOLDS) -> list[np.ndarray]:
@@ -97,7 +129,7 @@ def cross_validate(fitted: GeometryFit, seed: int = 0) -> HeldOutErrors:
         position[part] = errors.position
         if rotation is not None and errors.rotation is not None:
             rotation[part] = errors.rotation
-    return HeldOutErrors(position, rotation)
+    return HeldOutErrors(position, rotation, poses.relative_errors(6))
 
 
 def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
@@ -113,30 +145,35 @@ def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
     return replace(fitted, poses=poses, state=state)
 
 
-def summarise_held_out_errors(errors: PoseErrors, *, oriented: bool) -> HeldOutErrors:
+def summarise_held_out_errors(errors: PoseErrors, poses: PoseSet, *, oriented: bool) -> HeldOutErrors:
     """Return the errors at held-out poses as `HeldOutErrors`."""
-    return HeldOutErrors(errors.position, errors.rotation if oriented else None)
+    return HeldOutErrors(errors.position, errors.rotation if oriented else None, poses.relative_errors(6))
 
 
-def compare_paired(small: HeldOutErrors, large: HeldOutErrors, lever: float, seed: int = 0) -> CrossValidationGain:
-    """Return what a larger model gains over a smaller one on the same poses."""
-    a, b = small.score(lever), large.score(lever)
+def compare_paired(small: HeldOutErrors, large: HeldOutErrors, seed: int = 0) -> CrossValidationGain:
+    """Return what a larger model gains over a smaller one on the same poses.
+
+    Position and orientation count as in a Gaussian likelihood: each in units of what the larger model leaves of it.
+    """
+    noise = large.noise()
+    a, b = small.score(noise), large.score(noise)
     difference = a - b
     p = 1.0
     if np.any(difference != 0):  # signed ranks: a few poses near a singularity do not decide
         p = float(stats.wilcoxon(difference, alternative="greater").pvalue)  # type: ignore[union-attr]
-    rng = np.random.default_rng(seed)
-    draws = rng.integers(0, len(a), (_DRAWS, len(a)))
-    pa, pb = small.score(0.0), large.score(0.0)
-    ratio = 100 * (1 - np.sqrt(pb[draws].sum(axis=1) / np.maximum(pa[draws].sum(axis=1), 1e-300)))
+    draws = np.random.default_rng(seed).integers(0, len(a), (_DRAWS, len(a)))
+    ratio = 100 * (1 - np.sqrt(b[draws].sum(axis=1) / np.maximum(a[draws].sum(axis=1), 1e-300)))
     low, high = np.percentile(ratio, [2.5, 97.5])
-    before, after = float(np.sqrt(pa.mean())), float(np.sqrt(pb.mean()))
-    return CrossValidationGain(before, after, 100 * (1 - after / max(before, 1e-300)), (float(low), float(high)), p)
+    percent = 100 * (1 - float(np.sqrt(b.sum() / max(float(a.sum()), 1e-300))))
+    before, after = (float(np.sqrt(x.squared_distance().mean())) for x in (small, large))
+    return CrossValidationGain(
+        before, after, percent, (float(low), float(high)), p, small.orientation_rms, large.orientation_rms
+    )
 
 
 def compute_rms_interval(unseen: HeldOutErrors, seed: int = 0) -> tuple[float, float]:
     """Return the 95 % interval of the rms position error [m], by bootstrap over poses."""
-    squares = unseen.score(0.0)
+    squares = unseen.squared_distance()
     draws = np.random.default_rng(seed).integers(0, len(squares), (_DRAWS, len(squares)))
     low, high = np.percentile(np.sqrt(squares[draws].mean(axis=1)), [2.5, 97.5])
     return float(low), float(high)

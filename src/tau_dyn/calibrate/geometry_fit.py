@@ -36,7 +36,7 @@ class GeometryFit:
             identifiable.
         residuals: (N, m), as the kind says.
         kind: Of the residuals.
-        noise: Standard deviation of each block of residuals [m, rad].
+        noise: Standard deviation of each block of residuals [m, rad], at poses of the median stated standard error.
         weights: Of the poses (N,).
         identifiability: What could be told.
         columns: Whitened derivatives of the kept unknowns (N, m, r), for predictions and cross-validation.
@@ -92,6 +92,13 @@ class GeometryFit:
                 )
             )
         return Parameters(rows)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of every residual (N, m) by the estimated noise and the poses' stated standard errors."""
+        m = self.residuals.shape[1]
+        relative = self.poses.relative_errors(m) if self.kind == "forward" else np.ones((self.poses.n, m))
+        return relative * np.repeat(self.noise, m // len(self.noise))
 
     def interval(self, parameter: Parameter, share: float = 0.95) -> tuple[float, float] | None:
         """Return a parameter's interval (Student's t), None where it was not estimated."""

@@ -1,8 +1,9 @@
 r"""Gauss-Newton with Levenberg's damping on the manifold of all unknowns, in rounds that settle noise and weights.
 
-    minimise  sum_k w_k |r_k / sigma|^2 + sum_i ((theta_i - nominal_i) / scale_i)^2
+    minimise  sum_k w_k |r_k / (e_k sigma)|^2 + sum_i ((theta_i - nominal_i) / scale_i)^2
 
-The second sum says that a robot is built to its drawing within `scale` (10 mm, 10 mrad): it decides nothing that
+`e_k` are stated standard errors over their median, one where none are stated. The second sum says that a robot is built to its
+drawing within `scale` (10 mm, 10 mrad): it decides nothing that
 poses can tell, and keeps combinations that they hardly see from running away; a 3-DOF Gantry-Tau sees a rod shifted
 parallel to itself only through the plate's tiny rotations. The noise `sigma` of each block (position, orientation) is
 the block's sum of squares by what the parameters leave of it, `n_b - trace(H_b)`, `H` the hat matrix. Reference:
@@ -203,7 +204,7 @@ class LevenbergMarquardt:
     def _first_noise(self, state: FitState) -> tuple[float, ...]:
         if self.given is not None:
             return self.given
-        r = self.problem.residuals(state)[state.ok]
+        r = (self.problem.residuals(state) / self.problem.relative)[state.ok]
         return tuple(max(float(np.sqrt(np.mean(r[:, cut] ** 2))), 1e-9) for cut in self._cuts())
 
     def _noise(self, state: FitState, noise: tuple[float, ...]) -> tuple[float, ...]:
@@ -230,7 +231,8 @@ class LevenbergMarquardt:
         return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
     def _sigma(self, noise: tuple[float, ...]) -> np.ndarray:
-        return np.concatenate([np.full(n, s) for n, s in zip(self.problem.blocks, noise, strict=True)])
+        """Return the noise of every residual (N, m), as stated standard errors weigh the poses."""
+        return self.problem.relative * np.repeat(noise, self.problem.blocks)
 
     def _whitened(self, state: FitState, noise: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
@@ -243,7 +245,7 @@ class LevenbergMarquardt:
 
     def _columns(self, state: FitState, noise: tuple[float, ...], w: np.ndarray) -> np.ndarray:
         columns = self.problem.columns(state)[:, :, self.free]
-        columns = columns / self._sigma(noise)[None, :, None] * np.sqrt(w)[:, None, None]
+        columns = columns / self._sigma(noise)[:, :, None] * np.sqrt(w)[:, None, None]
         return np.where(state.ok[:, None, None], columns, 0.0)
 
 

@@ -6,11 +6,11 @@ paired test over poses. Held-out poses take no part in it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from tau_dyn.calibrate.addition_tests import screen_additions
 from tau_dyn.calibrate.candidates import CandidateModel, Options, SelectionStep, fit_and_cross_validate
-from tau_dyn.calibrate.crossvalidation import ORIENTATION_LEVER_M, compare_paired
+from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.families import Family
 from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
@@ -52,13 +52,35 @@ def _structures(
             warnings.append(str(fault))
             break
         if taken:
-            gain = compare_paired(taken[-1].unseen, candidate.unseen, ORIENTATION_LEVER_M, options.seed)
+            gain = compare_paired(taken[-1].unseen, candidate.unseen, options.seed)
             steps.append(SelectionStep(candidate.name, taken[-1].name, gain, gain.is_significant))
             if not gain.is_significant:
                 continue
+        if moved and set(candidate.spec.additions) > set(moved) and candidate.spec.structure == family.structures[0]:
+            candidate = _drop_earlier_frame(family, poses, options, taken, steps, candidate, moved)
         moved = candidate.spec.additions
         taken.append(candidate)
     return taken, steps, tuple(warnings)
+
+
+def _drop_earlier_frame(
+    family: Family,
+    poses: PoseSet,
+    options: Options,
+    taken: list[CandidateModel],
+    steps: list[SelectionStep],
+    both: CandidateModel,
+    earlier: Mapping[str, tuple[str, ...]],
+) -> CandidateModel:
+    """Return the model with the later frame alone where the earlier one, taken in its place, adds nothing beside it."""
+    alone = Spec(both.spec.structure, {a: own for a, own in both.spec.additions.items() if a not in earlier})
+    candidate = fit_and_cross_validate(family, alone, poses, options)
+    gain = compare_paired(candidate.unseen, both.unseen, options.seed)
+    steps.append(SelectionStep(both.name, candidate.name, gain, gain.is_significant))
+    if gain.is_significant:
+        return both
+    taken.pop()
+    return candidate
 
 
 def _list_structures(family: Family) -> list[Spec]:
@@ -93,7 +115,7 @@ def _additions(
             except (InputError, CannotAnswer):
                 refused.add((hint.addition, hint.joints))
                 continue
-            gain = compare_paired(now.unseen, candidate.unseen, ORIENTATION_LEVER_M, options.seed)
+            gain = compare_paired(now.unseen, candidate.unseen, options.seed)
             steps.append(SelectionStep(candidate.name, now.name, gain, gain.is_significant))
             if gain.is_significant:
                 taken.append(candidate)

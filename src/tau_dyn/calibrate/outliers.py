@@ -19,9 +19,8 @@ def find_outliers(fitted: GeometryFit) -> np.ndarray:
         fitted: A fit with robust weights.
     """
     m = fitted.residuals.shape[1]
-    sigma = np.repeat(fitted.noise, m // len(fitted.noise))
     with np.errstate(invalid="ignore"):
-        distance = np.linalg.norm(fitted.residuals / sigma, axis=1)
+        distance = np.linalg.norm(fitted.residuals / fitted.sigma, axis=1)
     good = float(np.sqrt(stats.chi2.ppf(0.99, m)))
     crowd = float(np.nanpercentile(distance, 90))
     return np.flatnonzero(~(distance < max(_TIMES * good, 5 * crowd)))

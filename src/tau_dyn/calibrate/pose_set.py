@@ -15,6 +15,8 @@ from tau_dyn.log.column_names import format_names
 from tau_dyn.log.table import Table, read_table
 
 POSITION = ("x_tool", "y_tool", "z_tool")
+STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")
+ROTATION_STDERR = "rot_tool_stderr"
 QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
 _MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
 
@@ -31,6 +33,8 @@ class PoseSet:
         campaign: Which measuring campaign each pose belongs to (N,), from 0; frames may have moved in between.
         campaigns: Names of the campaigns.
         approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
+        position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
+        rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
         source: File, for messages.
         sha256: Hash of the file, '' where there is none.
         warnings: What was doubtful.
@@ -43,6 +47,8 @@ class PoseSet:
     campaign: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     campaigns: tuple[str, ...] = ("1",)
     approach: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    position_stderr: np.ndarray | None = None
+    rotation_stderr: np.ndarray | None = None
     source: str = "poses"
     sha256: str = ""
     warnings: tuple[str, ...] = ()
@@ -91,7 +97,18 @@ class PoseSet:
             names=tuple(self.names[k] for k in index),
             campaign=self.campaign[index],
             approach=self.approach[index],
+            position_stderr=None if self.position_stderr is None else self.position_stderr[index],
+            rotation_stderr=None if self.rotation_stderr is None else self.rotation_stderr[index],
         )
+
+    def relative_errors(self, m: int) -> np.ndarray:
+        """Return stated standard errors (N, m) over their median, position before orientation; ones where none are stated."""
+        out = np.ones((self.n, m))
+        if self.position_stderr is not None:
+            out[:, :3] = self.position_stderr / np.median(self.position_stderr)
+        if self.rotation_stderr is not None and m > 3:
+            out[:, 3:] = (self.rotation_stderr / np.median(self.rotation_stderr))[:, None]
+        return out
 
     def without_rotation(self) -> PoseSet:
         """Return the positions alone."""
@@ -123,15 +140,24 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
         campaign=np.concatenate(numbers),
         campaigns=names,
         approach=np.concatenate([s.approach for s in sets]),
+        position_stderr=_join_stated([s.position_stderr for s in sets]),
+        rotation_stderr=_join_stated([s.rotation_stderr for s in sets]),
         source=", ".join(s.source for s in sets),
         warnings=tuple(w for s in sets for w in s.warnings),
     )
 
 
+def _join_stated(parts: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    """Return the standard errors of several files; None unless all state them."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
+
+
 def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
-    A column `campaign` tells measuring campaigns apart; the signs of `v_J` tell from which side a joint came, and
+    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses. A column
+    `campaign` tells measuring campaigns apart; the signs of `v_J` tell from which side a joint came, and
     without them the order of the file does.
 
     Args:
@@ -155,6 +181,8 @@ def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
         campaign=campaign,
         campaigns=campaigns,
         approach=_approach(table, actuated, q),
+        position_stderr=_stated(table, STDERRS),
+        rotation_stderr=None if (turned := _stated(table, (ROTATION_STDERR,))) is None else turned[:, 0],
         source=table.name,
         sha256=table.sha256,
         warnings=table.warnings,
@@ -178,6 +206,27 @@ def _check_columns(table: Table, actuated: Sequence[str]) -> None:
             "file_format",
             f"{table.name} has {format_names(some)} but not {format_names(lacking)}; a quaternion needs all four",
         )
+
+
+def _stated(table: Table, names: Sequence[str]) -> np.ndarray | None:
+    """Return standard errors (N, k) from the table, None where it has none.
+
+    Raises:
+        InputError: Some columns are missing, or a standard error is not above zero.
+    """
+    some = [name for name in names if name in table.cells]
+    if not some:
+        return None
+    if len(some) < len(names):
+        lacking = [name for name in names if name not in some]
+        raise InputError("missing_column", f"{table.name} has {format_names(some)} but not {format_names(lacking)}")
+    values = np.column_stack([_numbers(table, name) for name in names])
+    bad = np.flatnonzero(~(values > 0).all(axis=1))
+    if len(bad):
+        raise InputError(
+            "bad_sample", f"{table.where(int(bad[0]))}: a standard error ({format_names(names)}) must be above zero"
+        )
+    return values
 
 
 def _numbers(table: Table, name: str) -> np.ndarray:

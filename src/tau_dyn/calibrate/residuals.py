@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +83,12 @@ class Problem:
         if self.kind == "forward":
             return (3, 3) if self.turned else (3,)
         return (self._rows,)
+
+    @cached_property
+    def relative(self) -> np.ndarray:
+        """Standard errors of the residuals relative to each other (N, m), as the poses' file states them."""
+        m = sum(self.blocks)
+        return self.poses.relative_errors(m) if self.kind == "forward" else np.ones((self.poses.n, m))
 
     @property
     def _rows(self) -> int:

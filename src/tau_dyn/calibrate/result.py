@@ -12,6 +12,7 @@ from tau_dyn.calibrate.causes import CalibrationFinding
 from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compute_rms_interval, summarise_held_out_errors
 from tau_dyn.calibrate.geometry import expand_constraints
 from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.measurement_noise import MeasurementNoise
 from tau_dyn.calibrate.pose_errors import PoseErrors
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
@@ -36,6 +37,7 @@ class Calibration(Shown):
         findings: Causes, costliest first.
         warnings: Sentences.
         seed: Of folds and bootstrap.
+        measured: How exact the measured poses are, known from outside the fit.
     """
 
     robot: Robot
@@ -47,6 +49,7 @@ class Calibration(Shown):
     findings: tuple[CalibrationFinding, ...]
     warnings: tuple[str, ...]
     seed: int
+    measured: MeasurementNoise = MeasurementNoise("unknown")
 
     @property
     def chosen(self) -> CandidateModel:
@@ -68,16 +71,24 @@ class Calibration(Shown):
         """Return the same for comparisons."""
         if self.holdout is None:
             return model.unseen
-        return summarise_held_out_errors(self.errors(model), oriented=model.fit.geometry.orients)
+        return summarise_held_out_errors(self.errors(model), self.holdout, oriented=model.fit.geometry.orients)
 
     def at(self) -> PoseSet:
         """Return the poses at which unseen errors stand."""
         return self.poses if self.holdout is None else self.holdout
 
-    def predicted_error(self) -> float:
-        """Return the rms position error [m] that the noise and the parameters' uncertainty let expect."""
-        model = self.fit.model_error(self.at().q)
-        return float(np.sqrt(np.nanmean(model**2) + 3 * self.fit.noise[0] ** 2))
+    def predicted_error(self) -> float | None:
+        """Return the rms position error [m] that the measurement noise and the parameters' uncertainty let expect.
+
+        None where nothing outside the fit tells the measurement noise.
+        """
+        if self.measured.position is None:
+            return None
+        stated, model = self.at().position_stderr, self.fit.model_error(self.at().q)
+        noise = 3 * self.measured.position**2
+        if self.measured.source == "columns" and stated is not None:
+            noise = float(np.mean(np.sum(stated**2, axis=1)))
+        return float(np.sqrt(np.nanmean(model**2) + noise))
 
     def parameter_rows(self) -> list[dict[str, object]]:
         """Return the chosen model's free unknowns with uncertainty, as the contract spells parameters."""
@@ -98,6 +109,7 @@ class Calibration(Shown):
             "waterfall": self._waterfall(),
             "findings": [f.to_dict(self.fit) for f in self.findings],
             "noise": self._noise(),
+            "measurement_noise": self.measured.to_dict(),
             "predicted_rms": self.predicted_error(),
             "identifiability": self.fit.identifiability.to_dict(),
             "condition_number": self.fit.identifiability.condition_number,

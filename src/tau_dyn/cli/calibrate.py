@@ -68,6 +68,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--free", metavar="NAME", nargs="+", action="extend", default=[], help="parameters freed on top of the model's"
     )
+    parser.add_argument(
+        "--accuracy",
+        metavar="SIGMA",
+        nargs="+",
+        type=float,
+        default=[],
+        help="standard error of a measured coordinate [m], and perhaps of an orientation [rad]; held-out errors are judged by it "
+        "(default: columns x_tool_stderr .., or repeated poses)",
+    )
     parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the calibrated robot here")
     add_common(parser)
 
@@ -92,6 +101,7 @@ def run(args: argparse.Namespace) -> Outcome:
             robust=args.robust,
             device="device" not in args.known,
             tool="tool" not in args.known,
+            accuracy=tuple(args.accuracy),
             seed=args.seed,
             progress=step,
         )

@@ -105,21 +105,12 @@ def _ladder(found: Calibration) -> WaterfallSeries:
         kind = "cause" if k else "start"
         previous = rungs[-1].left if rungs else float("nan")
         rungs.append(WaterfallStep(label, (adds,), kind, 0, (), left, low, high, previous, format_length(left / 1e6)))
-    floor = 1e6 * found.predicted_error()
-    rungs.append(
-        WaterfallStep(
-            "expected",
-            ("noise and the parameters' uncertainty",),
-            "floor",
-            0,
-            (),
-            floor,
-            floor,
-            floor,
-            float("nan"),
-            format_length(floor / 1e6),
-        )
-    )
+    expected = found.predicted_error()
+    floor = float("nan") if expected is None else 1e6 * expected
+    if expected is not None:
+        about = ("noise and the parameters' uncertainty",)
+        text = format_length(expected)
+        rungs.append(WaterfallStep("expected", about, "floor", 0, (), floor, floor, floor, float("nan"), text))
     others = max([r.high for r in rungs[1:]], default=rungs[0].high)
     end = 1.45 * others if rungs[0].high > 2.5 * others else 1.04 * rungs[0].high
     return WaterfallSeries("", tuple(rungs), floor, end)

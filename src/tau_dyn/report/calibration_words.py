@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from tau_dyn.calibrate.candidates import CandidateModel
 from tau_dyn.calibrate.causes import CalibrationFinding
 from tau_dyn.calibrate.result import Calibration
@@ -43,6 +45,11 @@ CAUSES = {
 }
 """Causes as sentences."""
 
+_MAX_RELATIVE_ERROR = 0.01
+"""Held-out rms error over the poses' rms distance from their middle above which units, joints or frames are wrong; an arm out of
+the box reaches 0.002."""
+_MAX_ORIENTATION_ERROR = 0.02
+"""Held-out rms orientation error [rad] above which the same is true."""
 _EXPLAINED = 1.5
 """Times the predicted error above which the model lacks an effect."""
 
@@ -74,11 +81,34 @@ def describe_headline(found: Calibration) -> str:
 
 def describe_verdict(found: Calibration) -> UseRecommendation:
     """Return how far the geometry may be used."""
-    reached, expected = found.errors(found.chosen).position_size.rms, found.predicted_error()
+    errors, expected = found.errors(found.chosen), found.predicted_error()
+    reached, turned = errors.position_size.rms, errors.orientation_size
     if not found.fit.converged:
         return UseRecommendation("poor", "The fit did not converge; do not use it.")
+    place = found.poses.position
+    spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+    if not reached < _MAX_RELATIVE_ERROR * spread or (turned is not None and not turned.rms < _MAX_ORIENTATION_ERROR):
+        also = "" if turned is None else f" and {format_angle(turned.rms)}"
+        return UseRecommendation(
+            "poor",
+            f"Do not use it: the held-out RMS error is {format_length(reached)}{also}, while the poses spread over "
+            f"{format_length(spread)}. Check units, joint columns, and whether frames were moved.",
+        )
     if found.chosen is found.models[0]:
         return UseRecommendation("care", "No larger model has a smaller held-out error than the robot file.")
+    if expected is None:
+        return UseRecommendation(
+            "care",
+            f"Held-out RMS error {format_length(reached)}. The measurement noise is not known, so neither is whether the model "
+            f"lacks an effect: give --accuracy, columns x_tool_stderr .., or measure some poses several times.",
+        )
+    noise, angle = found.measured.orientation, found.errors(found.chosen).orientation_size
+    if noise is not None and angle is not None and angle.rms > _EXPLAINED * np.sqrt(3) * noise:
+        return UseRecommendation(
+            "care",
+            f"Held-out RMS orientation error {format_angle(angle.rms)}, expected from noise {format_angle(np.sqrt(3) * noise)}: "
+            f"the model lacks an effect.",
+        )
     if reached > _EXPLAINED * expected:
         return UseRecommendation(
             "care",
@@ -124,8 +154,12 @@ def describe_finding(finding: CalibrationFinding) -> str:
     """Return a finding as a sentence."""
     where = f" ({format_list(finding.joints)})" if finding.joints else ""
     gain = finding.gain
+    with_it, without = format_length(gain.after), format_length(gain.before)
+    if gain.orientation_after is not None and gain.orientation_before is not None:
+        with_it += f" and {format_angle(gain.orientation_after)}"
+        without += f" and {format_angle(gain.orientation_before)}"
     return (
-        f"{CAUSES[finding.cause]}{where}: {format_length(gain.after)} rms with it, {format_length(gain.before)} without "
+        f"{CAUSES[finding.cause]}{where}: {with_it} rms with it, {without} without "
         f"({format_percent(gain.percent)} less, 95 % interval [{format_percent(gain.ci95[0])}, {format_percent(gain.ci95[1])}])."
     )
 
