@@ -29,9 +29,9 @@ ONE_SLIDE = [
     ("viscous_asymmetry", {"viscous_asymmetry": -5.0}, {},
      "viscous friction 10 N/(m/s) higher when moving backward than the other way"),
     ("stribeck", {"stribeck": 12.0}, {"speed": 0.02},
-     "friction 12 N higher at standstill than in motion, gone above 60 mm/s"),
+     "a Stribeck peak of 12 N, of which 5 % are left at 60 mm/s"),
     ("stribeck", {"stribeck": 12.0}, {"speed": 0.02, "power": 2},
-     "friction 12 N higher at standstill than in motion, gone above 34.6 mm/s"),
+     "a Stribeck peak of 12 N, of which 5 % are left at 34.6 mm/s"),
     ("load_friction", {"load_friction": 0.05}, {}, "friction of 5 % of the load that its guide or reducer carries"),
     ("thermal_drift", {"thermal_coulomb": -2.0, "thermal_viscous": -3.0}, {},
      "friction that changes with temperature by -2 N/K and -3 N/(m/s K)"),
@@ -75,8 +75,8 @@ def test_a_slides_sentence(name: str, values: dict[str, float], settings: dict[s
 HINGE_TOO = [
     ("symmetric_friction", {"coulomb": 80.0, "viscous": 120.0},
      "coulomb of 80 N and viscous of 120 N/(m/s) at x; coulomb of 80 N m and viscous of 120 N m/(rad/s) at w"),
-    ("stribeck", {"stribeck": 12.0}, "friction 12 N higher at standstill than in motion, gone above 60 mm/s at x; "
-                                     "friction 12 N m higher at standstill than in motion, gone above 60 mrad/s at w"),
+    ("stribeck", {"stribeck": 12.0}, "a Stribeck peak of 12 N, of which 5 % are left at 60 mm/s at x; "
+                                     "a Stribeck peak of 12 N m, of which 5 % are left at 60 mrad/s at w"),
     ("backlash", {"backlash": 4e-5}, "a play of 40 µm between encoder and load at x; "
                                      "a play of 40 µrad between encoder and load at w"),
     ("joint_compliance", {"compliance": 2e-5}, "a drive that yields by 20 µm/N, a stiffness of 50 kN/m at x; "

@@ -151,7 +151,7 @@ def test_what_has_no_settings_is_tried_once_a_joint() -> None:
         ("joint_compliance", ("inertia", "damping", "weight_gradient"), "the logs give no force"),
         ("joint_compliance", ("inertia", "damping", "weight_gradient", "force"), None),
         ("joint_compliance", ("tool", "force"), None),
-        ("backlash", ("inertia", "damping", "weight_gradient", "reversal"), "forces show a play only within it"),
+        ("backlash", ("inertia", "damping", "weight_gradient", "reversal"), "play shows in forces only at reversals"),
         ("backlash", ("tool",), "the logs give no reversal"), ("backlash", ("load_side", "reversal"), None),
         ("hysteresis", ("inertia", "damping", "reversal"), "the logs give no weight_gradient"),
         ("guideway_compliance", ("side_force",), "no measured tool positions are looked at here"),

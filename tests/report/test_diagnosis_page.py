@@ -114,7 +114,7 @@ def test_cards_say_all_there_is_to_a_finding(page, diagnosed):
         assert finding.equation in said and all(estimate(p) in said for p in finding.parameters)
     for text in (
         "29 % less residual, 95 % interval [24, 33] %",
-        "97 ± 5 % of the predicted effect",
+        "97 ± 5 % of the effect predicted from the training data",
         "p = 0.0002, corrected for the number of tests",
         "Indistinguishable from hysteresis",
         diagnosed.findings[1].experiment,
@@ -203,9 +203,9 @@ def test_terminal_is_plain_when_piped_and_says_what_is_uncertain(diagnosed):
     marks = [
         "nominal parameters",
         "noise floor",
-        "Differs significantly from nominal",
+        "Differs from the robot file",
         "Unexplained",
-        "Indistinguishable with these data",
+        "These data cannot separate",
         "Not detected; detection limit",
         "Not testable",
     ]

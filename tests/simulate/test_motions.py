@@ -107,7 +107,7 @@ def test_scaling_is_noted_with_its_reason(make):
     """A drive too weak for the full motion gets a smaller one that says which joint needed what."""
     weak = make.friction(make.block(95.0, effort=150.0), 20.0, 200.0)
     motion = build_fourier_motion(weak, 8.0)
-    assert "scaled" in motion.notes[0] and "axis needs" in motion.notes[0] and "150 N" in motion.notes[0]
+    assert "reduced" in motion.notes[0] and "axis needs" in motion.notes[0] and "150 N" in motion.notes[0]
     hopeless = make.friction(make.block(95.0, effort=15.0), 20.0, 200.0)
     with raises_code("unreachable"):
         build_fourier_motion(hopeless, 8.0)
