@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tau_dyn.vision.detect import find_corners
+from tau_dyn.vision.camera import project
+from tau_dyn.vision.detect import _checked, _measure_unevenness, find_corners
 from tau_dyn.vision.pattern import Pattern
-from tau_dyn.vision.render import Photography, draw_facing_rotation, render_clutter
+from tau_dyn.vision.render import Photography, draw_facing_rotation, render, render_clutter
 
 pytest.importorskip("cv2")
 RNG = np.random.default_rng(11)
@@ -81,3 +82,28 @@ def test_a_far_plate_is_refused(rig):
     plate = np.eye(3), np.array([0.0, 0.0, 5.0])
     image = rig.photograph(plate, 0, np.random.default_rng(6), None, Photography(blur=0.4))
     assert find_corners(image, rig.pattern).corners is None
+
+
+def test_a_lens_that_bends_straight_lines_is_no_reason_to_refuse():
+    """A wide lens (k1 = -0.3, f = 530 px) bends the plate's rows by over a quarter of a square; the corners are where it puts them."""
+    pattern = Pattern(9, 6, 0.03)
+    numbers = np.array([534.0, 534.0, 320.0, 240.0, -0.3, 0.1, 0.0, 0.0, 0.0])
+    rotation, position = draw_facing_rotation(0.7, 1.6, 0.1), np.array([-0.11, 0.0, 0.32])
+    truth = project(pattern.points @ rotation.T + position, numbers)
+    assert ((truth > 10) & (truth < np.array([630, 470]))).all()
+    flat = pattern.points[:, :2] / pattern.square
+    square = min(np.linalg.norm(np.diff(truth.reshape(6, 9, 2), axis=a), axis=-1).min() for a in (0, 1))
+    assert _measure_unevenness(flat, truth) > 0.25 * square
+    image = render(pattern, rotation, position, numbers, (640, 480), np.random.default_rng(4), background=ROOM)
+    found = find_corners(image, pattern)
+    assert found.corners is not None, found.reason
+    assert np.sqrt(((found.corners - truth) ** 2).mean()) < 0.1
+
+
+def test_corners_that_no_lens_makes_even_are_refused():
+    """Two rows that changed places are no flat pattern, whatever the lens."""
+    pattern = Pattern(9, 6, 0.03)
+    grid = (pattern.points[:, :2] / pattern.square * 40 + (320, 240)).reshape(6, 9, 2)
+    grid[[2, 3]] = grid[[3, 2]]
+    found = _checked(grid.reshape(-1, 2), pattern, ROOM.astype(np.uint8))
+    assert found.corners is None and "flat pattern" in found.reason

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import optimize
 
 from tau_dyn.vision.homography import apply, estimate_homography
 from tau_dyn.vision.images import import_opencv
@@ -17,7 +18,9 @@ from tau_dyn.vision.refine import refine
 
 _CONTRAST = 25.0  # grey values between dark and light below which an image is of no use
 _MIN_SQUARE_PX = 6.0  # [px] side of a square
-_UNEVEN = 0.25  # of a square that corners may be off the plane's picture; a lens bends less
+_UNEVEN = 0.25  # of a square that corners may be off the plane's picture, the lens accounted for
+_MAX_BENDING = 0.5
+"""Largest distortion `k` at the image's corners that is tried: a lens of 120 degrees; a fisheye needs another model."""
 
 
 class Detection(NamedTuple):
@@ -121,10 +124,34 @@ def _checked(corners: np.ndarray, pattern: Pattern, image: np.ndarray) -> Detect
     if np.any(corners < 1) or np.any(corners > np.array(image.shape[::-1]) - 2):
         return Detection(None, "the pattern is cut off by the image's border")
     flat = pattern.points[:, :2] / pattern.square
-    off = np.linalg.norm(apply(estimate_homography(flat, corners), flat) - corners, axis=1).max()
+    off = _measure_unevenness(flat, corners)
+    if off > _UNEVEN * side:
+        off = _measure_unevenness_behind_lens(flat, corners, image.shape)
     if off > _UNEVEN * side:
         return Detection(None, f"the corners found are not those of one flat pattern (off by {off:.1f} px)")
     return Detection(corners)
+
+
+def _measure_unevenness(flat: np.ndarray, corners: np.ndarray) -> float:
+    """Return the largest distance [px] of corners (n, 2) from the picture of a plane's points (n, 2)."""
+    return float(np.linalg.norm(apply(estimate_homography(flat, corners), flat) - corners, axis=1).max())
+
+
+def _measure_unevenness_behind_lens(flat: np.ndarray, corners: np.ndarray, shape: tuple[int, ...]) -> float:
+    """Return the same behind a lens that bends straight lines, by the division model about the image's middle.
+
+    With `r` the distance from the middle in half diagonals, `x = d / (1 + k r^2)` is where a lens without distortion would have
+    put what stands at `d` (Fitzgibbon 2001). Corners that no `k` makes even are no chessboard.
+    """
+    middle = 0.5 * np.array(shape[1::-1], dtype=float)
+    d = corners - middle
+    r2 = np.sum(d**2, axis=1, keepdims=True) / float(middle @ middle)
+
+    def off(k: float) -> float:
+        return _measure_unevenness(flat, d / (1 + k * r2))
+
+    found = optimize.minimize_scalar(off, bounds=(-_MAX_BENDING, _MAX_BENDING), method="bounded")
+    return float(found.fun)  # type: ignore[attr-defined]
 
 
 def _why_not(image: np.ndarray, pattern: Pattern) -> Detection:
