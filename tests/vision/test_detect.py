@@ -85,7 +85,7 @@ def test_a_far_plate_is_refused(rig):
 
 
 def test_a_lens_that_bends_straight_lines_is_no_reason_to_refuse():
-    """A wide lens (k1 = -0.3, f = 530 px) bends the plate's rows by over a quarter of a square; the corners are where it puts them."""
+    """A wide lens (k1 = -0.3, f = 530 px) bends rows by over a quarter of a square; corners are where it puts them."""
     pattern = Pattern(9, 6, 0.03)
     numbers = np.array([534.0, 534.0, 320.0, 240.0, -0.3, 0.1, 0.0, 0.0, 0.0])
     rotation, position = draw_facing_rotation(0.7, 1.6, 0.1), np.array([-0.11, 0.0, 0.32])

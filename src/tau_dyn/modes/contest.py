@@ -8,7 +8,7 @@ model that cannot simulate is no answer, whatever the reason for trying it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,11 @@ POSSIBLE = 0.2
 WORST_RATIO = 1.15
 """Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
 a disturbance that comes back through the input. A judgement, not calibrated by a study."""
+
+MIN_RELATIVE_ERROR = 0.1
+"""Simulation error over the outputs' size below which disturbances are too small for prediction errors to do better."""
+MAX_ERROR_RATIO = 0.98
+"""Simulation error of a fit of prediction errors over that of simulation errors up to which it is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +58,41 @@ class MethodCandidate:
             return float("inf")
         _, kept = select_parts(data.train)
         errors = compute_residuals(trial.model, kept, SIMULATED)
-        power = sum(np.sum(e**2, axis=0) for e in errors) / sum(len(e) for e in errors)
+        power = _mean_power(errors)
         return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
+
+    def relative_error(self, data: PreparedRecords) -> float:
+        """Return the same over the geometric mean of the outputs' standard deviations."""
+        _, kept = select_parts(data.train)
+        power = _mean_power([r.y - r.y.mean(axis=0) for r in kept])
+        return self.simulation_errors(data) / float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300)))))
+
+
+def _mean_power(errors: Sequence[np.ndarray]) -> np.ndarray:
+    """Return each output's mean square (p,)."""
+    return np.sum([np.sum(e**2, axis=0) for e in errors], axis=0) / sum(len(e) for e in errors)
+
+
+def choose_error_kind(
+    plain: MethodCandidate, data: PreparedRecords, make: Callable[[], MethodCandidate | None]
+) -> tuple[MethodCandidate, str]:
+    """Return the candidate whose model simulates the quarter kept apart better, and why where it is not the given one.
+
+    Where disturbances are large and coloured, a model that minimises one-step prediction errors, which has a model of them, may
+    simulate better than one that minimises simulation errors (Ljung 1999, 8.5).
+
+    Args:
+        plain: The candidate that minimises simulation errors.
+        data: Training data.
+        make: Makes one that minimises prediction errors; None where there is no model.
+    """
+    if plain.kind != SIMULATED or data.kind == "impulse" or plain.relative_error(data) < MIN_RELATIVE_ERROR:
+        return plain, ""
+    other = make()
+    ratio = np.inf if other is None else other.simulation_errors(data) / plain.simulation_errors(data)
+    if other is None or ratio > MAX_ERROR_RATIO:
+        return plain, ""
+    return other, f"; minimising prediction errors leaves {ratio:.2g} times the error in simulation, so it is minimised"
 
 
 def check_candidate(candidate: MethodCandidate, data: PreparedRecords) -> Acausality:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
-from tau_dyn.modes.contest import MethodCandidate, settle
+from tau_dyn.modes.contest import MethodCandidate, choose_error_kind, settle
 from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay
 from tau_dyn.modes.era import decompose_pulse_tests
 from tau_dyn.modes.feedback_test import Feedback, detect_feedback
@@ -90,24 +90,26 @@ def find_modes(
     feedback = _feedback(data)
     chosen, why = _method(method, data, feedback)
 
-    def candidate(name: str) -> MethodCandidate:
-        kind = PREDICTED if name == "pbsid" else SIMULATED
+    def candidate(name: str, kind: str = "") -> MethodCandidate:
+        kind = kind or (PREDICTED if name == "pbsid" else SIMULATED)
         late = _late(data, name, kind, asked, fixed, sensor, say)
         start = partial(build_initial_estimator, name, delay=late.delay, highest=max(20, asked or 0))
         pulses = data.kind == "impulse"
         states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
         return MethodCandidate(name, kind, late, states)
 
-    def bearing_feedback() -> MethodCandidate | None:
-        say("trying pbsid")
+    def trial(name: str) -> MethodCandidate | None:
+        say(f"trying {name} with prediction errors")
         try:
-            return candidate("pbsid")
+            return candidate(name, PREDICTED)
         except (TauDynError, np.linalg.LinAlgError):
             return None
 
     best = candidate(chosen)
     if method == "auto" and data.kind != "impulse":
-        best, feedback, why = settle(data, feedback, best, bearing_feedback)
+        best, feedback, why = settle(data, feedback, best, lambda: trial("pbsid"))
+        best, more = choose_error_kind(best, data, lambda: trial("n4sid"))
+        why += more
     late, states = best.late, best.states
     say(f"refining order {states.order}")
     refined, how = _refined(data, best.method, best.kind, late.delay, states, alone=method != "auto")
