@@ -23,6 +23,7 @@ from tau_dyn.kinematics import (
 )
 from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, build_chains
 from tau_dyn.kinematics.inverse import find_nearest_configuration
+from tau_dyn.kinematics.pose_table import build_inverse_table
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 ROBOTS = [
@@ -331,3 +332,23 @@ def test_an_arm_with_a_joint_to_spare_reaches_what_it_can_reach(rng):
     assert found.ok.all() and found.orientation_error.max() < 1e-9
     again = forward_kinematics(arm, found.q).poses
     assert_allclose(again.position, asked.position, atol=1e-9)
+
+
+def test_a_stock_arm_has_both_elbows_of_every_solution():
+    """A UR5's solutions come in pairs with the elbow the other way, by its three parallel axes; twelve poses, none is missing."""
+    robot = load_robot("ur5")
+    q = np.random.default_rng(3).uniform(-2.8, 2.8, (12, 6))
+    every = solve_all_configurations(robot, forward_kinematics(robot, q).poses)
+    for true, rows in zip(q, every, strict=True):
+        found = rows[np.isfinite(rows).all(axis=1)]
+        away = (found[:, None] - found[None] + np.pi) % (2 * np.pi) - np.pi
+        pairs = (np.abs(away[:, :, [0, 4]]).max(axis=2) < 1e-6) & (np.abs(found[:, None, 2] + found[None, :, 2]) < 1e-6)
+        assert (pairs.sum(axis=1) == 1).all()
+        assert np.abs((found - true + np.pi) % (2 * np.pi) - np.pi).max(axis=1).min() < 1e-6
+
+
+def test_only_closed_forms_list_all_configurations():
+    """The table of the simplified Gantry-Tau is complete; what many starts find is not proved to be."""
+    for robot, complete in ((load_robot("gantry_tau"), True), (load_robot("gantry_tau_f1"), False)):
+        poses = forward_kinematics(robot, robot.home[None]).poses
+        assert build_inverse_table(robot, poses, all_configurations=True).complete is complete

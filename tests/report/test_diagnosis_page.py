@@ -120,7 +120,7 @@ def test_cards_say_all_there_is_to_a_finding(page, diagnosed):
         diagnosed.findings[1].experiment,
         "23 % of the residual",
         diagnosed.unexplained[0].suggested_formula,
-        "not measured",
+        "not applicable: the refit absorbs the effect",
     ):
         assert text in said, text
 

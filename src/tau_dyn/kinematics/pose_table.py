@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ class PoseTable(Shown):
         reason: Why a row has no answer, '' where it has one (N,).
         configuration: Name of the configuration, '' where not asked for (N,).
         warnings: Sentences.
+        complete: Whether every configuration is listed for certain, as closed forms do.
     """
 
     robot: Robot
@@ -47,6 +48,7 @@ class PoseTable(Shown):
     reason: np.ndarray
     configuration: np.ndarray
     warnings: tuple[str, ...]
+    complete: bool = False
 
     @property
     def ok(self) -> np.ndarray:
@@ -172,7 +174,9 @@ def _all(robot: Robot, poses: Poses) -> PoseTable:
     reason = np.where(beyond, REASONS[JOINT_LIMIT], REASONS[OK])
     missing = n - len(np.unique(pose))
     warnings = [f"{missing} of {n} poses cannot be reached in any configuration"] if missing else []
-    return _table(robot, True, q, poses.take(pose), reason, pose=pose, configuration=name, warnings=warnings)
+    table = _table(robot, True, q, poses.take(pose), reason, pose=pose, configuration=name, warnings=warnings)
+    closed = rods is not None and named and bool((list_configurations(rods) != 0).all())
+    return replace(table, complete=closed)
 
 
 def _name(signs: np.ndarray) -> str:

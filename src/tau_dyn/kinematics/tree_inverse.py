@@ -14,6 +14,8 @@ from tau_dyn.kinematics.tree_newton import TreeNewton
 from tau_dyn.robot import Robot
 
 _STARTS = 24  # starts drawn within the limits; a 6R arm has up to 16 solutions
+_MAX_STARTS = 1500  # starts until every solution was met often enough; bounds the time of a pose
+_MIN_TIMES_MET = 10  # times that each solution is met before the search ends; with 3 a quarter of UR5 poses lack one
 _STARTS_LOOPS = 2  # closing loops from far away takes its time
 _EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
 _MODE = 1e-6  # [m or 1] by how much forward kinematics may lead elsewhere
@@ -40,16 +42,33 @@ def solve_tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | Non
 
 
 def find_tree_solutions(engine: TreeNewton, poses: Poses) -> np.ndarray:
-    """Return distinct solutions (N, n, na) found from many starts, nearest to home first; nan fills up."""
+    """Return distinct solutions (N, n, na) found from many starts, nearest to home first; nan fills up.
+
+    Starts are drawn until each solution of each pose was met ten times, or to a limit: the chance of meeting a new one is
+    about the share of those met once (Good 1953). It is no proof that none is left.
+    """
     robot, n = engine.robot, len(poses.position)
     sets: list[list[np.ndarray]] = [[] for _ in range(n)]
+    met: list[list[int]] = [[] for _ in range(n)]
     home = np.repeat(robot.home[None], n, axis=0)
-    starts = [engine.close_loops(home), *[_random(k)(engine, poses) for k in range(_starts(robot))]]
-    for x in starts:
-        q = _solved(engine, poses, x, home).q
-        for k in np.flatnonzero(np.isfinite(q[:, 0])):
-            if all(np.abs(q[k] - known).max() > _EQUALITY_TOLERANCE for known in sets[k]):
-                sets[k].append(q[k])
+    fewest, most = _starts(robot), _STARTS_LOOPS if robot.loops else _MAX_STARTS
+    left = np.arange(n)
+    for number in range(most + 1):
+        part = poses.take(left)
+        x = engine.close_loops(home[left]) if number == 0 else _random(number - 1)(engine, part)
+        q = _solved(engine, part, x, home[left]).q
+        for row in np.flatnonzero(np.isfinite(q[:, 0])):
+            k = left[row]
+            same = [i for i, known in enumerate(sets[k]) if np.abs(q[row] - known).max() <= _EQUALITY_TOLERANCE]
+            if same:
+                met[k][same[0]] += 1
+            else:
+                sets[k].append(q[row])
+                met[k].append(1)
+        if number >= fewest:
+            left = np.array([k for k in left if sets[k] and min(met[k]) < _MIN_TIMES_MET], int)
+            if not len(left):
+                break
     out = np.full((n, max([1, *map(len, sets)]), robot.na), np.nan)
     for k, solutions in enumerate(sets):
         solutions.sort(key=lambda q: float(np.abs(q - robot.home).max()))

@@ -152,12 +152,15 @@ def _headline(table: PoseTable) -> str:
         poses = len(np.unique(table.pose))
         x, y, z = (f"{v:.6g}" for v in table.position[0])
         asked = f"1 pose, ({x}, {y}, {z}) m" if poses == 1 else f"{poses} poses"
-        return f"{rows} solutions for {asked}: {answered} within the joint limits"
+        verb = "" if table.complete else " found"
+        return f"{rows} solutions{verb} for {asked}: {answered} within the joint limits"
     return f"{answered} of {rows} {'poses can be reached' if table.inverse else 'positions have a pose'}"
 
 
 def _summary(table: PoseTable) -> str:
-    mode = "all configurations" if table.configuration.any() else "home's configuration and assembly mode"
+    mode = "home's configuration and assembly mode"
+    if table.configuration.any():
+        mode = "all configurations" if table.complete else "configurations found from many starts, not proved to be all"
     return f"{_title(table)} of {table.robot.name}, {mode}; tool in the world frame."
 
 
