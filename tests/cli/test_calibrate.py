@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "calibrate"))
@@ -15,6 +16,8 @@ from calibration_rigs import measured, rods_of  # pyright: ignore[reportMissingI
 from tau_dyn.calibrate.saved import load_calibration
 from tau_dyn.calibrate.simulated import format_csv
 from tau_dyn.cli import main
+from tau_dyn.kinematics import forward_kinematics
+from tau_dyn.robot import load_robot
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +31,10 @@ def campaign(tmp_path_factory):
     (folder / "held.csv").write_text(format_csv(poses.take(every[1::4]), rods.robot.actuated))
     (folder / "more.csv").write_text(format_csv(poses.take(every[3::4]), rods.robot.actuated))
     held = [str(folder / "held.csv"), str(folder / "more.csv")]
+    (folder / "wanted.csv").write_text("q_cart1,q_cart2,q_cart3\n-0.1,0.0,0.2\n0.1,-0.2,0.3\n1.6,1.5,1.55\n")
     status = main(
         ["calibrate", "gantry_tau", str(folder / "poses.csv"), "--holdout", *held, "--quiet"]
+        + ["--correct", str(folder / "wanted.csv"), "--corrected", str(folder / "corrected.csv")]
         + ["--json", str(folder / "r.json"), "--report", str(folder / "r.html"), "--out", str(folder / "m.yaml")]
     )
     assert status == 0
@@ -79,6 +84,18 @@ def test_saved_robot_can_be_read(campaign):
     assert np.linalg.norm(robot.seen(q).position - seen, axis=1).mean() < 2.5e-5
 
 
+def test_corrected_positions_put_the_tool_where_the_controller_meant(campaign):
+    """The calibrated robot at the corrected positions stands where the robot file's stands at those asked for."""
+    wanted, corrected = (pd.read_csv(campaign / name) for name in ("wanted.csv", "corrected.csv"))
+    names = [f"q_{joint}" for joint in ("cart1", "cart2", "cart3")]
+    assert list(corrected["reason"].fillna("")) == ["", "", "cart1 beyond its limit"]
+    wanted, corrected = wanted[:2], corrected[:2]
+    meant = forward_kinematics(load_robot("gantry_tau"), wanted[names].to_numpy()).poses.position
+    reached = load_calibration(campaign / "m.yaml").forward(corrected[names].to_numpy()).poses.position
+    np.testing.assert_allclose(reached, meant, atol=1e-9)
+    assert np.abs(wanted[names].to_numpy() - corrected[names].to_numpy()).max() > 1e-4
+
+
 def test_page_is_one_file_and_tells_the_story(campaign):
     """The page loads nothing from elsewhere and shows errors, gain, geometry and what is blind."""
     page = (campaign / "r.html").read_text()
@@ -92,7 +109,7 @@ def test_every_file_stands_in_the_pages_provenance(campaign):
     """Poses may be held out in several files; the page names each with its hash."""
     page = (campaign / "r.html").read_text()
     inputs = json.loads((campaign / "r.json").read_text())["inputs"]
-    assert len(inputs) == 4 and all(row["sha256"] in page for row in inputs)
+    assert len(inputs) == 5 and all(row["sha256"] in page for row in inputs)
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ class Compensation:
             return found
         with np.errstate(invalid="ignore"):
             beyond = (found.q < self.robot.lower - 1e-9) | (found.q > self.robot.upper + 1e-9)
-        reason = found.reason.copy()
+        reason = found.reason.astype(object)
         for k in np.flatnonzero(found.ok & beyond.any(axis=1)):
             reason[k] = f"{self.robot.actuated[int(np.argmax(beyond[k]))]} beyond its limit"
         ok = reason == ""

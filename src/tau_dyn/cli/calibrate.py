@@ -15,6 +15,10 @@ from tau_dyn.cli.common import (
     load_robot_from,
     show_progress,
 )
+from tau_dyn.cli.kinds import read_csv_file_name
+from tau_dyn.cli.pose_tables import read_columns
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import compute_sha256
 
 HELP = "geometry with uncertainty from measured poses"
 
@@ -77,17 +81,35 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="standard error of a measured coordinate [m], and perhaps of an orientation [rad]; held-out errors are judged by it "
         "(default: columns x_tool_stderr .., or repeated poses)",
     )
+    parser.add_argument(
+        "--correct",
+        metavar="Q.csv",
+        type=Path,
+        help="joint positions q_J that a controller computed with the robot file; needs --corrected",
+    )
+    parser.add_argument(
+        "--corrected",
+        metavar="Q.csv",
+        type=read_csv_file_name,
+        help="write the positions at which the calibrated robot is where --correct meant it to be",
+    )
     parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the calibrated robot here")
     add_common(parser)
 
 
 def run(args: argparse.Namespace) -> Outcome:
     """Calibrate."""
+    if (args.correct is None) != (args.corrected is None):
+        raise InputError(
+            "bad_option", "--correct Q.csv and --corrected Q.csv go together: positions to read and to write"
+        )
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.calibrate import calibrate, read_poses
+        from tau_dyn.kinematics.pose_table import read_positions
 
         robot = load_robot_from(args)
+        wanted = None if args.correct is None else read_positions(read_columns(args.correct), robot, str(args.correct))
         poses = read_poses(args.poses, robot.actuated)
         held, hashes, warnings = _held_out(args, robot)
         found = calibrate(
@@ -106,12 +128,17 @@ def run(args: argparse.Namespace) -> Outcome:
             progress=step,
         )
     read = [(str(args.poses), poses.sha256), *hashes]
+    read += [(str(args.correct), compute_sha256(args.correct))] if args.correct else []
+    files: dict = {args.out: lambda path: _save(path, found)} if args.out else {}
+    more: list[str] = []
+    if wanted is not None:
+        files[args.corrected], more = _correct(found, wanted)
     return Outcome(
         result=found.to_dict(),
-        warnings=[*robot.warnings, *warnings, *found.warnings],
+        warnings=[*robot.warnings, *warnings, *found.warnings, *more],
         inputs=[*get_robot_file(args), *read],
         show=lambda console: _show(console, found, args),
-        files={args.out: lambda path: _save(path, found)} if args.out else {},
+        files=files,
         report=lambda: _page(found, read),
     )
 
@@ -126,6 +153,21 @@ def _held_out(args: argparse.Namespace, robot):
     if not sets:
         return None, [], said
     return join_pose_sets([s for _, s in sets]), [(str(path), s.sha256) for path, s in sets], said
+
+
+def _correct(found, wanted) -> tuple[str, list[str]]:
+    """Return corrected positions as a CSV's text, and a warning where some have none."""
+    import numpy as np
+    import pandas as pd
+
+    from tau_dyn.calibrate.compensation import build_compensation
+
+    robot = found.robot
+    made = build_compensation(robot, found.fit.geometry, found.fit.theta)(wanted)
+    table = pd.DataFrame(made.q, columns=[f"q_{joint}" for joint in robot.actuated]).assign(reason=made.reason)
+    lost = np.flatnonzero(~made.ok)
+    said = [f"{len(lost)} of {len(wanted)} positions cannot be corrected; row {lost[0] + 1}: {made.reason[lost[0]]}"]
+    return table.to_csv(index=False, float_format="%.12g"), said if len(lost) else []
 
 
 def _save(path: Path, found) -> None:

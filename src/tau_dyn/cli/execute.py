@@ -26,7 +26,7 @@ from tau_dyn.version import __version__
 
 _TWICE = "two outputs are to be written to one file; give each its own"
 
-_OUTPUTS = ("json", "report", "out", "propose", "save_cameras", "rapid", "resume")
+_OUTPUTS = ("json", "report", "out", "propose", "save_cameras", "rapid", "resume", "corrected")
 """Arguments that name files to write."""
 
 
