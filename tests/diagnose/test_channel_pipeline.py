@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -81,17 +79,6 @@ def test_a_setting_at_the_edge_of_its_grid_is_not_confirmed(make, rng, monkeypat
     grid = [{"speed": x, "power": 1.0} for x in (0.1, 0.15, 0.2)]
     monkeypatch.setattr(Stribeck, "grid", classmethod(lambda cls, scene, joints: grid))
     assert "edge" in stand(channel, rng)[0].why_not[0]
-
-
-@pytest.mark.parametrize(("sizes", "rejected"), [((30.0, 2.0), False), ((30.0, 1.0), True)])
-def test_what_is_far_smaller_than_another_cause_may_be_its_inexactness(monkeypatch, sizes, rejected: bool):
-    """Beside a cause of 30 N on a joint one of 2 N stands; one of 1 N is less than the other's law is known to."""
-    found = [SimpleNamespace(candidate=SimpleNamespace(cause=cause)) for cause in ("quadratic_drag", "stribeck")]
-    claims = channel_pipeline.Claims(cast(Any, tuple(found)), ("", ""), ())
-    monkeypatch.setattr(channel_pipeline, "measure_net_forces", lambda *_: np.array(sizes)[:, None])
-    nothing = cast(Any, None)
-    judged = channel_pipeline._reject_companions(nothing, nothing, claims, nothing)
-    assert judged.why_not[0] == "" and ("quadratic_drag" in judged.why_not[1]) is rejected
 
 
 def test_one_recording_has_one_delay():

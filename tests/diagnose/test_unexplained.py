@@ -14,9 +14,8 @@ from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.dependence import Dependence, list_dependences
 from tau_dyn.diagnose.force import ForceChannel
 from tau_dyn.diagnose.noise import WHOLE_TIME
-from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
-from tau_dyn.diagnose.unexplained import build_unexplained, demote_companions, discriminate_structures
+from tau_dyn.diagnose.unexplained import build_unexplained, discriminate_structures
 from tau_dyn.diagnose.unknown_structure import find_structure
 from tau_dyn.effects import Motion
 
@@ -171,11 +170,3 @@ def test_logs_follow_one_another_and_pieces_of_one_log_do_not():
     assert [list(row[WHOLE_TIME]) for row in ForceChannel.variables(channel)] == [[0, 10], [15, 40], [40, 70]]
     channel._begins = lambda: [0.0, 0.0, 0.0]
     assert not any(WHOLE_TIME in row for row in ForceChannel.variables(channel))
-
-
-@pytest.mark.parametrize(("largest", "status"), [(1.0, "confirmed"), (30.0, "suspected")])
-def test_a_structure_far_smaller_than_a_named_cause_is_suspected(largest, status):
-    """A quarter of a residual of 2 N is 1 N; beside a cause of 30 N it may be that cause's inexactness."""
-    item = Unexplained("b", ("v_b",), 0.25, "", 1e-9, "confirmed")
-    (found,) = demote_companions([item], ("a", "b"), np.array([9.0, 2.0]), np.array([500.0, largest]))
-    assert found.status == status

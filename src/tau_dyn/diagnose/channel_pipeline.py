@@ -16,6 +16,7 @@ import numpy as np
 
 from tau_dyn.diagnose.candidate_scan import N_NULL_DRAWS, get_columns
 from tau_dyn.diagnose.channel import Channel
+from tau_dyn.diagnose.companions import find_companion
 from tau_dyn.diagnose.confirm import Confirmation, confirm
 from tau_dyn.diagnose.data_split import EVERY, TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.extended_fit import (
@@ -51,9 +52,8 @@ from tau_dyn.diagnose.result import (
     Verdict,
 )
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, build_effects
-from tau_dyn.diagnose.unexplained import MIN_COMPANION_SHARE
 from tau_dyn.effects import EFFECTS, Effect
-from tau_dyn.estimate import PhysicalConstraints, solve_scaled
+from tau_dyn.estimate import PhysicalConstraints
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 
@@ -67,9 +67,6 @@ _WORSE = "held-out data are predicted worse with it"
 _ZERO = "no amplitude of it is distinct from zero beside the other causes"
 _VETO = "the last part of the data does not show it"
 _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
-_COMPANION = "it is {:.1f} % of the force of {} there, whose law is not known as exactly as that"
-_MAX_ROWS = 8000
-"""Samples from which a force's size is taken: many times the number of parameters."""
 HELD_OUT = "the blocks of the held-out {what} alternate: half are validation data, half are test data"
 SHARED = "the blocks of the {what} alternate: 60 % training, 20 % validation and 20 % test data"
 
@@ -213,7 +210,7 @@ def select_supported(
         bars = build_waterfall(channel, hunt, claims.kept, rng, nominal=nominal, physics=physics)
         judged_again = _reject_by_amplitude(channel, hunt, claims, bars)
         if judged_again is claims:
-            judged_again = _reject_companions(channel, hunt, claims, bars)
+            judged_again = _reject_companion(channel, hunt, claims, bars)
         if judged_again is claims:
             judged_again = _drop_worse_joints(channel, claims, bars, rng)
         if judged_again is claims:
@@ -253,39 +250,11 @@ def _borne_out(
     return test.within or confirm(channel, hunt.noise, own, beside, TEST).share > 0
 
 
-def measure_net_forces(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> np.ndarray:
-    """Return the rms force (causes, m) of each cause that stands, net of what the baseline absorbs of it, in the last fit."""
-    values = get_fitted_parameters(bars.judgements[-1])
-    masks = channel.masks(TRAIN, VALIDATION)
-    every = 1 + sum(int(mask.sum()) for mask in masks) // (_MAX_ROWS * len(channel.outputs))
-    sizes = np.zeros((len(claims.kept), len(channel.outputs)))
-    for k in range(len(channel.outputs)):
-        base = np.concatenate([c[m[:, k], k] for c, m in zip(channel.free_columns, masks, strict=True)])[::every]
-        for n, one in enumerate(claims.kept):
-            force = np.zeros(len(base))
-            for effect in one.candidate.effects:
-                theta = np.array([values[name].value for name in effect.parameters.names])
-                columns = hunt.library.columns(effect)
-                force += np.concatenate([c[m[:, k], k] @ theta for c, m in zip(columns, masks, strict=True)])[::every]
-            if force.any():
-                sizes[n, k] = np.sqrt(np.mean((force - base @ solve_scaled(base, force, 1e-7)) ** 2))
-    return sizes
-
-
-def _reject_companions(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
-    """Reject causes that are no larger, on each of their joints, than another cause's law is inexact."""
+def _reject_companion(channel: Channel, hunt: StepwiseSelection, claims: Claims, bars: Waterfall) -> Claims:
+    """Reject a cause that may only be the inexactness of another one's law."""
     kept = claims.kept
-    if len(kept) < 2:
-        return claims
-    sizes = measure_net_forces(channel, hunt, claims, bars)
-    largest, which = sizes.max(axis=0), sizes.argmax(axis=0)
-    for n, one in enumerate(kept):
-        joints = np.flatnonzero(sizes[n] > 0)
-        share = sizes[n, joints] / largest[joints]
-        if len(joints) and share.max() < MIN_COMPANION_SHARE:
-            other = kept[which[joints[np.argmax(share)]]].candidate.cause
-            claims = claims.judge(claims.found.index(one), _COMPANION.format(100 * share.max(), other))
-    return claims
+    found = find_companion(channel, hunt.library, kept, get_fitted_parameters(bars.judgements[-1]))
+    return claims.judge(claims.found.index(kept[found[0]]), found[1]) if found else claims
 
 
 def _drop_worse_joints(channel: Channel, claims: Claims, bars: Waterfall, rng: np.random.Generator) -> Claims:

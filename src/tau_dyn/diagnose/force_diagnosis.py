@@ -22,10 +22,10 @@ from tau_dyn.diagnose.channel_pipeline import (
     build_diagnosis,
     build_findings,
     get_fitted_parameters,
-    measure_net_forces,
     select_confirmed,
     select_supported,
 )
+from tau_dyn.diagnose.companions import demote_companions, measure_net_forces
 from tau_dyn.diagnose.data_split import TRAIN
 from tau_dyn.diagnose.detection_limits import compute_detection_limits
 from tau_dyn.diagnose.filters import (
@@ -52,7 +52,7 @@ from tau_dyn.diagnose.recommendation import Recommendation, recommend
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, Unexplained, Untestable, Verdict
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects, select_causes
-from tau_dyn.diagnose.unexplained import build_unexplained, demote_companions
+from tau_dyn.diagnose.unexplained import build_unexplained
 from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.diagnose.words import describe_verdict
 from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
@@ -236,7 +236,8 @@ def diagnose_forces(case: FittedBaseline, seed: int, progress: Progress, warning
         for f in find_parameter_changes(case.nominal, nominal, get_fitted_parameters(after), after.estimate)
     ]
     unexplained = build_unexplained(channel, hunt, tests.structure)
-    largest = measure_net_forces(channel, hunt, claims, bars).max(axis=0, initial=0.0)
+    sizes = measure_net_forces(channel, hunt.library, claims.kept, get_fitted_parameters(after))
+    largest = sizes.max(axis=0, initial=0.0)
     unexplained = demote_companions(unexplained, channel.outputs, after.errors.rms, largest)
     if spoiled:
         unexplained = tuple(replace(u, status="suspected") for u in unexplained)

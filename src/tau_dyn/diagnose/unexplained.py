@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +15,6 @@ from tau_dyn.diagnose.result import Unexplained
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
 from tau_dyn.diagnose.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, list_indistinguishable
 
-MIN_COMPANION_SHARE = 0.05
-"""Share of a confirmed cause's force on the same joint below which something else may be that cause's inexactness: textbook
-laws of friction meet measured curves to five to ten per cent."""
 MIN_GAINING_SHARE = 0.5
 """Share of a predicted force that must be true for its prediction to lower the error."""
 Z95 = 1.959964  # 97.5 % quantile of the normal distribution
@@ -94,23 +90,3 @@ def _borne_out(channel: Channel, hunt: StepwiseSelection, told: StructureTest) -
     known = VALIDATION if _drifts_anew(channel, told.structure) else TRAIN
     shown = confirm(channel, hunt.noise, [told.structure.columns], others, TEST, fitted_on=(known,))
     return shown.share - Z95 * shown.stderr > MIN_GAINING_SHARE
-
-
-def demote_companions(
-    items: Sequence[Unexplained], outputs: Sequence[str], rms: np.ndarray, largest: np.ndarray
-) -> tuple[Unexplained, ...]:
-    """Return the structures, those as suspected that are no larger than the law of a confirmed cause is inexact.
-
-    Args:
-        items: Structures.
-        outputs: Names of the outputs (m,).
-        rms: Residual's rms (m,), all causes in the model.
-        largest: Rms force of the largest confirmed cause at each output (m,), net of the baseline.
-    """
-    found = []
-    for item in items:
-        k = list(outputs).index(item.joint)
-        size = np.sqrt(item.share_of_residual_variance) * rms[k]
-        is_companion = size < MIN_COMPANION_SHARE * largest[k]
-        found.append(replace(item, status="suspected") if is_companion else item)
-    return tuple(found)

@@ -55,6 +55,7 @@ class Effect(ABC):
         setting_units: Name -> unit of each setting; V stands for the speed unit, Q for that of the position.
         positive: Settings that must be above zero.
         whole: Settings that count something, from one up.
+        speed_law: Whether its force on a joint is an odd function of that joint's speed alone.
         grows: A setting that counts terms, of which more are tried where one was found; empty for none.
         shared_by_joints: Whether joints cannot have amplitudes of their own, as the recording has one for all.
         dense: Whether its grid is so fine that it is first tried on decimated motion; it then has `local_frequency`.
@@ -80,6 +81,7 @@ class Effect(ABC):
     whole: ClassVar[tuple[str, ...]] = ()
     grows: ClassVar[str] = ""
     shared_by_joints: ClassVar[bool] = False
+    speed_law: ClassVar[bool] = False
     dense: ClassVar[bool] = False
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:

@@ -31,6 +31,7 @@ class QuadraticDrag(JointwiseEffect):
     plausible = (PlausibleRange("quadratic_drag", 0.0, 3.0, of="drag"),)
     quantities = (("quadratic_drag", "F/(V)^2"),)
     nonnegative = True
+    speed_law = True
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
         """Return `v |v|`."""

@@ -36,6 +36,7 @@ class Stribeck(JointwiseEffect):
     plausible = (PlausibleRange("stribeck", 0.0, 3.0, of="coulomb"),)
     quantities = (("stribeck", "F"),)
     nonnegative = True
+    speed_law = True
     defaults = {"speed": 0.02, "power": 1.0}
     refined = ("speed",)
     open_ends = {"speed": "both"}

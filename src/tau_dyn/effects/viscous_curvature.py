@@ -43,6 +43,7 @@ class ViscousCurvature(JointwiseEffect):
     plausible = (PlausibleRange("viscous_curvature", 0.0, 1.0, of="force"),)
     quantities = (("viscous_curvature", "F"),)
     nonnegative = True
+    speed_law = True
     defaults = {"knee": 0.1, "power": 0.0}
     setting_units = {"knee": "V"}
     positive = ("knee",)

@@ -1,0 +1,71 @@
+"""A second cause beside another one on the same joint: when it may be only what the other's law leaves."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tau_dyn.diagnose import companions
+from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
+from tau_dyn.diagnose.companions import demote_companions, find_companion
+from tau_dyn.diagnose.result import Unexplained
+from tau_dyn.diagnose.stepwise_selection import select_causes
+from tau_dyn.effects import Stribeck, ViscousCurvature
+from tau_dyn.parameters import Parameter, Parameters
+
+
+@pytest.mark.parametrize(("sizes", "companion"), [((30.0, 2.0), False), ((30.0, 1.0), True)])
+def test_what_is_far_smaller_than_another_cause_may_be_its_inexactness(monkeypatch, sizes, companion: bool):
+    """Beside a cause of 30 N on a joint one of 2 N stands; one of 1 N is less than the other's law is known to."""
+    kept = [SimpleNamespace(candidate=SimpleNamespace(cause=c, effects=())) for c in ("drive_gain", "stribeck")]
+    monkeypatch.setattr(companions, "measure_net_forces", lambda *_: np.array(sizes)[:, None])
+    nothing, channel = cast(Any, None), SimpleNamespace(scene=SimpleNamespace(joints=()))
+    found = find_companion(cast(Any, channel), nothing, cast(Any, kept), nothing)
+    assert (found is not None) is companion
+    if found:
+        assert found[0] == 1 and "drive_gain" in found[1]
+
+
+def judge(channel, rng) -> tuple[dict[str, str], list[str]]:
+    """Return why each cause found is not confirmed, and the causes that stand."""
+    hunt = select_causes(channel, rng, lambda step: None)
+    claims = select_confirmed(channel, hunt, [confirm_cause(channel, hunt, one) for one in hunt.found])
+    claims, _ = select_supported(channel, hunt, claims, rng)
+    why = {one.candidate.cause: w for one, w in zip(claims.found, claims.why_not, strict=True)}
+    return why, [one.candidate.cause for one in claims.kept]
+
+
+def test_one_curve_of_friction_is_one_cause(make, rng):
+    """Friction with the 0.7th power of speed needs two laws of the library to be met; only one is confirmed."""
+
+    def curve(motion):
+        return 150 * motion.sign * np.abs(motion.v) ** 0.7
+
+    channel = make.bench(rng, curve, n=16000, noise=0.3, causes=(ViscousCurvature, Stribeck))
+    why, kept = judge(channel, rng)
+    assert len(why) == 2 and len(kept) == 1
+    assert f"{kept[0]} alone meets the joint's friction" in "".join(why.values())
+
+
+@pytest.mark.parametrize(("knee", "peak", "companion"), [(0.1, 0.3, True), (0.5, 1.0, False)])
+def test_two_curves_of_friction_are_two_causes(monkeypatch, knee: float, peak: float, companion: bool):
+    """A small peak where friction levels off anyway is one curve; a large one far below the knee needs both laws."""
+    curved, stribeck = ViscousCurvature("x", "N", knee=knee), Stribeck("x", "N", speed=0.05)
+    fitted = {"coulomb": 0.5, "viscous": 0.3, "viscous_curvature": 1.0, "stribeck": peak}
+    values = Parameters(Parameter(f"x.{name}", value, "N") for name, value in fitted.items())
+    kept = [SimpleNamespace(candidate=SimpleNamespace(cause=e.name, effects=(e,))) for e in (curved, stribeck)]
+    scene = SimpleNamespace(joints=("x",), index=lambda joint: 0, slow=np.array([0.02]), fast=np.array([1.0]))
+    monkeypatch.setattr(companions, "measure_net_forces", lambda *_: np.ones((2, 1)))
+    found = find_companion(cast(Any, SimpleNamespace(scene=scene)), cast(Any, None), cast(Any, kept), values)
+    assert (found is not None) is companion
+
+
+@pytest.mark.parametrize(("largest", "status"), [(1.0, "confirmed"), (30.0, "suspected")])
+def test_a_structure_far_smaller_than_a_named_cause_is_suspected(largest, status):
+    """A quarter of a residual of 2 N is 1 N; beside a cause of 30 N it may be that cause's inexactness."""
+    item = Unexplained("b", ("v_b",), 0.25, "", 1e-9, "confirmed")
+    (found,) = demote_companions([item], ("a", "b"), np.array([9.0, 2.0]), np.array([500.0, largest]))
+    assert found.status == status
