@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from tau_dyn.calibrate.families import Family
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.models import RodFamily, Spec
+from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.residuals import compute_actuated_positions
 
 _MIN_PERIOD_M = 0.004  # [m]: finer than any rack's teeth
@@ -41,22 +42,29 @@ class AdditionTest(NamedTuple):
     period: float = 0.0
 
 
-def screen_additions(fitted: GeometryFit, family: RodFamily, spec: Spec) -> list[AdditionTest]:
+def screen_additions(fitted: GeometryFit, family: Family, spec: Spec) -> list[AdditionTest]:
     """Return the additions that would take away more than noise would, surest first."""
     rest = _ProjectedResidual(fitted)
     hints = []
-    for addition in ("backlash", "periodic", "periodic2", "compliant", "piecewise"):
+    for addition in family.screened:
         for joint in family.can_have(addition):
             first = spec.additions.get("periodic", ())
-            if joint in spec.additions.get(addition, ()) or (addition == "periodic2" and joint not in first):
+            if joint in _list_taken(spec, addition) or (addition == "periodic2" and joint not in first):
                 continue
             if addition.startswith("periodic"):
                 hint = _periodic(rest, family, joint, addition)
             else:
                 hint = _plain(rest, family, spec, addition, joint)
+                if hint is not None and addition == "coupling":
+                    hint = hint._replace(p_value=min(1.0, hint.p_value * len(family.can_have(addition))))
             if hint is not None and hint.p_value < SIGNIFICANCE_LEVEL:
                 hints.append(hint)
     return sorted(hints, key=lambda h: (h.p_value, -h.share))
+
+
+def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
+    """Return where a model has an addition; of couplings as `JOINT/OTHER`."""
+    return tuple(joint.replace("=-", "/").replace("=", "/") for joint in spec.additions.get(addition, ()))
 
 
 class _ProjectedResidual:
@@ -89,7 +97,7 @@ class _ProjectedResidual:
         return min(1.0, p * tries), share
 
 
-def _plain(rest: _ProjectedResidual, family: RodFamily, spec: Spec, addition: str, joint: str) -> AdditionTest | None:
+def _plain(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joint: str) -> AdditionTest | None:
     fitted = rest.fitted
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     if addition == "backlash":
@@ -113,9 +121,7 @@ def _plain(rest: _ProjectedResidual, family: RodFamily, spec: Spec, addition: st
     return AdditionTest(addition, (joint,), p, share)
 
 
-def _periodic(
-    rest: _ProjectedResidual, family: RodFamily, joint: str, addition: str = "periodic"
-) -> AdditionTest | None:
+def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: str = "periodic") -> AdditionTest | None:
     fitted = rest.fitted
     a = family.joints.index(joint)
     x = fitted.poses.q[:, a]
@@ -144,7 +150,7 @@ def _reductions(rest: _ProjectedResidual, slope: np.ndarray, x: np.ndarray, freq
     return np.where(good, (cc * rs**2 - 2 * sc * rs * rc + ss * rc**2) / np.where(good, det, 1.0), 0.0)
 
 
-def find_strongest_periods(fitted: GeometryFit, family: RodFamily, joints: tuple[str, ...]) -> dict[str, float]:
+def find_strongest_periods(fitted: GeometryFit, family: Family, joints: tuple[str, ...]) -> dict[str, float]:
     """Return the period [m] at each joint that takes most away from what a fit leaves."""
     rest = _ProjectedResidual(fitted)
     found = {joint: _periodic(rest, family, joint) for joint in joints}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.addition_tests import find_strongest_periods
 from tau_dyn.calibrate.candidates import (
@@ -17,18 +17,19 @@ from tau_dyn.calibrate.candidates import (
     fit_and_cross_validate,
     fit_spec,
 )
-from tau_dyn.calibrate.causes import find_causes
+from tau_dyn.calibrate.causes import as_finding, find_causes
 from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.families import Family, get_family
-from tau_dyn.calibrate.frames import align
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measurement_noise import estimate_measurement_noise
 from tau_dyn.calibrate.model_selection import select_model
-from tau_dyn.calibrate.models import RodFamily, Spec
+from tau_dyn.calibrate.models import Spec
+from tau_dyn.calibrate.moved_frames import find_moved_frames
 from tau_dyn.calibrate.outliers import describe_outliers, find_outliers
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.calibrate.start import check_spread, drop_duplicate_poses
+from tau_dyn.calibrate.unit_couplings import UnitCoupling, find_unit_coupling
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.robot import Robot
 
@@ -37,9 +38,6 @@ _HELD_OUT = 0.25  # share of the poses
 _MAX_RELATIVE_MISFIT = 0.05
 """What a fit misses, over how far the poses spread, above which the two do not belong together."""
 _MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are no outliers but another situation
-_MIN_POSES_MOVED = 6  # poses; with fewer, the six numbers of a moved frame fit noise
-_MAX_ERROR_LEFT_MOVED = 0.5
-"""Rms error with the frame moved, over that without, below which held-out poses are said to come from a moved frame."""
 _LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
 
 
@@ -87,18 +85,22 @@ def calibrate(
     if holdout is not None:
         holdout = _same_campaigns(poses, holdout)
     family = get_family(robot, poses)
-    if model != "auto":
-        family.spec(model)  # a name that does not exist is told before anything long starts
+    asked = Spec("") if model == "auto" else family.spec(model)  # an unknown name is told before anything long starts
     check_patterns(family, (*fix, *free), model)
     _spread(family, poses)
+    coupling = find_unit_coupling(family, poses)
+    if coupling and "coupling" not in asked.additions:
+        warnings = (*warnings, _describe_coupling(poses, coupling, model))
+        options = replace(options, additions={"coupling": (coupling.name,)} if model == "auto" else {})
     progress("looking for outliers")
     poses, holdout, named = _without_outliers(family, poses, holdout, options, None if model == "auto" else model)
     poses, holdout, split = _split(poses, holdout, seed)
     family = get_family(robot, poses)
     taken, steps, more = _models(family, poses, model, options, progress)
     progress("looking for causes")
-    findings = find_causes(family, taken[-1], holdout, options)
-    sentences = (*poses.warnings, *warnings, *named, *more, *_doubts(taken[-1].fit))
+    moved = find_moved_frames(taken[-1].fit, holdout) if holdout is not None and split == "given" else []
+    findings = (*find_causes(family, taken[-1], holdout, options), *(as_finding(one) for one in moved))
+    sentences = (*poses.warnings, *warnings, *named, *more, *(one.describe() for one in moved), *_doubts(taken[-1].fit))
     return Calibration(
         robot,
         poses,
@@ -110,6 +112,18 @@ def calibrate(
         tuple(dict.fromkeys(sentences)),
         seed,
         measured,
+    )
+
+
+def _describe_coupling(poses: PoseSet, coupling: UnitCoupling, model: str) -> str:
+    """Return what a coupling that stands out means, and what to do."""
+    joint, other = re.split("=-?", coupling.name)
+    sign = "-" if "=-" in coupling.name else "+"
+    taken = "it is part of every model" if model == "auto" else f"add it to the model: {model}+coupling:{coupling.name}"
+    return (
+        f"{poses.source}: {joint} seems to count the motion of {other} too ({joint} {sign} {other}): with that the robot file "
+        f"misses the positions by {1e3 * coupling.error:.3g} mm, without by {1e3 * coupling.without:.3g} mm, with the next best "
+        f"coupling by {1e3 * coupling.next_best:.3g} mm; {taken}"
     )
 
 
@@ -134,7 +148,6 @@ def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Optio
     joints = spec.additions.get("periodic", ())
     if not joints:
         return {}
-    assert isinstance(family, RodFamily)
     plain = Spec(spec.structure, {a: j for a, j in spec.additions.items() if a != "periodic"})
     return find_strongest_periods(fit_spec(family, plain, poses, options), family, joints)
 
@@ -168,7 +181,6 @@ def _without_outliers(
         poses = poses.take(np.setdiff1d(np.arange(poses.n), bad))
     if holdout is not None and fitted is not None:
         bad = _held_outliers(fitted, holdout)
-        said.extend(_describe_moved_frames(fitted, holdout))
         if len(bad) > _MAX_OUTLIER_SHARE * holdout.n:
             said.append(
                 f"{holdout.source}: {len(bad)} of {holdout.n} held-out poses are far from the fitted model; nothing was left "
@@ -181,30 +193,6 @@ def _without_outliers(
             )
             holdout = holdout.take(np.setdiff1d(np.arange(holdout.n), bad))
     return poses, holdout, tuple(said)
-
-
-def _describe_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[str]:
-    """Return a sentence for each campaign whose held-out positions fit far better with the device moved as a rigid body."""
-    error = fitted.errors(holdout).position
-    said = []
-    for k, name in enumerate(holdout.campaigns):
-        own = (holdout.campaign == k) & np.isfinite(error).all(axis=1)
-        if own.sum() < _MIN_POSES_MOVED:
-            continue
-        seen, known = holdout.position[own], (holdout.position - error)[own]
-        move = align(seen, known)
-        left = seen - move.translation - known @ move.rotation.T
-        before, after = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (error[own], left))
-        if after < _MAX_ERROR_LEFT_MOVED * before:
-            shift = float(np.linalg.norm(error[own].mean(axis=0)))
-            turn = float(np.linalg.norm(Rotation.from_matrix(move.rotation).as_rotvec()))
-            where = f"{holdout.source}, campaign {name}" if len(holdout.campaigns) > 1 else holdout.source
-            said.append(
-                f"{where}: the device or the target seems to have moved before the held-out poses, by {1e3 * shift:.3g} mm and "
-                f"{1e3 * turn:.3g} mrad; with that move their rms error is {1e3 * after:.3g} mm instead of "
-                f"{1e3 * before:.3g} mm; fit both files together with a column campaign"
-            )
-    return said
 
 
 def _held_outliers(fitted: GeometryFit, holdout: PoseSet) -> np.ndarray:
@@ -220,11 +208,12 @@ def _robust(family: Family, poses: PoseSet, options: Options, model: str | None)
     """
     robust = replace(options, robust="biweight")
     specs = [family.spec(model)] if model and model != "auto" else []
+    coupled = {a: own for a, own in specs[0].additions.items() if a == "coupling"} if specs else {}
     specs += [Spec(s) for s in reversed(family.structures) if s != "paths"]
     fault: Exception | None = None
     for spec in specs:
         try:
-            return fit_spec(family, Spec(spec.structure), poses, robust)
+            return fit_spec(family, Spec(spec.structure, {**options.additions, **coupled}), poses, robust)
         except (InputError, CannotAnswer) as error:
             fault = error
     assert fault is not None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -65,6 +65,7 @@ class Options:
         device: Whether the device's frame is unknown.
         tool: Whether the target's place is unknown.
         seed: Of folds and bootstrap.
+        additions: Additions that every model has.
     """
 
     fix: Sequence[str] = ()
@@ -74,6 +75,7 @@ class Options:
     device: bool = True
     tool: bool = True
     seed: int = 0
+    additions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def fit_spec(

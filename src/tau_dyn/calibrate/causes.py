@@ -6,6 +6,7 @@ a refit of the rest makes up for is no finding.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -24,8 +25,10 @@ from tau_dyn.calibrate.families import Family
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.models import Spec
+from tau_dyn.calibrate.moved_frames import MovedFrame
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.parameters import Parameter
 
 EQUATIONS = {
     "rod_length": "|A - B| = L + dL",
@@ -37,7 +40,12 @@ EQUATIONS = {
     "guideway_not_straight": "A displaced by bend(q), linear between knots",
     "guideway_compliance": "A displaced by guideway_compliance F across, drive_compliance F along the guideway, F the rods' pull",
     "backlash": "q_real = q - backlash / 2 sign of the approach",
+    "joint_coupling": "q_real = q + coupling q_other",
+    "gravity_deflection": "q_real = q + gravity_compliance tau(q) + load_deflection tau_1(q), tau_1 of 1 kg at the tool",
+    "joint_eccentricity": "q_real = q + eccentricity_sin sin(q) + eccentricity_cos cos(q)",
     "tool_frame": "the target sits elsewhere on the tool in another campaign",
+    "device_moved": "the device stood elsewhere when the held-out poses were measured",
+    "target_moved": "the target sat elsewhere on the tool when the held-out poses were measured",
     "base_frame": "the robot's base stands elsewhere in the device's frame in another campaign",
 }
 """Causes and their equations; names are the contract's."""
@@ -49,6 +57,9 @@ _OF_ADDITION = {
     "piecewise": "guideway_not_straight",
     "compliant": "guideway_compliance",
     "backlash": "backlash",
+    "coupling": "joint_coupling",
+    "gravity": "gravity_deflection",
+    "eccentric": "joint_eccentricity",
     "tool_frame": "tool_frame",
     "base_frame": "base_frame",
 }
@@ -69,6 +80,8 @@ _PATTERNS = {
     "guideway_not_straight": ("bend_",),
     "guideway_compliance": ("_compliance",),
     "backlash": ("backlash",),
+    "gravity_deflection": ("gravity_compliance", "load_deflection"),
+    "joint_eccentricity": ("eccentricity_",),
 }
 
 
@@ -83,6 +96,7 @@ class CalibrationFinding:
         gain: On held-out poses, or by cross-validation where there are none.
         parameters: Names of its parameters.
         equation: What it does.
+        further: Parameters that are not in the chosen model.
     """
 
     cause: str
@@ -91,14 +105,15 @@ class CalibrationFinding:
     gain: CrossValidationGain
     parameters: tuple[str, ...]
     equation: str
+    further: tuple[Parameter, ...] = ()
 
     def to_dict(self, fitted: GeometryFit) -> dict[str, object]:
         """Return the finding with its parameters' values."""
         values = fitted.parameters
         rows = [
             {"name": p.name, "value": p.value, "unit": p.unit, "stderr": p.stderr}
-            for p in values
-            if p.name in self.parameters
+            for p in (*values, *self.further)
+            if p.name in self.parameters or p in self.further
         ]
         return {
             "cause": self.cause,
@@ -109,6 +124,13 @@ class CalibrationFinding:
             "gain": self.gain.to_dict(),
             "equation": self.equation,
         }
+
+
+def as_finding(moved: MovedFrame) -> CalibrationFinding:
+    """Return a move before the held-out poses as a finding; suspected where device and target are not told apart."""
+    cause = f"{moved.owner}_moved"
+    status = "suspected" if moved.other else "confirmed"
+    return CalibrationFinding(cause, (), status, moved.gain, (), EQUATIONS[cause], moved.move)
 
 
 def find_causes(
@@ -149,7 +171,7 @@ def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str,
         for joint in joints:
             left = {a: tuple(j for j in own if (a, j) != (addition, joint)) for a, own in chosen.spec.additions.items()}
             spec = Spec(chosen.spec.structure, {a: own for a, own in left.items() if own})
-            where = () if joint == "all" else (joint,)
+            where = () if joint == "all" else tuple(re.split("/|=-|=", joint))
             out.append((_OF_ADDITION[addition], where, family.build(spec, _periods(chosen.fit)), spec))
     return out
 
@@ -187,6 +209,8 @@ def _parameters(cause: str, joints: tuple[str, ...], fitted: GeometryFit) -> tup
     if cause in ("tool_frame", "base_frame"):
         owner = "tool" if cause == "tool_frame" else "device"
         return tuple(n for n in names if n.startswith(owner))
+    if cause == "joint_coupling":
+        return (f"{joints[0]}.coupling_{joints[1]}",)
     what = _PATTERNS[cause]
     found = [n for n in names if any(w in n.partition(".")[2] for w in what) and not n.startswith(("device", "tool"))]
     return tuple(n for n in found if not joints or n.partition(".")[0] in joints)

@@ -140,15 +140,23 @@ class GeometryFit:
 
     def model_error(self, q: np.ndarray, campaign: int = 0) -> np.ndarray:
         """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone."""
-        found = self.geometry.forward(self.theta, q)
-        at = np.full(len(q), campaign)
-        twist = self.geometry.tool_by_parameter(self.theta, q, found.poses)
-        device, tool = self.frames.columns(found.poses, self.frames.measured(found.poses, at), at)
-        moved = self.frames.carried(found.poses, twist, at)
-        play = np.zeros((len(q), 6, len(self.state.slack)))  # at the middle of the backlash
-        columns = np.concatenate([moved, device, tool, play], axis=2)[:, :3]
-        columns = columns[:, :, self.unknowns.free]
+        at, base = np.full(len(q), campaign), self.geometry.forward(self.theta, q).poses
+        columns = self.compute_prediction_columns(q, base, at)[:, :3]
         return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
+
+    def compute_prediction_columns(self, q: np.ndarray, base: Poses, campaign: np.ndarray) -> np.ndarray:
+        """Return the derivative (N, 6, f) of what the device should see by the free unknowns, in the middle of the backlash.
+
+        Args:
+            q: Actuated positions (N, na).
+            base: Predicted tool poses there (N) in the robot's base frame.
+            campaign: Of each pose (N,).
+        """
+        twist = self.geometry.tool_by_parameter(self.theta, q, base)
+        device, tool = self.frames.columns(base, self.frames.measured(base, campaign), campaign)
+        moved = self.frames.carried(base, twist, campaign)
+        play = np.zeros((len(q), 6, len(self.state.slack)))
+        return np.concatenate([moved, device, tool, play], axis=2)[:, :, self.unknowns.free]
 
 
 def fit_geometry_to_poses(

@@ -12,7 +12,7 @@ from tau_dyn.calibrate.addition_tests import screen_additions
 from tau_dyn.calibrate.candidates import CandidateModel, Options, SelectionStep, fit_and_cross_validate
 from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.families import Family
-from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
+from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 
@@ -29,8 +29,7 @@ def select_model(
         InputError: Too few poses for the smallest model.
     """
     taken, steps, warnings = _structures(family, poses, options, progress)
-    if isinstance(family, RodFamily):
-        _additions(family, poses, options, taken, steps, progress)
+    _additions(family, poses, options, taken, steps, progress)
     return taken, steps, warnings
 
 
@@ -41,8 +40,8 @@ def _structures(
     steps: list[SelectionStep] = []
     warnings: list[str] = []
     moved: dict[str, tuple[str, ...]] = {}
-    for spec in _list_structures(family):
-        structure = Spec(spec.structure, spec.additions | moved)
+    for spec in _list_structures(family, options.additions):
+        structure = Spec(spec.structure, {**spec.additions, **moved})
         progress(f"fitting {structure.name_for(family.joints)}")
         try:
             candidate = fit_and_cross_validate(family, structure, poses, options)
@@ -56,9 +55,11 @@ def _structures(
             steps.append(SelectionStep(candidate.name, taken[-1].name, gain, gain.is_significant))
             if not gain.is_significant:
                 continue
-        if moved and set(candidate.spec.additions) > set(moved) and candidate.spec.structure == family.structures[0]:
+        between = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
+        if moved and set(between) > set(moved) and candidate.spec.structure == family.structures[0]:
             candidate = _drop_earlier_frame(family, poses, options, taken, steps, candidate, moved)
-        moved = candidate.spec.additions
+            between = {a: own for a, own in candidate.spec.additions.items() if a in BETWEEN_CAMPAIGNS}
+        moved = between
         taken.append(candidate)
     return taken, steps, tuple(warnings)
 
@@ -83,15 +84,19 @@ def _drop_earlier_frame(
     return candidate
 
 
-def _list_structures(family: Family) -> list[Spec]:
-    """Return the structures, and after the first one frames that moved between campaigns: what they do looks like geometry."""
+def _list_structures(family: Family, always: Mapping[str, tuple[str, ...]]) -> list[Spec]:
+    """Return the structures, after the robot file as it is those with the additions that every model has.
+
+    Frames that moved between campaigns come before larger structures: what they do looks like geometry.
+    """
     first, *rest = family.structures
-    moved = [Spec(first, {a: family.can_have(a)}) for a in BETWEEN_CAMPAIGNS if family.can_have(a)]
-    return [Spec(first), *moved, *(Spec(s) for s in rest)]
+    moved = [{a: family.can_have(a)} for a in BETWEEN_CAMPAIGNS if family.can_have(a)]
+    with_always = [Spec(first, {**always, **own}) for own in ([{}] if always else []) + moved]
+    return [Spec(first), *with_always, *(Spec(s, dict(always)) for s in rest)]
 
 
 def _additions(
-    family: RodFamily,
+    family: Family,
     poses: PoseSet,
     options: Options,
     taken: list[CandidateModel],

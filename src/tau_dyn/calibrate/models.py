@@ -11,8 +11,10 @@ Structures of a parallel robot of points and distances, each where it means some
 
 Additions: `periodic` (cyclic errors of the drives; `periodic2` a second one of another period), `piecewise` (crooked
 guideways), `compliant` (carts and drives yield to gravity), `backlash`, and between campaigns `base_frame` (the
-device or the robot was moved) and `tool_frame` (the target was). A model is written `complete+periodic+compliant`; an
-addition may name joints: `nonparallel+periodic:cart2,cart3`, the per-arm mix of thesis 5.3 (model 5).
+device or the robot was moved) and `tool_frame` (the target was). Those of a tree are `coupling`, `gravity` and `eccentric`
+(`joint_laws.py`). A model is written `complete+periodic+compliant`; an addition may name joints:
+`nonparallel+periodic:cart2,cart3`, the per-arm mix of thesis 5.3 (model 5). `coupling:j3/j2` adds a share of j2 to j3,
+`coupling:j3=j2` and `coupling:j3=-j2` all of it.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.rods import Rods
 
-ADDITIONS = ("base_frame", "tool_frame", "periodic", "periodic2", "piecewise", "compliant", "backlash")
+ADDITIONS = (
+    "base_frame", "tool_frame", "coupling", "periodic", "periodic2", "piecewise", "compliant", "gravity", "eccentric", "backlash",
+)  # fmt: skip
 BETWEEN_CAMPAIGNS = ("base_frame", "tool_frame")
 _KNOTS = 9  # along a guideway: waves of a quarter of the travel still have a shape
 _PERIOD = 0.1  # [m]: where a search has nothing better to start from
@@ -80,6 +84,8 @@ class Spec:
 
 class RodFamily:
     """All models of one parallel robot."""
+
+    screened = ("backlash", "periodic", "periodic2", "compliant", "piecewise")
 
     def __init__(self, rods: Rods, poses: PoseSet) -> None:
         """Look at the mechanism and at how far the poses travel."""
@@ -130,7 +136,7 @@ class RodFamily:
             return self.joints if self.poses.approach.any() else ()
         if addition == "compliant":
             return self.rails if self.loads.plate_mass > 0 else ()
-        return self.rails
+        return self.rails if addition in self.screened else ()
 
     def _why_not(self, addition: str) -> str:
         if addition in BETWEEN_CAMPAIGNS:

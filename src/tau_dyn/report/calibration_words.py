@@ -25,6 +25,9 @@ ADDED = {
     "piecewise": "straightness error",
     "compliant": "cart and drive compliance",
     "backlash": "backlash",
+    "coupling": "joint coupling",
+    "gravity": "gravity deflection",
+    "eccentric": "joint eccentricity",
     "tool_frame": "the target moved between campaigns",
     "base_frame": "the base moved between campaigns",
 }
@@ -40,8 +43,13 @@ CAUSES = {
     "guideway_not_straight": "The guideway has a straightness error",
     "guideway_compliance": "Cart and drive are compliant",
     "backlash": "The drive has backlash",
+    "joint_coupling": "The second joint moves the first along",
+    "gravity_deflection": "The joint yields to gravity",
+    "joint_eccentricity": "The joint's angle has an error once a turn",
     "tool_frame": "The target moved between campaigns",
     "base_frame": "The base moved between campaigns",
+    "device_moved": "The device moved before the held-out poses",
+    "target_moved": "The target moved before the held-out poses",
 }
 """Causes as sentences."""
 

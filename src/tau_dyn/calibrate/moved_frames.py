@@ -1,0 +1,158 @@
+"""Whether the device or the target was moved before the held-out poses were measured.
+
+A rigid move of the device, or of the target on the tool, is fitted to the held-out residuals (Gauss-Newton). It is compared with
+what the measurement noise and the fitted parameters' covariance let expect (Wald test). Its gain is that at poses left out of the
+fit, by their leverages. References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (leverage).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired
+from tau_dyn.calibrate.frames import AXES, DeviceFrames, compute_rotation_between
+from tau_dyn.calibrate.geometry_fit import GeometryFit
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.kinematics.poses import Poses
+from tau_dyn.parameters import Parameter
+
+_SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
+_MIN_GAIN_PERCENT = 20.0
+"""Reduction of the held-out error from which a move is said: effects that the model lacks look like small moves."""
+_MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
+_STEPS = 20  # Gauss-Newton steps; a turn by half a radian takes six
+_ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
+
+
+class MovedFrame(NamedTuple):
+    """A move of the device or of the target before the held-out poses.
+
+    Attributes:
+        owner: `device` or `target`.
+        other: The other one where poses do not tell the two apart, else ''.
+        where: The poses, in words.
+        move: Translation [m] and rotation vector [rad] with standard errors: of the robot's base in the device's axes, or of the
+            target in the tool frame.
+        gain: On held-out poses.
+    """
+
+    owner: str
+    other: str
+    where: str
+    move: tuple[Parameter, ...]
+    gain: CrossValidationGain
+
+    def describe(self) -> str:
+        """Return it as a sentence with its remedy."""
+        shift, turn = (1e3 * np.linalg.norm([p.value for p in part]) for part in (self.move[:3], self.move[3:]))
+        who = f"the {self.owner}" + (f" or the {self.other}" if self.other else "")
+        rms = [f"{1e3 * x:.3g} mm" for x in (self.gain.after, self.gain.before)]
+        by = f"{shift:.3g} mm" + (f" and {turn:.3g} mrad" if self.move[3:] else "")
+        return (
+            f"{self.where}: {who} seems to have moved before the held-out poses, by {by}; with that move their rms error "
+            f"is {rms[0]} instead of {rms[1]}; fit both files together with a column campaign"
+        )
+
+
+class _Fit(NamedTuple):
+    frames: DeviceFrames
+    columns: np.ndarray  # whitened, (N, m, p)
+    residuals: np.ndarray  # whitened, (N, m)
+    move: np.ndarray
+    cov: np.ndarray
+
+
+def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[MovedFrame]:
+    """Return for each campaign of the held-out poses the move that they ask for, if any."""
+    found = []
+    for k, name in enumerate(holdout.campaigns):
+        state = fitted.predict(holdout)
+        own = (holdout.campaign == k) & state.ok
+        if own.sum() >= _MIN_POSES:
+            where = f"{holdout.source}, campaign {name}" if len(holdout.campaigns) > 1 else holdout.source
+            moved = _find_move(fitted, holdout.take(own), state.base.take(own), where)
+            found += [moved] if moved else []
+    return found
+
+
+def _find_move(fitted: GeometryFit, poses: PoseSet, base: Poses, where: str) -> MovedFrame | None:
+    """Return the move of one campaign's device or target, the likelier one; None where neither is significant."""
+    k = int(poses.campaign[0])
+    pick = [frames[min(k, len(frames) - 1)] for frames in (fitted.frames.device, fitted.frames.tool)]
+    start = DeviceFrames((pick[0],), (pick[1],))
+    m = 6 if poses.rotation is not None and fitted.geometry.orients else 3
+    sigma = poses.relative_errors(m) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
+    before = _compute_residuals(start, poses, base, sigma)
+    owners = ("device", "target") if fitted.geometry.orients else ("device",)
+    fits = {owner: _fit_move(owner, start, fitted, poses, base, sigma) for owner in owners}
+    sizes = {owner: float(np.sum(fit.residuals**2)) for owner, fit in fits.items()}
+    owner = min(sizes, key=lambda o: sizes[o])
+    fit = fits[owner]
+    p_value = float(stats.chi2.sf(fit.move @ np.linalg.pinv(fit.cov) @ fit.move, len(fit.move)))
+    after = _leave_out_each(fit)
+    gain = compare_paired(_as_errors(before * sigma, poses), _as_errors(after * sigma, poses))
+    if not p_value < _SIGNIFICANCE_LEVEL / len(owners) or not gain.percent > _MIN_GAIN_PERCENT:
+        return None
+    near = [o for o in owners if o != owner and before.size * np.log(sizes[o] / max(sizes[owner], 1e-300)) < _ALIKE]
+    error = np.sqrt(np.maximum(np.diag(fit.cov), 0.0))
+    move = tuple(
+        Parameter(f"{owner}_moved.{axis}", float(x), "m" if i < 3 else "rad", stderr=float(e))
+        for i, (axis, x, e) in enumerate(zip(AXES, fit.move, error, strict=False))
+    )
+    return MovedFrame(owner, near[0] if near else "", where, move, gain)
+
+
+def _fit_move(
+    owner: str, start: DeviceFrames, fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray
+) -> _Fit:
+    """Return the move of one frame that leaves least, with the covariance that noise and the fitted parameters give it."""
+    m, frames, zero = sigma.shape[1], start, np.zeros(len(base.position), int)
+    free = 6 if owner == "device" or m == 6 else 3
+    for _ in range(_STEPS):
+        device, tool = frames.columns(base, frames.measured(base, zero), zero)
+        columns = (device if owner == "device" else tool)[:, :m, :free] / sigma[:, :, None]
+        residuals = _compute_residuals(frames, poses, base, sigma)
+        step = np.zeros(6)
+        step[:free] = np.linalg.lstsq(columns.reshape(-1, free), residuals.ravel(), rcond=None)[0]
+        frames = frames.moved(*((step, np.zeros(6)) if owner == "device" else (np.zeros(6), step)))
+    residuals = _compute_residuals(frames, poses, base, sigma)
+    (first, last) = (start.device[0], frames.device[0]) if owner == "device" else (start.tool[0], frames.tool[0])
+    turn = last.rotation @ first.rotation.T if owner == "device" else first.rotation.T @ last.rotation
+    move = np.concatenate(
+        [last.translation - first.translation, compute_rotation_between(turn[None], np.eye(3)[None])[0]]
+    )
+    inverse = np.linalg.pinv(columns.reshape(-1, free))
+    by_parameters = inverse @ _compute_prediction_columns(fitted, poses, base, sigma)
+    scale = max(1.0, float(np.sum(residuals**2)) / max(residuals.size - free, 1))
+    cov = scale * inverse @ inverse.T + by_parameters @ fitted.cov @ by_parameters.T
+    return _Fit(frames, columns, residuals, move[:free], cov)
+
+
+def _compute_residuals(frames: DeviceFrames, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
+    """Return whitened measured minus predicted (N, m)."""
+    seen = frames.measured(base, np.zeros(len(base.position), int))
+    out = [poses.position - seen.position]
+    if sigma.shape[1] == 6:
+        assert poses.rotation is not None
+        out.append(compute_rotation_between(poses.rotation, seen.rotation))
+    return np.concatenate(out, axis=1) / sigma
+
+
+def _compute_prediction_columns(fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
+    """Return the whitened predictions' derivative by the fit's free unknowns (N m, f)."""
+    columns = fitted.compute_prediction_columns(poses.q, base, poses.campaign)[:, : sigma.shape[1]]
+    return (columns / sigma[:, :, None]).reshape(sigma.size, -1)
+
+
+def _leave_out_each(fit: _Fit) -> np.ndarray:
+    """Return each pose's residuals (N, m) of the move fitted without it: `(I - H_ii)^-1 r_i`."""
+    n, m, p = fit.columns.shape
+    q = np.linalg.qr(fit.columns.reshape(n * m, p))[0].reshape(n, m, p)
+    return np.linalg.solve(np.eye(m) - q @ np.swapaxes(q, 1, 2), fit.residuals[:, :, None])[:, :, 0]
+
+
+def _as_errors(errors: np.ndarray, poses: PoseSet) -> HeldOutErrors:
+    return HeldOutErrors(errors[:, :3], errors[:, 3:] if errors.shape[1] == 6 else None, poses.relative_errors(6))

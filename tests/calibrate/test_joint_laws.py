@@ -1,0 +1,186 @@
+"""What an arm's joints do beside turning as their encoders say: derivatives, statics, names, and what is kept in files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from raising import raises_code
+from scipy.spatial.transform import Rotation
+
+from tau_dyn.calibrate import calibrate
+from tau_dyn.calibrate.families import TreeFamily
+from tau_dyn.calibrate.frames import DeviceFrames, Frame
+from tau_dyn.calibrate.joint_laws import ArmGeometry, CouplingLaw, EccentricityLaw, build_gravity_laws
+from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.saved import load_calibration, save_calibration
+from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
+from tau_dyn.calibrate.tree_geometry import build_tree_geometry
+from tau_dyn.calibrate.unit_couplings import find_unit_coupling
+from tau_dyn.robot import Robot, load_robot_from_urdf
+
+NOISE = (3e-5, 6e-5)
+PLACES = ("0 0 0.4", "0.1 0 0", "0.6 0 0", "0.4 0 0.05")
+TURNS = ("0 0 0", "1.5707963267948966 0 0", "0 0 0", "0 1.5707963267948966 0")
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    """Return a 4R arm with links of 6, 5, 4 and 3 kg."""
+    rows = ['<robot name="four"><link name="l0_link"/>']
+    for k in range(4):
+        rows.append(
+            f'<link name="l{k + 1}_link"><inertial><origin xyz="0.2 0.03 0"/><mass value="{6 - k}"/>'
+            '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="j{k + 1}" type="revolute"><origin xyz="{PLACES[k]}" rpy="{TURNS[k]}"/><parent link="l{k}_link"/>'
+            f'<child link="l{k + 1}_link"/><axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="90"/></joint>'
+        )
+    rows.append('<link name="tool"/><joint name="flange" type="fixed"><origin xyz="0.1 0.02 0.05"/>')
+    return load_robot_from_urdf("".join(rows) + '<parent link="l4_link"/><child link="tool"/></joint></robot>', "four")
+
+
+def build_arm(robot: Robot, ratio: float = 1.0) -> ArmGeometry:
+    """Return the arm with every kind of law."""
+    gravity = build_gravity_laws(robot, ("j2", "j3"), np.full(4, -1.5), np.full(4, 1.5))
+    return ArmGeometry(
+        build_tree_geometry(robot), (CouplingLaw("j3", 2, "j2", 1, ratio), *gravity, EccentricityLaw("j4", 3))
+    )
+
+
+def spoil(arm: ArmGeometry, seed: int, **given: float) -> np.ndarray:
+    """Return parameters 1 mm and 1 mrad off; compliances of 30 urad per N m, an eccentricity of 0.7 mrad."""
+    rng = np.random.default_rng(seed)
+    theta = arm.parameters.values + 1e-3 * rng.standard_normal(len(arm.parameters)) * arm.parameters.free
+    laws = {
+        "j2.gravity_compliance": 3e-5,
+        "j3.gravity_compliance": 3e-5,
+        "j2.load_deflection": 0.0,
+        "j3.load_deflection": 0.0,
+    }
+    laws |= {"j4.eccentricity_sin": 5e-4, "j4.eccentricity_cos": -5e-4, "j3.coupling_j2": 1.0, **given}
+    for name, value in laws.items():
+        theta[arm.parameters.names.index(name)] = value
+    return theta
+
+
+def test_derivatives_are_those_of_the_poses(robot):
+    """Twists per parameter and per encoder are the differences of the poses, loads and couplings in the chain."""
+    arm = build_arm(robot)
+    theta, q = spoil(arm, 1), np.random.default_rng(2).uniform(-1, 1, (5, 4))
+
+    def differ(a, b):
+        turn = Rotation.from_matrix(b.rotation @ np.swapaxes(a.rotation, 1, 2)).as_rotvec()
+        return np.concatenate([b.position - a.position, turn], axis=1)
+
+    by_parameter, by_joint, h = arm.tool_by_parameter(theta, q), arm.tool_by_joint(theta, q), 1e-6
+    for k in range(len(theta)):
+        step = h * np.eye(len(theta))[k]
+        found = differ(arm.forward(theta - step, q).poses, arm.forward(theta + step, q).poses) / (2 * h)
+        assert by_parameter[:, :, k] == pytest.approx(found, abs=2e-4 * max(1.0, np.abs(found).max())), (
+            arm.parameters.names[k]
+        )
+    for k in range(4):
+        step = h * np.eye(4)[k]
+        found = differ(arm.forward(theta, q - step).poses, arm.forward(theta, q + step).poses) / (2 * h)
+        assert by_joint[:, :, k] == pytest.approx(found, abs=1e-7)
+
+
+def test_a_horizontal_arm_yields_by_its_weight_times_its_lever(robot):
+    """All of the arm beyond j2 stretched out weighs on j2 by the sum of mass times distance times gravity."""
+    (law,) = build_gravity_laws(robot, ("j2",), np.full(4, -1.5), np.full(4, 1.5))
+    torques = law.compute_columns(np.zeros((1, 4)))[0]
+    masses, load = 9.81 * (5 * 0.2 + 4 * 0.8 + 3 * (1.0 + 0.0)), 9.81 * (1.0 + 0.05)
+    assert torques == pytest.approx([masses, load], rel=1e-9)
+    assert [p.unit for p in law.parameters] == ["rad/(N m)", "rad kg/(N m)"]
+    assert not build_gravity_laws(robot, ("j1",), np.full(4, -1.5), np.full(4, 1.5))  # its axis is vertical
+
+
+def measure(arm: ArmGeometry, theta: np.ndarray, n: int, seed: int) -> PoseSet:
+    """Return measured poses of the arm."""
+    rng = np.random.default_rng(seed)
+    return simulate_poses(arm, theta, rng.uniform(-1.4, 1.4, (n, 4)), rng, noise=NOISE, turned=True, frames=TRACKER)
+
+
+def test_couplings_loads_and_eccentricity_are_named_with_their_size(robot, tmp_path):
+    """The default names the three causes that are there and no other, and the saved model predicts as the fitted one does."""
+    arm = build_arm(robot, -1.0)
+    theta = spoil(arm, 3, **{"j3.coupling_j2": -1.0})
+    found = calibrate(robot, measure(arm, theta, 160, 4), accuracy=NOISE)
+    said = {(f.cause, *f.joints) for f in found.findings if f.status == "confirmed"} - {("joint_placement",)}
+    wanted = {("joint_coupling", "j3", "j2"), ("gravity_deflection", "j2"), ("gravity_deflection", "j3")}
+    assert said == wanted | {("joint_eccentricity", "j4")}
+    for name in ("j3.coupling_j2", "j4.eccentricity_sin"):
+        p = found.fit.parameters[name]
+        assert p.stderr is not None and abs(p.value - theta[arm.parameters.names.index(name)]) < 4 * p.stderr
+    assert any("j3 seems to count the motion of j2 too (j3 - j2)" in w for w in found.warnings)
+    assert found.errors(found.chosen).position_size.rms < 1.3 * np.sqrt(3) * NOISE[0]
+    save_calibration(tmp_path / "arm.yaml", found)
+    q = np.random.default_rng(5).uniform(-1, 1, (4, 4))
+    kept = load_calibration(tmp_path / "arm.yaml").forward(q).poses
+    assert kept.position == pytest.approx(found.fit.geometry.forward(found.fit.theta, q).poses.position, abs=1e-12)
+
+
+def test_a_plain_arm_has_no_laws(robot):
+    """An arm with wrong dimensions alone gets no coupling, no deflection and no eccentricity."""
+    arm = build_tree_geometry(robot)
+    rng = np.random.default_rng(6)
+    theta = arm.parameters.values + 1e-3 * rng.standard_normal(len(arm.parameters)) * arm.parameters.free
+    q = rng.uniform(-1.4, 1.4, (120, 4))
+    poses = simulate_poses(arm, theta, q, rng, noise=NOISE, turned=True)
+    found = calibrate(robot, poses, accuracy=NOISE)
+    assert {f.cause for f in found.findings} <= {"joint_placement"} and found.chosen.name == "complete"
+    assert find_unit_coupling(TreeFamily(robot, poses), poses) is None
+
+
+def test_a_coupling_is_offered_where_the_model_is_given(robot):
+    """With a model of one's own choice the coupling is said, with the model that has it; it is not added."""
+    arm = build_arm(robot)
+    found = calibrate(robot, measure(arm, spoil(arm, 7), 60, 8), model="frames")
+    assert any("frames+coupling:j3=j2" in w for w in found.warnings) and found.chosen.name == "frames"
+
+
+def test_names_of_models_are_checked(robot):
+    """A joint that the robot has not, or a coupling without its joints, ends with a sentence."""
+    family = TreeFamily(robot, PoseSet(np.array([[-1.0] * 4, [1.0] * 4]), np.zeros((2, 3))))
+    spec = family.spec("complete+gravity:j2+coupling:j3=-j2")
+    assert spec.additions == {"gravity": ("j2",), "coupling": ("j3=-j2",)}
+    with raises_code("unknown_name", "j9"):
+        family.spec("complete+eccentric:j9")
+    with raises_code("unknown_name", "j1"):
+        family.spec("complete+gravity:j1")
+    with raises_code("bad_option", "coupling"):
+        family.spec("coupling")
+    with raises_code("unknown_name", "periodic"):
+        family.spec("complete+periodic")
+
+
+@pytest.mark.parametrize(("owner", "size"), [("device", 1e-3), ("target", 1e-3), ("device", 0.0), ("device", 0.4)])
+def test_a_move_before_the_held_out_poses_is_named(robot, owner: str, size: float):
+    """A device or a target moved by a millimetre, or by far, is told apart by the poses; frames at rest are not accused."""
+    arm = build_tree_geometry(robot)
+    rng = np.random.default_rng(9)
+    theta = arm.parameters.values + 1e-3 * rng.standard_normal(len(arm.parameters)) * arm.parameters.free
+    shift = size * np.array([0.0, 0.6, 0.8])
+
+    def shifted(frame: Frame) -> Frame:
+        turn = Rotation.from_rotvec([0, 2 * size, 0]).as_matrix()
+        return Frame(turn @ frame.rotation, frame.translation + shift)
+
+    device, tool = TRACKER.device[0], TRACKER.tool[0]
+    later = (
+        DeviceFrames((shifted(device),), (tool,)) if owner == "device" else DeviceFrames((device,), (shifted(tool),))
+    )
+    train, held = (
+        simulate_poses(arm, theta, rng.uniform(-1.4, 1.4, (n, 4)), rng, noise=NOISE, turned=True, frames=frames)
+        for n, frames in ((80, TRACKER), (30, later))
+    )
+    found = calibrate(robot, train, held, accuracy=NOISE)
+    moved = [f for f in found.findings if f.cause in ("device_moved", "target_moved")]
+    if not size:
+        assert not moved
+        return
+    (finding,) = moved
+    assert (finding.cause, finding.status) == (f"{owner}_moved", "confirmed")
+    values = [p.value for p in finding.further[:3]]
+    assert values == pytest.approx(list(shift), abs=1e-4 + 5e-3 * size)  # a turn moves the 1 mm by which frames are free
+    rows = finding.to_dict(found.fit)["parameters"]
+    assert isinstance(rows, list) and rows[0]["name"] == f"{owner}_moved.x"
