@@ -160,7 +160,7 @@ def measure_coverage(found: Calibration, position: np.ndarray, rotation: np.ndar
     fitted, held = found.fit, found.holdout
     assert held is not None
     state = fitted.predict(held)
-    columns = fitted.compute_prediction_columns(held.q, state.base, held.campaign)
+    columns = fitted.compute_prediction_columns(held.q, state.base, held.setup)
     error = np.sqrt(np.einsum("nif,fg,nig->ni", columns, fitted.cov, columns))
     seen = fitted.seen(held, state)
     off = position - seen.position, Rotation.from_matrix(rotation @ np.swapaxes(seen.rotation, 1, 2)).as_rotvec()

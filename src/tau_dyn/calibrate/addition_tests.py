@@ -85,7 +85,7 @@ class _ProjectedResidual:
 
     def twists(self, base: np.ndarray) -> np.ndarray:
         """Return whitened rows (N m, k) of tool twists (N, 6, k) in the robot's base frame."""
-        moved = self.fitted.frames.carried(self.fitted.state.base, base, self.fitted.poses.campaign)
+        moved = self.fitted.frames.carried(self.fitted.state.base, base, self.fitted.poses.setup)
         return (moved[:, : self.sigma.shape[1]] / self.sigma[:, :, None]).reshape(len(self.q), -1)
 
     def judged(self, gain: float, k: int, tries: int = 1) -> tuple[float, float]:

@@ -83,7 +83,7 @@ def calibrate(
     poses, warnings = drop_duplicate_poses(poses)
     measured = estimate_measurement_noise(poses, accuracy)
     if holdout is not None:
-        holdout = _same_campaigns(poses, holdout)
+        holdout = _number_alike(poses, holdout)
     family = get_family(robot, poses)
     asked = Spec("") if model == "auto" else family.spec(model)  # an unknown name is told before anything long starts
     check_patterns(family, (*fix, *free), model)
@@ -231,19 +231,27 @@ def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet,
     return poses.take(np.setdiff1d(np.arange(poses.n), held)), poses.take(held), "split"
 
 
-def _same_campaigns(poses: PoseSet, holdout: PoseSet) -> PoseSet:
-    """Return held-out poses with the training poses' numbering of campaigns."""
-    if len(poses.campaigns) == 1 and len(holdout.campaigns) == 1:
-        return holdout
-    for name in holdout.campaigns:
-        if name not in poses.campaigns:
+def _number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
+    """Return held-out poses with the training poses' numbering of campaigns and targets."""
+    campaign = _renumber(holdout, "campaign", holdout.campaign, holdout.campaigns, poses.campaigns)
+    target = _renumber(holdout, "target", holdout.target, holdout.targets, poses.targets)
+    return replace(holdout, campaign=campaign, campaigns=poses.campaigns, target=target, targets=poses.targets)
+
+
+def _renumber(
+    holdout: PoseSet, kind: str, number: np.ndarray, names: tuple[str, ...], known: tuple[str, ...]
+) -> np.ndarray:
+    """Return numbers (N,) of names as they stand among the known ones; one name alone is the same one under any name."""
+    if len(known) == 1 and len(names) == 1:
+        return number
+    for name in names:
+        if name not in known:
             raise InputError(
                 "mismatch",
-                f"{holdout.source}: campaign {name} is not among the training poses' campaigns ({', '.join(poses.campaigns)}), "
-                "so its frames are unknown",
+                f"{holdout.source}: {kind} {name} is not among the training poses' {kind}s ({', '.join(known)}), "
+                "so where it is is unknown",
             )
-    number = np.array([poses.campaigns.index(name) for name in holdout.campaigns])
-    return replace(holdout, campaign=number[holdout.campaign], campaigns=poses.campaigns)
+    return np.array([known.index(name) for name in names])[number]
 
 
 def _doubts(fitted: GeometryFit) -> tuple[str, ...]:

@@ -195,7 +195,7 @@ def _fitted(chosen: CandidateModel, geometry: Geometry, spec: Spec, options: Opt
         if "base_frame" not in spec.additions:
             frames = replace(frames, device=frames.device[:1])
         if "tool_frame" not in spec.additions:
-            frames = replace(frames, tool=frames.tool[:1])
+            frames = replace(frames, tool=frames.tool[: len(chosen.fit.poses.targets)])
         start = start._replace(frames=frames, slack=slack)
     return fit_geometry(geometry, spec, chosen.fit.poses, options, start, "this model")
 

@@ -47,11 +47,20 @@ def compute_structural_rank(poses: PoseSet, geometry: Geometry, unknowns: Unknow
     found = geometry.forward(geometry.parameters.values, q)
     q = q[found.ok]
     rotation = None if poses.rotation is None else np.repeat(np.eye(3)[None], len(q), axis=0)
-    many = PoseSet(q, np.zeros((len(q), 3)), rotation, approach=np.sign(rng.standard_normal(q.shape)))
+    number, several = np.arange(len(q)), tuple(poses.targets)
+    many = PoseSet(
+        q,
+        np.zeros((len(q), 3)),
+        rotation,
+        campaign=number % len(poses.campaigns),
+        target=number % len(several),
+        targets=several,
+        approach=np.sign(rng.standard_normal(q.shape)),
+    )
     wide = replace(problem, poses=many)
     frames = _one_of_each(unknowns)
     state = wide.place(geometry.parameters.values, frames, np.zeros(poses.na), None)
-    seen = state.frames.measured(state.base, many.campaign)
+    seen = state.frames.measured(state.base, many.setup)
     wide = replace(
         wide, poses=replace(many, position=seen.position, rotation=None if rotation is None else seen.rotation)
     )

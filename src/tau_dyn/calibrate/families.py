@@ -15,7 +15,7 @@ from tau_dyn.calibrate.joint_laws import (
     JointLaw,
     build_gravity_laws,
 )
-from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec
+from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec, list_between_campaigns
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
@@ -111,7 +111,7 @@ class TreeFamily:
     def can_have(self, addition: str) -> tuple[str, ...]:
         """Return the joints that an addition makes sense for; of couplings the pairs `JOINT/OTHER`."""
         if addition in BETWEEN_CAMPAIGNS:
-            return ("all",) if len(self.poses.campaigns) > 1 else ()
+            return list_between_campaigns(addition, self.poses)
         if addition == "backlash":
             return self.joints if self.poses.approach.any() else ()
         if addition == "eccentric":

@@ -38,7 +38,9 @@ IDENTITY = Frame(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True, eq=False)
 class DeviceFrames:
-    """Device and target, one of each or one for every campaign.
+    """Device and target: one of each, a device for every campaign, a target for every campaign or for every target.
+
+    Methods take which of them each pose has: `setup` (N, 2), or (N,) where both are numbered alike.
 
     Attributes:
         device: The robot's base frame in the device's.
@@ -48,48 +50,49 @@ class DeviceFrames:
     device: tuple[Frame, ...] = (IDENTITY,)
     tool: tuple[Frame, ...] = (IDENTITY,)
 
-    def measured(self, base: Poses, campaign: np.ndarray) -> Poses:
+    def measured(self, base: Poses, setup: np.ndarray) -> Poses:
         """Return what the device sees (N) of tool poses in the robot's base frame."""
-        rd, td, rt, tt = self._each(campaign)
+        rd, td, rt, tt = self._each(setup)
         position = base.position + np.einsum("nij,nj->ni", base.rotation, tt)
         return Poses(td + np.einsum("nij,nj->ni", rd, position), rd @ base.rotation @ rt)
 
-    def in_base(self, measured: Poses, campaign: np.ndarray) -> Poses:
+    def in_base(self, measured: Poses, setup: np.ndarray) -> Poses:
         """Return tool poses in the robot's base frame (N) from what the device saw; needs orientation."""
-        rd, td, rt, tt = self._each(campaign)
+        rd, td, rt, tt = self._each(setup)
         back = np.swapaxes(rd, 1, 2)
         rotation = back @ measured.rotation @ np.swapaxes(rt, 1, 2)
         position = np.einsum("nij,nj->ni", back, measured.position - td)
         return Poses(position - np.einsum("nij,nj->ni", rotation, tt), rotation)
 
-    def carried(self, base: Poses, twist: np.ndarray, campaign: np.ndarray) -> np.ndarray:
+    def carried(self, base: Poses, twist: np.ndarray, setup: np.ndarray) -> np.ndarray:
         """Return twists of the target in the device's axes (N, 6, p) from twists of the tool (N, 6, p) in the base's."""
-        rd, _, _, tt = self._each(campaign)
+        rd, _, _, tt = self._each(setup)
         arm = np.einsum("nij,nj->ni", base.rotation, tt)
         linear, angular = twist[:, :3], twist[:, 3:]
         if np.any(tt):
             linear = linear + np.cross(angular, arm[:, :, None], axis=1)
         return np.concatenate([rd @ linear, rd @ angular], axis=1)
 
-    def brought(self, base: Poses, twist: np.ndarray, campaign: np.ndarray) -> np.ndarray:
+    def brought(self, base: Poses, twist: np.ndarray, setup: np.ndarray) -> np.ndarray:
         """Return twists of the tool in the base's axes (N, 6, p) from twists of the target in the device's: `carried` undone."""
-        rd, _, _, tt = self._each(campaign)
+        rd, _, _, tt = self._each(setup)
         back = np.swapaxes(rd, 1, 2)
         arm = np.einsum("nij,nj->ni", base.rotation, tt)
         linear, angular = back @ twist[:, :3], back @ twist[:, 3:]
         return np.concatenate([linear - np.cross(angular, arm[:, :, None], axis=1), angular], axis=1)
 
-    def columns(self, base: Poses, measured: Poses, campaign: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def columns(self, base: Poses, measured: Poses, setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the target's twist (N, 6, 6 nd) per device parameter and (N, 6, 6 nt) per tool parameter."""
-        n = len(campaign)
-        rd, td, _, _ = self._each(campaign)
+        n = len(setup)
+        rd, td, _, _ = self._each(setup)
         one = np.zeros((n, 6, 6))
         one[:, :3, :3] = one[:, 3:, 3:] = np.eye(3)
         one[:, :3, 3:] = -_skew(measured.position - td)
         two = np.zeros((n, 6, 6))
         two[:, :3, :3] = rd @ base.rotation
         two[:, 3:, 3:] = measured.rotation
-        return _spread(one, campaign, len(self.device)), _spread(two, campaign, len(self.tool))
+        first, second = split_setup(setup)
+        return _spread(one, first, len(self.device)), _spread(two, second, len(self.tool))
 
     def moved(self, device: np.ndarray, tool: np.ndarray) -> DeviceFrames:
         """Return the frames after steps (6 nd,) and (6 nt,): translations, then rotation vectors."""
@@ -103,13 +106,10 @@ class DeviceFrames:
         )
         return DeviceFrames(d, t)
 
-    def apart(self, campaigns: int, *, device: bool, tool: bool) -> DeviceFrames:
-        """Return frames of their own for every campaign."""
-        return replace(
-            self,
-            device=self.device[:1] * campaigns if device else self.device,
-            tool=self.tool[:1] * campaigns if tool else self.tool,
-        )
+    def apart(self, devices: int, tools: int) -> DeviceFrames:
+        """Return as many frames; where there was one, it stands for all."""
+        device = self.device if len(self.device) == devices else self.device[:1] * devices
+        return replace(self, device=device, tool=self.tool if len(self.tool) == tools else self.tool[:1] * tools)
 
     def parameters(self) -> list[Parameter]:
         """Return `device.x` .. `device.rz`, `tool.x` .. at their values; rotations as rotation vectors."""
@@ -123,12 +123,18 @@ class DeviceFrames:
                 rows += [Parameter(f"{label}.{a}", float(v), u) for a, v, u in zip(AXES, values, units, strict=True)]
         return rows
 
-    def _each(self, campaign: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        def pick(frames: tuple[Frame, ...]) -> tuple[np.ndarray, np.ndarray]:
-            index = campaign if len(frames) > 1 else np.zeros(len(campaign), int)
+    def _each(self, setup: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        def pick(frames: tuple[Frame, ...], index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            index = np.minimum(index, len(frames) - 1)
             return np.array([f.rotation for f in frames])[index], np.array([f.translation for f in frames])[index]
 
-        return *pick(self.device), *pick(self.tool)
+        device, tool = split_setup(setup)
+        return *pick(self.device, device), *pick(self.tool, tool)
+
+
+def split_setup(setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the device's and the target's numbers (N,) of a set-up (N, 2) or (N,)."""
+    return (setup[:, 0], setup[:, 1]) if setup.ndim == 2 else (setup, setup)
 
 
 def align(seen: np.ndarray, known: np.ndarray, *, mirrored: bool = False) -> Frame:

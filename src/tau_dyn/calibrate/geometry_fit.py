@@ -123,8 +123,7 @@ class GeometryFit:
     def seen(self, poses: PoseSet, state: FitState | None = None) -> Poses:
         """Return what the device should see of other poses."""
         state = self.predict(poses) if state is None else state
-        campaign = np.minimum(poses.campaign, max(len(self.frames.device), len(self.frames.tool)) - 1)
-        return self.frames.measured(state.base, campaign)
+        return self.frames.measured(state.base, poses.setup)
 
     def errors(self, poses: PoseSet) -> PoseErrors:
         """Return measured minus predicted at other poses."""
@@ -134,27 +133,27 @@ class GeometryFit:
         """Return the target's orientation (3, 3) behind a plate that keeps its own: the mean that was measured."""
         if self.geometry.orients or self.poses.rotation is None:
             return None
-        seen = self.frames.measured(self.state.base, self.poses.campaign)
+        seen = self.frames.measured(self.state.base, self.poses.setup)
         ok = self.state.ok
         return compute_mean_rotation(np.swapaxes(seen.rotation[ok], 1, 2) @ self.poses.rotation[ok])
 
-    def model_error(self, q: np.ndarray, campaign: int = 0) -> np.ndarray:
+    def model_error(self, q: np.ndarray) -> np.ndarray:
         """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone."""
-        at, base = np.full(len(q), campaign), self.geometry.forward(self.theta, q).poses
+        at, base = np.zeros((len(q), 2), int), self.geometry.forward(self.theta, q).poses
         columns = self.compute_prediction_columns(q, base, at)[:, :3]
         return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
 
-    def compute_prediction_columns(self, q: np.ndarray, base: Poses, campaign: np.ndarray) -> np.ndarray:
+    def compute_prediction_columns(self, q: np.ndarray, base: Poses, setup: np.ndarray) -> np.ndarray:
         """Return the derivative (N, 6, f) of what the device should see by the free unknowns, in the middle of the backlash.
 
         Args:
             q: Actuated positions (N, na).
             base: Predicted tool poses there (N) in the robot's base frame.
-            campaign: Of each pose (N,).
+            setup: Device and target of each pose (N, 2).
         """
         twist = self.geometry.tool_by_parameter(self.theta, q, base)
-        device, tool = self.frames.columns(base, self.frames.measured(base, campaign), campaign)
-        moved = self.frames.carried(base, twist, campaign)
+        device, tool = self.frames.columns(base, self.frames.measured(base, setup), setup)
+        moved = self.frames.carried(base, twist, setup)
         play = np.zeros((len(q), 6, len(self.state.slack)))
         return np.concatenate([moved, device, tool, play], axis=2)[:, :, self.unknowns.free]
 
@@ -200,7 +199,9 @@ def fit_geometry_to_poses(
     """
     turned = poses.rotation is not None and geometry.orients
     state = _starting_state(geometry, poses, start, frames, device)
-    state = _own_frames(state, len(poses.campaigns), apart)
+    devices = len(poses.campaigns) if apart[0] else len(state.frames.device)
+    tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
+    state = state._replace(frames=state.frames.apart(devices, tools))
     unknowns = collect(
         geometry, state.frames, fix=fix, free=free, device=device, tool=tool, turned=turned, backlash=backlash
     )
@@ -221,13 +222,6 @@ def fit_geometry_to_poses(
     return GeometryFit(
         geometry, poses, unknowns, state, cov, residuals, residual, noise, weight, found, columns, run.steps, converged
     )
-
-
-def _own_frames(state: FitState, campaigns: int, apart: tuple[bool, bool]) -> FitState:
-    """Return a state in which every campaign has frames of its own where asked for."""
-    device = apart[0] and len(state.frames.device) == 1
-    tool = apart[1] and len(state.frames.tool) == 1
-    return state._replace(frames=state.frames.apart(campaigns, device=device, tool=tool))
 
 
 def _starting_state(

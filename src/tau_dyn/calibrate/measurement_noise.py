@@ -62,7 +62,7 @@ def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ())
 
 def _from_repeats(poses: PoseSet) -> MeasurementNoise:
     """Return the pooled standard deviation of poses measured several times with the same joints, in one campaign."""
-    rows = np.column_stack([np.round(poses.q / _MAX_JOINT_DIFFERENCE), poses.campaign])
+    rows = np.column_stack([np.round(poses.q / _MAX_JOINT_DIFFERENCE), poses.setup])
     _, group = np.unique(rows, axis=0, return_inverse=True)
     group = group.ravel()
     more = poses.n - len(np.unique(group))

@@ -82,6 +82,12 @@ class Spec:
         return Spec(self.structure, own)
 
 
+def list_between_campaigns(addition: str, poses: PoseSet) -> tuple[str, ...]:
+    """Return `all` where a frame may have moved between campaigns; targets that are told apart have their own frames anyway."""
+    known = addition == "tool_frame" and len(poses.targets) > 1
+    return ("all",) if len(poses.campaigns) > 1 and not known else ()
+
+
 class RodFamily:
     """All models of one parallel robot."""
 
@@ -131,7 +137,7 @@ class RodFamily:
     def can_have(self, addition: str) -> tuple[str, ...]:
         """Return the joints that an addition makes sense for."""
         if addition in BETWEEN_CAMPAIGNS:
-            return ("all",) if len(self.poses.campaigns) > 1 else ()
+            return list_between_campaigns(addition, self.poses)
         if addition == "backlash":
             return self.joints if self.poses.approach.any() else ()
         if addition == "compliant":

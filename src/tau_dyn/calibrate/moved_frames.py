@@ -66,23 +66,26 @@ class _Fit(NamedTuple):
 
 
 def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[MovedFrame]:
-    """Return for each campaign of the held-out poses the move that they ask for, if any."""
-    found = []
-    for k, name in enumerate(holdout.campaigns):
-        state = fitted.predict(holdout)
-        own = (holdout.campaign == k) & state.ok
+    """Return for each campaign and target of the held-out poses the move that they ask for, if any."""
+    found, state = [], fitted.predict(holdout)
+    for campaign, target in np.unique(holdout.setup, axis=0):
+        own = np.all(holdout.setup == (campaign, target), axis=1) & state.ok
         if own.sum() >= _MIN_POSES:
-            where = f"{holdout.source}, campaign {name}" if len(holdout.campaigns) > 1 else holdout.source
+            where = (
+                f"{holdout.source}, campaign {holdout.campaigns[campaign]}"
+                if len(holdout.campaigns) > 1
+                else holdout.source
+            )
+            where += f", target {holdout.targets[target]}" if len(holdout.targets) > 1 else ""
             moved = _find_move(fitted, holdout.take(own), state.base.take(own), where)
             found += [moved] if moved else []
     return found
 
 
 def _find_move(fitted: GeometryFit, poses: PoseSet, base: Poses, where: str) -> MovedFrame | None:
-    """Return the move of one campaign's device or target, the likelier one; None where neither is significant."""
-    k = int(poses.campaign[0])
-    pick = [frames[min(k, len(frames) - 1)] for frames in (fitted.frames.device, fitted.frames.tool)]
-    start = DeviceFrames((pick[0],), (pick[1],))
+    """Return the move of the device or the target of one set-up, the likelier one; None where neither is significant."""
+    both = zip((fitted.frames.device, fitted.frames.tool), poses.setup[0], strict=True)
+    start = DeviceFrames(*((frames[min(k, len(frames) - 1)],) for frames, k in both))
     m = 6 if poses.rotation is not None and fitted.geometry.orients else 3
     sigma = poses.relative_errors(m) * np.repeat(np.array(fitted.noise)[: m // 3], 3)
     before = _compute_residuals(start, poses, base, sigma)
@@ -143,7 +146,7 @@ def _compute_residuals(frames: DeviceFrames, poses: PoseSet, base: Poses, sigma:
 
 def _compute_prediction_columns(fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray) -> np.ndarray:
     """Return the whitened predictions' derivative by the fit's free unknowns (N m, f)."""
-    columns = fitted.compute_prediction_columns(poses.q, base, poses.campaign)[:, : sigma.shape[1]]
+    columns = fitted.compute_prediction_columns(poses.q, base, poses.setup)[:, : sigma.shape[1]]
     return (columns / sigma[:, :, None]).reshape(sigma.size, -1)
 
 

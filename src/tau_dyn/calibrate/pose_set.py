@@ -32,6 +32,8 @@ class PoseSet:
         names: What each pose is called in messages (N,), such as `poses.csv, line 12`.
         campaign: Which measuring campaign each pose belongs to (N,), from 0; frames may have moved in between.
         campaigns: Names of the campaigns.
+        target: Which target on the tool each pose was measured at (N,), from 0.
+        targets: Names of the targets.
         approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
         position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
         rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
@@ -46,6 +48,8 @@ class PoseSet:
     names: tuple[str, ...] = ()
     campaign: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     campaigns: tuple[str, ...] = ("1",)
+    target: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    targets: tuple[str, ...] = ("1",)
     approach: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     position_stderr: np.ndarray | None = None
     rotation_stderr: np.ndarray | None = None
@@ -67,6 +71,8 @@ class PoseSet:
             object.__setattr__(self, "names", tuple(f"pose {k + 1}" for k in range(n)))
         if len(self.campaign) != n:
             object.__setattr__(self, "campaign", np.zeros(n, int))
+        if len(self.target) != n:
+            object.__setattr__(self, "target", np.zeros(n, int))
         if self.approach.shape != np.shape(self.q):
             object.__setattr__(self, "approach", np.zeros(np.shape(self.q)))
 
@@ -79,6 +85,11 @@ class PoseSet:
     def na(self) -> int:
         """Number of actuated joints."""
         return self.q.shape[1]
+
+    @property
+    def setup(self) -> np.ndarray:
+        """Which device frame and which target frame each pose has (N, 2); one target may move between campaigns."""
+        return np.column_stack([self.campaign, self.target if len(self.targets) > 1 else self.campaign])
 
     @property
     def poses(self) -> Poses:
@@ -96,6 +107,7 @@ class PoseSet:
             rotation=None if self.rotation is None else self.rotation[index],
             names=tuple(self.names[k] for k in index),
             campaign=self.campaign[index],
+            target=self.target[index],
             approach=self.approach[index],
             position_stderr=None if self.position_stderr is None else self.position_stderr[index],
             rotation_stderr=None if self.rotation_stderr is None else self.rotation_stderr[index],
@@ -116,7 +128,7 @@ class PoseSet:
 
 
 def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
-    """Return the poses of several files as one set; campaigns of one name are one campaign.
+    """Return the poses of several files as one set; campaigns of one name are one campaign, and so are targets.
 
     Raises:
         InputError: Some have orientations, others not.
@@ -129,22 +141,29 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
             "mismatch",
             f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give poses alike",
         )
-    names = tuple(dict.fromkeys(name for s in sets for name in s.campaigns))
-    place = {name: k for k, name in enumerate(names)}
-    numbers = [np.array([place[name] for name in s.campaigns])[s.campaign] for s in sets]
+    campaign, campaigns = _join_words([(s.campaign, s.campaigns) for s in sets])
+    target, targets = _join_words([(s.target, s.targets) for s in sets])
     return PoseSet(
         q=np.concatenate([s.q for s in sets]),
         position=np.concatenate([s.position for s in sets]),
         rotation=np.concatenate([s.rotation for s in sets if s.rotation is not None]) if all(turned) else None,
         names=tuple(name for s in sets for name in s.names),
-        campaign=np.concatenate(numbers),
-        campaigns=names,
+        campaign=campaign,
+        campaigns=campaigns,
+        target=target,
+        targets=targets,
         approach=np.concatenate([s.approach for s in sets]),
         position_stderr=_join_stated([s.position_stderr for s in sets]),
         rotation_stderr=_join_stated([s.rotation_stderr for s in sets]),
         source=", ".join(s.source for s in sets),
         warnings=tuple(w for s in sets for w in s.warnings),
     )
+
+
+def _join_words(parts: Sequence[tuple[np.ndarray, tuple[str, ...]]]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return one numbering of names that several files number each for itself, and the names."""
+    names = tuple(dict.fromkeys(name for _, words in parts for name in words))
+    return np.concatenate([np.array([names.index(name) for name in words])[number] for number, words in parts]), names
 
 
 def _join_stated(parts: Sequence[np.ndarray | None]) -> np.ndarray | None:
@@ -156,9 +175,9 @@ def _join_stated(parts: Sequence[np.ndarray | None]) -> np.ndarray | None:
 def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
-    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses. A column
-    `campaign` tells measuring campaigns apart; the signs of `v_J` tell from which side a joint came, and
-    without them the order of the file does.
+    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses. A column `campaign`
+    tells measuring campaigns apart, a column `target` the targets on the tool; the signs of `v_J` tell from which side a joint
+    came, and without them the order of the file does.
 
     Args:
         path: File.
@@ -172,7 +191,8 @@ def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
     q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
     position = np.column_stack([_numbers(table, name) for name in POSITION])
     _check_units(table, position)
-    campaign, campaigns = _campaigns(table)
+    campaign, campaigns = _number_words(table, "campaign")
+    target, targets = _number_words(table, "target")
     return PoseSet(
         q=q,
         position=position,
@@ -180,6 +200,8 @@ def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
         names=tuple(table.where(k) for k in range(table.n_rows)),
         campaign=campaign,
         campaigns=campaigns,
+        target=target,
+        targets=targets,
         approach=_approach(table, actuated, q),
         position_stderr=_stated(table, STDERRS),
         rotation_stderr=None if (turned := _stated(table, (ROTATION_STDERR,))) is None else turned[:, 0],
@@ -264,10 +286,11 @@ def _rotations(table: Table) -> np.ndarray | None:
     return Rotation.from_quat(quaternion).as_matrix()
 
 
-def _campaigns(table: Table) -> tuple[np.ndarray, tuple[str, ...]]:
-    if "campaign" not in table.cells:
+def _number_words(table: Table, column: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return a column's words as numbers (N,) and the words; without the column all are one."""
+    if column not in table.cells:
         return np.zeros(table.n_rows, int), ("1",)
-    words = [str(x) for x in table.cells["campaign"]]
+    words = [str(x) for x in table.cells[column]]
     number = {word: k for k, word in enumerate(dict.fromkeys(words))}
     return np.array([number[word] for word in words], int), tuple(number)
 

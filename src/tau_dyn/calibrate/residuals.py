@@ -114,7 +114,7 @@ class Problem:
     def residuals(self, state: FitState) -> np.ndarray:
         """Return residuals (N, m), nan where a pose cannot be predicted."""
         if self.kind == "forward":
-            seen = state.frames.measured(state.base, self.poses.campaign)
+            seen = state.frames.measured(state.base, self.poses.setup)
             position = self.poses.position - seen.position
             if not self.turned:
                 return position
@@ -131,19 +131,19 @@ class Problem:
     def columns(self, state: FitState) -> np.ndarray:
         """Return minus the residuals' derivative by all unknowns (N, m, P)."""
         at = state.base if self.kind == "forward" else self._measured_in_base(state)
-        seen = state.frames.measured(at, self.poses.campaign)
-        device, tool = state.frames.columns(at, seen, self.poses.campaign)
+        seen = state.frames.measured(at, self.poses.setup)
+        device, tool = state.frames.columns(at, seen, self.poses.setup)
         if self.kind == "forward":
             q = compute_actuated_positions(self.poses, state.slack)
             own = self.geometry.tool_by_parameter(state.theta, q, at)
             play = self._play(self.geometry.tool_by_joint, state, at)
-            moved = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.campaign)
+            moved = state.frames.carried(at, np.concatenate([own, play], axis=2), self.poses.setup)
             split = own.shape[2]
             twist = np.concatenate([moved[:, :, :split], device, tool, moved[:, :, split:]], axis=2)
             return twist if self.turned else twist[:, :3]
         own = self._of(self.geometry.closure_by_parameter, state, at)
         by_pose = self._of(self.geometry.closure_by_pose, state, at)
-        base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.campaign)
+        base = state.frames.brought(at, np.concatenate([device, tool], axis=2), self.poses.setup)
         play = self._play(self.geometry.closure_by_joint, state, at)
         columns = np.concatenate(
             [own, -by_pose @ base, play], axis=2
@@ -161,9 +161,9 @@ class Problem:
 
     def _measured_in_base(self, state: FitState) -> Poses:
         if self.geometry.orients:
-            return state.frames.in_base(self.poses.poses, self.poses.campaign)
-        seen = state.frames.measured(state.base, self.poses.campaign)
-        back = state.frames.in_base(Poses(self.poses.position, seen.rotation), self.poses.campaign)
+            return state.frames.in_base(self.poses.poses, self.poses.setup)
+        seen = state.frames.measured(state.base, self.poses.setup)
+        back = state.frames.in_base(Poses(self.poses.position, seen.rotation), self.poses.setup)
         return Poses(back.position, state.base.rotation)
 
     def _joint_slope(self, state: FitState, at: Poses) -> np.ndarray:

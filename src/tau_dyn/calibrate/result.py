@@ -202,14 +202,15 @@ def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
 
 def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
     """Return device and target as translation [m] and unit quaternion `x y z w`."""
-    rows = []
+    rows, targets = [], fitted.poses.targets
     for owner, frames in (("device", fitted.frames.device), ("tool", fitted.frames.tool)):
         for k, f in enumerate(frames):
             quaternion = Rotation.from_matrix(f.rotation).as_quat(canonical=True)
             rows.append(
                 {
                     "frame": owner,
-                    "campaign": k + 1,
+                    "campaign": k + 1 if owner == "device" or len(targets) == 1 else None,
+                    "target": targets[k] if owner == "tool" and len(targets) > 1 else None,
                     "translation": f.translation.tolist(),
                     "quaternion": quaternion.tolist(),
                 }

@@ -30,6 +30,7 @@ def simulate_poses(
     turned: bool = True,
     backlash: np.ndarray | None = None,
     campaign: np.ndarray | None = None,
+    target: np.ndarray | None = None,
     source: str = "simulated poses",
 ) -> PoseSet:
     """Return noisy poses of a robot.
@@ -44,13 +45,15 @@ def simulate_poses(
         turned: Whether the device measures orientation.
         backlash: Of the actuated joints (na,) [m or rad].
         campaign: Campaign of each pose (N,).
+        target: Target of each pose (N,); without it the campaign's.
         source: Name, for messages.
     """
     campaign = np.zeros(len(q), int) if campaign is None else campaign
+    of_target = np.zeros(len(q), int) if target is None else target
     step = np.sign(np.diff(q, axis=0, prepend=q[:1]))
     real = q if backlash is None else q - 0.5 * step * backlash
     found = geometry.forward(theta, real)
-    seen = frames.measured(found.poses, campaign)
+    seen = frames.measured(found.poses, np.column_stack([campaign, campaign if target is None else target]))
     keep = found.ok
     position = seen.position[keep] + noise[0] * rng.standard_normal((int(keep.sum()), 3))
     turn = Rotation.from_rotvec(noise[1] * rng.standard_normal((int(keep.sum()), 3))).as_matrix()
@@ -60,6 +63,8 @@ def simulate_poses(
         rotation=turn @ seen.rotation[keep] if turned else None,
         campaign=campaign[keep],
         campaigns=tuple(str(k + 1) for k in range(int(campaign.max(initial=0)) + 1)),
+        target=of_target[keep],
+        targets=tuple(str(k + 1) for k in range(int(of_target.max(initial=0)) + 1)),
         approach=step[keep],
         source=source,
     )
@@ -79,5 +84,8 @@ def format_csv(poses: PoseSet, actuated: Sequence[str]) -> str:
     if len(poses.campaigns) > 1:
         columns.append("campaign")
         data.append(poses.campaign[:, None] + 1)
+    if len(poses.targets) > 1:
+        columns.append("target")
+        data.append(poses.target[:, None] + 1)
     rows = [",".join(f"{x:.9g}" for x in row) for row in np.column_stack(data)]
     return "\n".join([",".join(columns), *rows]) + "\n"

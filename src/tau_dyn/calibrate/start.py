@@ -8,11 +8,14 @@ from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, Frame, align, compu
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.kinematics.poses import Poses
 
 _FLAT = 1e-3
 """Thickness of a cloud of positions, relative to its extent, below which it is a plane."""
 
 _MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
+_ALTERNATIONS = 20
+"""Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
 _MIRROR_GAIN = 5.0
 """By how much better a mirrored device frame must fit before it is called wrong-handed."""
 
@@ -36,15 +39,43 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     flat = is_flat(known)
     if poses.rotation is not None and flat:
         return _from_orientation(poses, nominal)
-    device = align(seen, known)
+    device = (
+        _align_with_targets(poses.take(ok), nominal.poses.take(ok)) if len(poses.targets) > 1 else align(seen, known)
+    )
     if not flat:
         _check_hand(poses.source, seen, known, device)
     if poses.rotation is None:
-        return DeviceFrames((device,), (IDENTITY,))
-    turn = device.rotation @ nominal.poses.rotation[ok]
+        return DeviceFrames((device,), (IDENTITY,) * len(poses.targets))
+    back = np.swapaxes(device.rotation @ nominal.poses.rotation[ok], 1, 2) @ poses.rotation[ok]
     return DeviceFrames(
-        (device,), (Frame(compute_mean_rotation(np.swapaxes(turn, 1, 2) @ poses.rotation[ok]), np.zeros(3)),)
+        (device,), tuple(Frame(_mean_of(back[poses.target[ok] == k]), np.zeros(3)) for k in _each(poses))
     )
+
+
+def _each(poses: PoseSet) -> range:
+    """Return the targets' numbers."""
+    return range(len(poses.targets))
+
+
+def _mean_of(rotations: np.ndarray) -> np.ndarray:
+    """Return the mean rotation (3, 3), none where there are no rotations."""
+    return compute_mean_rotation(rotations) if len(rotations) else np.eye(3)
+
+
+def _align_with_targets(poses: PoseSet, nominal: Poses) -> Frame:
+    """Return the device's frame, the place of each target on the tool fitted in turn with it."""
+    place = np.zeros((len(poses.targets), 3))
+    turned = nominal.rotation
+    frame = align(poses.position, nominal.position)
+    for _ in range(_ALTERNATIONS):
+        for k in _each(poses):
+            own = poses.target == k
+            if own.any():
+                left = poses.position[own] - frame.translation - nominal.position[own] @ frame.rotation.T
+                rows = (frame.rotation @ turned[own]).reshape(-1, 3)
+                place[k] = np.linalg.lstsq(rows, left.ravel(), rcond=None)[0]
+        frame = align(poses.position, nominal.position + np.einsum("nij,nj->ni", turned, place[poses.target]))
+    return frame
 
 
 def _from_orientation(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
@@ -100,7 +131,7 @@ def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
     The same joints measured again with other noise are a repeated measurement and stay.
     """
     rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
-    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.campaign]) / _MAX_DUPLICATE_DISTANCE)
+    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.setup]) / _MAX_DUPLICATE_DISTANCE)
     _, first = np.unique(rows, axis=0, return_index=True)
     if len(first) == poses.n:
         return poses, ()

@@ -182,7 +182,9 @@ def _frame(row: dict[str, object]) -> dict[str, str]:
     translation: Any = row["translation"]
     quaternion: Any = row["quaternion"]
     return {
-        "name": f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}",
+        "name": f"target {row['target']}"
+        if row["target"]
+        else f"{'device' if row['frame'] == 'device' else 'target'}, campaign {row['campaign']}",
         "translation": replace_minus_signs(", ".join(f"{x:.5f}" for x in translation)),
         "quaternion": replace_minus_signs(", ".join(f"{x:.6f}" for x in quaternion)),
     }
