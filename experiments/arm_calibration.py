@@ -178,6 +178,7 @@ def make_row(robot: Robot, number: int, n: int, hide: list[str]) -> dict[str, ob
     began = time.monotonic()
     found = calibrate(robot, train, held, accuracy=NOISE)
     said = {f"{f.cause}@{'+'.join(f.joints)}": f.status for f in found.findings if f.cause != "joint_placement"}
+    alike = {f"{f.cause}@{'+'.join(f.joints)}": f.indistinguishable_from for f in found.findings}
     confirmed = [name for name, status in said.items() if status == "confirmed"]
     expected, errors = found.predicted_error(), found.errors(found.chosen)
     covered = measure_coverage(found, position, rotation) if not moved else (np.nan, np.nan)
@@ -187,7 +188,9 @@ def make_row(robot: Robot, number: int, n: int, hide: list[str]) -> dict[str, ob
         "wanted": "; ".join(wanted),
         "found": "; ".join(f"{name}:{status}" for name, status in said.items()),
         "missed": len([name for name in wanted if name not in confirmed]),
-        "false": len([name for name in confirmed if name not in wanted]),
+        "false": len(
+            [name for name in confirmed if not {name, *(c + name[name.index("@") :] for c in alike[name])} & {*wanted}]
+        ),
         "expected_um": 1e6 * expected,
         "error_um": 1e6 * errors.position_size.rms,
         "error_urad": 1e6 * errors.orientation_size.rms,

@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate import calibrate
 from tau_dyn.calibrate.families import TreeFamily
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
-from tau_dyn.calibrate.joint_laws import ArmGeometry, CouplingLaw, EccentricityLaw, build_gravity_laws
+from tau_dyn.calibrate.joint_laws import (
+    ArmGeometry,
+    CouplingLaw,
+    EccentricityLaw,
+    build_gravity_laws,
+    compute_gravity_torques,
+)
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.saved import load_calibration, save_calibration
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
@@ -40,10 +46,9 @@ def robot() -> Robot:
 
 def build_arm(robot: Robot, ratio: float = 1.0) -> ArmGeometry:
     """Return the arm with every kind of law."""
-    gravity = build_gravity_laws(robot, ("j2", "j3"), np.full(4, -1.5), np.full(4, 1.5))
-    return ArmGeometry(
-        build_tree_geometry(robot), (CouplingLaw("j3", 2, "j2", 1, ratio), *gravity, EccentricityLaw("j4", 3))
-    )
+    tree = build_tree_geometry(robot)
+    gravity = build_gravity_laws(tree, ("j2", "j3"), np.full(4, -1.5), np.full(4, 1.5))
+    return ArmGeometry(tree, (CouplingLaw("j3", 2, "j2", 1, ratio), *gravity, EccentricityLaw("j4", 3)))
 
 
 def spoil(arm: ArmGeometry, seed: int, **given: float) -> np.ndarray:
@@ -63,7 +68,7 @@ def spoil(arm: ArmGeometry, seed: int, **given: float) -> np.ndarray:
 
 
 def test_derivatives_are_those_of_the_poses(robot):
-    """Twists per parameter and per encoder are the differences of the poses, loads and couplings in the chain."""
+    """Twists per parameter and per encoder are the differences of the poses, with loads and couplings in between."""
     arm = build_arm(robot)
     theta, q = spoil(arm, 1), np.random.default_rng(2).uniform(-1, 1, (5, 4))
 
@@ -75,9 +80,9 @@ def test_derivatives_are_those_of_the_poses(robot):
     for k in range(len(theta)):
         step = h * np.eye(len(theta))[k]
         found = differ(arm.forward(theta - step, q).poses, arm.forward(theta + step, q).poses) / (2 * h)
-        assert by_parameter[:, :, k] == pytest.approx(found, abs=2e-4 * max(1.0, np.abs(found).max())), (
-            arm.parameters.names[k]
-        )
+        exact = ".r" not in arm.parameters.names[k] and ".origin" not in arm.parameters.names[k]
+        near = 1e-6 if exact else 3e-3  # what a placement changes in the torques is left out
+        assert by_parameter[:, :, k] == pytest.approx(found, abs=near * max(1.0, np.abs(found).max())), k
     for k in range(4):
         step = h * np.eye(4)[k]
         found = differ(arm.forward(theta, q - step).poses, arm.forward(theta, q + step).poses) / (2 * h)
@@ -86,12 +91,13 @@ def test_derivatives_are_those_of_the_poses(robot):
 
 def test_a_horizontal_arm_yields_by_its_weight_times_its_lever(robot):
     """All of the arm beyond j2 stretched out weighs on j2 by the sum of mass times distance times gravity."""
-    (law,) = build_gravity_laws(robot, ("j2",), np.full(4, -1.5), np.full(4, 1.5))
-    torques = law.compute_columns(np.zeros((1, 4)))[0]
+    tree = build_tree_geometry(robot)
+    (law,) = build_gravity_laws(tree, ("j2",), np.full(4, -1.5), np.full(4, 1.5))
+    torques = law.select(compute_gravity_torques(tree, tree.parameters.values, np.zeros((1, 4))).torques)[0]
     masses, load = 9.81 * (5 * 0.2 + 4 * 0.8 + 3 * (1.0 + 0.0)), 9.81 * (1.0 + 0.05)
     assert torques == pytest.approx([masses, load], rel=1e-9)
     assert [p.unit for p in law.parameters] == ["rad/(N m)", "rad kg/(N m)"]
-    assert not build_gravity_laws(robot, ("j1",), np.full(4, -1.5), np.full(4, 1.5))  # its axis is vertical
+    assert not build_gravity_laws(tree, ("j1",), np.full(4, -1.5), np.full(4, 1.5))  # its axis is vertical
 
 
 def measure(arm: ArmGeometry, theta: np.ndarray, n: int, seed: int) -> PoseSet:
@@ -108,6 +114,8 @@ def test_couplings_loads_and_eccentricity_are_named_with_their_size(robot, tmp_p
     said = {(f.cause, *f.joints) for f in found.findings if f.status == "confirmed"} - {("joint_placement",)}
     wanted = {("joint_coupling", "j3", "j2"), ("gravity_deflection", "j2"), ("gravity_deflection", "j3")}
     assert said == wanted | {("joint_eccentricity", "j4")}
+    alike = {f.joints: f.indistinguishable_from for f in found.findings if f.cause == "joint_eccentricity"}
+    assert alike == {("j4",): ("gravity_deflection",)}  # j4 leans, and its own link's weight goes round with it
     for name in ("j3.coupling_j2", "j4.eccentricity_sin"):
         p = found.fit.parameters[name]
         assert p.stderr is not None and abs(p.value - theta[arm.parameters.names.index(name)]) < 4 * p.stderr
@@ -181,6 +189,8 @@ def test_a_move_before_the_held_out_poses_is_named(robot, owner: str, size: floa
     (finding,) = moved
     assert (finding.cause, finding.status) == (f"{owner}_moved", "confirmed")
     values = [p.value for p in finding.further[:3]]
-    assert values == pytest.approx(list(shift), abs=1e-4 + 5e-3 * size)  # a turn moves the 1 mm by which frames are free
+    assert values == pytest.approx(
+        list(shift), abs=1e-4 + 5e-3 * size
+    )  # a turn moves the 1 mm by which frames are free
     rows = finding.to_dict(found.fit)["parameters"]
     assert isinstance(rows, list) and rows[0]["name"] == f"{owner}_moved.x"

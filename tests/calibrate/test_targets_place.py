@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
-from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
+from tau_dyn.calibrate.pose_set import read_poses
+from tau_dyn.calibrate.result import build_frame_rows
+from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.robot import load_robot_from_urdf
 
@@ -43,3 +46,33 @@ def test_a_blind_target_stays_where_the_file_has_it_and_takes_no_dimension_along
         p = found.parameters[name]
         assert abs(p.value - truth[name]) < 4 * p.stderr < 1e-3, name
     assert "s2.offset" not in blind
+
+
+def test_each_of_several_targets_has_a_place_of_its_own(tmp_path) -> None:
+    """Three targets on one tool, one of them seen in a single pose: each is where it sits, and none spoils the robot."""
+    geometry = build_tree_geometry(load_robot_from_urdf(scara_text(), "scara"))
+    rng = np.random.default_rng(4)
+    seats = tuple(
+        Frame(Rotation.from_rotvec([0, 0, 0.8 * k]).as_matrix(), np.array([0.05 * k, -0.03 * k, 0.0])) for k in range(3)
+    )
+    q = rng.uniform([0.2, -2.2, 0.05, -2.2], [1.4, -0.3, 0.25, 2.2], (61, 4))
+    target = np.append(np.arange(60) % 2, 2)
+    theta = geometry.parameters.with_values({"s2.origin_x": 0.4012, "s2.rx": 0.002}).values
+    frames = DeviceFrames(TRACKER.device, seats)
+    poses = simulate_poses(geometry, theta, q, rng, frames=frames, noise=(NOISE, 1e-4), target=target)
+    path = tmp_path / "poses.csv"
+    path.write_text(format_csv(poses, geometry.actuated))
+    poses = read_poses(path, geometry.actuated)
+    assert poses.targets == ("1", "2", "3")
+    found = fit_geometry_to_poses(geometry, poses)
+    assert len(found.frames.tool) == 3
+    between = found.frames.tool[1].translation - found.frames.tool[0].translation
+    assert np.allclose(between, [0.05, -0.03, 0.0], atol=1e-4)  # what both share is not told from the wrist's placement
+    some = poses.take(np.arange(60))
+    alone = fit_geometry_to_poses(geometry, some)
+    assert (
+        np.abs(found.seen(some).position - alone.seen(some).position).max() < 2e-6
+    )  # a target's only pose tells no more
+    assert np.sqrt(np.mean(found.errors(poses).distance[:60] ** 2)) < 1.2 * np.sqrt(3) * NOISE
+    rows = build_frame_rows(found)
+    assert [row["target"] for row in rows] == [None, "1", "2", "3"]

@@ -97,6 +97,7 @@ class CalibrationFinding:
         parameters: Names of its parameters.
         equation: What it does.
         further: Parameters that are not in the chosen model.
+        indistinguishable_from: Causes that such poses do not tell from it.
     """
 
     cause: str
@@ -106,6 +107,7 @@ class CalibrationFinding:
     parameters: tuple[str, ...]
     equation: str
     further: tuple[Parameter, ...] = ()
+    indistinguishable_from: tuple[str, ...] = ()
 
     def to_dict(self, fitted: GeometryFit) -> dict[str, object]:
         """Return the finding with its parameters' values."""
@@ -123,6 +125,7 @@ class CalibrationFinding:
             "parameters": rows,
             "gain": self.gain.to_dict(),
             "equation": self.equation,
+            "indistinguishable_from": list(self.indistinguishable_from),
         }
 
 
@@ -150,11 +153,16 @@ def find_causes(
         if holdout is not None:
             gain = compare_paired(_held(smaller, holdout), _held(chosen.fit, holdout), options.seed)
             agrees = gain.p_value < _LEVEL and gain.ci95[0] > 0
-        names = _parameters(cause, joints, chosen.fit)
-        findings.append(
-            CalibrationFinding(cause, joints, "confirmed" if agrees else "suspected", gain, names, EQUATIONS[cause])
-        )
+        names, status = _parameters(cause, joints, chosen.fit), "confirmed" if agrees else "suspected"
+        alike = _list_alike(family, cause, joints)
+        findings.append(CalibrationFinding(cause, joints, status, gain, names, EQUATIONS[cause], (), alike))
     return tuple(sorted(findings, key=lambda f: -f.gain.percent))
+
+
+def _list_alike(family: Family, cause: str, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return causes that no pose tells from one: the weight of a joint's own link goes round with it like an eccentricity."""
+    carries = cause == "joint_eccentricity" and joints[0] in family.can_have("gravity")
+    return ("gravity_deflection",) if carries else ()
 
 
 def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:

@@ -137,7 +137,7 @@ class TreeFamily:
         if self.tree.shape.n_loops:
             return {}
         low, high = self.poses.q.min(axis=0), self.poses.q.max(axis=0)
-        return {law.joint: law for law in build_gravity_laws(self.robot, self.joints, low, high)}
+        return {law.joint: law for law in build_gravity_laws(self.tree, self.joints, low, high)}
 
     def _coupling(self, text: str) -> CouplingLaw:
         """Return the law of `JOINT/OTHER`, `JOINT=OTHER` or `JOINT=-OTHER`."""

@@ -7,7 +7,7 @@ r"""What an arm's joints do beside turning as their encoders say: each law is a 
   and `tau_1` that of 1 kg at the tool, which stands for a load that the file does not have;
 - coupling: another joint's drive turns this one along, `e = k q_other`.
 
-Gravity torques are those of the nominal arm, its couplings included; the calibrated arm's differ by parts in a thousand.
+Torques are those at the calibrated geometry and at the joints' positions before they yield.
 
 References: Whitney, Lozinski & Rourke 1986 (gears' errors, coupling, compliance); Khalil & Besnard 2002 (gravity).
 """
@@ -17,51 +17,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
-from tau_dyn.calibrate.tree_shape import compute_tool_frame
 from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics.tree_arrays import compute_frames, transform_point
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import Robot
 
 MAX_DEFLECTION = 0.01
 """Deflection by gravity that a machine is taken to have before its poses are known (one standard deviation) [rad or m]."""
 _COUPLING_STDERR = 0.1
 """Share of another joint's motion that may be coupled in, one standard deviation."""
-_STEP = 1e-6
-"""Step of the differences of gravity torques [rad or m]; rounding and curvature stay below 1e-8 of the torque."""
-
 _TRIED = 50
 """Positions at which it is looked whether a joint carries gravity."""
 _NO_TORQUE = 1e-9
 """Torque relative to the largest one, or to 1 N m, that is rounding."""
-
-
-class JointLaw(Protocol):
-    """An error of one actuated joint's position."""
-
-    @property
-    def actuator(self) -> int:
-        """Index of the joint in `q`."""
-        ...
-
-    @property
-    def parameters(self) -> Parameters:
-        """Its parameters (p,), at their nominal values."""
-        ...
-
-    def compute_columns(self, q: np.ndarray) -> np.ndarray:
-        """Return the error per unit parameter (N, p) at `q` (N, na); the error is linear in the parameters."""
-        ...
-
-    def compute_slopes(self, q: np.ndarray) -> np.ndarray:
-        """Return the columns' derivative by the actuated positions (N, p, na)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -128,33 +101,6 @@ class CouplingLaw:
         return out
 
 
-class GravityTorques:
-    """Gravity torques of a nominal arm without loops, from the robot file's masses and from 1 kg at the tool."""
-
-    def __init__(self, robot: Robot) -> None:
-        """Read masses and gravity from the robot."""
-        self._robot = robot
-        self._tool = compute_tool_frame(robot)
-        self._remembered: tuple[bytes, np.ndarray] | None = None
-
-    def __call__(self, q: np.ndarray) -> np.ndarray:
-        """Return torques (N, na, 2) [N m or N] of the masses and of 1 kg at the tool at `q` (N, na)."""
-        key = q.tobytes()
-        if self._remembered is None or self._remembered[0] != key:
-            data = self._robot.model.createData()
-            self._remembered = (key, np.array([self._compute(row, data) for row in q]).reshape(len(q), q.shape[1], 2))
-        return self._remembered[1]
-
-    def _compute(self, q: np.ndarray, data: pin.Data) -> np.ndarray:
-        model, moved = self._robot.model, np.zeros(self._robot.model.nv)
-        moved[self._robot.active_v] = q
-        full = pin.integrate(model, pin.neutral(model), moved)
-        of_masses = pin.computeGeneralizedGravity(model, data, full)
-        jacobian = pin.computeFrameJacobian(model, data, full, self._tool, pin.LOCAL_WORLD_ALIGNED)
-        of_load = -jacobian[:3].T @ model.gravity.linear
-        return np.column_stack([of_masses, of_load])[self._robot.active_v]
-
-
 @dataclass(frozen=True, eq=False)
 class GravityLaw:
     """A joint that yields to the gravity torque it carries.
@@ -163,14 +109,12 @@ class GravityLaw:
         joint: Joint name.
         actuator: Its index.
         unit: Of the joint.
-        torques: Of the nominal arm.
         sizes: Largest torques of the masses and of 1 kg at the tool on this joint [N m or N].
     """
 
     joint: str
     actuator: int
     unit: str
-    torques: GravityTorques
     sizes: tuple[float, float]
 
     @property
@@ -184,16 +128,64 @@ class GravityLaw:
             if size > 0
         )
 
-    def compute_columns(self, q: np.ndarray) -> np.ndarray:
-        """Return the torques (N, p)."""
-        return self.torques(q)[:, self.actuator][:, np.array(self.sizes) > 0]
+    def select(self, torques: np.ndarray) -> np.ndarray:
+        """Return the joint's columns (N, p, ..) of torques or their slopes (N, na, 2, ..)."""
+        return torques[:, self.actuator][:, np.array(self.sizes) > 0]
 
-    def compute_slopes(self, q: np.ndarray) -> np.ndarray:
-        """Return their derivative (N, p, na) by central differences."""
-        steps = _STEP * np.eye(q.shape[1])
-        return np.stack(
-            [(self.compute_columns(q + s) - self.compute_columns(q - s)) / (2 * _STEP) for s in steps], axis=2
-        )
+
+JointLaw = EccentricityLaw | CouplingLaw | GravityLaw
+"""An error of one actuated joint's position."""
+
+
+class GravityTorques(NamedTuple):
+    """Torques that hold a tree against gravity, those of the robot file's masses first, then those of 1 kg at the tool.
+
+    Attributes:
+        torques: (N, na, 2) [N m or N].
+        slopes: Their derivative by the actuated positions (N, na, 2, na).
+    """
+
+    torques: np.ndarray
+    slopes: np.ndarray
+
+
+def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray) -> GravityTorques:
+    """Return the torques of a tree without loops, its geometry at `theta` (p,) and its joints at `q` (N, na).
+
+    With `M_j` the mass that joint j carries, `A_j` its first moment about the joint, and `s_j = z_j x A_j` for a turn, `M_j z_j`
+    for a slide: `tau_j = -g . s_j`. Of a turn j its derivative by a joint k that it carries is `-(g x z_j) . s_k`, and by a turn
+    k that carries it, itself included, `-(g x z_k) . s_j`; all others are zero.
+    """
+    shape, model = tree.shape, tree.shape.robot.model
+    numbers, x = tree.place(theta, q)
+    at, gravity = compute_frames(numbers.joints, x), model.gravity.linear
+    joints = [next(j for j in numbers.joints if j.v == v) for v in shape.active]
+    bodies = [(0, body.mass, k, body.lever) for k, body in enumerate(model.inertias) if k and body.mass > 0]
+    bodies.append((1, 1.0, shape.tool.joint, numbers.tool))
+    carried = np.zeros((len(joints), 2, len(bodies)))  # masses, by joint, kind and body
+    for i, (kind, mass, carrier, _) in enumerate(bodies):
+        carried[[j.index in model.supports[carrier].tolist() for j in joints], kind, i] = mass
+    points = np.stack([transform_point(at, carrier, lever) for _, _, carrier, lever in bodies])
+    origin, z = (np.stack([vectors[j.index] for j in joints]) for vectors in (at.origin, at.axis))
+    total, slides = carried.sum(axis=2), np.array([j.slides for j in joints])
+    moment = np.einsum("aki,icn->akcn", carried, points) - total[:, :, None, None] * origin[:, None]
+    swept = np.where(
+        slides[:, None, None, None], total[:, :, None, None] * z[:, None], np.cross(z[:, None], moment, axis=2)
+    )
+    torques = -np.einsum("c,akcn->nak", gravity, swept)
+    turning = np.cross(gravity, z, axisb=1, axisc=1) * ~slides[:, None, None]
+    products = -np.einsum("acn,bkcn->nakb", turning, swept)
+    carries = np.array([[a.index in model.supports[b.index].tolist() for b in joints] for a in joints])
+    by_carried, by_carrier = products, np.swapaxes(products, 1, 3)
+    slopes = np.where(carries.T[:, None], by_carrier, np.where(carries[:, None], by_carried, 0.0))
+    return GravityTorques(torques, slopes)
+
+
+class _Deflected(NamedTuple):
+    moved: np.ndarray  # joints' positions without loads (N, na)
+    real: np.ndarray  # joints' positions (N, na)
+    by_position: np.ndarray  # their derivative by the positions without loads (N, na, na)
+    torques: np.ndarray  # (N, na, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +194,7 @@ class ArmGeometry:
 
     Attributes:
         tree: The tree.
-        laws: What its joints do besides; those of gravity take the joints' nominal positions, the others what encoders show.
+        laws: What its joints do besides.
     """
 
     tree: TreeGeometry
@@ -241,25 +233,38 @@ class ArmGeometry:
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses."""
         own, of_laws = self._split(theta)
-        return self.tree.forward(own, self._move(of_laws, q), start)
+        return self.tree.forward(own, self._deflect(own, of_laws, self._move(of_laws, q)).real, start)
 
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
-        """Return the tool's twist per parameter (N, 6, p)."""
+        """Return the tool's twist per parameter (N, 6, p).
+
+        What a placement changes in the torques is left out: a compliance times a torque, a hundredth of the column.
+        """
         own, of_laws = self._split(theta)
-        moved = self._move(of_laws, q)
-        slopes, columns = self.tree.tool_by_joint(own, moved), [self.tree.tool_by_parameter(own, moved)]
+        at = self._deflect(own, of_laws, self._move(of_laws, q))
+        slopes, of_tree = self.tree.tool_by_joint(own, at.real), self.tree.tool_by_parameter(own, at.real)
+        through = slopes @ at.by_position
+        for k, knob in enumerate(self.tree.knobs):
+            if knob.kind in ("offset", "gain"):
+                turned = 1.0 if knob.kind == "offset" else at.moved[:, knob.at, None]
+                of_tree[:, :, k] += turned * (through - slopes)[:, :, knob.at]
+        columns = [of_tree]
         for law in self.laws:
-            columns.append(slopes[:, :, [law.actuator]] * law.compute_columns(self._where(law, q))[:, None, :])
+            if isinstance(law, GravityLaw):
+                columns.append(slopes[:, :, [law.actuator]] * law.select(at.torques)[:, None, :])
+            else:
+                columns.append(through[:, :, [law.actuator]] * law.compute_columns(q)[:, None, :])
         return np.concatenate(columns, axis=2)
 
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per actuated joint's encoder (N, 6, na)."""
         own, of_laws = self._split(theta)
+        at = self._deflect(own, of_laws, self._move(of_laws, q))
         moving = np.broadcast_to(np.eye(q.shape[1]), (len(q), q.shape[1], q.shape[1])).copy()
         for law, values in zip(self.laws, of_laws, strict=True):
-            slope = np.einsum("npa,p->na", law.compute_slopes(self._where(law, q)), values)
-            moving[:, law.actuator] += slope @ self._nominal if isinstance(law, GravityLaw) else slope
-        return self.tree.tool_by_joint(own, self._move(of_laws, q)) @ moving
+            if not isinstance(law, GravityLaw):
+                moving[:, law.actuator] += np.einsum("npa,p->na", law.compute_slopes(q), values)
+        return self.tree.tool_by_joint(own, at.real) @ at.by_position @ moving
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
         """Return None, as the tree does."""
@@ -284,35 +289,37 @@ class ArmGeometry:
         return own, of_laws
 
     def _move(self, of_laws: Sequence[np.ndarray], q: np.ndarray) -> np.ndarray:
-        """Return where the joints really are (N, na)."""
+        """Return where the joints are (N, na) by their encoders' laws, before they yield."""
         moved = np.array(q, float)
         for law, values in zip(self.laws, of_laws, strict=True):
-            moved[:, law.actuator] += law.compute_columns(self._where(law, q)) @ values
+            if not isinstance(law, GravityLaw):
+                moved[:, law.actuator] += law.compute_columns(q) @ values
         return moved
 
-    @cached_property
-    def _nominal(self) -> np.ndarray:
-        """The joints' nominal positions by what their encoders show (na, na)."""
-        out = np.eye(len(self.actuated))
-        for law in self.laws:
-            if isinstance(law, CouplingLaw):
-                out[law.actuator, law.source] += law.ratio
-        return out
+    def _deflect(self, own: np.ndarray, of_laws: Sequence[np.ndarray], moved: np.ndarray) -> _Deflected:
+        """Return where the joints really are, from where they would be without loads (N, na)."""
+        real, by_position = moved.copy(), np.broadcast_to(np.eye(moved.shape[1]), (*moved.shape, moved.shape[1])).copy()
+        if not any(isinstance(law, GravityLaw) for law in self.laws):
+            return _Deflected(moved, real, by_position, np.zeros((*moved.shape, 2)))
+        torques, slopes = compute_gravity_torques(self.tree, own, moved)
+        for law, values in zip(self.laws, of_laws, strict=True):
+            if isinstance(law, GravityLaw):
+                real[:, law.actuator] += law.select(torques) @ values
+                by_position[:, law.actuator] += np.einsum("npa,p->na", law.select(slopes), values)
+        return _Deflected(moved, real, by_position, torques)
 
-    def _where(self, law: JointLaw, q: np.ndarray) -> np.ndarray:
-        """Return the positions that a law takes (N, na)."""
-        return q @ self._nominal.T if isinstance(law, GravityLaw) else q
 
-
-def build_gravity_laws(robot: Robot, joints: Iterable[str], low: np.ndarray, high: np.ndarray) -> list[GravityLaw]:
-    """Return the laws of those joints that carry gravity somewhere between two positions (na,)."""
-    torques = GravityTorques(robot)
-    spread = np.random.default_rng(0).random((_TRIED, robot.na))
-    sizes = np.abs(torques(low + (high - low) * spread)).max(axis=0)
+def build_gravity_laws(
+    tree: TreeGeometry, joints: Iterable[str], low: np.ndarray, high: np.ndarray
+) -> list[GravityLaw]:
+    """Return the laws of those joints that carry gravity somewhere between two positions (na,); the tree has no loops."""
+    robot = tree.shape.robot
+    q = low + (high - low) * np.random.default_rng(0).random((_TRIED, robot.na))
+    sizes = np.abs(compute_gravity_torques(tree, tree.parameters.values, q).torques).max(axis=0)
     sizes[sizes < _NO_TORQUE * max(float(sizes.max()), 1.0)] = 0.0
     found = []
     for joint in joints:
         a = robot.actuated.index(joint)
         if sizes[a].any():
-            found.append(GravityLaw(joint, a, robot.position_units[a], torques, (sizes[a, 0], sizes[a, 1])))
+            found.append(GravityLaw(joint, a, robot.position_units[a], (sizes[a, 0], sizes[a, 1])))
     return found

@@ -175,9 +175,9 @@ def _join_stated(parts: Sequence[np.ndarray | None]) -> np.ndarray | None:
 def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
-    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses. A column `campaign`
-    tells measuring campaigns apart, a column `target` the targets on the tool; the signs of `v_J` tell from which side a joint
-    came, and without them the order of the file does.
+    `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses. A column
+    `campaign` tells measuring campaigns apart, a column `target` the targets on the tool; the signs of `v_J` tell from
+    which side a joint came, and without them the order of the file does.
 
     Args:
         path: File.

@@ -142,6 +142,11 @@ class TreeGeometry:
         """Return the parameters at other values (p,)."""
         return self.parameters.with_values(np.asarray(theta, float))
 
+    def place(self, theta: np.ndarray, q: np.ndarray) -> tuple[TreeNumbers, np.ndarray]:
+        """Return the tree at `theta` (p,) and the positions of all its joints (nv, N) at `q` (N, na)."""
+        numbers = self._numbers(theta)
+        return numbers, self.loops.close(numbers, require_positions(self.shape.robot, q)).x
+
     def _numbers(self, theta: np.ndarray) -> TreeNumbers:
         theta = np.asarray(theta, float)
         if theta.shape != (len(self.knobs),):

@@ -161,6 +161,8 @@ def describe_model(model: CandidateModel, before: CandidateModel | None) -> tupl
 def describe_finding(finding: CalibrationFinding) -> str:
     """Return a finding as a sentence."""
     where = f" ({format_list(finding.joints)})" if finding.joints else ""
+    alike = [f"{CAUSES[cause][0].lower()}{CAUSES[cause][1:]}" for cause in finding.indistinguishable_from]
+    where += f", or {format_list(alike)}" if alike else ""
     gain = finding.gain
     with_it, without = format_length(gain.after), format_length(gain.before)
     if gain.orientation_after is not None and gain.orientation_before is not None:
