@@ -146,6 +146,20 @@ def test_a_coupling_is_offered_where_the_model_is_given(robot):
     assert any("frames+coupling:j3=j2" in w for w in found.warnings) and found.chosen.name == "frames"
 
 
+def test_a_tight_prior_holds_what_poses_hardly_tell(robot):
+    """With three times the noise-free minimum of poses a prior of 10 um keeps dimensions near the file's; 10 mm lets them go."""
+    arm = build_tree_geometry(robot)
+    rng = np.random.default_rng(11)
+    poses = simulate_poses(arm, arm.parameters.values, rng.uniform(-1, 1, (20, 4)), rng, noise=(1e-3, 1e-3))
+    off = []
+    for prior in ((1e-5, 1e-5), ()):
+        fitted = calibrate(robot, poses, model="complete", prior=prior).fit
+        off.append(np.abs(fitted.theta - arm.parameters.values).max())
+    assert off[0] < 3e-5 < 1e-4 < off[1]
+    with raises_code("invalid_value", "above zero"):
+        calibrate(robot, poses, prior=(0.0,))
+
+
 def test_names_of_models_are_checked(robot):
     """A joint that the robot has not, or a coupling without its joints, ends with a sentence."""
     family = TreeFamily(robot, PoseSet(np.array([[-1.0] * 4, [1.0] * 4]), np.zeros((2, 3))))

@@ -54,6 +54,7 @@ def calibrate(
     device: bool = True,
     tool: bool = True,
     accuracy: tuple[float, ...] = (),
+    prior: tuple[float, ...] = (),
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Calibration:
@@ -72,6 +73,8 @@ def calibrate(
         tool: Whether the target's place on the tool is unknown.
         accuracy: Standard errors of a measured coordinate [m] and perhaps of an orientation about an axis [rad], against which
             the held-out error is judged; by default from the poses' columns of standard errors, or from repeated poses.
+        prior: How exactly the robot is taken to be built to its file, one standard deviation of lengths [m] and perhaps angles
+            [rad]; 10 mm and 10 mrad unless given.
         seed: Of folds, splits and bootstrap.
         progress: Told what is being done.
 
@@ -79,7 +82,7 @@ def calibrate(
         InputError: Poses that cannot be used; says why.
         CannotAnswer: Poses in one plane, or a robot that cannot reach them.
     """
-    options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed)
+    options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed, prior=tuple(prior))
     poses, warnings = drop_duplicate_poses(poses)
     measured = estimate_measurement_noise(poses, accuracy)
     if holdout is not None:

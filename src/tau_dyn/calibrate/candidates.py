@@ -66,6 +66,7 @@ class Options:
         tool: Whether the target's place is unknown.
         seed: Of folds and bootstrap.
         additions: Additions that every model has.
+        prior: Standard deviations of the robot's lengths [m] and perhaps angles [rad]; the usual ones unless given.
     """
 
     fix: Sequence[str] = ()
@@ -76,6 +77,7 @@ class Options:
     tool: bool = True
     seed: int = 0
     additions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    prior: tuple[float, ...] = ()
 
 
 def fit_spec(
@@ -113,6 +115,7 @@ def fit_geometry(
         tool=options.tool,
         apart=("base_frame" in spec.additions, "tool_frame" in spec.additions),
         start=start,
+        prior=options.prior,
         what=what,
     )
 

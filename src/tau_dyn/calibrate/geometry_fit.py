@@ -173,6 +173,7 @@ def fit_geometry_to_poses(
     start: GeometryFit | FitState | None = None,
     frames: DeviceFrames | None = None,
     apart: tuple[bool, bool] = (False, False),
+    prior: Sequence[float] = (),
     what: str = "this model",
 ) -> GeometryFit:
     """Fit a geometry's parameters, the measuring device's frame and the target's place to measured poses.
@@ -191,6 +192,7 @@ def fit_geometry_to_poses(
         start: A fit of the same geometry, or its state, to start from.
         frames: Device and target to start from; found by aligning the nominal robot unless given.
         apart: Whether every campaign has a device frame, a target of its own.
+        prior: Standard deviations of the robot's lengths [m] and perhaps angles [rad]; 10 mm and 10 mrad unless given.
         what: The model's name, for messages.
 
     Raises:
@@ -203,7 +205,15 @@ def fit_geometry_to_poses(
     tools = len(poses.campaigns) if apart[1] else max(len(poses.targets), len(state.frames.tool))
     state = state._replace(frames=state.frames.apart(devices, tools))
     unknowns = collect(
-        geometry, state.frames, fix=fix, free=free, device=device, tool=tool, turned=turned, backlash=backlash
+        geometry,
+        state.frames,
+        fix=fix,
+        free=free,
+        device=device,
+        tool=tool,
+        turned=turned,
+        backlash=backlash,
+        prior=prior,
     )
     problem = Problem(geometry, poses, unknowns, residual, turned)
     check_count(poses, geometry, unknowns, problem, what)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,8 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.poses import Poses
+from tau_dyn.log.column_map import ColumnMap
 from tau_dyn.log.column_names import format_names
+from tau_dyn.log.read import compute_mapped_columns
 from tau_dyn.log.table import Table, read_table
+from tau_dyn.robot.annotations import Mimic
 
 POSITION = ("x_tool", "y_tool", "z_tool")
 STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")
@@ -172,7 +175,13 @@ def _join_stated(parts: Sequence[np.ndarray | None]) -> np.ndarray | None:
     return np.concatenate(known) if len(known) == len(parts) else None
 
 
-def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
+def read_poses(
+    path: str | Path,
+    actuated: Sequence[str],
+    *,
+    columns: ColumnMap | str | Path | None = None,
+    mimics: Mapping[str, Mimic] | None = None,
+) -> PoseSet:
     """Read measured poses from CSV or Parquet, with the columns `q_J`, `x_tool y_tool z_tool` and maybe `qx_tool` .. `qw_tool`.
 
     `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that weigh the poses. A column
@@ -182,11 +191,16 @@ def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
     Args:
         path: File.
         actuated: Actuated joints of the robot, in its order.
+        columns: Map for foreign columns, or the path of one; its `couplings` undo coupled transmissions.
+        mimics: Joints that follow others in the robot file; a column that they lack is computed.
 
     Raises:
         InputError: Columns are missing, cells are no numbers, or quaternions no orientations.
     """
     table = read_table(path)
+    if columns is not None:
+        table = _rename_columns(table, columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
+    table = _follow_mimics(table, mimics or {})
     _check_columns(table, actuated)
     q = np.column_stack([_numbers(table, f"q_{joint}") for joint in actuated])
     position = np.column_stack([_numbers(table, name) for name in POSITION])
@@ -209,6 +223,28 @@ def read_poses(path: str | Path, actuated: Sequence[str]) -> PoseSet:
         sha256=table.sha256,
         warnings=table.warnings,
     )
+
+
+def _rename_columns(table: Table, map_: ColumnMap) -> Table:
+    """Return the table with the map's columns in our names and units beside its others.
+
+    Raises:
+        InputError: The map reads further files.
+    """
+    if map_.files:
+        raise InputError("unsupported", f"{map_.name}: poses stand in one file; leave out files")
+    return replace(table, cells={**table.cells, **compute_mapped_columns({None: table}, map_)})
+
+
+def _follow_mimics(table: Table, mimics: Mapping[str, Mimic]) -> Table:
+    """Return the table with the positions of joints that follow others, where it lacks them."""
+    cells = dict(table.cells)
+    for _ in mimics:  # a joint may follow one that follows another
+        for joint, mimic in mimics.items():
+            if f"q_{joint}" not in cells and f"q_{mimic.joint}" in cells:
+                known = replace(table, cells=cells).numbers(f"q_{mimic.joint}")
+                cells[f"q_{joint}"] = mimic.multiplier * known + mimic.offset
+    return replace(table, cells=cells)
 
 
 def _check_columns(table: Table, actuated: Sequence[str]) -> None:

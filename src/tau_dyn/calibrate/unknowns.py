@@ -11,9 +11,10 @@ import numpy as np
 from tau_dyn.calibrate.frames import DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.identifiability import SCALES
-from tau_dyn.exceptions import UnknownName
+from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.parameters import Parameter
 
+_PRIOR_UNITS = ("m", "rad")
 _FRAMES_FIRST = -1  # priority of device and target: below that of any parameter of the robot
 
 
@@ -66,6 +67,7 @@ def collect(
     tool: bool,
     turned: bool,
     backlash: bool = False,
+    prior: Sequence[float] = (),
 ) -> Unknowns:
     """Return the unknowns of a fit.
 
@@ -78,8 +80,10 @@ def collect(
         tool: Whether the target's place on the tool is unknown.
         turned: Whether orientations were measured; without them the target's own orientation is invisible.
         backlash: Whether backlash of the actuated joints is unknown; needs poses that tell from which side each came.
+        prior: Standard deviations of what the robot was built to: lengths [m] and perhaps angles [rad]; `SCALES` unless given.
 
     Raises:
+        InputError: A standard deviation that is not above zero.
         UnknownName: A pattern that no parameter matches.
     """
     p = len(geometry.parameters)
@@ -97,6 +101,11 @@ def collect(
             if not hit:
                 raise UnknownName("geometry parameter", pattern, names)
             may[hit] = value
-    scales = np.array([row.prior_stderr or SCALES.get(row.unit, 0.01) for row in rows])
+    if len(prior) > len(_PRIOR_UNITS) or not all(0 < x < np.inf for x in prior):
+        raise InputError(
+            "invalid_value", f"a prior is a length [m] and perhaps an angle [rad], above zero, not {prior}"
+        )
+    known = SCALES | dict(zip(_PRIOR_UNITS, prior, strict=False))
+    scales = np.array([row.prior_stderr or known.get(row.unit, 0.01) for row in rows])
     priority = np.concatenate([geometry.priority, np.full(len(own), _FRAMES_FIRST), np.zeros(len(play), int)])
     return Unknowns(rows, may, scales, priority, p, nd, nt)

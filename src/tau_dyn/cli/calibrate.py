@@ -42,11 +42,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)",
     )
     parser.add_argument(
+        "--columns", metavar="MAP.yaml", type=Path, help="names, units and couplings of foreign columns, as of logs"
+    )
+    parser.add_argument(
         "--model",
         default="auto",
         metavar="NAME",
         help="auto (default); frames, ideal, nonparallel, complete or paths, as the robot offers them; with "
-        "+periodic, +piecewise, +compliant, +backlash, each perhaps with joints: nonparallel+periodic:cart2",
+        "+periodic, +piecewise, +compliant, +backlash, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), "
+        "each perhaps with joints: nonparallel+periodic:cart2",
     )
     parser.add_argument(
         "--residual", default="forward", choices=("forward", "closure", "inverse"), help="residual to minimise"
@@ -82,6 +86,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         "(default: columns x_tool_stderr .., or repeated poses)",
     )
     parser.add_argument(
+        "--prior",
+        metavar="SIGMA",
+        nargs="+",
+        type=float,
+        default=[],
+        help="how exactly the robot is built to its file: standard deviation of lengths [m], and perhaps of angles [rad] "
+        "(default 0.01 0.01)",
+    )
+    parser.add_argument(
         "--correct",
         metavar="Q.csv",
         type=Path,
@@ -107,11 +120,13 @@ def run(args: argparse.Namespace) -> Outcome:
         step("loading")
         from tau_dyn.calibrate import calibrate, read_poses
         from tau_dyn.kinematics.pose_table import read_positions
+        from tau_dyn.robot.annotations import read_annotations
 
         robot = load_robot_from(args)
         wanted = None if args.correct is None else read_positions(read_columns(args.correct), robot, str(args.correct))
-        poses = read_poses(args.poses, robot.actuated)
-        held, hashes, warnings = _held_out(args, robot)
+        known = {"columns": args.columns, "mimics": read_annotations(robot.urdf, robot.source).mimics}
+        poses = read_poses(args.poses, robot.actuated, **known)
+        held, hashes, warnings = _held_out(args, robot, known)
         found = calibrate(
             robot,
             poses,
@@ -124,6 +139,7 @@ def run(args: argparse.Namespace) -> Outcome:
             device="device" not in args.known,
             tool="tool" not in args.known,
             accuracy=tuple(args.accuracy),
+            prior=tuple(args.prior),
             seed=args.seed,
             progress=step,
         )
@@ -143,13 +159,13 @@ def run(args: argparse.Namespace) -> Outcome:
     )
 
 
-def _held_out(args: argparse.Namespace, robot):
+def _held_out(args: argparse.Namespace, robot, known: dict):
     from tau_dyn.calibrate import read_poses
     from tau_dyn.calibrate.pose_set import join_pose_sets
 
     same = [path for path in args.holdout if path.resolve() == args.poses.resolve()]
     said = [f"{path} is both fitted and held out; it counts as fitted only" for path in same]
-    sets = [(path, read_poses(path, robot.actuated)) for path in args.holdout if path not in same]
+    sets = [(path, read_poses(path, robot.actuated, **known)) for path in args.holdout if path not in same]
     if not sets:
         return None, [], said
     return join_pose_sets([s for _, s in sets]), [(str(path), s.sha256) for path, s in sets], said

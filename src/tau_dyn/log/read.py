@@ -58,13 +58,7 @@ def _read_foreign(path: Path, map_: ColumnMap) -> Log:
     """Read the log's files, and give their columns our names and units."""
     tables, warnings = _same_length(_tables(path, map_))
     main = tables.get(None) or next(iter(tables.values()))
-    channels = {
-        ours: source.scale * _theirs(tables, map_, ours) + source.offset for ours, source in map_.sources.items()
-    }
-    for signal, coupling in map_.couplings.items():
-        names = [f"{signal}_{joint}" for joint in coupling.joints]
-        mixed = coupling.apply(np.column_stack([channels[name] for name in names]))
-        channels.update(zip(names, mixed.T, strict=True))
+    channels = compute_mapped_columns(tables, map_)
     if map_.rate_hz is not None:
         channels["t"] = np.arange(main.n_rows) / map_.rate_hz
     if None in tables:
@@ -72,6 +66,22 @@ def _read_foreign(path: Path, map_: ColumnMap) -> Log:
         kept = tuple(column for column in main.cells if column not in taken)
         channels = {**_own_columns(main, kept, beside=tuple(channels)), **channels}
     return _build(tables, main, channels, warnings)
+
+
+def compute_mapped_columns(tables: Mapping[str | None, Table], map_: ColumnMap) -> dict[str, NDArray[np.float64]]:
+    """Return the map's columns (N,) in our names and units, couplings undone.
+
+    Raises:
+        InputError: A column is missing, or a cell is no number.
+    """
+    channels = {
+        ours: source.scale * _theirs(tables, map_, ours) + source.offset for ours, source in map_.sources.items()
+    }
+    for signal, coupling in map_.couplings.items():
+        names = [f"{signal}_{joint}" for joint in coupling.joints]
+        mixed = coupling.apply(np.column_stack([channels[name] for name in names]))
+        channels.update(zip(names, mixed.T, strict=True))
+    return channels
 
 
 def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:

@@ -64,6 +64,21 @@ class Spring:
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another one: `position = multiplier * position of joint + offset` [m or rad].
+
+    Attributes:
+        joint: The joint that it follows.
+        multiplier: Its share.
+        offset: Its position where the other one is at zero.
+    """
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Annotations:
     """All that the file says beyond the plain tree."""
 
@@ -79,7 +94,7 @@ class Annotations:
     gravity_masses: dict[str, float]
     springs: tuple[Spring, ...]
     assumed: tuple[str, ...]
-    mimics: tuple[str, ...]  # joints whose <mimic> we ignore
+    mimics: dict[str, Mimic]
     shared_drives: tuple[tuple[str, str], ...] = ()  # pairs of joints in one <transmission>
 
 
@@ -115,7 +130,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         gravity_masses={reader.link_of(e, "link"): reader.number(e, "value") for e in reader.ours("gravity_mass")},
         springs=reader.springs(),
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
-        mimics=reader.mimics,
+        mimics=reader.mimics(),
         shared_drives=reader.shared_drives(),
     )
 
@@ -128,12 +143,23 @@ class _Reader:
         self.links = [e.get("name", "") for e in root.findall("link")]
         movable = [e for e in root.findall("joint") if e.get("type") != "fixed"]
         self.joints = {e.get("name", ""): self._child(e) for e in movable}
-        self.mimics = tuple(e.get("name", "") for e in movable if e.find("mimic") is not None)
         both = set(self.links) & {e.get("name", "") for e in root.findall("joint")}
         if both:
             raise InputError(
                 "robot_structure", f"{where}: '{min(both)}' names both a link and a joint; end link names in _link"
             )
+
+    def mimics(self) -> dict[str, Mimic]:
+        found = {}
+        for joint in self.root.findall("joint"):
+            element = joint.find("mimic")
+            if element is not None and joint.get("type") != "fixed":
+                share, offset = (
+                    self.number(element, key) if element.get(key) is not None else default
+                    for key, default in (("multiplier", 1.0), ("offset", 0.0))
+                )
+                found[joint.get("name", "")] = Mimic(self.joint_of(element, "joint"), share, offset)
+        return found
 
     def leaves(self) -> tuple[str, ...]:
         parents = {e.get("link") for e in self.root.findall("joint/parent")}

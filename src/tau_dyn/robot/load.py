@@ -80,7 +80,9 @@ def load_robot_from_urdf(
     warnings: list[str] = []
     names = _actuated(model, notes, actuated, source, warnings)
     if notes.mimics:
-        warnings.append(f"{source}: the <mimic> of {', '.join(notes.mimics)} is ignored; each joint moves by itself")
+        warnings.append(
+            f"{source}: the <mimic> of {', '.join(notes.mimics)} counts in calibrate alone; elsewhere each joint moves by itself"
+        )
     passive = [n for n in model.names[1:] if n not in names]
     if passive and not notes.loops:
         listed = ", ".join(passive)
