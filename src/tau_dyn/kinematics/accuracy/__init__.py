@@ -11,7 +11,15 @@ from tau_dyn.kinematics.accuracy.error_bounds import (
 )
 from tau_dyn.kinematics.accuracy.error_scaling import Growth, scale_errors
 from tau_dyn.kinematics.accuracy.result import AccuracyResult, Body, Measured, study_accuracy
-from tau_dyn.kinematics.accuracy.section import Grid, Section, choose_default_section, lay_grid, read_section
+from tau_dyn.kinematics.accuracy.section import (
+    Grid,
+    Section,
+    choose_default_section,
+    lay_default_grid,
+    lay_grid,
+    read_section,
+    sample_single_motion,
+)
 from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, build_device, compute_positioning_errors
 
 __all__ = [
@@ -30,10 +38,12 @@ __all__ = [
     "build_isotropic_error",
     "choose_default_section",
     "compute_positioning_errors",
+    "lay_default_grid",
     "lay_grid",
     "read_actuator_errors",
     "read_errors_file",
     "read_section",
+    "sample_single_motion",
     "scale_errors",
     "study_accuracy",
 ]
