@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> Outcome:
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.calibrate import calibrate, read_poses
-        from tau_dyn.kinematics.pose_table import read_positions
+        from tau_dyn.kinematics.pose_columns import read_positions
 
         robot = load_robot_from(args)
         wanted = None if args.correct is None else read_positions(read_columns(args.correct), robot, str(args.correct))
