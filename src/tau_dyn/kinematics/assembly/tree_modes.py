@@ -21,9 +21,9 @@ from tau_dyn.kinematics.tree_pose import TreePose
 
 _BATCH = 100  # starts at a time
 _MAX_STARTS = 3000  # of one set of actuated positions
-_MIN_TIMES_MET = 10
+_MIN_TIMES_MET = 10  # of each mode before the search ends, as `tree_inverse.py`
 _MAX_MODES = 200  # more are a continuum
-_ITERATIONS = 60
+_ITERATIONS = 60  # Newton's steps from one start; nearly all that arrive do within 40
 _STEP = 0.5  # [m or rad] largest step of a passive joint
 _DAMPING = 1e-2  # of the squared gap, by that of the largest entry of J_p
 _CLOSED = 1e-10  # [m]
