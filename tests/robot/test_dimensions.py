@@ -44,8 +44,10 @@ def test_every_listed_dimension_may_be_given(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "dimension"),
     [
-        ("delta", "arm_length=0.3"), ("triglide", "rod_length=0.8"), ("h4", "middle=0.1"), ("stewart", "top=0.3"),
-        ("hexaglide", "depth=0.8"), ("hexarot", "far=1"), ("hexa_321", "front=0.12"), ("scara_tau", "reach=0.55"),
+        ("delta", "arm_length=0.3"),
+        ("triglide", "rod_length=0.8"), ("h4", "middle=0.1"), ("stewart", "top=0.3"),
+        ("hexaglide", "arms.2.on_plate.1=-0.06"), ("hexarot", "arms.1.z=1.15"), ("hexa_321", "front=0.12"),
+        ("scara_tau", "arms.1.z=1.25"),
         ("gantry_tau_f1", "arm2.rods.1.length=1.52"), ("gantry_tau_t2", "home.tool.2=-0.16"),
         ("gantry_tau_5dof", "complete.arms.1.origin.3=1.5"), ("gantry_tau_queensland", "complete.arms.2.origin.2=-1.4"),
     ],
