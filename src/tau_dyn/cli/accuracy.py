@@ -48,7 +48,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--section",
         metavar="AXIS=VALUE",
-        help="cut through the workspace, such as x=1.75; default at home; of one actuator its whole motion",
+        help="cut through the workspace, such as x=1.75; default at home; of one or two actuators their whole motion",
     )
     where.add_argument(
         "--range", metavar="AXIS=LOW:HIGH", nargs="+", action="extend", default=[], help="part of the section"
@@ -237,18 +237,14 @@ def _gridded(args: argparse.Namespace, robot, rods):
         lay_default_grid,
         lay_grid,
         read_section,
-        sample_single_motion,
+        sample_default_motion,
     )
     from tau_dyn.kinematics.forward import forward_kinematics
     from tau_dyn.kinematics.poses import Poses
 
     limits, given = not args.no_limits, bool(args.section or args.range)
-    if not given and robot.na == 1:  # a section crosses the tool's curve in single points
-        q = sample_single_motion(robot, args.grid)
-        found = forward_kinematics(robot, q)
-        if not found.ok.any():
-            raise InputError("unreachable", f"{robot.source}: {robot.actuated[0]} reaches no pose: {found.reason[0]}")
-        return None, q[found.ok], found.poses.take(found.ok)
+    if not given and (sampled := sample_default_motion(robot, args.grid)):
+        return None, *sampled
     home = forward_kinematics(robot, robot.home[None]).poses
     if given:
         section = read_section(args.section) if args.section else choose_default_section(robot, home, rods)

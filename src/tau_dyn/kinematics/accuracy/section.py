@@ -11,7 +11,6 @@ from scipy.ndimage import binary_dilation
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.jacobians import jacobian
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.rods import Rods
 from tau_dyn.robot import Robot
@@ -21,11 +20,8 @@ _REACHED = 1e-8
 """[m] How near the asked position the robot must come."""
 COARSE = 25
 """Points to a side of the first, coarse look for the workspace."""
-ENOUGH_POINTS = 10
-"""Reached points of a default section; with fewer the other sections through home are tried."""
-_NEARBY = 0.05  # [m or rad] from home, where directions of motion are looked for
-_STILL = 1e-9  # share of the largest speed below which the tool does not move along an axis
-_UNLIMITED = 1e5  # [m or rad] a joint limit beyond this is none
+UNLIMITED = 1e5
+"""[m or rad] A joint limit beyond this is none."""
 
 
 @dataclass(frozen=True)
@@ -124,69 +120,6 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
     return name, low_high
 
 
-def choose_default_section(robot: Robot, tool: Poses, rods: Rods | None) -> Section:
-    """Return the section through home across the guideways; where nothing slides, across z.
-
-    Without rods it is the plane of the tool's motion where that is one orthogonal to an axis, else across y.
-    """
-    axis = 1 if rods is not None else _find_plane(robot)
-    if rods is not None:
-        sliding = [j for j, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
-        travel = np.abs(rods.base_jacobian(robot.home[None])[0][:, :, sliding]).sum(axis=(0, 2))
-        axis = int(np.argmax(travel)) if travel.any() else 2
-    return _cut_at_home(axis, tool)
-
-
-def lay_default_grid(robot: Robot, rods: Rods | None, tool: Poses, n: int, *, limits: bool = True) -> Grid:
-    """Return a grid over the default section, or over another one through home where the robot reaches too little of that.
-
-    Args:
-        robot: The robot.
-        rods: Its rods; None for another mechanism.
-        tool: Pose of the tool at home (1 sample).
-        n: Points along the longer side.
-        limits: Whether actuators must stay within their limits.
-
-    Raises:
-        InputError: The robot reaches nothing of the three sections through home.
-    """
-    first = choose_default_section(robot, tool, rods)
-    best: Grid | None = None
-    for section in (first, *(_cut_at_home(axis, tool) for axis in range(3) if axis != first.axis)):
-        try:
-            grid = lay_grid(robot, rods, tool, section, n, limits=limits)
-        except InputError:
-            continue
-        if best is None or grid.ok.sum() > best.ok.sum():
-            best = grid
-        if best.ok.sum() >= ENOUGH_POINTS:
-            return best
-    if best is None:
-        raise InputError("invalid_value", _outside(robot, first, tool))
-    return best
-
-
-def sample_single_motion(robot: Robot, n: int) -> np.ndarray:
-    """Return positions (n, 1) [m or rad] over the only actuator's range; without limits a quarter turn or 0.5 m to each side."""
-    ends = np.array([robot.lower[0], robot.upper[0]])
-    reach = np.pi / 2 if robot.joint_kinds[0] == "revolute" else 0.5
-    ends = np.where(np.abs(ends) < _UNLIMITED, ends, robot.home[0] + reach * np.array([-1, 1]))
-    return np.linspace(ends[0], ends[1], n)[:, None]
-
-
-def _cut_at_home(axis: int, tool: Poses) -> Section:
-    return Section(axis, round(float(tool.position[0, axis]), 9) + 0.0)
-
-
-def _find_plane(robot: Robot) -> int:
-    """Return the axis orthogonal to all velocities of the tool at home and near it; 1 where there is none."""
-    near = robot.home + np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (4, robot.na))
-    J = jacobian(robot, np.vstack([robot.home, near]))[:, :3]
-    speeds = np.nan_to_num(np.abs(J)).max(axis=(0, 2))
-    still = np.flatnonzero(speeds < _STILL * speeds.max())
-    return int(still[0]) if len(still) == 1 else 1
-
-
 def lay_grid(
     robot: Robot,
     rods: Rods | None,
@@ -223,7 +156,7 @@ def lay_grid(
     u, v = (np.linspace(a, b, max(2, round((b - a) / step) + 1)) for a, b in ((u0, u1), (v0, v1)))
     grid = _filled(robot, rods, tool, Section(section.axis, section.value, range_), u, v, limits)
     if not grid.ok.any():
-        raise InputError("invalid_value", _outside(robot, section, tool))
+        raise InputError("invalid_value", describe_unreached(robot, section, tool))
     return grid
 
 
@@ -282,7 +215,7 @@ def _same_side(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
 def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[float, float]]:
     picture = coarse.ok.reshape(len(coarse.v), len(coarse.u))
     if not picture.any():
-        raise InputError("invalid_value", _outside(robot, coarse.section, None))
+        raise InputError("invalid_value", describe_unreached(robot, coarse.section, None))
     ends = []
     for x, axis in ((coarse.u, 0), (coarse.v, 1)):
         inside, step = np.flatnonzero(picture.any(axis=axis)), x[1] - x[0]
@@ -290,7 +223,8 @@ def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[floa
     return ends[0], ends[1]
 
 
-def _outside(robot: Robot, section: Section, tool: Poses | None) -> str:
+def describe_unreached(robot: Robot, section: Section, tool: Poses | None) -> str:
+    """Return the sentence about a section of which the robot reaches nothing."""
     axis = AXES[section.axis]
     home = "" if tool is None else f"; at home the tool is at {axis}={tool.position[0, section.axis]:.4g}"
     return (
@@ -305,7 +239,7 @@ def _size(robot: Robot, rods: Rods | None, tool: Poses) -> float:
         lengths = [float(np.linalg.norm(p.translation)) for p in robot.model.jointPlacements]
         for j in np.flatnonzero(np.array(robot.joint_kinds) == "prismatic"):
             travel = robot.upper[j] - robot.lower[j]
-            lengths.append(float(travel) if travel < _UNLIMITED else 0.0)
+            lengths.append(float(travel) if travel < UNLIMITED else 0.0)
         return sum(lengths) + float(np.linalg.norm(tool.position[0])) * 0.1 + 0.1
     A, L = rods.base_points(robot.home[None])[0], rods.leg_lengths(robot.home[None])[0]
     return float(np.max(np.linalg.norm(A - tool.position[0], axis=1) + L))

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.kinematics.accuracy import choose_default_section, lay_default_grid, sample_single_motion
-from tau_dyn.kinematics.accuracy.section import ENOUGH_POINTS
+from tau_dyn.kinematics.accuracy import (
+    Section,
+    choose_default_section,
+    default_poses,
+    lay_default_grid,
+    sample_default_motion,
+)
+from tau_dyn.kinematics.accuracy.default_poses import ENOUGH_POINTS
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import load_robot
@@ -40,9 +46,11 @@ def test_every_robot_reaches_its_default_section(name: str, given: dict[str, str
     """The section holds ten reached points or more, at which the rods close on the plane; one actuator gives its whole motion."""
     robot = load_robot(name, **given)
     if robot.na == 1:
-        q = sample_single_motion(robot, 7)
-        assert q[0, 0] == robot.lower[0] and q[-1, 0] == robot.upper[0] and forward_kinematics(robot, q).ok.all()
+        sampled = sample_default_motion(robot, 7)
+        assert sampled is not None and len(sampled[0]) == 7
+        assert (sampled[0][0, 0], sampled[0][-1, 0]) == (robot.lower[0], robot.upper[0])
         return
+    assert sample_default_motion(robot, 7) is None
     rods, home = get_rods(robot), forward_kinematics(robot, robot.home[None]).poses
     grid = lay_default_grid(robot, rods, home, 9)
     assert grid.ok.sum() >= ENOUGH_POINTS
@@ -59,6 +67,31 @@ def test_a_planar_arm_is_cut_along_its_plane(tmp_path) -> None:
     robot = load_robot(file)
     section = choose_default_section(robot, forward_kinematics(robot, robot.home[None]).poses, None)
     assert (section.axis, section.value) == (2, 0.0)
+
+
+def test_two_turns_that_cross_sweep_a_sphere(tmp_path) -> None:
+    """A pan and tilt unit keeps its tool on a sphere, which a plane cuts in a curve: its motion is sampled instead."""
+    file = tmp_path / "pan_tilt.urdf"
+    file.write_text(
+        PLANAR.replace('xyz="0.4 0 0"', 'xyz="0 0 0.4"').replace("0 0 1", "0 1 0").replace("0 1 0", "0 0 1", 1)
+    )
+    robot = load_robot(file)
+    sampled = sample_default_motion(robot, 31)
+    assert sampled is not None and len(sampled[0]) == 36
+    distance = np.linalg.norm(sampled[1].position - [0, 0, 0.4], axis=1)
+    np.testing.assert_allclose(distance, 0.3, atol=1e-12)
+    assert np.ptp(sampled[0], axis=0).tolist() == (robot.upper - robot.lower).tolist()
+
+
+def test_another_section_is_taken_where_the_first_is_hardly_reached(tmp_path, monkeypatch) -> None:
+    """Cut across y, the planar arm gives a line of at most nine points; the plane of its motion gives more."""
+    file = tmp_path / "planar.urdf"
+    file.write_text(PLANAR)
+    robot = load_robot(file)
+    tool = forward_kinematics(robot, robot.home[None]).poses
+    monkeypatch.setattr(default_poses, "choose_default_section", lambda *_: Section(1, float(tool.position[0, 1])))
+    grid = lay_default_grid(robot, None, tool, 9)
+    assert grid.section.axis == 2 and grid.ok.sum() > 9
 
 
 def test_a_slide_is_looked_for_along_its_travel(tmp_path) -> None:
