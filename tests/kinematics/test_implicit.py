@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -46,6 +47,35 @@ def test_all_eight_configurations_hold_the_rods(rng) -> None:
     assert len(np.unique(np.round(every, 6), axis=0)) == 8
     assert max(np.abs(rods.gap(q[None], plate)).max() for q in every) < 1e-12
     assert np.abs(np.array(every) - solve_implicit_inverse(rods, pose).q).max(axis=1).min() == 0.0
+
+
+def test_configurations_have_the_names_of_the_inverse(rng) -> None:
+    """A configuration's signs mean the same here as in `inverse_kinematics`."""
+    robot = load_robot("gantry_tau", arms="complete")
+    rods, pose = build_rods(robot), forward_kinematics(robot, moved(robot, rng, 5)).poses
+    for signs in product((-1, 1), repeat=3):
+        closed = solve_implicit_inverse(rods, pose, configuration=signs).q
+        assert_allclose(closed, inverse_kinematics(robot, pose, configuration=signs, limits=False).q, atol=1e-10)
+
+
+def test_frames_of_the_carts_are_free(rng) -> None:
+    """Turning a cart's frame, with all that hangs on it turned back, is the same robot: the same positions follow."""
+    robot = load_robot("gantry_tau_t2")
+    rods, joints = build_rods(robot), []
+    P = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
+    parents = [joint.parent for joint in rods.numbers.joints]
+    for k, joint in enumerate(rods.numbers.joints):
+        if joint.slides and k in parents:
+            joints.append(joint._replace(rotation=joint.rotation @ P))
+        elif joint.parent >= 0 and rods.numbers.joints[joint.parent].slides:
+            back = {"origin": P.T @ joint.origin, "direction": P.T @ joint.direction, "rotation": P.T @ joint.rotation}
+            joints.append(joint._replace(**back))
+        else:
+            joints.append(joint)
+    turned = replace(rods, numbers=replace(rods.numbers, joints=tuple(joints)))
+    q = moved(robot, rng, 20)
+    assert_allclose(turned.base_points(q), rods.base_points(q), atol=1e-14)
+    assert_allclose(solve_implicit_inverse(turned, forward_kinematics(robot, q).poses).q, q, atol=1e-10)
 
 
 def test_the_sixth_freedom_shows_as_a_defect(rng) -> None:
