@@ -25,6 +25,7 @@ def beside_home(robot, size: float = 0.04) -> np.ndarray:
         ("gantry_tau", {}, 2, True),
         ("gantry_tau", {"arms": "complete"}, 6, True),
         ("gantry_tau_f1", {}, 8, True),
+        ("hexa_321", {}, 4, True),  # rods that share points of the plate 3, 2, 1: eight modes with the complex ones
         ("stewart", {}, 8, False),
         ("delta", {}, 16, False),
     ],

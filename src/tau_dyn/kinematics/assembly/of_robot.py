@@ -23,6 +23,8 @@ from tau_dyn.robot import Robot
 
 _FLAT = 1e-12
 """Squared height over the plane of the centres, as a share of the largest radius', below which the two modes may be one."""
+_SAME_POINT = 1e-12
+"""[m] Points nearer than this are one: a robot file's frames are composed with rounding errors of 1e-16."""
 _HOME = 1e-6
 """[m], and of rotation matrices' entries: a mode this near to the answer of forward kinematics is home's."""
 
@@ -138,7 +140,13 @@ def find_robot_assembly_modes(robot: Robot | Rods, q: np.ndarray) -> AssemblyMod
             "assembly modes need six rods on a free plate or three on one that translates; "
             f"{rods.robot.source} has {rods.n} on a plate that {kind}",
         )
-    return find_assembly_modes(A, rods.on_plate, L)
+    return find_assembly_modes(_merge_points(A), _merge_points(rods.on_plate), L)
+
+
+def _merge_points(points: np.ndarray) -> np.ndarray:
+    """Return points (n, 3) [m], those that rounding alone keeps apart as one: shared ends have smaller proven bounds."""
+    near = np.abs(points[:, None] - points).max(axis=2) < _SAME_POINT
+    return points[near.argmax(axis=1)]
 
 
 def find_translating_modes(
