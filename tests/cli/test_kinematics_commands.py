@@ -43,6 +43,32 @@ def test_all_configurations(tmp_path, capsys):
     assert "8 solutions for 1 pose" in capsys.readouterr().out
 
 
+def test_all_assembly_modes(tmp_path, capsys):
+    """Of a row with two modes, one out of reach and a gap, each has its modes or its reason, in the table and in JSON."""
+    positions, out, result = (tmp_path / name for name in ("q.csv", "x.csv", "r.json"))
+    positions.write_text("q_cart1,q_cart2,q_cart3\n0,0,0.1\n-5,5,0\n,0,0\n")
+    argv = ["fk", "gantry_tau", "--all", "--poses", str(positions), "--out", str(out), "--json", str(result)]
+    page = tmp_path / "p.html"
+    assert main([*argv, "--report", str(page)]) == 0
+    table, written = pd.read_csv(out), json.loads(result.read_text())
+    assert table["pose"].tolist() == [1, 1, 2, 3] and table["mode"].fillna("").tolist() == ["home", "2", "", ""]
+    assert table["reason"].fillna("").tolist() == ["", "", "out of reach", "not a number"]
+    assert [(c["count"], c["proved"]) for c in written["modes"]] == [(2, True), (0, True), (0, False)]
+    assert [row["mode"] for row in written["rows"]] == ["home", "2", None, None]
+    assert {row["configuration"] for row in written["rows"]} == {None}
+    said = capsys.readouterr()
+    assert "2 of 3 rows have no answer" in said.err and "2 assembly modes of 3 positions" in said.out
+    assert "assembly mode" in page.read_text(encoding="utf-8")
+
+
+def test_a_count_without_proof_is_called_found(capsys):
+    """The Delta's parallel rods are special: no bound is known, so the terminal says found; three spheres are proved."""
+    assert main(["fk", "delta", "--q", "0", "0", "0.1", "--all"]) == 0
+    assert "16 assembly modes of 1 position: found, the count is not proved" in capsys.readouterr().out
+    assert main(["fk", "gantry_tau", "--q", "0", "0", "0.1", "--all"]) == 0
+    assert "2 assembly modes of 1 position: the count is proved" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
@@ -53,6 +79,7 @@ def test_all_configurations(tmp_path, capsys):
         (["ik", "gantry_tau", "--position", "1.7", "-0.6", "0.7", "--quaternion", "0", "0", "0", "0"], "zero"),
         (["fk", "gantry_tau", "--q", "0", "0"], "one value for each actuated joint"),
         (["fk", "gantry_tau", "--q", "-5", "5", "0"], "no pose at cart1 = -5 m"),
+        (["fk", "gantry_tau", "--q", "-5", "5", "0", "--all"], "no pose at cart1 = -5 m"),
         (["fk", "gantry_tau", "--poses", "missing.csv"], "missing.csv"),
     ],
 )

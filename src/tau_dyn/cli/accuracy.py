@@ -46,7 +46,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     where = parser.add_argument_group("where")
     where.add_argument(
-        "--section", metavar="AXIS=VALUE", help="cut through the workspace, such as x=1.75; default at home"
+        "--section",
+        metavar="AXIS=VALUE",
+        help="cut through the workspace, such as x=1.75; default at home; of one or two actuators their whole motion",
     )
     where.add_argument(
         "--range", metavar="AXIS=LOW:HIGH", nargs="+", action="extend", default=[], help="part of the section"
@@ -230,14 +232,25 @@ def _listed(args: argparse.Namespace, robot):
 
 
 def _gridded(args: argparse.Namespace, robot, rods):
-    from tau_dyn.kinematics.accuracy import choose_default_section, lay_grid, read_section
+    from tau_dyn.kinematics.accuracy import (
+        choose_default_section,
+        lay_default_grid,
+        lay_grid,
+        read_section,
+        sample_default_motion,
+    )
     from tau_dyn.kinematics.forward import forward_kinematics
     from tau_dyn.kinematics.poses import Poses
 
+    limits, given = not args.no_limits, bool(args.section or args.range)
+    if not given and (sampled := sample_default_motion(robot, args.grid)):
+        return None, *sampled
     home = forward_kinematics(robot, robot.home[None]).poses
-    section = read_section(args.section) if args.section else choose_default_section(robot, home, rods)
-    section = section.within(args.range)
-    grid = lay_grid(robot, rods, home, section, args.grid, limits=not args.no_limits)
+    if given:
+        section = read_section(args.section) if args.section else choose_default_section(robot, home, rods)
+        grid = lay_grid(robot, rods, home, section.within(args.range), args.grid, limits=limits)
+    else:
+        grid = lay_default_grid(robot, rods, home, args.grid, limits=limits)
     return grid, grid.q[grid.ok], Poses(grid.poses.position[grid.ok], grid.poses.rotation[grid.ok])
 
 

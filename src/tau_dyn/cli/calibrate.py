@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> Outcome:
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.calibrate import calibrate, read_poses
-        from tau_dyn.kinematics.pose_table import read_positions
+        from tau_dyn.kinematics.pose_columns import read_positions
         from tau_dyn.robot.annotations import read_annotations
 
         robot = load_robot_from(args)

@@ -71,7 +71,11 @@ def add_robot(parser: argparse.ArgumentParser, *, or_model: str = "") -> None:
 def add_robot_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of loading a robot."""
     parser.add_argument(
-        "--set", metavar="NAME=VALUE", action="append", default=[], help="xacro argument, such as prototype=d1"
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="xacro argument or dimension, such as prototype=d1, or a .yaml of them",
     )
     parser.add_argument(
         "--actuated",
@@ -94,12 +98,7 @@ def load_robot_from(args: argparse.Namespace):
     """Load the robot that the arguments name."""
     from tau_dyn.robot import load_robot
 
-    given = {}
-    for text in args.set:
-        name, equals, value = text.partition("=")
-        if not equals or not name:
-            raise InputError("bad_option", f"--set {text}: write NAME=VALUE, such as prototype=d1")
-        given[name] = value
+    given = read_arguments(args.set)
     if "actuated" in given:
         raise InputError("bad_option", "--set actuated=...: actuated joints are named with --actuated JOINT ...")
     if "xacro" in given:
@@ -109,16 +108,35 @@ def load_robot_from(args: argparse.Namespace):
     return load_robot(args.robot, actuated=args.actuated, tool=args.tool, xacro=not args.no_xacro, **given)
 
 
+def read_arguments(texts: Sequence[str]) -> dict[str, str]:
+    """Return xacro arguments and dimensions of `--set`; NAME=VALUE counts before a file."""
+    from tau_dyn.robot.dimensions import read_dimensions_file
+
+    from_files, given = {}, {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals and is_model_file(text):
+            from_files |= read_dimensions_file(text)
+        elif not equals or not name:
+            raise InputError(
+                "bad_option", f"--set {text}: write NAME=VALUE, such as prototype=d1, or name a .yaml of dimensions"
+            )
+        else:
+            given[name] = value
+    return from_files | given
+
+
 def is_model_file(path: str | Path) -> bool:
     """Tell whether a path names a model file of ours rather than a robot."""
     return Path(path).suffix.lower() in (".yaml", ".yml")
 
 
 def get_robot_file(args: argparse.Namespace) -> list[Path]:
-    """Return the robot's or the model's file, for the list of inputs."""
+    """Return the robot's or the model's file and files of dimensions, for the list of inputs."""
     from tau_dyn.robot.expand import find_robot
 
-    return [Path(args.robot) if is_model_file(args.robot) else find_robot(args.robot)]
+    dimensions = [Path(text) for text in getattr(args, "set", []) if "=" not in text]
+    return [Path(args.robot) if is_model_file(args.robot) else find_robot(args.robot), *dimensions]
 
 
 def list_written_files(args: argparse.Namespace, **own: Path | None) -> dict[str, str]:

@@ -20,6 +20,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--q", metavar="VALUE", nargs="+", type=finite, help="actuated positions [m or rad], in their order"
     )
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="every assembly mode found, with the count: proved in closed form or by a certificate, else found from many starts",
+    )
     add_table_options(parser, "positions q_<joint>")
 
 
@@ -29,7 +34,8 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("bad_option", "give --q VALUE ... or --poses POSES.csv")
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.pose_table import build_forward_table, read_positions
+        from tau_dyn.kinematics.pose_columns import read_positions
+        from tau_dyn.kinematics.pose_table import build_forward_table
 
         robot = load_robot_from(args)
         if args.q is not None and len(args.q) != robot.na:
@@ -41,4 +47,4 @@ def run(args: argparse.Namespace) -> Outcome:
             else read_positions(read_columns(args.poses), robot, str(args.poses))
         )
         step("closing the rods")
-        return build_outcome(build_forward_table(robot, q), args)
+        return build_outcome(build_forward_table(robot, q, all_modes=args.all, progress=step), args)

@@ -120,7 +120,7 @@ def _ends(args: argparse.Namespace):
 
 def _path(args: argparse.Namespace):
     """Return None, 'line', or the points of a table (n, 3)."""
-    from tau_dyn.kinematics.pose_table import pick_columns
+    from tau_dyn.kinematics.pose_columns import pick_columns
 
     if args.path in (None, "line"):
         return args.path

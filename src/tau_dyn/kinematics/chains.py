@@ -97,7 +97,7 @@ def _rotated(parent: np.ndarray, joint: ChainJoint, angle: np.ndarray) -> np.nda
     around, across = skew(n) @ joint.rotation, joint.rotation - along
     c, s = np.cos(gain * angle), np.sin(gain * angle)
     own = across[:, :, None] * c + around[:, :, None] * s + along[:, :, None]
-    if np.array_equal(parent[:, :, 0], np.eye(3)) and parent.shape[2] == 1:
+    if parent.shape[2] == 1 and np.array_equal(parent[:, :, 0], np.eye(3)):
         return own
     return np.einsum("ijn,jkn->ikn", np.broadcast_to(parent, (3, 3, own.shape[2])), own)
 

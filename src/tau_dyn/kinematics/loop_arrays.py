@@ -176,7 +176,7 @@ class LoopArrays:
                 break
             now = x[:, left]
             at = compute_frames(self.joints, now)
-            step = -self._inverse(self.entries(at))[0].solve(self._gap(at))
+            step = -self._inverse(self.entries(at))[0].solve(self.gap(at))
             now[self.passive] += step
             x[:, left] = now
             done = np.abs(step).max(axis=0) < _DONE
@@ -249,11 +249,15 @@ class LoopArrays:
                         found[3 * k + r, joint.v] = column[r] if before is None else before + column[r]
         return found
 
-    def _gap(self, at: Frames) -> np.ndarray:
+    def gap(self, at: Frames) -> np.ndarray:
         """Return `p_A - p_B` of all loops (3 * loops, N) [m]."""
         return np.concatenate(
             [transform_point(at, a.joint, a.local) - transform_point(at, b.joint, b.local) for a, b in self._ends]
         )
+
+    def closing_points(self, at: Frames) -> list[np.ndarray]:
+        """Return the points `p_A` of all loops, each (3, N) [m]."""
+        return [transform_point(at, a.joint, a.local) for a, _ in self._ends]
 
     def _gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
         """Return the gaps' accelerations (3 * loops, N) [m/s^2]."""

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.kinematics.assembly import list_robot_modes
 from tau_dyn.kinematics.forward import forward_kinematics
 from tau_dyn.kinematics.inverse import inverse_kinematics, list_configurations, solve_all_configurations
-from tau_dyn.kinematics.kinematics_result import JOINT_LIMIT, OK, REASONS, InverseResult
-from tau_dyn.kinematics.poses import Poses, convert_from_quaternions, convert_to_quaternions
+from tau_dyn.kinematics.kinematics_result import JOINT_LIMIT, NOT_A_NUMBER, OK, OUT_OF_REACH, REASONS, InverseResult
+from tau_dyn.kinematics.pose_columns import TOOL
+from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
 from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
-TOOL = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")
 _MAX_REACH_M = 50.0  # [m] no robot is larger, and millimetres are
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
+
+
+class ModeCount(NamedTuple):
+    """How many assembly modes one row of positions has: the number found, whether it is proved, and the sentence why."""
+
+    pose: int
+    count: int
+    proved: bool
+    why: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +45,10 @@ class PoseTable(Shown):
         position: Of the tool (N, 3) [m].
         quaternion: Of the tool (N, 4), x y z w.
         reason: Why a row has no answer, '' where it has one (N,).
-        configuration: Name of the configuration, '' where not asked for (N,).
+        configuration: Name of the configuration (`ik`) or of the assembly mode (`fk`), '' where not asked for (N,).
         warnings: Sentences.
-        complete: Whether every configuration is listed for certain, as closed forms do.
+        complete: Whether every configuration or mode is listed for certain, as closed forms do.
+        modes: Assembly modes of each row of the input; empty where not asked for.
     """
 
     robot: Robot
@@ -49,6 +61,12 @@ class PoseTable(Shown):
     configuration: np.ndarray
     warnings: tuple[str, ...]
     complete: bool = False
+    modes: tuple[ModeCount, ...] = ()
+
+    @property
+    def choice(self) -> str:
+        """What `configuration` names: `configuration` or `mode`."""
+        return "configuration" if self.inverse else "mode"
 
     @property
     def ok(self) -> np.ndarray:
@@ -59,7 +77,7 @@ class PoseTable(Shown):
         """Return the table's columns by name, as logs call them."""
         table: dict[str, np.ndarray] = {}
         if self.configuration.any():
-            table |= {"pose": self.pose, "configuration": self.configuration}
+            table |= {"pose": self.pose, self.choice: self.configuration}
         table |= {f"q_{joint}": self.q[:, k] for k, joint in enumerate(self.robot.actuated)}
         table |= {name: self.position[:, k] for k, name in enumerate(TOOL[:3])}
         table |= {name: self.quaternion[:, k] for k, name in enumerate(TOOL[3:])}
@@ -74,7 +92,8 @@ class PoseTable(Shown):
         rows = [
             {
                 "pose": int(self.pose[k]),
-                "configuration": self.configuration[k] or None,
+                "configuration": (self.configuration[k] or None) if self.inverse else None,
+                "mode": None if self.inverse else self.configuration[k] or None,
                 "q": self.q[k],
                 "position": self.position[k],
                 "quaternion": self.quaternion[k],
@@ -88,27 +107,70 @@ class PoseTable(Shown):
             "units": list(self.robot.position_units),
             "answered": int(self.ok.sum()),
             "rows": rows,
+            "modes": [count._asdict() for count in self.modes],
         }
 
 
-def build_forward_table(robot: Robot, q: np.ndarray) -> PoseTable:
-    """Return where positions (N, na) put the tool.
+def build_forward_table(
+    robot: Robot, q: np.ndarray, *, all_modes: bool = False, progress: Callable[[str], None] = lambda step: None
+) -> PoseTable:
+    """Return where positions (N, na) put the tool, in home's assembly mode or in all that are found.
 
     Raises:
         InputError: None of them has a pose.
     """
-    found = forward_kinematics(robot, q)
-    if not found.ok.any():
-        raise InputError(
-            "unreachable", f"{robot.source}: no pose at {_listed(robot, q[0])}: {found.reason[0]}{_row(q)}"
-        )
     beyond = (q < robot.lower - 1e-9) | (q > robot.upper + 1e-9)
     warnings = [
         f"{robot.actuated[k]} is outside its limits {robot.lower[k]:.6g} .. {robot.upper[k]:.6g} {robot.position_units[k]} "
         f"in {int(beyond[:, k].sum())} of {len(q)} rows"
         for k in np.flatnonzero(beyond.any(axis=0))
     ]
-    return _table(robot, False, q, found.poses, found.reason, warnings=[*warnings, *_lost(found.reason)])
+    found = forward_kinematics(robot, q)
+    if all_modes:
+        table = _all_modes(robot, q, found.reason, warnings, progress)
+    else:
+        table = _table(robot, False, q, found.poses, found.reason, warnings=[*warnings, *_lost(found.reason)])
+    if not table.ok.any():
+        raise InputError(
+            "unreachable", f"{robot.source}: no pose at {_listed(robot, q[0])}: {found.reason[0]}{_row(q)}"
+        )
+    return table
+
+
+def _all_modes(
+    robot: Robot, q: np.ndarray, reason: np.ndarray, warnings: list[str], progress: Callable[[str], None]
+) -> PoseTable:
+    """Return every assembly mode of each row; a row without one keeps the reason why there is none in home's mode."""
+    parts, names, which, why, counts = [], [], [], [], []
+    for k, row in enumerate(q):
+        progress(f"assembly modes of row {k + 1} of {len(q)}")
+        if not np.isfinite(row).all():
+            modes, tool = None, None
+            counts.append(ModeCount(k + 1, 0, False, REASONS[NOT_A_NUMBER]))
+        else:
+            modes = list_robot_modes(robot, row)
+            tool = modes.tool
+            counts.append(ModeCount(k + 1, tool.n_samples, modes.proved, modes.why))
+        if modes is None or tool is None or not tool.n_samples:
+            parts.append(Poses(np.full((1, 3), np.nan), np.full((1, 3, 3), np.nan)))
+            names, why = [*names, ""], [*why, reason[k] or REASONS[OUT_OF_REACH]]
+        else:
+            parts.append(tool)
+            names, why = [*names, *modes.names], [*why, *[""] * tool.n_samples]
+        which += [k] * parts[-1].n_samples
+    poses = Poses(np.concatenate([p.position for p in parts]), np.concatenate([p.rotation for p in parts]))
+    pose, lost = np.array(which, int), _lost(np.array([reason[c.pose - 1] if not c.count else "" for c in counts]))
+    table = _table(
+        robot,
+        False,
+        q[pose],
+        poses,
+        np.array(why),
+        pose=pose,
+        configuration=np.array(names),
+        warnings=[*warnings, *lost],
+    )
+    return replace(table, complete=all(c.proved for c in counts), modes=tuple(counts))
 
 
 def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = False) -> PoseTable:
@@ -134,25 +196,6 @@ def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool 
             f"position only, their orientation is off by up to {most:.4g} deg"
         )
     return _table(robot, True, found.q, poses, found.reason, warnings=warnings)
-
-
-def read_positions(columns: dict[str, np.ndarray], robot: Robot, where: str) -> np.ndarray:
-    """Return actuated positions (N, na) from a table's columns `q_<joint>`."""
-    return pick_columns(columns, [f"q_{joint}" for joint in robot.actuated], where)
-
-
-def read_poses(columns: dict[str, np.ndarray], robot: Robot, where: str) -> Poses:
-    """Return tool poses from a table's columns `x_tool`..; without a quaternion the orientation is home's."""
-    position = pick_columns(columns, list(TOOL[:3]), where)
-    if not any(name in columns for name in TOOL[3:]):
-        return place_home_orientation(robot, position)
-    return convert_from_quaternions(position, pick_columns(columns, list(TOOL[3:]), where))
-
-
-def place_home_orientation(robot: Robot, position: np.ndarray) -> Poses:
-    """Return poses at positions (N, 3) [m] with home's orientation."""
-    home = forward_kinematics(robot, robot.home[None]).poses.rotation[0]
-    return Poses(position, np.repeat(home[None], len(position), axis=0))
 
 
 def _all(robot: Robot, poses: Poses) -> PoseTable:
@@ -198,29 +241,6 @@ def _table(
     names = np.full(len(q), "") if configuration is None else configuration
     position, quaternion = poses.position, convert_to_quaternions(poses)
     return PoseTable(robot, inverse, numbers + 1, q, position, quaternion, reason, names, tuple(warnings))
-
-
-def pick_columns(columns: dict[str, np.ndarray], names: list[str], where: str) -> np.ndarray:
-    """Return columns of a table, side by side (N, n), as numbers.
-
-    Raises:
-        InputError: A column is missing, or holds text.
-    """
-    for name in names:
-        if name not in columns:
-            raise InputError("missing_column", f"{where}: no column '{name}'; there are {', '.join(columns)}")
-    return np.stack([_numbers(columns[name], f"{where}: column '{name}'") for name in names], axis=1)
-
-
-def _numbers(cells: np.ndarray, where: str) -> np.ndarray:
-    """Return cells as numbers, empty ones as nan."""
-    if cells.dtype.kind in "fiu":
-        return cells.astype(float)
-    texts = [str(cell).strip() for cell in cells]
-    try:
-        return np.array([float(text) if text else np.nan for text in texts])
-    except ValueError as fault:
-        raise InputError("bad_sample", f"{where} must hold numbers; {fault}") from fault
 
 
 def _lost(reason: np.ndarray) -> list[str]:

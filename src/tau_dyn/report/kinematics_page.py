@@ -57,7 +57,7 @@ def _shown(table: PoseTable) -> list[int]:
     """Return the page's columns, what is told first; reasons only where there are some."""
     heads = _heads(table)
     why = heads.index("why not")
-    kept = [k for k, head in enumerate(heads) if head in ("pose", "row", "signs")]
+    kept = [k for k, head in enumerate(heads) if head in ("pose", "row", "signs", "mode")]
     rest = [k for k in range(len(heads)) if k not in (*kept, why)]
     return [*kept, *([] if table.ok.all() else [why]), *rest]
 
@@ -100,14 +100,16 @@ def _parts(table: PoseTable, width: int) -> list[Table]:
     """Return the first rows as tables no wider than the terminal; every one begins with the row's number."""
     heads, shown = _heads(table), min(len(table.q), _ROWS_PRINTED)
     cells = [_cells(table, row, "{:.4f}") for row in range(shown)]
-    kept = [k for k, head in enumerate(heads) if head in ("pose", "row", "signs")]
+    kept = [k for k, head in enumerate(heads) if head in ("pose", "row", "signs", "mode")]
     joints = [k for k in range(len(kept), len(kept) + table.robot.na)]
     place = [k for k, head in enumerate(heads) if head in ("x [m]", "y [m]", "z [m]")]
+    turns = [heads.index(f"q{axis}") for axis in "xyzw"]
     why = [] if table.ok.all() else [heads.index("why not")]
     if table.inverse:  # the answer first; a pose that all rows share stands in the headline
         wanted = [*joints, *why, *([] if len(np.unique(table.pose)) == 1 else place)]
     else:
-        wanted = [*place, *why, *joints]
+        one = bool(table.modes) and len(table.modes) == 1  # its positions are known; orientations tell modes apart
+        wanted = [*place, *turns, *why] if one else [*place, *why, *joints]
     widths = [max(len(head), *(len(row[k]) for row in cells)) + 2 for k, head in enumerate(heads)]
     parts: list[list[int]] = [[]]
     for k in wanted:
@@ -145,6 +147,11 @@ def _title(table: PoseTable) -> str:
 
 def _headline(table: PoseTable) -> str:
     rows, answered = len(table.q), int(table.ok.sum())
+    if table.modes:
+        modes, asked = sum(c.count for c in table.modes), len(table.modes)
+        found = "the count is proved" if table.complete else "found, the count is not proved"
+        found = found if asked == 1 or table.complete else f"found, the count is proved for {_proved(table)} of {asked}"
+        return f"{modes} assembly mode{'s' * (modes != 1)} of {asked} position{'s' * (asked != 1)}: {found}"
     if rows == 1:
         x, y, z = (f"{v:.6g}" for v in table.position[0])
         return f"The tool {'gets to' if table.inverse else 'is at'} ({x}, {y}, {z}) m"
@@ -159,13 +166,24 @@ def _headline(table: PoseTable) -> str:
 
 def _summary(table: PoseTable) -> str:
     mode = "home's configuration and assembly mode"
-    if table.configuration.any():
+    if table.modes:
+        first = next((c for c in table.modes if not c.proved), table.modes[0])
+        mode = f"all assembly modes ({first.why})" if table.complete else f"assembly modes that are found ({first.why})"
+    elif table.configuration.any():
         mode = "all configurations" if table.complete else "configurations found from many starts, not proved to be all"
     return f"{_title(table)} of {table.robot.name}, {mode}; tool in the world frame."
 
 
+def _proved(table: PoseTable) -> int:
+    return sum(c.proved for c in table.modes)
+
+
+def _choice(table: PoseTable) -> str:
+    return "signs" if table.inverse else "mode"
+
+
 def _heads(table: PoseTable) -> list[str]:
-    kept = ["pose", *(["signs"] if table.configuration.any() else [])]
+    kept = ["pose", *([_choice(table)] if table.configuration.any() else [])]
     joints = [f"{j} [{u}]" for j, u in zip(table.robot.actuated, table.robot.position_units, strict=True)]
     return [*kept, *joints, "x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw", "why not"]
 

@@ -28,6 +28,7 @@ from defusedxml.minidom import parseString
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import format_yaml, read_bytes
+from tau_dyn.robot.dimensions import TableChanges, read_number
 from tau_dyn.robot.expressions import restrict_expressions
 from tau_dyn.robot.numbers import check_depth
 
@@ -120,18 +121,44 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluat
 
     Args:
         path: A `.urdf` or `.urdf.xacro` file.
-        arguments: xacro arguments by name.
+        arguments: xacro arguments by name, and entries of the tables that the xacro loads (`dimensions.py`).
         evaluate: Whether a xacro may be evaluated; a plain URDF never is.
 
     Raises:
         InputError: The file is not well-formed, declares entities, is a xacro that may not be evaluated, or cannot be expanded.
         UnknownName: An argument that the file does not declare.
     """
+    return _expand(path, {name: str(value) for name, value in (arguments or {}).items()}, evaluate)[0]
+
+
+def list_dimensions(
+    path: Path, arguments: Mapping[str, object] | None = None, *, evaluate: bool = True
+) -> dict[str, str]:
+    """Return what `--set` takes for a xacro: its arguments with their values, then the entries of the tables that it loads.
+
+    Raises:
+        InputError: As `expand`.
+    """
     given = {name: str(value) for name, value in (arguments or {}).items()}
-    with _LOCK, _defused_xacro(), restrict_expressions():
+    _, declared, changes = _expand(path, given, evaluate, listing=True)
+    return {name: given.get(name, default) for name, default in declared.items()} | changes.numbers
+
+
+def _expand(
+    path: Path, given: dict[str, str], evaluate: bool, listing: bool = False
+) -> tuple[str, dict[str, str], TableChanges]:
+    """Return the URDF text, the arguments that the file declares with their defaults, and its tables."""
+    changes = TableChanges({})
+    with _LOCK, restrict_expressions():
         try:
             document = _parse(None, str(path))
-            _check_arguments(path, document, given)
+            declared = _list_arguments(document)
+            own = {name: value for name, value in given.items() if name in declared}
+            more = {name: value for name, value in given.items() if name not in declared}
+            changes = TableChanges(more, listing=listing)
+            _check_arguments(path, declared, own)
+            if not is_xacro(path, document):
+                changes.require_all_used(list(declared), str(path))
             if is_xacro(path, document):
                 if not evaluate:
                     raise InputError(
@@ -139,17 +166,22 @@ def expand(path: Path, arguments: Mapping[str, object] | None = None, *, evaluat
                         f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first",
                     )
                 xacro.init_stacks(str(path))
-                with redirect_stderr(io.StringIO()):
-                    xacro.process_doc(document, mappings=given)
+                with _defused_xacro(changes), redirect_stderr(io.StringIO()):
+                    xacro.process_doc(document, mappings=own)
                 check_depth(document, str(path))
-            return document.toprettyxml(indent="  ")
+                changes.require_all_used(list(declared), str(path))
+            return document.toprettyxml(indent="  "), declared, changes
         except InputError as fault:
             raise fault if str(fault).startswith(str(path)) else InputError(fault.code, f"{path}: {fault}") from fault
         except (RecursionError, MemoryError) as fault:
             raise InputError("file_format", f"{path}: expands without end") from fault
         except Exception as fault:  # whatever an expression in the file raised: its fault, named below
+            if changes.fault is not None:  # xacro wraps what a table raised in its own words
+                raise changes.fault from fault
             reason = " ".join(str(fault).split()) or type(fault).__name__
             reason = reason.partition(" when evaluating expression 'xacro.fatal(")[0]
+            if given and "math domain error" in reason:
+                reason = f"the dimensions do not fit together, such as rods too short to reach ({reason})"
             raise InputError("file_format", f"{path}: xacro cannot expand it: {reason}") from fault
 
 
@@ -159,11 +191,23 @@ def is_xacro(path: Path, document: Document) -> bool:
     return path.name.endswith(".xacro") or root.hasAttribute("xmlns:xacro") or root.tagName.startswith("xacro:")
 
 
-def _check_arguments(path: Path, document: Document, given: Mapping[str, str]) -> None:
-    declared = [tag.getAttribute("name") for tag in document.getElementsByTagName("xacro:arg")]
-    for name in given:
-        if name not in declared:
-            raise UnknownName("xacro argument", name, declared, str(path))
+def _list_arguments(document: Document) -> dict[str, str]:
+    """Return the declared arguments with their defaults."""
+    tags = document.getElementsByTagName("xacro:arg")
+    return {tag.getAttribute("name"): tag.getAttribute("default") for tag in tags}
+
+
+def _check_arguments(path: Path, declared: Mapping[str, str], given: Mapping[str, str]) -> None:
+    """Refuse a text where a robot of ours has a number, and a negative number where it has a positive one."""
+    if path not in list_robot_names().values():
+        return
+    for name, text in given.items():
+        try:
+            default = float(declared[name])
+        except ValueError:
+            continue
+        if read_number(text, f"{path}: {name}") < 0 < default:
+            raise InputError("invalid_value", f"{path}: {name} is not below zero, and {text} is")
 
 
 def _parse(inp: object, filename: str | None = None) -> Document:
@@ -190,17 +234,21 @@ def _prefix_hint(message: str) -> str:
 
 
 @contextmanager
-def _defused_xacro() -> Iterator[None]:
-    """Let xacro, which parses included files and opens tables by itself, do so our way."""
+def _defused_xacro(changes: TableChanges) -> Iterator[None]:
+    """Let xacro, which parses included files and opens tables by itself, do so our way, with changes to the tables."""
+
+    def open_table(name: str) -> IO[str]:
+        """Open a table that a xacro loads, once it is known to hold nothing that takes long."""
+        try:
+            return io.StringIO(changes.apply(format_yaml(name), str(name)))
+        except InputError as fault:
+            changes.fault = fault
+            raise
+
     original, xacro.parse = xacro.parse, _parse
-    xacro.open = _open_table  # stands before the builtin
+    xacro.open = open_table  # stands before the builtin
     try:
         yield
     finally:
         xacro.parse = original
         del xacro.open
-
-
-def _open_table(name: str) -> IO[str]:
-    """Open a table that a xacro loads, once it is known to hold nothing that takes long."""
-    return io.StringIO(format_yaml(name))

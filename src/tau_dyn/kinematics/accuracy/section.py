@@ -20,6 +20,8 @@ _REACHED = 1e-8
 """[m] How near the asked position the robot must come."""
 COARSE = 25
 """Points to a side of the first, coarse look for the workspace."""
+UNLIMITED = 1e5
+"""[m or rad] A joint limit beyond this is none."""
 
 
 @dataclass(frozen=True)
@@ -118,16 +120,6 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
     return name, low_high
 
 
-def choose_default_section(robot: Robot, tool: Poses, rods: Rods | None) -> Section:
-    """Return the section through home across the guideways; where nothing slides, across z, without rods across y."""
-    axis = 1
-    if rods is not None:
-        sliding = [j for j, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
-        travel = np.abs(rods.base_jacobian(robot.home[None])[0][:, :, sliding]).sum(axis=(0, 2))
-        axis = int(np.argmax(travel)) if travel.any() else 2
-    return Section(axis, round(float(tool.position[0, axis]), 9) + 0.0)
-
-
 def lay_grid(
     robot: Robot,
     rods: Rods | None,
@@ -164,7 +156,7 @@ def lay_grid(
     u, v = (np.linspace(a, b, max(2, round((b - a) / step) + 1)) for a, b in ((u0, u1), (v0, v1)))
     grid = _filled(robot, rods, tool, Section(section.axis, section.value, range_), u, v, limits)
     if not grid.ok.any():
-        raise InputError("invalid_value", _outside(robot, section, tool))
+        raise InputError("invalid_value", describe_unreached(robot, section, tool))
     return grid
 
 
@@ -223,7 +215,7 @@ def _same_side(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarray:
 def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[float, float]]:
     picture = coarse.ok.reshape(len(coarse.v), len(coarse.u))
     if not picture.any():
-        raise InputError("invalid_value", _outside(robot, coarse.section, None))
+        raise InputError("invalid_value", describe_unreached(robot, coarse.section, None))
     ends = []
     for x, axis in ((coarse.u, 0), (coarse.v, 1)):
         inside, step = np.flatnonzero(picture.any(axis=axis)), x[1] - x[0]
@@ -231,7 +223,8 @@ def _around(coarse: Grid, robot: Robot) -> tuple[tuple[float, float], tuple[floa
     return ends[0], ends[1]
 
 
-def _outside(robot: Robot, section: Section, tool: Poses | None) -> str:
+def describe_unreached(robot: Robot, section: Section, tool: Poses | None) -> str:
+    """Return the sentence about a section of which the robot reaches nothing."""
     axis = AXES[section.axis]
     home = "" if tool is None else f"; at home the tool is at {axis}={tool.position[0, section.axis]:.4g}"
     return (
@@ -244,6 +237,9 @@ def _size(robot: Robot, rods: Rods | None, tool: Poses) -> float:
     """Return a distance from home beyond which the tool does not come [m]."""
     if rods is None:
         lengths = [float(np.linalg.norm(p.translation)) for p in robot.model.jointPlacements]
+        for j in np.flatnonzero(np.array(robot.joint_kinds) == "prismatic"):
+            travel = robot.upper[j] - robot.lower[j]
+            lengths.append(float(travel) if travel < UNLIMITED else 0.0)
         return sum(lengths) + float(np.linalg.norm(tool.position[0])) * 0.1 + 0.1
     A, L = rods.base_points(robot.home[None])[0], rods.leg_lengths(robot.home[None])[0]
     return float(np.max(np.linalg.norm(A - tool.position[0], axis=1) + L))
