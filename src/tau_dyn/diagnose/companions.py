@@ -34,7 +34,7 @@ _SETTING_FACTORS = tuple(np.geomspace(0.25, 4.0, 9))
 _MAX_ROWS = 8000
 """Samples from which a force's size is taken: many times the number of parameters."""
 _SMALL = "it is {:.1f} % of the force of {} there, whose law is not known as exactly as that"
-_SAME_CURVE = "{} alone meets the joint's friction to {:.1f} %, and no law of friction is known more exactly than that"
+_ONE_CURVE = "{} alone meets the joint's friction to {:.1f} %, and no law of friction is known more exactly than that"
 
 
 def measure_net_forces(
@@ -87,7 +87,7 @@ def _find_second_speed_law(kept: Sequence[SelectedCause], values: Parameters, sc
             n: measure_law_error(effects, sum(here.values(), []), values, scene, joint) for n, effects in here.items()
         }
         best = min(errors, key=lambda n: errors[n])
-        why = _SAME_CURVE.format(kept[best].candidate.cause, 100 * errors[best])
+        why = _ONE_CURVE.format(kept[best].candidate.cause, 100 * errors[best])
         for n in here:
             reasons[n].append(why if n != best and errors[best] < MAX_LAW_ERROR else "")
     return next(((n, said[0]) for n, said in reasons.items() if said and all(said)), None)

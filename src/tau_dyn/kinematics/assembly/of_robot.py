@@ -23,7 +23,7 @@ from tau_dyn.robot import Robot
 
 _FLAT = 1e-12
 """Squared height over the plane of the centres, as a share of the largest radius', below which the two modes may be one."""
-_SAME_POINT = 1e-12
+_COINCIDENT_M = 1e-12
 """[m] Points nearer than this are one: a robot file's frames are composed with rounding errors of 1e-16."""
 _HOME = 1e-6
 """[m], and of rotation matrices' entries: a mode this near to the answer of forward kinematics is home's."""
@@ -145,7 +145,7 @@ def find_robot_assembly_modes(robot: Robot | Rods, q: np.ndarray) -> AssemblyMod
 
 def _merge_points(points: np.ndarray) -> np.ndarray:
     """Return points (n, 3) [m], those that rounding alone keeps apart as one: shared ends have smaller proven bounds."""
-    near = np.abs(points[:, None] - points).max(axis=2) < _SAME_POINT
+    near = np.abs(points[:, None] - points).max(axis=2) < _COINCIDENT_M
     return points[near.argmax(axis=1)]
 
 
