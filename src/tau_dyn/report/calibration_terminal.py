@@ -55,7 +55,8 @@ def _ladder(found: Calibration) -> Table:
     table = build_bare_table()
     turned = found.errors(found.chosen).orientation_size is not None
     for title in ("model", "free", "mean error", "largest", *(("turned by",) if turned else ()), ""):
-        table.add_column(title, no_wrap=True, justify="left" if title in ("model", "") else "right")
+        name = title == "model"
+        table.add_column(title, no_wrap=not name, justify="left" if name or not title else "right", overflow="fold")
     worst = found.errors(found.models[0]).position_size.mean
     for k, model in enumerate(found.models):
         size, turn = found.errors(model).position_size, found.errors(model).orientation_size
