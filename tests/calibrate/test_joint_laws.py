@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from raising import raises_code
@@ -19,9 +22,10 @@ from tau_dyn.calibrate.joint_laws import (
 )
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.saved import load_calibration, save_calibration
-from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
+from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.calibrate.unit_couplings import find_unit_coupling
+from tau_dyn.cli import main
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 NOISE = (3e-5, 6e-5)
@@ -173,6 +177,26 @@ def test_names_of_models_are_checked(robot):
         family.spec("coupling")
     with raises_code("unknown_name", "periodic"):
         family.spec("complete+periodic")
+
+
+def test_a_saved_calibration_is_a_robot(robot, tmp_path):
+    """The file of a calibrated arm is a robot like any other, its tool where the fit has it; laws of joints are refused."""
+    arm = build_tree_geometry(robot)
+    rng = np.random.default_rng(12)
+    theta = arm.parameters.values + 1e-3 * rng.standard_normal(len(arm.parameters)) * arm.parameters.free
+    poses = simulate_poses(arm, theta, rng.uniform(-1.4, 1.4, (60, 4)), rng, noise=NOISE, turned=True)
+    (tmp_path / "poses.csv").write_text(format_csv(poses, arm.actuated))
+    (tmp_path / "arm.urdf").write_text(robot.urdf)
+    calibrated, q = tmp_path / "arm.yaml", ["--q", "0.3", "-0.4", "0.5", "0.2"]
+    call = ["calibrate", str(tmp_path / "arm.urdf"), str(tmp_path / "poses.csv"), "--out", str(calibrated), "--quiet"]
+    assert main(call) == 0 and main(["fk", str(calibrated), *q, "--json", str(tmp_path / "fk.json"), "--quiet"]) == 0
+    found = load_calibration(calibrated)
+    there = found.forward(np.array([[0.3, -0.4, 0.5, 0.2]])).poses.position[0]
+    assert json.loads((tmp_path / "fk.json").read_text())["rows"][0]["position"] == pytest.approx(list(there), abs=1e-9)
+    with raises_code("unsupported", "laws of its joints"):
+        replace(found, geometry=build_arm(robot), theta=build_arm(robot).parameters.values).build_robot()
+    (tmp_path / "other.yaml").write_text("format: model\n")
+    assert main(["fk", str(tmp_path / "other.yaml"), *q, "--quiet"]) == 2
 
 
 @pytest.mark.parametrize(("owner", "size"), [("device", 1e-3), ("target", 1e-3), ("device", 0.0), ("device", 0.4)])

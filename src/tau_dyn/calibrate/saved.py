@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.calibrate.corrected_urdf import format_corrected_urdf
 from tau_dyn.calibrate.families import get_family
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry, Predicted, expand_constraints
@@ -24,6 +25,7 @@ from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.calibrate.rod_geometry import RodGeometry
+from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.kinematics.poses import Poses
@@ -60,6 +62,24 @@ class CalibratedRobot:
     def seen(self, q: np.ndarray) -> Poses:
         """Return what the measuring device should see at `q` (N, na), first campaign."""
         return self.frames.measured(self.forward(q).poses, np.zeros(len(q), int))
+
+    def build_robot(self, source: str = "") -> Robot:
+        """Return a robot whose file has the calibrated placements; `source` is how messages call it.
+
+        Raises:
+            InputError: A robot of rods between carts and a plate, or what a robot file cannot say: laws of joints, gear ratios.
+        """
+        source = source or self.robot.source
+        geometry, (theta,) = expand_constraints(self.geometry, self.theta)
+        if not isinstance(geometry, TreeGeometry):
+            what = "rods between carts and a plate" if isinstance(geometry, RodGeometry) else "laws of its joints"
+            raise InputError(
+                "unsupported",
+                f"{source}: a robot file cannot hold this calibration, which has {what}; correct joint positions by "
+                "calibrate --correct, or use load_calibration in Python",
+            )
+        urdf = format_corrected_urdf(geometry, theta)
+        return load_robot_from_urdf(urdf, source, actuated=self.robot.actuated, tool=self.robot.tool)
 
     @property
     def rods(self) -> Rods:

@@ -95,7 +95,7 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
 
 
 def load_robot_from(args: argparse.Namespace):
-    """Load the robot that the arguments name."""
+    """Load the robot that the arguments name: a robot file, a robot of ours, or a calibration's `--out`."""
     from tau_dyn.robot import load_robot
 
     given = read_arguments(args.set)
@@ -105,7 +105,31 @@ def load_robot_from(args: argparse.Namespace):
         raise InputError("bad_option", "--set xacro=...: --no-xacro refuses every xacro")
     if "tool" in given:
         raise InputError("bad_option", "--set tool=...: the tool frame is named with --tool FRAME")
+    if is_model_file(args.robot):
+        return _load_calibrated(args, given)
     return load_robot(args.robot, actuated=args.actuated, tool=args.tool, xacro=not args.no_xacro, **given)
+
+
+def _load_calibrated(args: argparse.Namespace, given: dict[str, str]):
+    """Load the robot of a calibration.
+
+    Raises:
+        InputError: A model file of another kind, or options that a calibrated robot leaves no choice of.
+    """
+    from tau_dyn.files import read_yaml
+
+    content = read_yaml(args.robot)
+    if not isinstance(content, dict) or "tau_dyn_calibration" not in content:
+        raise InputError(
+            "file_format",
+            f"{args.robot}: a robot file ends in .urdf or .urdf.xacro, a calibration's begins with tau_dyn_calibration; "
+            "is it a model file? Then give the robot's file first",
+        )
+    if given or args.actuated or args.tool:
+        raise InputError("bad_option", f"{args.robot}: a calibrated robot has its arguments, joints and tool already")
+    from tau_dyn.calibrate.saved import load_calibration
+
+    return load_calibration(args.robot).build_robot(str(args.robot))
 
 
 def read_arguments(texts: Sequence[str]) -> dict[str, str]:
