@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import calibrate
+from tau_dyn.calibrate.crossvalidation import split_folds
 from tau_dyn.calibrate.families import TreeFamily
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.joint_laws import (
@@ -232,3 +234,30 @@ def test_a_move_before_the_held_out_poses_is_named(robot, owner: str, size: floa
     )  # a turn moves the 1 mm by which frames are free
     rows = finding.to_dict(found.fit)["parameters"]
     assert isinstance(rows, list) and rows[0]["name"] == f"{owner}_moved.x"
+
+
+def test_targets_seen_from_one_configuration_are_held_out_together(robot):
+    """Three targets a pose: a coupling stands out in spite of their places, and held-out poses share no joints with the others."""
+    arm = build_arm(robot)
+    rng = np.random.default_rng(13)
+    seats = tuple(Frame(np.eye(3), at) for at in np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.25, 0.1]]))
+    q, target = np.repeat(rng.uniform(-1.4, 1.4, (40, 4)), 3, axis=0), np.arange(120) % 3
+    frames = DeviceFrames(TRACKER.device, seats)
+    poses = simulate_poses(arm, spoil(arm, 14), q, rng, noise=NOISE, turned=False, frames=frames, target=target)
+    assert list(poses.configuration[:7]) == [0, 0, 0, 1, 1, 1, 2]
+    found = calibrate(robot, poses, accuracy=NOISE[:1])
+    assert found.holdout is not None and found.holdout.n == 30
+    assert not {tuple(row) for row in found.poses.q} & {tuple(row) for row in found.holdout.q}
+    assert all(len(np.intersect1d(*pair)) == 0 for pair in combinations(split_folds(poses.configuration, 0), 2))
+    assert ("joint_coupling", ("j3", "j2"), "confirmed") in {(f.cause, f.joints, f.status) for f in found.findings}
+    assert found.errors(found.chosen).position_size.rms < 1.5 * np.sqrt(3) * NOISE[0]
+
+
+def test_a_robot_that_misses_its_poses_confirms_nothing(robot):
+    """Poses of an arm with a forearm 0.2 m longer: whatever lowers the error a little is not the cause."""
+    longer = load_robot_from_urdf(robot.urdf.replace('xyz="0.6 0 0"', 'xyz="0.8 0 0"'), "longer")
+    arm = build_tree_geometry(longer)
+    rng = np.random.default_rng(15)
+    poses = simulate_poses(arm, arm.parameters.values, rng.uniform(-1.4, 1.4, (60, 4)), rng, noise=NOISE, turned=False)
+    found = calibrate(robot, poses, fix=["*.origin_*"])
+    assert found.misses_poses and not any(f.status == "confirmed" for f in found.findings)

@@ -17,7 +17,7 @@ from tau_dyn.calibrate.candidates import (
     fit_and_cross_validate,
     fit_spec,
 )
-from tau_dyn.calibrate.causes import as_finding, find_causes
+from tau_dyn.calibrate.causes import CalibrationFinding, as_finding, find_causes
 from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.families import Family, get_family
 from tau_dyn.calibrate.geometry_fit import GeometryFit
@@ -104,7 +104,7 @@ def calibrate(
     moved = find_moved_frames(taken[-1].fit, holdout) if holdout is not None and split == "given" else []
     findings = (*find_causes(family, taken[-1], holdout, options), *(as_finding(one) for one in moved))
     sentences = (*poses.warnings, *warnings, *named, *more, *(one.describe() for one in moved), *_doubts(taken[-1].fit))
-    return Calibration(
+    found = Calibration(
         robot,
         poses,
         holdout,
@@ -116,6 +116,12 @@ def calibrate(
         seed,
         measured,
     )
+    return replace(found, findings=_suspect_all(findings)) if found.misses_poses else found
+
+
+def _suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:
+    """Return findings of a model that misses its poses by far: none is confirmed but moves before the held-out poses."""
+    return tuple(f if f.cause.endswith("_moved") else replace(f, status="suspected") for f in findings)
 
 
 def _describe_coupling(poses: PoseSet, coupling: UnitCoupling, model: str) -> str:
@@ -229,8 +235,10 @@ def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet,
         return poses, holdout, "given"
     if poses.n < _ENOUGH_TO_SPLIT:
         return poses, None, "cross-validated"
-    order = np.random.default_rng(seed).permutation(poses.n)
-    held = np.sort(order[: int(round(_HELD_OUT * poses.n))])
+    configuration = poses.configuration
+    n = int(configuration.max()) + 1
+    order = np.random.default_rng(seed).permutation(n)
+    held = np.flatnonzero(np.isin(configuration, order[: int(round(_HELD_OUT * n))]))
     return poses.take(np.setdiff1d(np.arange(poses.n), held)), poses.take(held), "split"
 
 

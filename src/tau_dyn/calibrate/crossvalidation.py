@@ -112,9 +112,11 @@ def _with_worst(squares: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(squares), squares, worst)
 
 
-def split_folds(n: int, seed: int, many: int = FOLDS) -> list[np.ndarray]:
-    """Return the indices of each fold, at random."""
-    return [np.sort(part) for part in np.array_split(np.random.default_rng(seed).permutation(n), min(many, n))]
+def split_folds(configuration: np.ndarray, seed: int, many: int = FOLDS) -> list[np.ndarray]:
+    """Return the indices of each fold, at random; poses of one configuration (N,) of the joints stay together."""
+    n = int(configuration.max(initial=-1)) + 1
+    parts = np.array_split(np.random.default_rng(seed).permutation(n), min(many, n))
+    return [np.flatnonzero(np.isin(configuration, part)) for part in parts]
 
 
 def cross_validate(fitted: GeometryFit, seed: int = 0) -> HeldOutErrors:
@@ -123,7 +125,7 @@ def cross_validate(fitted: GeometryFit, seed: int = 0) -> HeldOutErrors:
     position = np.full((poses.n, 3), np.nan)
     turned = poses.rotation is not None and fitted.geometry.orients
     rotation = np.full((poses.n, 3), np.nan) if turned else None
-    for part in split_folds(poses.n, seed):
+    for part in split_folds(poses.configuration, seed):
         rest = np.setdiff1d(np.arange(poses.n), part)
         errors = _without(fitted, rest).errors(poses.take(part))
         position[part] = errors.position

@@ -15,7 +15,6 @@ from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import InputError
 
 _MIN_REPEATS = 5  # measurements beyond the first of their joints; the standard deviation is then known to a third
-_MAX_JOINT_DIFFERENCE = 1e-9  # [m or rad] up to which two poses have the same joints
 
 NoiseSource = Literal["stated", "columns", "repeats", "unknown"]
 
@@ -62,7 +61,7 @@ def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ())
 
 def _from_repeats(poses: PoseSet) -> MeasurementNoise:
     """Return the pooled standard deviation of poses measured several times with the same joints, in one campaign."""
-    rows = np.column_stack([np.round(poses.q / _MAX_JOINT_DIFFERENCE), poses.setup])
+    rows = np.column_stack([poses.configuration, poses.setup])
     _, group = np.unique(rows, axis=0, return_inverse=True)
     group = group.ravel()
     more = poses.n - len(np.unique(group))

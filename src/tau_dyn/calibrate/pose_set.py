@@ -21,6 +21,7 @@ POSITION = ("x_tool", "y_tool", "z_tool")
 STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")
 ROTATION_STDERR = "rot_tool_stderr"
 QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
+_MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a standing robot repeat far better
 _MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
 
 
@@ -88,6 +89,14 @@ class PoseSet:
     def na(self) -> int:
         """Number of actuated joints."""
         return self.q.shape[1]
+
+    @property
+    def configuration(self) -> np.ndarray:
+        """Which poses have the same joint positions, such as several targets seen from one or repeats (N,), from 0 in order."""
+        _, first, group = np.unique(
+            np.round(self.q / _MAX_JOINT_DIFFERENCE), axis=0, return_index=True, return_inverse=True
+        )
+        return np.argsort(np.argsort(first))[group.ravel()]
 
     @property
     def setup(self) -> np.ndarray:

@@ -20,6 +20,11 @@ from tau_dyn.calibrate.sensitivity import compute_sensitivities
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 
+_MAX_RELATIVE_ERROR = 0.01
+"""Held-out rms error over the poses' rms distance from their middle above which units, joints or frames are wrong; an arm out of
+the box reaches 0.002."""
+_MAX_ORIENTATION_ERROR = 0.02
+"""Held-out rms orientation error [rad] above which the same is true."""
 _MIN_NAMED_CORRELATION = 0.9  # correlation from which two parameters are named as one
 
 
@@ -50,6 +55,15 @@ class Calibration(Shown):
     warnings: tuple[str, ...]
     seed: int
     measured: MeasurementNoise = MeasurementNoise("unknown")
+
+    @property
+    def misses_poses(self) -> bool:
+        """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is another one."""
+        errors, place = self.errors(self.chosen), self.poses.position
+        spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
+        turned = errors.orientation_size
+        near = errors.position_size.rms < _MAX_RELATIVE_ERROR * spread
+        return not near or (turned is not None and not turned.rms < _MAX_ORIENTATION_ERROR)
 
     @property
     def chosen(self) -> CandidateModel:

@@ -40,7 +40,7 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
     if poses.rotation is not None and flat:
         return _from_orientation(poses, nominal)
     device = (
-        _align_with_targets(poses.take(ok), nominal.poses.take(ok)) if len(poses.targets) > 1 else align(seen, known)
+        align_with_targets(poses.take(ok), nominal.poses.take(ok))[0] if len(poses.targets) > 1 else align(seen, known)
     )
     if not flat:
         _check_hand(poses.source, seen, known, device)
@@ -62,8 +62,8 @@ def _mean_of(rotations: np.ndarray) -> np.ndarray:
     return compute_mean_rotation(rotations) if len(rotations) else np.eye(3)
 
 
-def _align_with_targets(poses: PoseSet, nominal: Poses) -> Frame:
-    """Return the device's frame, the place of each target on the tool fitted in turn with it."""
+def align_with_targets(poses: PoseSet, nominal: Poses) -> tuple[Frame, np.ndarray]:
+    """Return the device's frame and the targets' places on the tool (targets, 3) [m], fitted in turn."""
     place = np.zeros((len(poses.targets), 3))
     turned = nominal.rotation
     frame = align(poses.position, nominal.position)
@@ -75,7 +75,7 @@ def _align_with_targets(poses: PoseSet, nominal: Poses) -> Frame:
                 rows = (frame.rotation @ turned[own]).reshape(-1, 3)
                 place[k] = np.linalg.lstsq(rows, left.ravel(), rcond=None)[0]
         frame = align(poses.position, nominal.position + np.einsum("nij,nj->ni", turned, place[poses.target]))
-    return frame
+    return frame, place
 
 
 def _from_orientation(poses: PoseSet, nominal: Predicted) -> DeviceFrames:

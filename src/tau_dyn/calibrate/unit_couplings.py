@@ -2,7 +2,7 @@
 
 On arms whose elbow is driven from the base the encoder measures against the ground, `x_3 = q_3 +- q_2`. A robot file that does
 not say so misses its poses by a large part of its reach, and no fit of dimensions finds the way there. Each pair is tried, with
-either sign and the file's dimensions; the device's frame and the target's place are fitted in closed form.
+either sign and the file's dimensions; the device's frame and the targets' places are fitted in closed form.
 """
 
 from __future__ import annotations
@@ -12,16 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.families import Family
-from tau_dyn.calibrate.frames import align
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate.start import align_with_targets
 
 _MIN_RELATIVE_MISFIT = 0.01
 """What the robot file misses, over how far the poses spread, from which a coupling is looked for."""
 _MAX_ERROR_LEFT = 0.3
 """Rms error with the best coupling, over that without and over the next best, below which it stands out."""
-_ALTERNATIONS = 20
-"""Fits of the device's frame and of the target's place in turn; what is left to go shrinks by half or more each."""
 
 
 class UnitCoupling(NamedTuple):
@@ -62,14 +60,8 @@ def _measure_misfit(family: Family, poses: PoseSet, spec: Spec) -> float:
     found = geometry.forward(geometry.parameters.values, poses.q)
     if 2 * found.ok.sum() < poses.n:
         return float("inf")
-    seen, known, turned = poses.position[found.ok], found.poses.position[found.ok], found.poses.rotation[found.ok]
-    target = np.zeros(3)
-    for _ in range(_ALTERNATIONS):
-        frame = align(seen, known + turned @ target)
-        if not geometry.orients:
-            break
-        rows = (frame.rotation @ turned).reshape(-1, 3)
-        left = seen - frame.translation - known @ frame.rotation.T
-        target = np.linalg.lstsq(rows, left.ravel(), rcond=None)[0]
-    left = seen - frame.translation - (known + turned @ target) @ frame.rotation.T
+    seen, nominal = poses.take(found.ok), found.poses.take(found.ok)
+    frame, place = align_with_targets(seen, nominal)
+    known = nominal.position + np.einsum("nij,nj->ni", nominal.rotation, place[seen.target])
+    left = seen.position - frame.translation - known @ frame.rotation.T
     return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))

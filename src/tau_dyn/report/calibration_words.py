@@ -53,11 +53,6 @@ CAUSES = {
 }
 """Causes as sentences."""
 
-_MAX_RELATIVE_ERROR = 0.01
-"""Held-out rms error over the poses' rms distance from their middle above which units, joints or frames are wrong; an arm out of
-the box reaches 0.002."""
-_MAX_ORIENTATION_ERROR = 0.02
-"""Held-out rms orientation error [rad] above which the same is true."""
 _EXPLAINED = 1.5
 """Times the predicted error above which the model lacks an effect."""
 
@@ -95,7 +90,7 @@ def describe_verdict(found: Calibration) -> UseRecommendation:
         return UseRecommendation("poor", "The fit did not converge; do not use it.")
     place = found.poses.position
     spread = float(np.sqrt(np.mean(np.sum((place - place.mean(axis=0)) ** 2, axis=1))))
-    if not reached < _MAX_RELATIVE_ERROR * spread or (turned is not None and not turned.rms < _MAX_ORIENTATION_ERROR):
+    if found.misses_poses:
         also = "" if turned is None else f" and {format_angle(turned.rms)}"
         return UseRecommendation(
             "poor",
