@@ -237,7 +237,7 @@ def test_a_move_before_the_held_out_poses_is_named(robot, owner: str, size: floa
 
 
 def test_targets_seen_from_one_configuration_are_held_out_together(robot):
-    """Three targets a pose: a coupling stands out in spite of their places, and held-out poses share no joints with the others."""
+    """Three targets a pose: a coupling stands out in spite of their places; held-out poses share no joints with the others."""
     arm = build_arm(robot)
     rng = np.random.default_rng(13)
     seats = tuple(Frame(np.eye(3), at) for at in np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.25, 0.1]]))
