@@ -102,7 +102,10 @@ def calibrate(
     taken, steps, more = _models(family, poses, model, options, progress)
     progress("looking for causes")
     moved = find_moved_frames(taken[-1].fit, holdout) if holdout is not None and split == "given" else []
-    findings = (*find_causes(family, taken[-1], holdout, options), *(as_finding(one) for one in moved))
+    still = holdout
+    for one in moved:
+        still = one.undo(still) if still is not None else None
+    findings = (*find_causes(family, taken[-1], still, options), *(as_finding(one) for one in moved))
     sentences = (*poses.warnings, *warnings, *named, *more, *(one.describe() for one in moved), *_doubts(taken[-1].fit))
     found = Calibration(
         robot,
@@ -116,7 +119,8 @@ def calibrate(
         seed,
         measured,
     )
-    return replace(found, findings=_suspect_all(findings)) if found.misses_poses else found
+    misses = replace(found, holdout=still).misses_poses
+    return replace(found, findings=_suspect_all(findings)) if misses else found
 
 
 def _suspect_all(findings: tuple[CalibrationFinding, ...]) -> tuple[CalibrationFinding, ...]:

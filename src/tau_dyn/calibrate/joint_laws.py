@@ -7,7 +7,8 @@ r"""What an arm's joints do beside turning as their encoders say: each law is a 
   and `tau_1` that of 1 kg at the tool, which stands for a load that the file does not have;
 - coupling: another joint's drive turns this one along, `e = k q_other`.
 
-Torques are those at the calibrated geometry and at the joints' positions before they yield.
+Torques are those of the nominal arm at the joints' positions before they yield. Calibrated placements would make the direction of
+a link's centre of mass a parameter: an offset and the next joint's place turn a link in its own frame without moving the tool.
 
 References: Whitney, Lozinski & Rourke 1986 (gears' errors, coupling, compliance); Khalil & Besnard 2002 (gravity).
 """
@@ -182,7 +183,6 @@ def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray
 
 
 class _Deflected(NamedTuple):
-    moved: np.ndarray  # joints' positions without loads (N, na)
     real: np.ndarray  # joints' positions (N, na)
     by_position: np.ndarray  # their derivative by the positions without loads (N, na, na)
     torques: np.ndarray  # (N, na, 2)
@@ -233,22 +233,14 @@ class ArmGeometry:
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses."""
         own, of_laws = self._split(theta)
-        return self.tree.forward(own, self._deflect(own, of_laws, self._move(of_laws, q)).real, start)
+        return self.tree.forward(own, self._deflect(of_laws, self._move(of_laws, q)).real, start)
 
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
-        """Return the tool's twist per parameter (N, 6, p).
-
-        What a placement changes in the torques is left out: a compliance times a torque, a hundredth of the column.
-        """
+        """Return the tool's twist per parameter (N, 6, p)."""
         own, of_laws = self._split(theta)
-        at = self._deflect(own, of_laws, self._move(of_laws, q))
-        slopes, of_tree = self.tree.tool_by_joint(own, at.real), self.tree.tool_by_parameter(own, at.real)
+        at = self._deflect(of_laws, self._move(of_laws, q))
+        slopes, columns = self.tree.tool_by_joint(own, at.real), [self.tree.tool_by_parameter(own, at.real)]
         through = slopes @ at.by_position
-        for k, knob in enumerate(self.tree.knobs):
-            if knob.kind in ("offset", "gain"):
-                turned = 1.0 if knob.kind == "offset" else at.moved[:, knob.at, None]
-                of_tree[:, :, k] += turned * (through - slopes)[:, :, knob.at]
-        columns = [of_tree]
         for law in self.laws:
             if isinstance(law, GravityLaw):
                 columns.append(slopes[:, :, [law.actuator]] * law.select(at.torques)[:, None, :])
@@ -259,7 +251,7 @@ class ArmGeometry:
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per actuated joint's encoder (N, 6, na)."""
         own, of_laws = self._split(theta)
-        at = self._deflect(own, of_laws, self._move(of_laws, q))
+        at = self._deflect(of_laws, self._move(of_laws, q))
         moving = np.broadcast_to(np.eye(q.shape[1]), (len(q), q.shape[1], q.shape[1])).copy()
         for law, values in zip(self.laws, of_laws, strict=True):
             if not isinstance(law, GravityLaw):
@@ -296,17 +288,17 @@ class ArmGeometry:
                 moved[:, law.actuator] += law.compute_columns(q) @ values
         return moved
 
-    def _deflect(self, own: np.ndarray, of_laws: Sequence[np.ndarray], moved: np.ndarray) -> _Deflected:
+    def _deflect(self, of_laws: Sequence[np.ndarray], moved: np.ndarray) -> _Deflected:
         """Return where the joints really are, from where they would be without loads (N, na)."""
         real, by_position = moved.copy(), np.broadcast_to(np.eye(moved.shape[1]), (*moved.shape, moved.shape[1])).copy()
         if not any(isinstance(law, GravityLaw) for law in self.laws):
-            return _Deflected(moved, real, by_position, np.zeros((*moved.shape, 2)))
-        torques, slopes = compute_gravity_torques(self.tree, own, moved)
+            return _Deflected(real, by_position, np.zeros((*moved.shape, 2)))
+        torques, slopes = compute_gravity_torques(self.tree, self.tree.parameters.values, moved)
         for law, values in zip(self.laws, of_laws, strict=True):
             if isinstance(law, GravityLaw):
                 real[:, law.actuator] += law.select(torques) @ values
                 by_position[:, law.actuator] += np.einsum("npa,p->na", law.select(slopes), values)
-        return _Deflected(moved, real, by_position, torques)
+        return _Deflected(real, by_position, torques)
 
 
 def build_gravity_laws(

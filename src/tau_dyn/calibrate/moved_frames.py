@@ -7,13 +7,14 @@ fit, by their leverages. References: Seber & Wild 2003, section 5.3 (Wald); Bels
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
 from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors, compare_paired
-from tau_dyn.calibrate.frames import AXES, DeviceFrames, compute_rotation_between
+from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.kinematics.poses import Poses
@@ -37,6 +38,9 @@ class MovedFrame(NamedTuple):
         move: Translation [m] and rotation vector [rad] with standard errors: of the robot's base in the device's axes, or of the
             target in the tool frame.
         gain: On held-out poses.
+        own: Which held-out poses it is about (N,).
+        before: Where the device or the target was when the training poses were measured.
+        after: Where it was later.
     """
 
     owner: str
@@ -44,6 +48,23 @@ class MovedFrame(NamedTuple):
     where: str
     move: tuple[Parameter, ...]
     gain: CrossValidationGain
+    own: np.ndarray
+    before: Frame
+    after: Frame
+
+    def undo(self, poses: PoseSet) -> PoseSet:
+        """Return held-out poses as they would have been measured without the move; a target's needs their orientation."""
+        position, rotation = poses.position.copy(), None if poses.rotation is None else poses.rotation.copy()
+        own, turn = self.own, self.before.rotation @ self.after.rotation.T
+        if self.owner == "device":
+            position[own] = self.before.translation + (position[own] - self.after.translation) @ turn.T
+            if rotation is not None:
+                rotation[own] = turn @ rotation[own]
+        elif rotation is not None:
+            back = self.after.inverse
+            position[own] += rotation[own] @ (back.rotation @ self.before.translation + back.translation)
+            rotation[own] = rotation[own] @ back.rotation @ self.before.rotation
+        return replace(poses, position=position, rotation=rotation)
 
     def describe(self) -> str:
         """Return it as a sentence with its remedy."""
@@ -77,13 +98,14 @@ def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> list[MovedFrame]
                 else holdout.source
             )
             where += f", target {holdout.targets[target]}" if len(holdout.targets) > 1 else ""
-            moved = _find_move(fitted, holdout.take(own), state.base.take(own), where)
+            moved = _find_move(fitted, holdout, own, state.base.take(own), where)
             found += [moved] if moved else []
     return found
 
 
-def _find_move(fitted: GeometryFit, poses: PoseSet, base: Poses, where: str) -> MovedFrame | None:
+def _find_move(fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Poses, where: str) -> MovedFrame | None:
     """Return the move of the device or the target of one set-up, the likelier one; None where neither is significant."""
+    poses = holdout.take(own)
     both = zip((fitted.frames.device, fitted.frames.tool), poses.setup[0], strict=True)
     start = DeviceFrames(*((frames[min(k, len(frames) - 1)],) for frames, k in both))
     m = 6 if poses.rotation is not None and fitted.geometry.orients else 3
@@ -105,7 +127,8 @@ def _find_move(fitted: GeometryFit, poses: PoseSet, base: Poses, where: str) -> 
         Parameter(f"{owner}_moved.{axis}", float(x), "m" if i < 3 else "rad", stderr=float(e))
         for i, (axis, x, e) in enumerate(zip(AXES, fit.move, error, strict=False))
     )
-    return MovedFrame(owner, near[0] if near else "", where, move, gain)
+    pair = [(f.device if owner == "device" else f.tool)[0] for f in (start, fit.frames)]
+    return MovedFrame(owner, near[0] if near else "", where, move, gain, own, *pair)
 
 
 def _fit_move(
