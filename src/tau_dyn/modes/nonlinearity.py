@@ -25,7 +25,7 @@ MIN_VARIANCE_SHARE = 0.1
 """Share of the residual's variance that a power must explain to count: everything real is slightly nonlinear."""
 LINEAR_LAGS = 30  # of the inputs, taken out of the powers
 OWN_LAGS = 2  # of the response, taken out of its powers
-MAX_SAMPLES = 20_000
+MAX_SAMPLES = 20_000  # samples looked at
 
 
 @dataclass(frozen=True)
