@@ -7,7 +7,7 @@ outputs at 100 Hz with 5 % of noise. Out: modes found, false modes, bias, scatte
 
 Nonlinear: 3000 samples at 50 Hz of two modes (3 and 7 Hz, 3 %) with noise and a disturbance, in open loop and under velocity
 feedback, the input Gaussian or binary, by the default identification; then the same with a spring that is stiffer by 3, 10 and
-30 % at the response's root mean square, at order 4. Out: how often `response_nonlinear` warns.
+30 % at the response's root mean square, by n4sid at order 4. Out: how often `response_nonlinear` warns.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def study_nonlinear(runs: int, seed: int) -> None:
             warned, p = 0, []
             for run in range(seed, seed + runs):
                 log = record_spring(stiffening, gain, run, run % 2 == 0)
-                options = {} if stiffening == 0 else {"order": 4, "delay": 0}
+                options = {} if stiffening == 0 else {"method": "n4sid", "order": 4, "delay": 0}
                 found = find_modes(log, ["force"], ["place"], **options)
                 seen = found.nonlinearity
                 if seen is not None:
