@@ -118,6 +118,9 @@ WARNING_CODES: dict[str, MessageCode] = {
     "repeated_samples": MessageCode(
         "samples stand twice or stale", "log each sample once; stale lines up to 1 % are left out"
     ),
+    "response_nonlinear": MessageCode(
+        "`modes`: powers of the response explain over a tenth of the residual", "test at several levels of force"
+    ),
     "rests_mostly": MessageCode("joints rest more than half of the time", "read `all_samples`; move them more"),
     "scale_wrong": MessageCode(
         "positions, forces or the clock have another scale", "the column map's line in the sentence"

@@ -58,6 +58,17 @@ def test_held_out_logs_and_a_fixed_order(tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_responses_alone_give_resonances_without_a_scale(tmp_path, capsys):
+    """Without --inputs the response to an unknown force gives the resonance, a page, and says what it cannot give."""
+    log, page = vibration_log(tmp_path / "bench.csv", n=3000), tmp_path / "r.html"
+    out = ["--json", str(tmp_path / "r.json"), "--report", str(page)]
+    assert main(["modes", str(log), "--outputs", "place", "--order", "12", *out]) == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["kind"] == "operational" and result["mdk"]["status"] == "not_identifiable"
+    assert min(abs(mode["frequency_hz"] - HZ) for mode in result["modes"]) < 0.1
+    assert "nothing has a scale" in " ".join(capsys.readouterr().out.split()) and "bench.csv" in page.read_text()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -66,7 +77,9 @@ def test_held_out_logs_and_a_fixed_order(tmp_path, capsys):
         (["--inputs", "force", "--outputs", "force"], ["twice"]),
         (["--inputs", "force", "--outputs", "copy"], ["copy", "force", "again"]),
         (["--inputs", "force", "--outputs", "hole"], ["hole", "t ="]),
-        (["--outputs", "place"], ["--inputs"]),
+        (["--outputs", "place", "--out", "m.yaml"], ["--out", "--inputs"]),
+        (["--outputs", "place", "--method", "n4sid"], ["--method n4sid", "--inputs"]),
+        (["--outputs", "place", "--order", "1"], ["--order 1"]),
         (["--inputs", "force"], ["--outputs"]),
         (["--inputs", "force", "--outputs", "place", "--order", "0"], ["--order 0"]),
         (["--inputs", "force", "--outputs", "place", "--order", "-2"], ["--order"]),

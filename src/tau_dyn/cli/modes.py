@@ -51,7 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def _add_columns(group: argparse._ArgumentGroup) -> None:
     for name, text in (
-        ("inputs", "what excites"),
+        ("inputs", "what excites; without any, operational modal analysis of the outputs"),
         (
             "outputs",
             "what responds; as many as inputs and in their order, they are taken as measured where the forces act",
@@ -90,6 +90,8 @@ def _add_model(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Outcome:
     """Find modes."""
+    if not args.inputs:
+        return _run_operational(args)
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.log import read_log
@@ -121,6 +123,39 @@ def run(args: argparse.Namespace) -> Outcome:
         show=lambda console: _show(console, found, args),
         files={args.out: lambda path: _save(path, found, read)} if args.out else {},
         report=lambda: _page(found, on_robot, read),
+    )
+
+
+def _run_operational(args: argparse.Namespace) -> Outcome:
+    """Find modes from responses alone."""
+    options = {
+        "--out": args.out,
+        "--holdout": args.holdout,
+        "--reference": args.reference,
+        "--collocated": args.collocated,
+        f"--method {args.method}": args.method != "auto",
+        f"--delay {args.delay}": args.delay != "auto",
+    }
+    given = next((name for name, value in options.items() if value), None)
+    if given is not None:
+        raise InputError("bad_option", f"{given} needs what excites: name it with --inputs")
+    with show_progress(args.quiet) as step:
+        step("loading")
+        from tau_dyn.log import read_log
+        from tau_dyn.modes import find_operational_modes
+
+        robot = load_robot_from(args) if _robot_asked(args) else None
+        logs = [read_log(path, args.columns) for path in args.logs]
+        step("operational modal analysis")
+        found = find_operational_modes(logs, args.outputs, order=args.order, seed=args.seed)
+    on_robot, warned = _on_robot(robot, found)
+    read = [(str(path), log.sha256) for path, log in zip(args.logs, logs, strict=True)]
+    return Outcome(
+        result=found.to_dict() | ({} if on_robot is None else {"robot_modes": on_robot.to_list()}),
+        warnings=[*(w for log in logs for w in log.warnings), *found.warnings, *warned],
+        inputs=[*read, *([args.columns] if args.columns else []), *(get_robot_file(args) if robot else [])],
+        show=lambda console: _show_operational(console, found, args),
+        report=lambda: _operational_page(found, on_robot, read),
     )
 
 
@@ -158,6 +193,18 @@ def _show(console, found, args: argparse.Namespace) -> None:
     from tau_dyn.report import print_modes
 
     print_modes(console, found, list_written_files(args, model=args.out))
+
+
+def _show_operational(console, found, args: argparse.Namespace) -> None:
+    from tau_dyn.report import print_operational_modes
+
+    print_operational_modes(console, found, list_written_files(args))
+
+
+def _operational_page(found, on_robot, read: list[tuple[str, str]]) -> str:
+    from tau_dyn.report import build_operational_modes_page
+
+    return build_operational_modes_page(found, on_robot=on_robot, logs=read, command_line=format_command_line())
 
 
 def _page(found, on_robot, read: list[tuple[str, str]]) -> str:

@@ -67,29 +67,59 @@ def build_columns(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = 
         yield BasisColumns(slice(start, start + n), np.hstack([flat.real, flat.imag, u]), predicted)
 
 
-def compute_derivative_maps(form: ModalForm, x0: np.ndarray) -> np.ndarray:
-    """Return T (p, q, size + 2 k): the derivative of output o is `real @ T[o]`.
+@dataclass(frozen=True, eq=False)
+class DerivativeMaps:
+    """Derivatives of the outputs with respect to the form's full vector, then Re and Im of each mode's first state.
 
-    The parameters are the full vector of the form's `Layout`, then Re and Im of each mode's state at the first sample.
+    Poles, inputs' shapes and first states move all outputs, by one complex column each:
+    `dy_o / d(shared[a]) = real[o, a] * Re column + imaginary[o, a] * Im column`. Entries of c and D move one output each, and all
+    outputs alike: `dy_o / d(own[o, b]) = columns @ own_map[:, b]`.
+
+    Attributes:
+        size: Numbers of the full vector and of the first states.
+        shared: Positions of numbers that move all outputs (s,).
+        re, im: Their columns among the real ones (s,).
+        real, imaginary: Factors of these columns (p, s).
+        own: Positions of the numbers that move one output (p, w).
+        own_map: (q, w).
     """
+
+    size: int
+    shared: np.ndarray
+    re: np.ndarray
+    im: np.ndarray
+    real: np.ndarray
+    imaginary: np.ndarray
+    own: np.ndarray
+    own_map: np.ndarray
+
+
+def compute_derivative_maps(form: ModalForm, x0: np.ndarray) -> DerivativeMaps:
+    """Return the derivatives of the outputs; `x0` is each mode's state at the first sample (k,)."""
     layout = build_layout(form)
     k, (p, m) = len(form.poles), form.D.shape
     half = k * (m + 2)
-    T = np.zeros((p, 2 * half + m, layout.size + 2 * k))
+    shared, columns, factors = [], [], []
+    own, own_map = np.zeros((p, 2 * k + m), dtype=int), np.zeros((2 * half + m, 2 * k + m))
+    outputs = np.arange(p)
     for i in range(k):
-        c, first = form.c[:, i], i * (m + 2)
+        first = i * (m + 2)
         state = np.r_[form.b[i], x0[i]]  # xi in terms of the columns of this mode
         for turn, shift in ((1.0, 0), (1j, 1)):
-            _add(T, layout.pole(i).start + shift, first + m + 1, half, turn * c)
-            for j in range(m + 1):
-                _add_diagonal(T, layout.c(i).start + shift * p, first + j, half, turn * state[j])
-            for j in range(m):
-                _add(T, layout.b(i).start + j + shift * m, first + j, half, turn * c)
-            _add(T, layout.size + 2 * i + shift, first + m, half, turn * c)
-    for o in range(p):
-        for j in range(m):
-            T[o, 2 * half + j, layout.D.start + o * m + j] = 1.0
-    return T
+            inputs = layout.b(i).start + np.arange(m) + shift * m
+            shared += [layout.pole(i).start + shift, *inputs, layout.size + 2 * i + shift]
+            columns += [first + m + 1, *(first + np.arange(m)), first + m]
+            factors += [turn * form.c[:, i]] * (m + 2)
+            own[:, 2 * i + shift] = layout.c(i).start + shift * p + outputs
+            own_map[first : first + m + 1, 2 * i + shift] = (turn * state).real
+            own_map[half + first : half + first + m + 1, 2 * i + shift] = -(turn * state).imag
+    own[:, 2 * k :] = layout.D.start + outputs[:, None] * m + np.arange(m)
+    own_map[2 * half :, 2 * k :] = np.eye(m)
+    where, factor = np.array(columns, dtype=int), np.array(factors).reshape(-1, p).T
+    size = layout.size + 2 * k
+    return DerivativeMaps(
+        size, np.array(shared, dtype=int), where, half + where, factor.real, -factor.imag, own, own_map
+    )
 
 
 def _states(pole: complex, u: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,16 +134,3 @@ def _states(pole: complex, u: np.ndarray, first: np.ndarray) -> tuple[np.ndarray
 
 def _without_dust(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) < DUST, 0.0, values)
-
-
-def _add_diagonal(T: np.ndarray, parameter: int, column: int, half: int, factor: complex) -> None:
-    """Let the derivative of each output by its own parameter hold Re(factor * column)."""
-    o = np.arange(len(T))
-    T[o, column, parameter + o] += factor.real
-    T[o, half + column, parameter + o] -= factor.imag
-
-
-def _add(T: np.ndarray, parameter: int, column: int, half: int, factor: np.ndarray) -> None:
-    """Let the derivative hold Re(factor * column)."""
-    T[:, column, parameter] += factor.real
-    T[:, half + column, parameter] -= factor.imag

@@ -14,13 +14,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.modes.arx import fit_predictor, select_length
-from tau_dyn.modes.basis import build_columns, compute_derivative_maps
+from tau_dyn.modes.basis import DerivativeMaps, build_columns, compute_derivative_maps
 from tau_dyn.modes.gauss_newton import FitPoint, assemble_normal_equations
 from tau_dyn.modes.hankel import compress
 from tau_dyn.modes.modal_form import build_layout
 from tau_dyn.modes.record import Record
 
 MAX_AR_ORDER = 40  # of the autoregression of residuals; BIC chooses below it
+FREQUENCIES = 512  # treated at once; bounds the memory
 CHUNK = 16384  # errors further apart than a chunk count as independent
 
 
@@ -92,25 +93,36 @@ def _middle(
         n = 1 << (2 * min(CHUNK, record.n_samples) - 1).bit_length()
         density = compute_spectrum(coefficients, noise, n)
         weight = np.where((np.arange(n // 2 + 1) == 0) | (2 * np.arange(n // 2 + 1) == n), 1.0, 2.0) / n
-        weighted = density * weight[:, None, None]
-        maps = np.tensordot(root, compute_derivative_maps(point.form, x0), axes=1)
+        weighted = (root.T @ density @ root) * weight[:, None, None]
+        maps = compute_derivative_maps(point.form, x0)
         where = np.r_[np.arange(size), size + 2 * k * r + np.arange(2 * k)]
         inner = np.zeros((size + 2 * k, size + 2 * k))
         for columns in build_columns(point.form, x0, record, min(CHUNK, record.n_samples)):
-            inner += _correlated(np.fft.rfft(columns.real, n, axis=0), weighted, maps)
+            inner += _correlate(np.fft.rfft(columns.real, n, axis=0), weighted, maps)
         middle[np.ix_(where, where)] += inner
     return middle
 
 
-def _correlated(columns: np.ndarray, weighted: np.ndarray, maps: np.ndarray) -> np.ndarray:
-    """Sum over outputs o, o' of maps_o' (columns^H S_oo' columns) maps_o'."""
-    out = np.zeros((maps.shape[2], maps.shape[2]))
-    for a, left in enumerate(maps):
-        for b, right in enumerate(maps[: a + 1]):
-            product = (columns.conj().T * weighted[:, a, b]) @ columns
-            part = left.T @ product.real @ right
-            out += part if a == b else part + part.T
-    return out
+def _correlate(columns: np.ndarray, weighted: np.ndarray, maps: DerivativeMaps) -> np.ndarray:
+    """Return the sum over outputs o, o' and frequencies of J_o^H S_oo' J_o' (size, size), from columns (F, q) and S (F, p, p)."""
+    out = np.zeros((maps.size, maps.size))
+    own, (p, w) = maps.own.ravel(), maps.own.shape
+    s = len(maps.shared)
+    square, both, alone = np.zeros((s, s)), np.zeros((p, w, s)), np.zeros((p, w, p, w))
+    for first in range(0, len(columns), FREQUENCIES):
+        x, S = columns[first : first + FREQUENCIES], weighted[first : first + FREQUENCIES]
+        moved = x[:, None, maps.re] * maps.real + x[:, None, maps.im] * maps.imaginary  # (F, p, s)
+        passed = S @ moved
+        square += (moved.reshape(-1, s).conj().T @ passed.reshape(-1, s)).real
+        z = x @ maps.own_map
+        both += (z.conj().T @ passed.reshape(len(x), -1)).real.reshape(w, p, s).swapaxes(0, 1)
+        products = (z.conj()[:, :, None] * z[:, None, :]).reshape(len(x), -1)
+        alone += (S.reshape(len(x), -1).T @ products).real.reshape(p, p, w, w).swapaxes(1, 2)
+    flat = both.reshape(p * w, s)
+    out[np.ix_(maps.shared, maps.shared)] = square
+    out[np.ix_(own, maps.shared)], out[np.ix_(maps.shared, own)] = flat, flat.T
+    out[np.ix_(own, own)] = alone.reshape(p * w, p * w)
+    return (out + out.T) / 2
 
 
 def _inverse(H: np.ndarray) -> np.ndarray:

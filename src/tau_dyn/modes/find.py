@@ -27,7 +27,7 @@ from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 from tau_dyn.modes.response_onset import find_response_onset
 from tau_dyn.modes.result import Modes
-from tau_dyn.modes.widen import widen_modes
+from tau_dyn.modes.widen import refine_predictor, widen_modes
 
 MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
 PULSE_GAIN = 0.1
@@ -151,7 +151,7 @@ def _widened(
         pairs = [(taken.modes, t.modes) for t in others]
     if feedback.possible and best.kind == SIMULATED:
         try:
-            other = refine(refined.model, data.train, kind=PREDICTED, maximum_rounds=15)
+            other = refine_predictor(refined, data.train)
             pairs.append((refined.modes, other.modes))
         except (TauDynError, np.linalg.LinAlgError):
             pass

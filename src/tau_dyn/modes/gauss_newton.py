@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.modes.basis import build_columns, compute_derivative_maps
+from tau_dyn.modes.basis import DerivativeMaps, build_columns, compute_derivative_maps
 from tau_dyn.modes.modal_form import ModalForm, build_layout, step_form
 from tau_dyn.modes.record import Record
 
@@ -110,19 +110,41 @@ def assemble_normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndar
     """
     layout = build_layout(point.form)
     weight = np.linalg.inv(point.covariance) if weight is None else weight
-    root = np.linalg.cholesky((weight + weight.T) / 2).T  # weight = root' root
+    weight = (weight + weight.T) / 2
     k, n_records = layout.n_modes, len(point.grams)
     total = layout.size + 2 * k * n_records
     H, g = np.zeros((total, total)), np.zeros(total)
     for r, (gram, cross) in enumerate(zip(point.grams, point.cross, strict=True)):
-        T = np.tensordot(root, compute_derivative_maps(point.form, point.x0[r]), axes=1)
+        matrix, right = _weigh_derivatives(compute_derivative_maps(point.form, point.x0[r]), gram, cross, weight)
         where = np.r_[np.arange(layout.size), layout.size + 2 * k * r + np.arange(2 * k)]
-        H[np.ix_(where, where)] += sum(part.T @ gram @ part for part in T)
-        errors = cross @ root.T
-        g[where] += sum(part.T @ errors[:, o] for o, part in enumerate(T))
+        H[np.ix_(where, where)] += matrix
+        g[where] += right
     start = np.tile(np.column_stack([np.ones(k, bool), point.form.oscillates]).ravel(), n_records)
     everything = np.r_[free, start]
     return NormalEquations(H[np.ix_(everything, everything)], g[everything], everything, int(free.sum()))
+
+
+def _weigh_derivatives(
+    maps: DerivativeMaps, gram: np.ndarray, cross: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return sum_oo' W_oo' J_o' J_o' and sum_oo' W_oo' J_o' e_o' of one record from its columns' products."""
+    H, g = np.zeros((maps.size, maps.size)), np.zeros(maps.size)
+    own, (p, w) = maps.own.ravel(), maps.own.shape
+    parts = ((maps.re, maps.real), (maps.im, maps.imaginary))
+    own_gram, own_cross = gram @ maps.own_map, cross @ weight
+    both = np.zeros((len(maps.shared), p * w))
+    square = np.zeros((len(maps.shared), len(maps.shared)))
+    for at, factor in parts:
+        weighed = factor.T @ weight  # (s, p)
+        both += (weighed[:, :, None] * own_gram[at][:, None, :]).reshape(len(at), -1)
+        g[maps.shared] += np.einsum("so,so->s", weighed, cross[at])
+        for other, factor_of_other in parts:
+            square += (weighed @ factor_of_other) * gram[np.ix_(at, other)]
+    H[np.ix_(maps.shared, maps.shared)] = square
+    H[np.ix_(maps.shared, own)], H[np.ix_(own, maps.shared)] = both, both.T
+    H[np.ix_(own, own)] = np.kron(weight, maps.own_map.T @ own_gram)
+    g[own] = (own_cross.T @ maps.own_map).ravel()
+    return H, g
 
 
 def apply_step(point: FitPoint, step: np.ndarray) -> tuple[ModalForm, np.ndarray]:

@@ -5,12 +5,16 @@ s = log(lambda) / dt; standard errors by the delta method from the covariance of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form
 from tau_dyn.modes.state_space import StateSpace
+
+Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +36,22 @@ class Mode:
     damping_stderr: float
     shape: np.ndarray
     correlation: float
+
+    def to_dict(self, outputs: Sequence[str]) -> dict[str, Any]:
+        """Return it for the JSON result, its shape by output."""
+        f, z, sf, sz = self.frequency_hz, self.damping_ratio, self.frequency_stderr, self.damping_stderr
+        return {
+            "frequency_hz": f,
+            "damping_ratio": z,
+            "frequency_stderr": sf,
+            "damping_stderr": sz,
+            "frequency_ci95": _interval(f, sf),
+            "damping_ci95": _interval(z, sz),
+            "shape": {
+                name: {"re": float(np.real(c)), "im": float(np.imag(c))}
+                for name, c in zip(outputs, self.shape, strict=True)
+            },
+        }
 
 
 def find_resonances(model: StateSpace, covariance: np.ndarray | None = None) -> tuple[Mode, ...]:
@@ -80,3 +100,7 @@ def _slopes(pole: complex, dt: float) -> np.ndarray:
         size = (s.real * ds.real + s.imag * ds.imag) / abs(s)
         out[:, column] = size / (2 * np.pi), -ds.real / abs(s) + s.real * size / abs(s) ** 2
     return out
+
+
+def _interval(value: float, stderr: float) -> list[float] | None:
+    return [value - Z95 * stderr, value + Z95 * stderr] if np.isfinite(stderr) else None

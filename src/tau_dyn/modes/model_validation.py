@@ -13,6 +13,7 @@ from tau_dyn.modes.feedback_test import Feedback
 from tau_dyn.modes.fit_quality import FitQuality, Response, Trace
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.noise import NoiseModel, fit_noise_model
+from tau_dyn.modes.nonlinearity import Nonlinearity, detect_nonlinearity
 from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.poles import list_poles, list_zeros
 from tau_dyn.modes.preparation import PreparedRecords
@@ -90,6 +91,7 @@ def validate_model(
         response=_response(final, empirical),
         impulse=compute_impulse_responses(model, held, modes, kind=data.kind, held_out=bool(data.holdout)),
         traces=_traces(model, data),
+        nonlinearity=None if data.kind == "impulse" else _nonlinearity(model, data.train),
         mechanical=mechanical,
         mechanical_why=why_not,
         kind=data.kind,
@@ -133,6 +135,13 @@ def _tests(
     late = [delay_inputs(model, r)[model.delay :] for r in long]
     outputs, inputs = records[0].outputs, records[0].inputs
     return check_whiteness(one_step, outputs), check_independence(kept, late, outputs, inputs, used=used)
+
+
+def _nonlinearity(model: StateSpace, records: Sequence[Record]) -> Nonlinearity | None:
+    errors = compute_residuals(model, records)
+    simulated = [r.y[model.delay :] - e for r, e in zip(records, errors, strict=True)]
+    late = [delay_inputs(model, r)[model.delay :] for r in records]
+    return detect_nonlinearity(errors, simulated, late, records[0].outputs)
 
 
 def _mechanical(

@@ -181,7 +181,7 @@ def _refuse_names(inputs: Sequence[str], outputs: Sequence[str], references: Seq
         raise InputError(
             "bad_option",
             "no inputs are named; resonances are identified from what excites the structure and what responds. "
-            "Name the columns that excite with --inputs; a response alone, without its input, is not supported",
+            "Name the columns that excite with --inputs; responses alone go to find_operational_modes",
         )
     twice = [n for n in references if n in (*inputs, *outputs)]
     if twice:

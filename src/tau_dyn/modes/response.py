@@ -28,14 +28,19 @@ class ResponseEstimate:
 
     def covariance_at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the covariance (F, p, m, 2, 2) of Re and Im of the response in own units at frequencies (F,) [Hz]."""
-        slopes = compute_response_slopes(replace(self.form, delay=0), frequency)
-        if self.predictor:
-            slopes = self._through_feedback(slopes, frequency)
+        form, scale = replace(self.form, delay=0), self.scales.y[:, None] / self.scales.u
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.form.dt)
-        slopes = slopes * (self.scales.y[:, None] / self.scales.u)[None, :, :, None]
-        slopes = slopes * (z**-self.form.delay)[:, None, None, None]
-        both = np.stack([slopes.real, slopes.imag], axis=3)  # (F, p, m, 2, size)
-        return both @ self.covariance @ both.swapaxes(-1, -2)
+        late = (z**-self.form.delay)[:, None, None, None]
+        if self.predictor:
+            slopes = self._through_feedback(compute_response_slopes(form, frequency), frequency)
+            return _propagate(slopes * scale[None, :, :, None] * late, self.covariance)
+        parts = []
+        for o in range(len(form.D)):  # an output's response depends on its own entries of c and D only
+            alone = replace(form, c=form.c[[o]], D=form.D[[o]])
+            at = _positions(form, o)
+            slopes = compute_response_slopes(alone, frequency) * scale[None, [o], :, None] * late
+            parts.append(_propagate(slopes, self.covariance[np.ix_(at, at)]))
+        return np.concatenate(parts, axis=1)
 
     def _through_feedback(self, slopes: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """DG = (I - P_y)^-1 (dP_u + dP_y G)."""
@@ -46,6 +51,23 @@ class ResponseEstimate:
         G = inverse @ P[:, :, :m]
         through = slopes[:, :, :m] + np.einsum("foqs,fqm->foms", slopes[:, :, m:], G)
         return np.einsum("fop,fpms->foms", inverse, through)
+
+
+def _propagate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the covariance (F, p, m, 2, 2) of Re and Im from slopes (F, p, m, size)."""
+    both = np.stack([slopes.real, slopes.imag], axis=3)
+    return both @ covariance @ both.swapaxes(-1, -2)
+
+
+def _positions(form: ModalForm, output: int) -> np.ndarray:
+    """Return where the full vector of a form with one output alone stands in that of all."""
+    layout = build_layout(form)
+    p, m = form.D.shape
+    found = []
+    for k in range(len(form.poles)):
+        pole, c, b = layout.pole(k), layout.c(k), layout.b(k)
+        found += [*range(pole.start, pole.stop), c.start + output, c.start + p + output, *range(b.start, b.stop)]
+    return np.array([*found, *(layout.D.start + output * m + np.arange(m))], dtype=int)
 
 
 def compute_response_slopes(form: ModalForm, frequency: np.ndarray) -> np.ndarray:

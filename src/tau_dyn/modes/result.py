@@ -15,6 +15,7 @@ from tau_dyn.modes.fit_quality import FitQuality, ImpulseResponses, Response, Tr
 from tau_dyn.modes.mechanical import Mechanical
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.model_file import ModelFile
+from tau_dyn.modes.nonlinearity import Nonlinearity
 from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.poles import Pole
 from tau_dyn.modes.spectra import EmpiricalResponse
@@ -22,8 +23,6 @@ from tau_dyn.modes.stabilisation import StabilityPoint
 from tau_dyn.modes.state_space import StateSpace
 from tau_dyn.shown import Shown
 from tau_dyn.version import __version__
-
-Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +53,7 @@ class Modes(Shown):
         response: The model's response, with uncertainty.
         impulse: Impulse responses, measured and of the model.
         traces: Records, measured and simulated.
+        nonlinearity: Whether what the model leaves is correlated with powers of the response; None where not tested.
         mechanical: Mass, damping and stiffness; None where there is nothing to say, and `mechanical_why` says why.
         mechanical_why: Why there is none.
         kind: `driven` or `impulse`.
@@ -86,6 +86,7 @@ class Modes(Shown):
     response: Response
     impulse: ImpulseResponses | None
     traces: tuple[Trace, ...]
+    nonlinearity: Nonlinearity | None
     mechanical: Mechanical | None
     mechanical_why: str
     kind: str
@@ -110,7 +111,7 @@ class Modes(Shown):
             "outputs_used": list(self.outputs),
             "kind": self.kind,
             "held_out": self.how_held,
-            "modes": [self._mode(m) for m in self.modes],
+            "modes": [m.to_dict(self.outputs) for m in self.modes],
             "poles": [p.to_dict() for p in self.poles],
             "fit_percent": {
                 "train": self.train.mean,
@@ -130,6 +131,7 @@ class Modes(Shown):
                 "whiteness": [t.to_dict() for t in self.whiteness],
                 "input_correlation": [t.to_dict() for t in self.independence],
             },
+            "nonlinearity": None if self.nonlinearity is None else self.nonlinearity.to_dict(),
             "mdk": self._mdk(),
             "feedback": self.feedback.to_dict(),
             "delay_scan": self.delay_choice.to_dict(),
@@ -164,21 +166,6 @@ class Modes(Shown):
         }
         return ModelFile(self.model, self.inputs, self.outputs, made)
 
-    def _mode(self, mode: Mode) -> dict[str, Any]:
-        f, z, sf, sz = mode.frequency_hz, mode.damping_ratio, mode.frequency_stderr, mode.damping_stderr
-        return {
-            "frequency_hz": f,
-            "damping_ratio": z,
-            "frequency_stderr": sf,
-            "damping_stderr": sz,
-            "frequency_ci95": _interval(f, sf),
-            "damping_ci95": _interval(z, sz),
-            "shape": {
-                name: {"re": float(np.real(c)), "im": float(np.imag(c))}
-                for name, c in zip(self.outputs, mode.shape, strict=True)
-            },
-        }
-
     def _per_output(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         return {name: float(v) for name, v in zip(self.outputs, values, strict=True)}
 
@@ -190,7 +177,3 @@ class Modes(Shown):
         stderr = found.stderr
         spread = None if stderr is None else {name: getattr(stderr, name) for name in "MDK"}
         return empty | found.to_dict() | {"stderr": spread, "units": "of the inputs per those of the outputs"}
-
-
-def _interval(value: float, stderr: float | None) -> list[float] | None:
-    return None if stderr is None or not np.isfinite(stderr) else [value - Z95 * stderr, value + Z95 * stderr]

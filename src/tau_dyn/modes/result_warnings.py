@@ -18,7 +18,8 @@ MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
 
 def add_warnings(found: Modes) -> Modes:
     """Return the result with its doubts among the warnings."""
-    sentences = [*_feedback(found), *_order(found), *_band(found), *_modes(found), *_fits(found), *_tests(found)]
+    parts = (_feedback, _order, _band, _modes, _fits, _nonlinearity, _tests)
+    sentences = [sentence for part in parts for sentence in part(found)]
     return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, *sentences))))
 
 
@@ -77,6 +78,18 @@ def _fits(found: Modes) -> list[str]:
             "too many states, or the plant changed"
         )
     return said
+
+
+def _nonlinearity(found: Modes) -> list[str]:
+    seen = found.nonlinearity
+    if seen is None or not seen.suspected:
+        return []
+    what = "size (stiffness, friction)" if seen.power == 3 else "sign (preload, play on one side)"
+    said = (
+        f"{seen.output} responds nonlinearly to its {what}: powers of the response explain {100 * seen.share:.0f} % of the "
+        f"residual (p = {seen.p_value:.1g}); modes hold for this level of force only"
+    )
+    return [CodedWarning("response_nonlinear", said)]
 
 
 def _tests(found: Modes) -> list[str]:

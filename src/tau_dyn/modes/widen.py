@@ -15,11 +15,37 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import qr
 
 from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.record import Record
+from tau_dyn.modes.refine import RefinedModel, refine
+from tau_dyn.modes.residuals import PREDICTED
 
 MODE_EQUALITY_TOLERANCE = 0.05
 """Relative difference in frequency up to which modes of two models are one and the same."""
+
+MAX_PREDICTOR_OUTPUTS = 6
+"""Outputs of a predictor, whose inputs they are too: its free numbers grow with their square."""
+PREDICTOR_ROUNDS = 15  # steps of its refinement, which begins near its end
+
+
+def refine_predictor(refined: RefinedModel, records: Sequence[Record]) -> RefinedModel:
+    """Return the model that minimises one-step prediction errors, which holds under feedback; of the outputs that show the modes.
+
+    Args:
+        refined: Where to start.
+        records: Training records.
+    """
+    sizes = np.std(np.vstack(refined.residuals), axis=0)
+    seen = np.array([m.shape / sizes for m in refined.modes]).reshape(-1, len(sizes))
+    pivots = np.asarray(qr(np.vstack([seen.real, seen.imag]), mode="r", pivoting=True)[-1])
+    some = sorted(int(o) for o in pivots[:MAX_PREDICTOR_OUTPUTS])
+    whole = refined.model
+    noise = None if whole.noise is None else whole.noise[np.ix_(some, some)]
+    model = replace(whole, C=whole.C[some], D=whole.D[some], K=whole.K[:, some], noise=noise)
+    fewer = [replace(r, y=r.y[:, some], outputs=tuple(r.outputs[o] for o in some)) for r in records]
+    return refine(model, fewer, kind=PREDICTED, maximum_rounds=PREDICTOR_ROUNDS)
 
 
 def widen_modes(modes: Sequence[Mode], pairs: Sequence[tuple[Sequence[Mode], Sequence[Mode]]]) -> tuple[Mode, ...]:

@@ -10,8 +10,9 @@ from tau_dyn.report.diagnosis_terminal import print_diagnosis
 from tau_dyn.report.identification_page import build_identification_page
 from tau_dyn.report.identification_terminal import print_identification
 from tau_dyn.report.modes_page import build_modes_page
-from tau_dyn.report.modes_terminal import print_modes
+from tau_dyn.report.modes_terminal import print_modes, print_operational_modes
 from tau_dyn.report.motion_pages import build_excitation_page, build_simulation_page
+from tau_dyn.report.operational_page import build_operational_modes_page
 from tau_dyn.report.write import write_report
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "build_excitation_page",
     "build_identification_page",
     "build_modes_page",
+    "build_operational_modes_page",
     "build_simulation_page",
     "check_page",
     "print_accuracy",
@@ -27,6 +29,7 @@ __all__ = [
     "print_diagnosis",
     "print_identification",
     "print_modes",
+    "print_operational_modes",
     "write_report",
 ]
 

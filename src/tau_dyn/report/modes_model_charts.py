@@ -5,10 +5,14 @@ Nothing is computed here that the result does not hold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from markupsafe import Markup
 
+from tau_dyn.modes.operational_result import OperationalModes
 from tau_dyn.modes.result import Modes
+from tau_dyn.modes.stabilisation import StabilityPoint
 from tau_dyn.report.formatting import Z95
 from tau_dyn.report.log_chart import LogChart
 from tau_dyn.report.modes_charts import convert_to_decibels, draw_mode_lines, select_ends, select_excited
@@ -18,12 +22,35 @@ from tau_dyn.report.svg import THIRD, WHOLE, Chart, format_tag, pad_limits
 
 def draw_stabilisation_chart(found: Modes) -> Markup:
     """Return modes of all orders: filled where stable, rings where only the frequency agrees, small where new; 95 % bars."""
-    points = found.stabilisation
     orders = [t.order for t in found.order_choice.trials] or [found.order]
     limits = select_ends(found.response.frequency)
+    chart = _stabilisation_axes(limits, max(orders))
+    return chart.render(
+        *draw_mode_lines(found, chart),
+        _skyline(found, chart),
+        draw_along(chart, found.order, "chosen-line"),
+        *_stability_points(found.stabilisation, chart),
+        chart.text(limits[1], found.order + 0.25, "chosen", "chosen-name", "end"),
+    )
+
+
+def draw_operational_stabilisation_chart(found: OperationalModes) -> Markup:
+    """Return the same for responses alone."""
+    f = [q.frequency_hz for q in found.stabilisation]
+    limits = (0.8 * min(f), min(1.25 * max(f), 0.5 / found.dt))
+    chart = _stabilisation_axes(limits, found.order)
+    lines = [draw_across(chart, m.frequency_hz, "mode-line") for m in found.modes]
+    return chart.render(*lines, *_stability_points(found.stabilisation, chart))
+
+
+def _stabilisation_axes(limits: tuple[float, float], highest: int) -> LogChart:
+    return LogChart(WHOLE, 470, limits, (0.0, highest + 1.5), "", "frequency [Hz]", "order of the model")
+
+
+def _stability_points(points: Sequence[StabilityPoint], chart: LogChart) -> list[Markup]:
+    """Return the marks of modes by kind, with their 95 % bars."""
+    limits, drawn = chart.xlim, []
     inside = [q for q in points if limits[0] <= q.frequency_hz <= limits[1]]
-    chart = LogChart(WHOLE, 470, limits, (0.0, max(orders) + 1.5), "", "frequency [Hz]", "order of the model")
-    drawn = [*draw_mode_lines(found, chart), _skyline(found, chart), draw_along(chart, found.order, "chosen-line")]
     for kind in ("new", "frequency", "stable"):
         some = [q for q in inside if q.kind == kind]
         if not some:
@@ -37,8 +64,7 @@ def draw_stabilisation_chart(found: Modes) -> Markup:
             if kind != "frequency"
             else draw_marks(chart, f, n, "ring", "pole-frequency", 3.5)
         )
-    drawn.append(chart.text(limits[1], found.order + 0.25, "chosen", "chosen-name", "end"))
-    return chart.render(*drawn)
+    return drawn
 
 
 def _skyline(found: Modes, chart: LogChart) -> Markup:

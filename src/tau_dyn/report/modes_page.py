@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.on_robot import ShapesOnRobot
 from tau_dyn.modes.result import Modes, Trace
+from tau_dyn.modes.stabilisation import StabilityPoint
 from tau_dyn.report import modes_charts as charts
 from tau_dyn.report import modes_model_charts as model_charts
 from tau_dyn.report.formatting import Z95, format_number, format_percent, round_to_stderr
@@ -65,7 +67,7 @@ def build_modes_page(
         provenance={"method": found.why.get("refinement", found.method)},
         name=", ".join(dict.fromkeys(names)) or "log",
         found=found,
-        modes=[_row(found, k) for k in range(len(found.modes))],
+        modes=[describe_mode(m, found.outputs, _orders_above(found), found.stabilisation) for m in found.modes],
         shapes=[
             (f"{format_frequency(m)} Hz", f"{format_damping(m)} %", draw_shape(m, found.outputs))
             for m in found.modes
@@ -103,6 +105,10 @@ def _choices(found: Modes) -> list[Markup]:
     return [*orders, *([model_charts.draw_delay_chart(found)] if len(found.delay_choice.scan) > 1 else [])]
 
 
+def _orders_above(found: Modes) -> list[int]:
+    return [t.order for t in found.order_choice.trials if t.order >= found.order] or [found.order]
+
+
 def _coherent(found: Modes) -> bool:
     return bool(np.isfinite(found.empirical.coherence).any())
 
@@ -115,14 +121,16 @@ def _worst(found: Modes, most: int = 9) -> list[Any]:
     return [t for t in found.independence if any(t is w for w in worst)]
 
 
-def _row(found: Modes, k: int) -> dict[str, Any]:
-    m = found.modes[k]
-    sizes = np.abs(m.shape)
+def describe_mode(
+    m: Mode, outputs: Sequence[str], orders: Sequence[int], stabilisation: Sequence[StabilityPoint]
+) -> dict[str, Any]:
+    """Return a row of the table of modes; `orders` are those in which it is looked for."""
     known = np.isfinite(m.damping_stderr) and m.damping_ratio > 0
     spread = Z95 * m.damping_stderr / m.damping_ratio / BAR_SPAN if known else 0.0
     decay = 2 * np.pi * m.frequency_hz * m.damping_ratio
-    orders = [t.order for t in found.order_choice.trials if t.order >= found.order] or [found.order]
-    seen = sum(_appears(found, n, m.frequency_hz) for n in orders)
+    seen = sum(
+        any(q.order == n and abs(q.frequency_hz / m.frequency_hz - 1) < 0.02 for q in stabilisation) for n in orders
+    )
     return {
         "frequency": f"{format_frequency(m)} Hz",
         "frequency_interval": format_interval(m.frequency_hz, m.frequency_stderr),
@@ -130,14 +138,10 @@ def _row(found: Modes, k: int) -> dict[str, Any]:
         "damping_interval": format_interval(100 * m.damping_ratio, 100 * m.damping_stderr),
         "bar": draw_interval_bar(max(-spread, -1), min(spread, 1), 0.0, 0.0, "", False) if known else Markup(""),
         "rings": f"{format_number(1 / decay, 2)} s" if decay > 0 else "–",
-        "most": found.outputs[int(np.argmax(sizes))],
+        "most": outputs[int(np.argmax(np.abs(m.shape)))],
         "seen": f"{seen} of {len(orders)}",
         "weak": not is_resonance(m),
     }
-
-
-def _appears(found: Modes, order: int, f: float) -> bool:
-    return any(q.order == order and abs(q.frequency_hz / f - 1) < 0.02 for q in found.stabilisation)
 
 
 def _fits(found: Modes) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from tau_dyn.modes.operational_result import OperationalModes
 from tau_dyn.modes.result import Modes
 from tau_dyn.report.modes_text import (
     describe_headline,
@@ -52,7 +53,17 @@ def print_modes(console: Console, found: Modes, written: Mapping[str, str] | Non
     say_written(console, written)
 
 
-def _modes(found: Modes, columns: int) -> Table:
+def print_operational_modes(
+    console: Console, found: OperationalModes, written: Mapping[str, str] | None = None
+) -> None:
+    """Print resonances from responses alone."""
+    judged = describe_verdict(found)
+    say_opening(console, describe_inputs(found), describe_headline(found), judged.level, judged.sentence)
+    put(console, _modes(found, measure_columns(console)))
+    say_written(console, written)
+
+
+def _modes(found: Modes | OperationalModes, columns: int) -> Table:
     table = build_bare_table()
     several, spread = len(found.outputs) > 1, columns >= 96 or len(found.outputs) == 1
     titles = ["frequency [Hz]", "95 %", "damping [%]", "95 %"] if spread else ["frequency [Hz]", "damping [%]"]

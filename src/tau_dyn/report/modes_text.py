@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.operational_result import OperationalModes
 from tau_dyn.modes.result import Modes
 from tau_dyn.report.formatting import (
     Z95,
@@ -26,7 +27,7 @@ MAX_DAMPING_RATIO = 0.3
 """Damping from which on a mode is no resonance that anyone would see ringing."""
 
 
-def select_known_resonances(found: Modes) -> list[Mode]:
+def select_known_resonances(found: Modes | OperationalModes) -> list[Mode]:
     """Return the modes that ring and whose frequency is known."""
     return [m for m in found.modes if is_resonance(m)]
 
@@ -65,7 +66,7 @@ def format_short_frequency(mode: Mode) -> str:
     return round_to_stderr(mode.frequency_hz, max(mode.frequency_stderr, 2e-3 * mode.frequency_hz))
 
 
-def describe_headline(found: Modes) -> str:
+def describe_headline(found: Modes | OperationalModes) -> str:
     """Return the one sentence above everything."""
     ringing = select_known_resonances(found)
     if not ringing:
@@ -74,6 +75,8 @@ def describe_headline(found: Modes) -> str:
         names = format_list([format_short_frequency(m) for m in ringing[:MAX_NAMED_MODES]], MAX_NAMED_MODES)
         more = f" and {len(ringing) - MAX_NAMED_MODES} frequencies more" if len(ringing) > MAX_NAMED_MODES else ""
         what = f"Resonances: {names} Hz{more}"
+    if isinstance(found, OperationalModes):
+        return f"{what}; from responses alone."
     fit = found.judged.mean
     if found.holdout is not None:
         return f"{what}; fit of the simulated held-out data: {fit_words(fit)}."
@@ -87,8 +90,12 @@ def fit_words(fit: float) -> str:
     return f"{fit:.1f} %".replace("-", "−")
 
 
-def describe_verdict(found: Modes) -> UseRecommendation:
+def describe_verdict(found: Modes | OperationalModes) -> UseRecommendation:
     """Return how far the model may be used."""
+    if isinstance(found, OperationalModes):
+        return UseRecommendation(
+            "care", "Use frequencies, damping and shapes; the forces were not measured, so nothing has a scale."
+        )
     fit, failed = found.judged.mean, [t for t in found.independence if not t.passed]
     if fit > 0 and fit < FAIR_FIT and not failed and select_known_resonances(found):
         return UseRecommendation(
@@ -121,13 +128,19 @@ def describe_verdict(found: Modes) -> UseRecommendation:
     )
 
 
-def describe_badge(found: Modes) -> str:
+def describe_badge(found: Modes | OperationalModes) -> str:
     """Return the judgement in a word or three."""
     return {"good": "Use it", "care": "Use with care", "poor": "Do not rely on it"}[describe_verdict(found).level]
 
 
-def describe_inputs(found: Modes) -> str:
+def describe_inputs(found: Modes | OperationalModes) -> str:
     """Return what went in."""
+    if isinstance(found, OperationalModes):
+        samples = f"{found.n_samples:,}".replace(",", " ")
+        return (
+            f"{samples} samples at {format_number(1 / found.dt, 4)} Hz, no inputs, {count(len(found.outputs), 'output')} "
+            f"({format_list(found.outputs)}); models up to order {found.order}, ssi-cov."
+        )
     n = found.train.n_samples + (0 if found.holdout is None else found.holdout.n_samples)
     what = "impulse tests" if found.kind == "impulse" else f"{count(len(found.inputs), 'input')}"
     samples = f"{n:,}".replace(",", " ")

@@ -17,6 +17,7 @@ from tau_dyn.kinematics.pose_table import PoseTable
 from tau_dyn.kinematics.workspace.study import Study
 from tau_dyn.log import Log, LogCheck
 from tau_dyn.model import Model
+from tau_dyn.modes.operational_result import OperationalModes
 from tau_dyn.modes.result import Modes
 from tau_dyn.parameters import Parameters
 from tau_dyn.report import (
@@ -36,6 +37,7 @@ from tau_dyn.report.calibration_charts import draw_error_chart
 from tau_dyn.report.force_series import decimate_min_max
 from tau_dyn.report.formatting import count, format_list, format_number, format_percent, format_unit
 from tau_dyn.report.modes_charts import draw_bode_chart, list_pairs
+from tau_dyn.report.modes_model_charts import draw_operational_stabilisation_chart
 from tau_dyn.report.notebook_face import Face, Row
 from tau_dyn.report.notebook_tables import build_result_table
 from tau_dyn.report.parameter_rows import build_parameter_rows
@@ -172,6 +174,16 @@ def _meter(share: float) -> Markup:
 
 @build_face.register
 def _modes(found: Modes) -> Face:
+    charts = [draw_bode_chart(found, i, j) for i, j in list_pairs(found)[:_PICTURES]]
+    return _modes_face(found, f"order {found.order}, {found.method}", charts)
+
+
+@build_face.register
+def _operational_modes(found: OperationalModes) -> Face:
+    return _modes_face(found, "ssi-cov", [draw_operational_stabilisation_chart(found)])
+
+
+def _modes_face(found: Modes | OperationalModes, how: str, charts: list[Markup]) -> Face:
     judged = modes_text.describe_verdict(found)
     rows = [
         Row(
@@ -184,19 +196,10 @@ def _modes(found: Modes) -> Face:
         )
         for m in found.modes
     ]
-    charts = [draw_bode_chart(found, i, j) for i, j in list_pairs(found)[:_PICTURES]]
     return Face(
-        "Modes",
-        f"order {found.order}, {found.method}",
-        modes_text.describe_headline(found),
-        judged.level,
-        modes_text.describe_badge(found),
-        ("frequency [Hz]", "95 % interval", "damping [%]", "95 % interval"),
-        rows,
-        charts,
-        [judged.sentence],
-        ("modes",),
-    )
+        "Modes", how, modes_text.describe_headline(found), judged.level, modes_text.describe_badge(found),
+        ("frequency [Hz]", "95 % interval", "damping [%]", "95 % interval"), rows, charts, [judged.sentence], ("modes",),
+    )  # fmt: skip
 
 
 @build_face.register

@@ -19,7 +19,9 @@ from tau_dyn.kinematics.workspace.study import Study
 from tau_dyn.kinematics.workspace.table import build_points_table
 from tau_dyn.log import Log, LogCheck
 from tau_dyn.model import Model
-from tau_dyn.modes.result import Z95, Modes
+from tau_dyn.modes.modal import Z95
+from tau_dyn.modes.operational_result import OperationalModes
+from tau_dyn.modes.result import Modes
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
@@ -98,7 +100,7 @@ def _diagnosis(found: Diagnosis) -> pd.DataFrame:
 
 
 @build_result_table.register
-def _modes(found: Modes) -> pd.DataFrame:
+def _modes(found: Modes | OperationalModes) -> pd.DataFrame:
     """One row a resonance, slowest first."""
     names = ("frequency_hz", "frequency_stderr", "damping_ratio", "damping_stderr")
     frame = pd.DataFrame([[getattr(m, n) for n in names] for m in found.modes], columns=list(names))
