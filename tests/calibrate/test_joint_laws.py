@@ -12,7 +12,7 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import calibrate
-from tau_dyn.calibrate.crossvalidation import split_folds
+from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compare_paired, split_folds
 from tau_dyn.calibrate.families import TreeFamily
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.joint_laws import (
@@ -261,3 +261,15 @@ def test_a_robot_that_misses_its_poses_confirms_nothing(robot):
     poses = simulate_poses(arm, arm.parameters.values, rng.uniform(-1.4, 1.4, (60, 4)), rng, noise=NOISE, turned=False)
     found = calibrate(robot, poses, fix=["*.origin_*"])
     assert found.misses_poses and not any(f.status == "confirmed" for f in found.findings)
+
+
+def test_targets_of_one_configuration_are_no_independent_evidence():
+    """A gain seen at eight configurations is as sure with five targets at each as with one."""
+    rng = np.random.default_rng(16)
+    small, large = 1 + 0.3 * rng.random((8, 3)), 1 + 0.3 * rng.random((8, 3)) - 0.2
+    one = compare_paired(*(HeldOutErrors(x, None) for x in (small, large)))
+    many = [HeldOutErrors(np.repeat(x, 5, axis=0), None, None, np.repeat(np.arange(8), 5)) for x in (small, large)]
+    assert compare_paired(*many).p_value == pytest.approx(one.p_value) and one.p_value > 1e-3
+    assert compare_paired(*many).ci95 == pytest.approx(one.ci95)
+    apart = [replace(x, configuration=None) for x in many]
+    assert compare_paired(*apart).p_value < 0.01 * one.p_value

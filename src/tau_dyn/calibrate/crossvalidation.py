@@ -67,20 +67,23 @@ class HeldOutErrors:
         position: (N, 3) [m].
         rotation: (N, 3) [rad], None where orientation is not predicted.
         relative: Stated standard errors of the measurements over their median (N, 6), None where none are stated.
+        configuration: Which poses have the same joint positions (N,), None where all differ; such poses are no independent ones.
     """
 
     position: np.ndarray
     rotation: np.ndarray | None
     relative: np.ndarray | None = None
+    configuration: np.ndarray | None = None
 
     def noise(self) -> tuple[float, float]:
         """Return the rms of a coordinate [m] and of an angle [rad] (1 where there is none), at the median stated error."""
         return _rms(self._weighted(0)) or 1.0, _rms(self._weighted(1)) or 1.0
 
     def score(self, noise: tuple[float, float]) -> np.ndarray:
-        """Return squared errors (N,) in units of the noise [m, rad]; a pose without prediction counts as the worst."""
+        """Return squared errors of each configuration in units of the noise [m, rad]; unpredicted ones as the worst."""
         parts = [np.sum((self._weighted(k) / noise[k]) ** 2, axis=1) for k in (0, 1)]
-        return _with_worst(parts[0] + parts[1])
+        squares = _with_worst(parts[0] + parts[1])
+        return squares if self.configuration is None else np.bincount(self.configuration, squares)
 
     def squared_distance(self) -> np.ndarray:
         """Return squared position errors (N,) [m^2]; a pose without prediction counts as the worst."""
@@ -131,7 +134,7 @@ def cross_validate(fitted: GeometryFit, seed: int = 0) -> HeldOutErrors:
         position[part] = errors.position
         if rotation is not None and errors.rotation is not None:
             rotation[part] = errors.rotation
-    return HeldOutErrors(position, rotation, poses.relative_errors(6))
+    return HeldOutErrors(position, rotation, poses.relative_errors(6), poses.configuration)
 
 
 def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
@@ -149,11 +152,12 @@ def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
 
 def summarise_held_out_errors(errors: PoseErrors, poses: PoseSet, *, oriented: bool) -> HeldOutErrors:
     """Return the errors at held-out poses as `HeldOutErrors`."""
-    return HeldOutErrors(errors.position, errors.rotation if oriented else None, poses.relative_errors(6))
+    rotation = errors.rotation if oriented else None
+    return HeldOutErrors(errors.position, rotation, poses.relative_errors(6), poses.configuration)
 
 
 def compare_paired(small: HeldOutErrors, large: HeldOutErrors, seed: int = 0) -> CrossValidationGain:
-    """Return what a larger model gains over a smaller one on the same poses.
+    """Return what a larger model gains over a smaller one on the same poses; those of one joint configuration count as one.
 
     Position and orientation count as in a Gaussian likelihood: each in units of what the larger model leaves of it.
     """

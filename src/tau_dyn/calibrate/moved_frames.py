@@ -181,4 +181,5 @@ def _leave_out_each(fit: _Fit) -> np.ndarray:
 
 
 def _as_errors(errors: np.ndarray, poses: PoseSet) -> HeldOutErrors:
-    return HeldOutErrors(errors[:, :3], errors[:, 3:] if errors.shape[1] == 6 else None, poses.relative_errors(6))
+    rotation = errors[:, 3:] if errors.shape[1] == 6 else None
+    return HeldOutErrors(errors[:, :3], rotation, poses.relative_errors(6), poses.configuration)

@@ -198,7 +198,7 @@ def _modes_face(found: Modes | OperationalModes, how: str, charts: list[Markup])
     ]
     return Face(
         "Modes", how, modes_text.describe_headline(found), judged.level, modes_text.describe_badge(found),
-        ("frequency [Hz]", "95 % interval", "damping [%]", "95 % interval"), rows, charts, [judged.sentence], ("modes",),
+        ("frequency [Hz]", "95 % interval", "damping [%]", "95 % interval"), rows, charts, [judged.sentence], ("modes_style",),
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ _RULE = re.compile(r"([^{}]+)\{([^{}]*)\}")
 
 @cache
 def get_style(templates: tuple[str, ...] = ()) -> str:
-    """Return the style of a face with the drawings of these pages, such as `modes`."""
+    """Return the style of a face with the drawings of these templates, such as `modes_style`."""
     page = _asset("page.css")
     light, dark = (
         re.sub(r"color-scheme:[^;]*;", "", text).strip() for text in re.findall(r":root \{(.*?)\}", page, re.DOTALL)
