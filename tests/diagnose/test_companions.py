@@ -29,7 +29,7 @@ def test_what_is_far_smaller_than_another_cause_may_be_its_inexactness(monkeypat
         assert found[0] == 1 and "drive_gain" in found[1]
 
 
-def judge(channel, rng) -> tuple[dict[str, str], list[str]]:
+def search(channel, rng) -> tuple[dict[str, str], list[str]]:
     """Return why each cause found is not confirmed, and the causes that stand."""
     hunt = select_causes(channel, rng, lambda step: None)
     claims = select_confirmed(channel, hunt, [confirm_cause(channel, hunt, one) for one in hunt.found])
@@ -45,7 +45,7 @@ def test_one_curve_of_friction_is_one_cause(make, rng):
         return 150 * motion.sign * np.abs(motion.v) ** 0.7
 
     channel = make.bench(rng, curve, n=16000, noise=0.3, causes=(ViscousCurvature, Stribeck))
-    why, kept = judge(channel, rng)
+    why, kept = search(channel, rng)
     assert len(why) == 2 and len(kept) == 1
     assert f"{kept[0]} alone meets the joint's friction" in "".join(why.values())
 

@@ -91,6 +91,16 @@ class Geometry(Protocol):
         ...
 
 
+class WithoutClosure:
+    """The closure of a geometry that has no residual of its own: a tree's loops involve passive joints, which nobody measures."""
+
+    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
+        """Return None; use forward residuals."""
+        return None
+
+    closure_by_parameter = closure_by_pose = closure_by_joint = closure
+
+
 @dataclass(frozen=True, eq=False)
 class ConstrainedGeometry:
     """A geometry with fewer parameters: several of the original ones move together, or not at all.

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import Predicted
+from tau_dyn.calibrate.geometry import Predicted, WithoutClosure
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_arrays import compute_frames, transform_point
@@ -163,13 +163,13 @@ def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray
     joints = [next(j for j in numbers.joints if j.v == v) for v in shape.active]
     bodies = [(0, body.mass, k, body.lever) for k, body in enumerate(model.inertias) if k and body.mass > 0]
     bodies.append((1, 1.0, shape.tool.joint, numbers.tool))
-    carried = np.zeros((len(joints), 2, len(bodies)))  # masses, by joint, kind and body
+    masses = np.zeros((len(joints), 2, len(bodies)))  # that each joint carries, by joint, kind and body
     for i, (kind, mass, carrier, _) in enumerate(bodies):
-        carried[[j.index in model.supports[carrier].tolist() for j in joints], kind, i] = mass
+        masses[[j.index in model.supports[carrier].tolist() for j in joints], kind, i] = mass
     points = np.stack([transform_point(at, carrier, lever) for _, _, carrier, lever in bodies])
     origin, z = (np.stack([vectors[j.index] for j in joints]) for vectors in (at.origin, at.axis))
-    total, slides = carried.sum(axis=2), np.array([j.slides for j in joints])
-    moment = np.einsum("aki,icn->akcn", carried, points) - total[:, :, None, None] * origin[:, None]
+    total, slides = masses.sum(axis=2), np.array([j.slides for j in joints])
+    moment = np.einsum("aki,icn->akcn", masses, points) - total[:, :, None, None] * origin[:, None]
     swept = np.where(
         slides[:, None, None, None], total[:, :, None, None] * z[:, None], np.cross(z[:, None], moment, axis=2)
     )
@@ -189,7 +189,7 @@ class _Deflected(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ArmGeometry:
+class ArmGeometry(WithoutClosure):
     """A tree whose joints follow laws beside their encoders; see `geometry.Geometry` for what each method returns.
 
     Attributes:
@@ -257,22 +257,6 @@ class ArmGeometry:
             if not isinstance(law, GravityLaw):
                 moving[:, law.actuator] += np.einsum("npa,p->na", law.compute_slopes(q), values)
         return self.tree.tool_by_joint(own, at.real) @ at.by_position @ moving
-
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None, as the tree does."""
-        return None
-
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None, as the tree does."""
-        return None
-
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None, as the tree does."""
-        return None
-
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None, as the tree does."""
-        return None
 
     def _split(self, theta: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the tree's parameters and each law's."""

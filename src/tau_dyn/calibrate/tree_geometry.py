@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import Predicted
+from tau_dyn.calibrate.geometry import Predicted, WithoutClosure
 from tau_dyn.calibrate.loop_derivatives import compute_open_rates, propagate_twists
 from tau_dyn.calibrate.tree_closure import ClosedConfigurations, TreeClosure
 from tau_dyn.calibrate.tree_parameters import PRIORITY, build_rows
@@ -38,7 +38,7 @@ _UNSEEN = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class TreeGeometry:
+class TreeGeometry(WithoutClosure):
     """A tree, with or without loops, whose placements are parameters; build it with `build_tree_geometry`.
 
     Attributes:
@@ -108,22 +108,6 @@ class TreeGeometry:
     def left_open(self, theta: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Return the largest distance (N,) [m] between points that should coincide, where loops are over-constrained."""
         return self.loops.close(self._numbers(theta), require_positions(self.shape.robot, q)).open
-
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None: a tree's loops involve its passive joints, which nobody measures; use forward residuals."""
-        return None
-
-    def closure_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None, see `closure`."""
-        return None
-
-    def closure_by_pose(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None, see `closure`."""
-        return None
-
-    def closure_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> None:
-        """Return None, see `closure`."""
-        return None
 
     def freed(self, names: Iterable[str]) -> TreeGeometry:
         """Return the geometry with exactly these parameters free, by name or shell pattern."""

@@ -94,6 +94,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="how exactly the robot is built to its file: standard deviation of lengths [m], and perhaps of angles [rad] "
         "(default 0.01 0.01)",
     )
+    _add_written_files(parser)
+    add_common(parser)
+
+
+def _add_written_files(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--correct",
         metavar="Q.csv",
@@ -107,7 +112,6 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="write the positions at which the calibrated robot is where --correct meant it to be",
     )
     parser.add_argument("--out", metavar="MODEL.yaml", type=Path, help="write the calibrated robot here")
-    add_common(parser)
 
 
 def run(args: argparse.Namespace) -> Outcome:
