@@ -23,9 +23,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate import calibrate
-from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.result import Calibration
+from tau_dyn.calibrate import Calibration, PoseSet, calibrate
 from tau_dyn.files import write_whole
 from tau_dyn.robot import Robot, load_robot_from_urdf
 

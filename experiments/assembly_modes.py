@@ -29,9 +29,7 @@ from tau_dyn.kinematics.assembly import (
     solve_configuration_states,
 )
 from tau_dyn.kinematics.assembly.of_robot import select_real_poses
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods, build_rods
+from tau_dyn.mechanism import Poses, Rods, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 
 ROOT = Path(__file__).resolve().parents[1]

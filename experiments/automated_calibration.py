@@ -24,9 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.frames import Frame
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.poses import CalibrationCampaign, plan_campaign
 from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
 from tau_dyn.calibrate.poses.devices import transform_to_device
@@ -34,7 +33,7 @@ from tau_dyn.calibrate.poses.monte_carlo import draw_robot
 from tau_dyn.calibrate.poses.progress_file import run_campaign
 from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.kinematics.obstacles import build_surroundings
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
+from tau_dyn.kinematics.workspace import PoseRequirements
 from tau_dyn.robot import load_robot
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -19,18 +19,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
+from tau_dyn.calibrate import PoseSet, constrain_parameters, fit_geometry_to_poses
 from tau_dyn.calibrate.candidates import Options
 from tau_dyn.calibrate.drive_and_guide_laws import GuideBendLaw, find_carried_rods
 from tau_dyn.calibrate.frames import DeviceFrames
-from tau_dyn.calibrate.geometry import constrain_parameters
 from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods, build_rods
+from tau_dyn.mechanism import Poses, Rods, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 
 AMPLITUDE = (45e-6, 40e-6, 70e-6)  # [m] of the wave along each guideway that comes with every tooth of the rack

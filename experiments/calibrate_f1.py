@@ -15,16 +15,13 @@ import argparse
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate import fit_geometry_to_poses
+from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import RodFamily, Spec
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import turn_rows
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import Poses, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 
 ARMS = (("rod1",), ("rod2a", "rod2b"), ("rod3a", "rod3b", "rod3c"))

@@ -21,9 +21,7 @@ from tau_dyn.calibrate.model_selection import select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods, build_rods
+from tau_dyn.mechanism import Poses, Rods, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 
 TABLE_5_1 = np.array([[0.9994, -0.0293, -0.0022], [0.9990, -0.0264, -0.0045], [0.9997, -0.0296, -0.0014]])

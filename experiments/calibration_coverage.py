@@ -15,12 +15,11 @@ import time
 
 import numpy as np
 
-from tau_dyn.calibrate import fit_geometry_to_poses
+from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.models import RodFamily, Spec
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.result import list_weak_parameters
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import build_rods
 from tau_dyn.robot import load_robot
 
 CASES: tuple[tuple[str, dict[str, str], str, int, float], ...] = (

@@ -19,22 +19,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate import Geometry, PoseSet, fit_geometry_to_poses
+from tau_dyn.calibrate.poses import Safety, UniformDevice, compute_doubling_gain
 from tau_dyn.calibrate.poses.automation import build_geometry
 from tau_dyn.calibrate.poses.choice import choose_from
 from tau_dyn.calibrate.poses.criteria import NAMES, compute_observability_indices
 from tau_dyn.calibrate.poses.design import PoseDesign, build_design
-from tau_dyn.calibrate.poses.devices import UniformDevice, transform_to_device
+from tau_dyn.calibrate.poses.devices import transform_to_device
 from tau_dyn.calibrate.poses.exchange import leave_one_out
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot, simulate_measurement
-from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain
 from tau_dyn.calibrate.poses.prediction import predict
-from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.find import find_workspace
-from tau_dyn.kinematics.workspace.machines import build_machine
+from tau_dyn.calibrate.poses.reachable import find_reachable
+from tau_dyn.kinematics.workspace import build_machine, find_workspace
+from tau_dyn.mechanism import Poses
 from tau_dyn.robot import load_robot
 
 OFF = 0.1  # of the scales: 1 mm, 1 mrad, 0.001

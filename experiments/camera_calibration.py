@@ -23,14 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.calibrate import PoseSet
 from tau_dyn.calibrate.candidates import Options, fit_spec
 from tau_dyn.calibrate.models import RodFamily, Spec
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import Poses, build_rods, inverse_kinematics
 from tau_dyn.robot import load_robot
 from tau_dyn.vision import Pattern, solve
 from tau_dyn.vision.bundle import Views

@@ -17,15 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.calibrate.compensation import Compensation, build_compensation
-from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
+from tau_dyn.calibrate import Geometry, GeometryFit, PoseSet, build_compensation, fit_geometry_to_poses
+from tau_dyn.calibrate.compensation import Compensation
 from tau_dyn.calibrate.identifiability import find_identifiable
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import build_rods
 from tau_dyn.robot import Robot, load_robot
 
 FILE = Path(__file__).resolve().parents[1] / "urdf" / "delta.urdf.xacro"

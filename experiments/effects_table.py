@@ -11,9 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.effects import EFFECTS, Effect, Scene
-from tau_dyn.effects.plausible import describe_ranges
-from tau_dyn.effects.words import spell_unit
+from tau_dyn.effects import EFFECTS, Effect, Scene, describe_ranges, spell_unit
 from tau_dyn.files import write_whole
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "causes.md"

@@ -29,15 +29,14 @@ import numpy as np
 import pandas as pd
 from recovery import true_plant
 
-from tau_dyn.estimate import solve_least_squares
-from tau_dyn.estimate.position_noise import PositionNoise
+from tau_dyn.estimate import PositionNoise, solve_least_squares
 from tau_dyn.identify import Preparation, build_model, build_regression
 from tau_dyn.identify.full_rate_estimators import estimate_full_rate
 from tau_dyn.log import Log, compute_noise_gain
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 from tau_dyn.simulate import Sensors, build_named_motion, simulate_drive
-from tau_dyn.simulate.simulate import Feedback
+from tau_dyn.simulate.simulation import Feedback
 
 ESTIMATORS = ("plain", "wls", "ml", "iv", "robust")
 FORCE_NOISE = 5.0  # N

@@ -20,8 +20,7 @@ from tau_dyn.diagnose import diagnose
 from tau_dyn.identify import identify
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, build_named_motion, simulate
-from tau_dyn.simulate.simulate import simulate_drive
+from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, build_named_motion, simulate, simulate_drive
 
 SENSORS = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=500.0)
 WIDTH = 0.005  # [m/s] within which the feedforward's sign of friction is smoothed

@@ -25,8 +25,8 @@ from tau_dyn.control.iterative import (
     analyse_convergence,
     design_low_pass,
     learn,
+    stack_controlled_actuators as controlled,
 )
-from tau_dyn.control.iterative import stack_controlled_actuators as controlled
 from tau_dyn.exceptions import InputError
 
 THESIS_SINGULAR = {"1": "0.90, 0.91, 0.93", "2A": "0.86", "2B": "0.93", "3": "0.95"}

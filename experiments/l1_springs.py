@@ -16,7 +16,7 @@ from scipy.linalg import eigh
 from scipy.optimize import least_squares
 from thesis_6_3_parts.robots import with_wrist, without_wrist
 
-from tau_dyn.dynamics import Linearised
+from tau_dyn.mechanism import Linearised
 
 GUESS = {
     "mount1_x": 5e6, "mount1_y": 1e6, "mount1_z": 7e5, "mount2_x": 1e7, "mount2_y": 2e6, "mount2_z": 2e6, "mount3_x": 4e5,

@@ -22,12 +22,10 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import eigh
 
+from tau_dyn.modes import Record, RefinedModel, compress_subspace_data, refine
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
-from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import RefinedModel, refine
 from tau_dyn.modes.second_order import SecondOrder, pack
 from tau_dyn.modes.simulate import simulate
-from tau_dyn.modes.subspace import compress_subspace_data
 from tau_dyn.modes.thesis_route import PRINTED, judge_character, solve_unconstrained
 
 DT = 0.004  # [s], the thesis' 250 Hz

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
+from tau_dyn.modes import Record, StateSpace, compress_subspace_data, refine
 from tau_dyn.modes.covariance_propagation import propagate_covariance
 from tau_dyn.modes.delay import choose_delay
 from tau_dyn.modes.gauss_newton import assemble_normal_equations, evaluate
@@ -25,11 +26,7 @@ from tau_dyn.modes.methods import estimate_first_poles
 from tau_dyn.modes.modal import find_resonances
 from tau_dyn.modes.modal_form import build_modal_form, free_numbers
 from tau_dyn.modes.pbsid import pbsid
-from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import refine
 from tau_dyn.modes.simulate import simulate, simulate_states
-from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.subspace import compress_subspace_data
 
 DT = 1 / 500
 FREQUENCIES = {3: (7.4, 11.5, 14.0), 4: (7.4, 11.5, 14.0, 103.0)}

@@ -30,8 +30,7 @@ from tau_dyn.effects import build_friction_model
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors
-from tau_dyn.simulate.simulate import simulate_drive
+from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, simulate_drive
 
 START, END = np.array([1.3, -0.75, 0.65]), np.array([2.2, -0.45, 0.85])  # [m]
 FORCE = 300.0  # [N] a cart

@@ -18,8 +18,7 @@ import pandas as pd
 
 from tau_dyn.effects import AsymmetricFriction, ReducerCoupling, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import combine_parameters, solve_least_squares
-from tau_dyn.identify import Choices, build_force_errors, build_regression
-from tau_dyn.identify import preparation as rule
+from tau_dyn.identify import Choices, build_force_errors, build_regression, preparation as rule
 from tau_dyn.log import Log, read_log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot

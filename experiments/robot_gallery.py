@@ -21,7 +21,7 @@ import numpy as np
 from draw_robots import VARIANTS
 
 from tau_dyn.files import write_whole
-from tau_dyn.kinematics.workspace.machines import build_machine
+from tau_dyn.kinematics.workspace import build_machine
 from tau_dyn.robot import Robot, list_robot_names, load_robot
 
 _SECONDS = 60

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
+from tau_dyn.calibrate import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import simulate_poses
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf

@@ -23,8 +23,8 @@ from thesis_6_3_parts.robots import with_wrist
 from tau_dyn.diagnose import Diagnosis, diagnose
 from tau_dyn.diagnose.resonances import propose_resonances
 from tau_dyn.diagnose.tool import build_tool_channel
-from tau_dyn.dynamics import Linearised
 from tau_dyn.log import Log
+from tau_dyn.mechanism import Linearised
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Trajectory, build_named_motion

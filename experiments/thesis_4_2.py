@@ -19,10 +19,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics.assumptions import check_orientation, check_parallelism, fit_guideway, load_shift
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import Poses, build_rods, convert_to_quaternions, forward_kinematics, inverse_kinematics
 from tau_dyn.robot import load_robot
 
 TRACKER = 10e-6  # m, a coordinate

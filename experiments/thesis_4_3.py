@@ -30,10 +30,7 @@ from tau_dyn.kinematics.accuracy import (
     scale_errors,
     study_accuracy,
 )
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import Poses, build_rods, forward_kinematics, inverse_kinematics
 from tau_dyn.robot import load_robot
 
 CASES = {  # Table 4.2

@@ -172,7 +172,7 @@ def one_run(name: str, offset: str, number: int, seed: int) -> dict:
 
 def _as_bodies(robot, names: tuple[str, ...], joint_name: str) -> np.ndarray:
     """Return body parameters (p,) that act as a unit drive inertia of a joint does."""
-    from tau_dyn.dynamics import build_mechanism
+    from tau_dyn.mechanism import build_mechanism
 
     rng = np.random.default_rng(0)
     q, v, a = rng.uniform(-1, 1, (3, 80, robot.na))

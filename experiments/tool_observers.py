@@ -24,7 +24,7 @@ from tau_dyn.control.observers import (
     tune_kalman,
 )
 from tau_dyn.modes import load_state_space
-from tau_dyn.simulate.learning_plant import LearningPlant, Trial
+from tau_dyn.simulate import LearningPlant, Trial
 
 MODEL = Path(__file__).parents[1] / "identification" / "models" / "l1_kinematics_to_tool.yaml"
 THESIS_CUTOFF = (4.50, 2.63)  # Hz, (7.18)

@@ -19,9 +19,8 @@ import pandas as pd
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.kinematics.obstacles import build_surroundings
-from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace
-from tau_dyn.kinematics.workspace.study import study_workspace
-from tau_dyn.report.workspace_page import build_workspace_page
+from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace, study_workspace
+from tau_dyn.report import build_workspace_page
 from tau_dyn.robot import load_robot
 
 ROBOTS = {

@@ -4,7 +4,7 @@ from importlib import import_module
 
 import pytest
 
-from tau_dyn.deprecated_names import DEPRECATED
+from tau_dyn.public_names import DEPRECATED
 
 NAMES = [(package, old, new) for package, names in DEPRECATED.items() for old, new in names.items()]
 

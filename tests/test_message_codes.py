@@ -15,7 +15,7 @@ import tau_dyn
 from tau_dyn.cli import main
 from tau_dyn.coded_warning import CodedWarning, format_warnings
 from tau_dyn.exceptions import CannotAnswer, InputError, LoopClosureError, TauDynError, UnknownName
-from tau_dyn.kinematics.recognise import NotRods
+from tau_dyn.mechanism import NotRods
 from tau_dyn.message_codes import ERROR_CODES, WARNING_CODES
 
 SOURCE = Path(tau_dyn.__file__).parent

@@ -36,9 +36,8 @@ from tau_dyn.control import (
     write_learning_source,
     write_observer_source,
 )
-from tau_dyn.kinematics import forward_kinematics, jacobian
-from tau_dyn.modes import StateSpace
-from tau_dyn.modes.actuators import Actuator
+from tau_dyn.mechanism import forward_kinematics, jacobian
+from tau_dyn.modes import Actuator, StateSpace
 from tau_dyn.robot import load_robot
 
 N = 1000

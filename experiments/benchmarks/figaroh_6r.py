@@ -18,8 +18,8 @@ from bench import show, stop_watch
 
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import SufficientStatistics, find_base
-from tau_dyn.identify import choose_preparation
-from tau_dyn.identify.regression import compute_columns, prepare_segment
+from tau_dyn.identify import choose_preparation, prepare_segment
+from tau_dyn.identify.regression import compute_columns
 from tau_dyn.log import read_log, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot

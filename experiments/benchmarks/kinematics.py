@@ -14,15 +14,16 @@ import numpy as np
 import pandas as pd
 from bench import machine
 
-from tau_dyn.kinematics import (
+from tau_dyn.mechanism import (
     Poses,
+    build_chains,
     forward_kinematics,
+    get_rods,
     inverse_kinematics,
     jacobian,
     solve_all_configurations,
 )
-from tau_dyn.kinematics.chain_inverse import NewtonChain, build_chains
-from tau_dyn.kinematics.solvers import get_rods
+from tau_dyn.mechanism.chain_inverse import NewtonChain
 from tau_dyn.robot import Robot, load_robot
 
 ROBOTS = {

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from bench import show, stop_watch
 
-from tau_dyn.dynamics import TreeMechanism, build_mechanism
-from tau_dyn.dynamics.samplewise import SamplewiseTree
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
 from tau_dyn.estimate import SufficientStatistics
 from tau_dyn.identify.regression import compute_columns
+from tau_dyn.mechanism import TreeMechanism, build_mechanism
+from tau_dyn.mechanism.samplewise import SamplewiseTree
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 

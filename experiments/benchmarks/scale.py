@@ -21,7 +21,8 @@ from bench import made_recording, show
 from tau_dyn.identify import BlockExecutor, identify
 from tau_dyn.log import open_log
 from tau_dyn.robot import load_robot
-from tau_dyn.scale.run_many import connect_client, run_many
+from tau_dyn.scale import run_many
+from tau_dyn.scale.runner import connect_client
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 

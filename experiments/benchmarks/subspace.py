@@ -56,20 +56,20 @@ def tau_dyn_all(u: np.ndarray, y: np.ndarray, horizon: int) -> Poles:
 
 def tau_dyn_refined(u: np.ndarray, y: np.ndarray, horizon: int) -> Poles:
     """The same and refinement with standard errors."""
-    from tau_dyn.modes.refine import refine
+    from tau_dyn.modes import refine
 
     factors = _ours(u, y, horizon)
     return refine(factors.model(ORDER, direct=False), [_record(u, y)]).model.poles()
 
 
 def _record(u: np.ndarray, y: np.ndarray):
-    from tau_dyn.modes.record import Record
+    from tau_dyn.modes import Record
 
     return Record(u, y, DT, ("a", "b", "c"), ("x", "y", "z"))
 
 
 def _ours(u: np.ndarray, y: np.ndarray, horizon: int):
-    from tau_dyn.modes.subspace import compress_subspace_data
+    from tau_dyn.modes import compress_subspace_data
 
     return compress_subspace_data([_record(u, y)], horizon=horizon)
 

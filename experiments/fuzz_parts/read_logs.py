@@ -13,8 +13,8 @@ from fuzz_parts.reader import BINARY, PARQUET, TABLE, YAML, Reader, axis, beside
 
 
 def _log(path: Path) -> None:
-    from tau_dyn.log import check_log, read_log
-    from tau_dyn.log.log_opening import Recording, open_log
+    from tau_dyn.log import check_log, open_log, read_log
+    from tau_dyn.log.log_opening import Recording
 
     log = read_log(path)
     opened = open_log(path)
@@ -48,8 +48,8 @@ def _as_if_large() -> Iterator[None]:
 def _streamed(path: Path) -> None:
     """Read in windows; where a file is read at once, too, the samples must be the same."""
     from tau_dyn.exceptions import TauDynError
-    from tau_dyn.log import read_log
-    from tau_dyn.log.log_opening import Recording, open_log
+    from tau_dyn.log import open_log, read_log
+    from tau_dyn.log.log_opening import Recording
 
     with _as_if_large():
         opened = open_log(path)
@@ -108,7 +108,7 @@ def _vibration(path: Path) -> None:
 
 
 def _motion(path: Path) -> None:
-    from tau_dyn.simulate.trajectory import Trajectory
+    from tau_dyn.simulate import Trajectory
 
     Trajectory.from_csv(path, pendulum().actuated).resampled(100.0)
 
@@ -116,7 +116,8 @@ def _motion(path: Path) -> None:
 def _view_log(path: Path) -> None:
     """Read a log as the viewer does: positions to play, a ghost, and the tool's trail."""
     from tau_dyn.log import read_log
-    from tau_dyn.view.playback import build_playback, compute_trail
+    from tau_dyn.view import build_playback
+    from tau_dyn.view.playback import compute_trail
 
     log = read_log(path)
     shown = build_playback(log, pendulum(), log)
@@ -126,7 +127,7 @@ def _view_log(path: Path) -> None:
 def _pose_table(path: Path) -> None:
     """Read what `fk` asks for, then what `ik` does."""
     from tau_dyn.cli.pose_tables import read_columns
-    from tau_dyn.kinematics.pose_columns import read_poses, read_positions
+    from tau_dyn.kinematics import read_poses, read_positions
 
     table = read_columns(path)
     read_positions(table, pendulum(), str(path))

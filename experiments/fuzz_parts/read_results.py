@@ -12,7 +12,7 @@ from fuzz_parts.reader import JOURNAL, JSON, YAML, Reader, axis, of, pendulum
 def _compared(path: Path) -> None:
     from tau_dyn.cli.common import format_json
     from tau_dyn.compare import compare, read_side
-    from tau_dyn.report.comparison import build_comparison_page
+    from tau_dyn.report import build_comparison_page
 
     side = read_side(path)
     found = compare(side, side)
@@ -21,14 +21,14 @@ def _compared(path: Path) -> None:
 
 
 def _progress(path: Path) -> None:
-    from tau_dyn.calibrate.poses.progress_file import read_progress
+    from tau_dyn.calibrate.poses import read_progress
 
     read_progress(path, ("axis",)).measured()
 
 
 def _shown(compute: bool) -> Callable[[Path], None]:
     def read(path: Path) -> None:
-        from tau_dyn.view.results import read_result
+        from tau_dyn.view import read_result
 
         read_result(path, axis().robot if compute else pendulum(), compute=compute)
 
@@ -60,7 +60,7 @@ def _run(path: Path) -> None:
 
 
 def _journal(path: Path) -> None:
-    from tau_dyn.scale.journal import run_journaled
+    from tau_dyn.scale import run_journaled
 
     list(run_journaled(float, range(6), path))
 

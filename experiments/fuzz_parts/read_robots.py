@@ -10,8 +10,8 @@ from fuzz_parts.reader import TABLE, XML, YAML, Reader, beside, by_name, of, pen
 
 
 def _robot(path: Path) -> None:
-    from tau_dyn.dynamics import build_mechanism
     from tau_dyn.exceptions import InputError
+    from tau_dyn.mechanism import build_mechanism
     from tau_dyn.robot import load_robot
 
     robot = load_robot(path)
@@ -50,7 +50,7 @@ def _model(path: Path) -> None:
 
 
 def _effects(path: Path) -> None:
-    from tau_dyn.simulate.effects_file import read_effects_file
+    from tau_dyn.simulate import read_effects_file
 
     model = read_effects_file(path, pendulum())
     q = np.zeros((5, 1))
@@ -58,14 +58,14 @@ def _effects(path: Path) -> None:
 
 
 def _law(path: Path) -> None:
-    from tau_dyn.simulate.law_file import read_law_file
+    from tau_dyn.simulate import read_law_file
 
     read_law_file(path, pendulum())
 
 
 def _surroundings(path: Path) -> None:
     """Read what stands around, and ask how far away it is."""
-    from tau_dyn.kinematics.obstacles import read_surroundings
+    from tau_dyn.kinematics import read_surroundings
 
     around = read_surroundings(path)
     points = np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 3.0]])
@@ -75,7 +75,7 @@ def _surroundings(path: Path) -> None:
 
 
 def _calibration(path: Path) -> None:
-    from tau_dyn.calibrate.saved import load_calibration
+    from tau_dyn.calibrate import load_calibration
 
     robot = load_calibration(path)
     seen = robot.seen(np.array([[0.1], [0.2]]))
@@ -90,7 +90,8 @@ def _correction(path: Path) -> None:
 
 
 def _reference(path: Path) -> None:
-    from tau_dyn.control.interface.reference import compute_digest, read_reference
+    from tau_dyn.control import read_reference
+    from tau_dyn.control.interface.reference import compute_digest
 
     compute_digest(read_reference(path, ("axis",), period=0.01))
 

@@ -50,15 +50,17 @@ def guideway() -> bytes:
 
 def correction() -> bytes:
     """Return a correction file of the pendulum."""
-    from tau_dyn.control.interface.correction import Correction, format_correction_text
+    from tau_dyn.control import Correction
+    from tau_dyn.control.interface.correction import format_correction_text
 
     return format_correction_text(Correction(("axis",), 0.01, np.zeros((30, 1)) + 1e-4, "0123456789abcdef")).encode()
 
 
 def learned(folder: Path) -> bytes:
     """Return a correction of the motion `at_rest`."""
-    from tau_dyn.control.interface.correction import Correction, format_correction_text
-    from tau_dyn.control.interface.reference import compute_digest, read_reference
+    from tau_dyn.control import Correction, read_reference
+    from tau_dyn.control.interface.correction import format_correction_text
+    from tau_dyn.control.interface.reference import compute_digest
 
     (folder / "seed_rest.csv").write_bytes(at_rest())
     motion = read_reference(folder / "seed_rest.csv", ("axis",), period=0.01)

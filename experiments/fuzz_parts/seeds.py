@@ -256,7 +256,7 @@ def as_json(*results: dict) -> list[bytes]:
 @cache
 def model_file(folder: Path) -> bytes:
     """Return a model file of the pendulum with effects."""
-    from tau_dyn.effects.read import read_effects
+    from tau_dyn.effects import read_effects
     from tau_dyn.model import Model
     from tau_dyn.robot import load_robot_from_urdf
 
@@ -270,7 +270,7 @@ def model_file(folder: Path) -> bytes:
 @cache
 def compensation_file(folder: Path) -> bytes:
     """Return a compensation file of the pendulum."""
-    from tau_dyn.calibrate.compensation import build_compensation
+    from tau_dyn.calibrate import build_compensation
     from tau_dyn.calibrate.compensation_file import save_compensation
     from tau_dyn.calibrate.tree_geometry import build_tree_geometry
     from tau_dyn.robot import load_robot_from_urdf
@@ -292,9 +292,7 @@ def images() -> list[bytes]:
 @cache
 def calibrated(folder: Path) -> bytes:
     """Return a calibrated pendulum."""
-    from tau_dyn.calibrate import calibrate
-    from tau_dyn.calibrate.pose_set import read_poses
-    from tau_dyn.calibrate.saved import save_calibration
+    from tau_dyn.calibrate import calibrate, read_poses, save_calibration
     from tau_dyn.robot import load_robot_from_urdf
 
     (folder / "seed_poses.csv").write_bytes(csv_of(poses()))
@@ -306,7 +304,7 @@ def calibrated(folder: Path) -> bytes:
 @cache
 def journal(folder: Path) -> bytes:
     """Return the journal of a run that was killed after three of six items."""
-    from tau_dyn.scale.journal import run_journaled
+    from tau_dyn.scale import run_journaled
 
     list(run_journaled(float, range(3), folder / "seed.jsonl"))
     return (folder / "seed.jsonl").read_bytes()

@@ -12,16 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.calibrate.calibrate import calibrate
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate import PoseSet, calibrate
 from tau_dyn.diagnose import diagnose
-from tau_dyn.dynamics import build_mechanism
 from tau_dyn.effects import ReducerCoupling, SymmetricFriction, TorqueOffset, build_friction_model
 from tau_dyn.identify import Choices, Identification, identify
-from tau_dyn.kinematics import forward_kinematics, inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.find import find_workspace
+from tau_dyn.kinematics.workspace import find_workspace
 from tau_dyn.log import Log, read_log
+from tau_dyn.mechanism import Poses, build_mechanism, forward_kinematics, inverse_kinematics
 from tau_dyn.model import Model
 from tau_dyn.modes import find_modes
 from tau_dyn.robot import load_robot

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hidden_effects_parts.recording import Recording
-from tau_dyn.dynamics import GantryTauMechanism
+from tau_dyn.mechanism import GantryTauMechanism
 
 
 class Rods(NamedTuple):

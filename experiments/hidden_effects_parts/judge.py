@@ -10,8 +10,7 @@ import numpy as np
 from hidden_effects_parts.oracle import gain_ratio
 from hidden_effects_parts.recording import Recording
 from hidden_effects_parts.sets import Hidden, HiddenSet, hidden_force
-from tau_dyn.diagnose import Diagnosis, diagnose
-from tau_dyn.diagnose.result import Finding
+from tau_dyn.diagnose import Diagnosis, Finding, diagnose
 
 
 def row_of(one: HiddenSet) -> dict[str, Any]:

@@ -9,15 +9,10 @@ from thesis_6_3_parts.printed import DRIVE_SAMPLES, DRIVES
 from thesis_6_3_parts.robots import kinematics, with_wrist
 
 from tau_dyn.control.iterative import Reference
-from tau_dyn.dynamics import L1_DRIVES
-from tau_dyn.modes import StateSpace
-from tau_dyn.modes.actuators import Actuator
-from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import refine
+from tau_dyn.mechanism import L1_DRIVES
+from tau_dyn.modes import Actuator, Record, StateSpace, compress_subspace_data, refine
 from tau_dyn.modes.simulate import simulate
-from tau_dyn.modes.subspace import compress_subspace_data
-from tau_dyn.simulate.learning_plant import LearningPlant, Trial
-from tau_dyn.simulate.square_path import square_path
+from tau_dyn.simulate import LearningPlant, Trial, square_path
 
 DT = 0.004  # s
 VELOCITY_SHARE = 0.5  # assumed: (6.11) alone is "too slow" for this motion (thesis 6.3)

@@ -16,7 +16,7 @@ from tau_dyn.control.iterative import (
 )
 from tau_dyn.control.iterative.law import UpdateLaw
 from tau_dyn.control.observers import ComplementaryToolObserver, tune_kalman
-from tau_dyn.simulate.learning_plant import LearningPlant, Trial
+from tau_dyn.simulate import LearningPlant, Trial
 
 LEARNING = TimeShift(0.9, 5, DT)
 MOTOR_CUTOFF, TOOL_CUTOFF = 10.0, 30.0  # Hz

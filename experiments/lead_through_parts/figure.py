@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-from tau_dyn.simulate.contact import ContactRun
+from tau_dyn.simulate import ContactRun
 
 
 def draw(path: Path, runs: dict[str, ContactRun], peg: tuple) -> None:

@@ -8,10 +8,7 @@ from scipy.optimize import root_scalar
 
 from lead_through_parts.scene import PLATE, START, UP, robot, settings
 from tau_dyn.control.lead_through import ForceLoop, LeadThrough
-from tau_dyn.simulate.contact import run_contact
-from tau_dyn.simulate.contact_arm import ServoArm
-from tau_dyn.simulate.contact_hand import Hand
-from tau_dyn.simulate.contact_work import CompliantSurface
+from tau_dyn.simulate import CompliantSurface, Hand, ServoArm, run_contact
 
 THESIS_HZ = 68.0
 CASES = [(69.1, 0, 0.0), (69.1, 1, 0.0), (20.0, 0, 0.0), (20.0, 0, 60.0), (8.0, 3, 0.0)]

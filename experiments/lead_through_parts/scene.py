@@ -8,10 +8,7 @@ import numpy as np
 
 from tau_dyn.control.lead_through import ForceLoop, LeadThrough, LeadThroughSettings
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate.contact import ContactRun, ContactSensors, run_contact
-from tau_dyn.simulate.contact_arm import ServoArm
-from tau_dyn.simulate.contact_hand import Hand
-from tau_dyn.simulate.contact_work import CompliantSurface, Hole
+from tau_dyn.simulate import CompliantSurface, ContactRun, ContactSensors, Hand, Hole, ServoArm, run_contact
 
 IRB140 = Path(__file__).with_name("irb140.urdf")
 START = np.array([0, 0.1, 0.2, 0, 1.2, 0])

@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from parallelogram_parts.explicit import ERRORS, NAMES, NOMINAL, forward
-from tau_dyn.calibrate.compensation import build_compensation
+from tau_dyn.calibrate import GeometryFit, PoseSet, build_compensation, fit_geometry_to_poses
 from tau_dyn.calibrate.geometry import ConstrainedGeometry
-from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot, load_robot

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from tau_dyn.dynamics import GantryTauMechanism
+from tau_dyn.mechanism import GantryTauMechanism
 from thesis_6_2_parts.friction import FrictionStudy
 from thesis_6_2_parts.gravity import EXACT, GravityStudy
 from thesis_6_2_parts.models import CircleStudy, ModelStudy

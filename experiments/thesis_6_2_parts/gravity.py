@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
 
-from tau_dyn.dynamics import GantryTauMechanism
+from tau_dyn.mechanism import GantryTauMechanism
 from thesis_6_2_parts.motions import cart_positions
 from thesis_6_2_parts.printed import GRAVITY_MASS, SYMBOLS, TABLE_6_2, G
 

@@ -4,13 +4,13 @@ Stribeck        tau = s sign(v) exp(-(v / v_s)^2): friction is larger by s near 
 Passive joints  each ball joint resists its rod's turning with a constant moment. With the rod `d_i` of length `L_i`, its
                 turning speed is `|u_i| / L_i`, `u_i = T' - e_i v_i` (a rigid rod's ends differ in speed only across it), so by
                 virtual work `tau = sum_i n_i / L_i (du_i / dv)' u_i / |u_i|`, `n_i` ball joints of arm i. The direction
-                turns over `SMOOTH`. Closed form of the simplified Gantry-Tau: `D T' = diag(b) v`, as in `dynamics/gantry_tau.py`.
+                turns over `SMOOTH`. Closed form of the simplified Gantry-Tau: `D T' = diag(b) v`, in `mechanism/gantry_tau.py`.
 """
 
 import numpy as np
 
-from tau_dyn.dynamics import GantryTauMechanism
 from tau_dyn.effects import Effect, JointwiseEffect, Motion
+from tau_dyn.mechanism import GantryTauMechanism
 from tau_dyn.parameters import Parameter, Parameters
 
 STRIBECK_SPEED = 0.02  # m/s

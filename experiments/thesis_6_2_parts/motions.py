@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from tau_dyn.dynamics import GantryTauMechanism
+from tau_dyn.mechanism import GantryTauMechanism
 from tau_dyn.simulate import Trajectory, concatenate
 from tau_dyn.simulate.profiles import Segment, build_speed_profile, compute_ramp_time
 

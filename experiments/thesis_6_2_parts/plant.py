@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.dynamics import GantryTauMechanism, build_mechanism
 from tau_dyn.effects import AsymmetricFriction, SymmetricFriction
 from tau_dyn.log import Log
+from tau_dyn.mechanism import GantryTauMechanism, build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot
 from tau_dyn.simulate import PlantRun, Sensors, Trajectory, measure, simulate_drive

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.dynamics import L1_DRIVES
 from tau_dyn.log import Log
+from tau_dyn.mechanism import L1_DRIVES
 from tau_dyn.simulate import VibrationSensors, push_log
 from thesis_6_3_parts.robots import with_wrist
 

@@ -4,9 +4,9 @@ from functools import cache
 
 import numpy as np
 
-from tau_dyn.dynamics import FlexibleModel, Linearised, Mechanism, build_mechanism
 from tau_dyn.log import Log
-from tau_dyn.modes.record import Record
+from tau_dyn.mechanism import FlexibleModel, Linearised, Mechanism, build_mechanism
+from tau_dyn.modes import Record
 from tau_dyn.robot import load_robot
 
 CARTS = ("cart1", "cart2", "cart3")

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from tau_dyn.modes.modal import Mode
+from tau_dyn.modes import Mode
 from thesis_6_3_parts import printed
 from thesis_6_3_parts.black_box import BlackBox
 from thesis_6_3_parts.drives import DT, DriveStudy

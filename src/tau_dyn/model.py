@@ -15,13 +15,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from tau_dyn.dynamics import Mechanism, build_mechanism
-from tau_dyn.effects import Effect, Motion
-from tau_dyn.effects.effect import name_effect_in_errors
-from tau_dyn.effects.read import read_effects
-from tau_dyn.effects.state import describe_missing_state
+from tau_dyn.effects import Effect, Motion, describe_missing_state, name_effect_in_errors, read_effects
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
+from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL, Robot, load_robot_from_urdf
 from tau_dyn.shown import Shown

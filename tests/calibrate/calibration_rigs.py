@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
+from tau_dyn.calibrate import PoseSet
 from tau_dyn.calibrate.models import RodFamily, Spec
-from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.simulated import simulate_poses
-from tau_dyn.kinematics.rods import Rods, build_rods
+from tau_dyn.mechanism import Rods, build_rods
 from tau_dyn.robot import load_robot
 
 

@@ -14,19 +14,24 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import Spec, family_at, measured, rods_of, spoiled
 
-from tau_dyn.calibrate import calibrate, causes, read_poses
+from tau_dyn.calibrate import (
+    PoseSet,
+    calibrate,
+    causes,
+    compute_sensitivities,
+    load_calibration,
+    read_poses,
+    save_calibration,
+)
 from tau_dyn.calibrate.candidates import Options, fit_and_cross_validate
 from tau_dyn.calibrate.crossvalidation import CrossValidationGain
 from tau_dyn.calibrate.families import get_family
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.measurement_noise import MeasurementNoise, estimate_measurement_noise
-from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.saved import load_calibration, save_calibration
-from tau_dyn.calibrate.sensitivity import compute_sensitivities
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.unknowns import collect
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.forward import forward_kinematics
+from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.report.calibration_words import describe_verdict
 from tau_dyn.robot import load_robot
 

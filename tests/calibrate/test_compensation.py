@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.calibrate.compensation import Compensation, build_compensation
+from tau_dyn.calibrate import Geometry, build_compensation, constrain_parameters
+from tau_dyn.calibrate.compensation import Compensation
 from tau_dyn.calibrate.compensation_file import load_compensation, save_compensation
-from tau_dyn.calibrate.geometry import Geometry, constrain_parameters
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import Poses, build_rods
 from tau_dyn.robot import load_robot
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"

@@ -11,8 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import family_at, measured, rods_of, spoiled
 
+from tau_dyn.calibrate import fit_geometry_to_poses
 from tau_dyn.calibrate.frames import DeviceFrames
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
 from tau_dyn.calibrate.identifiability import find_identifiable
 from tau_dyn.calibrate.models import Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry

@@ -11,7 +11,7 @@ import pytest
 from raising import raises_code
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate import calibrate
+from tau_dyn.calibrate import PoseSet, calibrate, load_calibration, save_calibration
 from tau_dyn.calibrate.crossvalidation import HeldOutErrors, compare_paired, split_folds
 from tau_dyn.calibrate.families import TreeFamily
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
@@ -22,8 +22,6 @@ from tau_dyn.calibrate.joint_laws import (
     build_gravity_laws,
     compute_gravity_torques,
 )
-from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.saved import load_calibration, save_calibration
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.calibrate.unit_couplings import find_unit_coupling

@@ -7,8 +7,7 @@ import pytest
 from raising import raises_code
 
 from tau_dyn.calibrate import read_poses
-from tau_dyn.robot import load_robot_from_urdf
-from tau_dyn.robot.annotations import read_annotations
+from tau_dyn.robot import load_robot_from_urdf, read_annotations
 
 URDF = """<robot name="two"><link name="base_link"/><link name="a_link"/><link name="b_link"/>
 <joint name="a" type="revolute"><parent link="base_link"/><child link="a_link"/><axis xyz="0 1 0"/>

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.calibrate import build_frame_rows, fit_geometry_to_poses, read_poses
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
-from tau_dyn.calibrate.pose_set import read_poses
-from tau_dyn.calibrate.result import build_frame_rows
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.robot import load_robot_from_urdf

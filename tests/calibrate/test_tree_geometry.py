@@ -11,7 +11,7 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
+from tau_dyn.calibrate import fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.robot import load_robot_from_urdf

@@ -13,10 +13,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "calibrate"))
 from calibration_rigs import measured, rods_of  # pyright: ignore[reportMissingImports]
 
-from tau_dyn.calibrate.saved import load_calibration
+from tau_dyn.calibrate import load_calibration
 from tau_dyn.calibrate.simulated import format_csv
 from tau_dyn.cli import main
-from tau_dyn.kinematics import forward_kinematics
+from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import load_robot
 
 

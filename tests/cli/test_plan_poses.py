@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tau_dyn.calibrate.poses.progress_file import read_progress
+from tau_dyn.calibrate.poses import read_progress
 from tau_dyn.cli import main
 
 CAMERA = """

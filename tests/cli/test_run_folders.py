@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tau_dyn.cli import build_parser, main
+from tau_dyn.cli import build_parser, execute, main
 from tau_dyn.cli.common import Outcome
-from tau_dyn.cli.execute import execute
 from tau_dyn.cli.run_folder import RunFolder
 from tau_dyn.exceptions import CannotAnswer
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.cli import main
-from tau_dyn.kinematics import forward_kinematics
+from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import load_robot
 
 T = np.arange(0, 4, 0.004)

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.control import build_kinematics, write_kinematics_source
-from tau_dyn.control import export_kinematics_check as check
-from tau_dyn.control.export_c_text import build_identifiers
+from tau_dyn.control import (
+    build_identifiers,
+    build_kinematics,
+    export_kinematics_check as check,
+    write_kinematics_source,
+)
 from tau_dyn.control.export_check import draw_reachable_positions
-from tau_dyn.kinematics import build_rods, forward_kinematics, inverse_kinematics, jacobian
+from tau_dyn.mechanism import build_rods, forward_kinematics, inverse_kinematics, jacobian
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 IRB140 = Path(__file__).parents[2] / "experiments" / "lead_through_parts" / "irb140.urdf"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.control.expression_arrays import as_expression_array, build_inputs
-from tau_dyn.control.graph import Graph, Node
+from tau_dyn.control import Graph, Node, as_expression_array, build_inputs
 
 
 def test_equal_expressions_are_one_node_and_numbers_stay_numbers() -> None:

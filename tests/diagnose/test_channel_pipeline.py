@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from tau_dyn.coded_warning import get_code
-from tau_dyn.diagnose import channel_pipeline, diagnose, internal_validation
+from tau_dyn.diagnose import Gain, channel_pipeline, diagnose, internal_validation
 from tau_dyn.diagnose.channel_pipeline import confirm_cause, select_confirmed, select_supported
 from tau_dyn.diagnose.confirm import Confirmation
 from tau_dyn.diagnose.data_split import TEST
 from tau_dyn.diagnose.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.diagnose.plausibility import find_inconsistent
 from tau_dyn.diagnose.recommendation import recommend
-from tau_dyn.diagnose.result import Gain
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.effects import Delay, PlausibleRange, QuadraticDrag, Stribeck, build_friction_model
 from tau_dyn.model import Model

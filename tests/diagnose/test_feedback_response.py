@@ -19,8 +19,7 @@ from tau_dyn.diagnose.filters import decimate_log
 from tau_dyn.diagnose.group_tests import CandidateCause, GroupTest
 from tau_dyn.diagnose.noise_only_bootstrap import estimate_noncentrality, simulate_noise_only_logs
 from tau_dyn.diagnose.plausibility import is_distinct_from_zero
-from tau_dyn.effects import build_friction_model
-from tau_dyn.effects.cyclic_ripple import CyclicRipple
+from tau_dyn.effects import CyclicRipple, build_friction_model
 from tau_dyn.estimate import BaseParameters
 from tau_dyn.log import Log, lowpass
 from tau_dyn.model import Model

@@ -9,9 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tau_dyn.diagnose import diagnose
+from tau_dyn.diagnose import Finding, diagnose
 from tau_dyn.diagnose.nominal import find_parameter_changes
-from tau_dyn.diagnose.result import Finding
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot, load_robot

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
+from tau_dyn.diagnose import Diagnosis, Finding, diagnose, propose_motion
 from tau_dyn.diagnose.candidates import build_candidate_pieces
 from tau_dyn.diagnose.design import (
     Setting,
@@ -19,11 +20,9 @@ from tau_dyn.diagnose.design import (
     compute_gram_matrix,
     flatten_noise_spectrum,
 )
-from tau_dyn.diagnose.diagnose import diagnose
 from tau_dyn.diagnose.plan import build_design_scene, build_discrimination_plan
-from tau_dyn.diagnose.propose import optimise_by_exchange, propose_motion
+from tau_dyn.diagnose.propose import optimise_by_exchange
 from tau_dyn.diagnose.question import CauseHypothesis, DesignGoal, find_design_goal
-from tau_dyn.diagnose.result import Diagnosis, Finding
 from tau_dyn.effects import DriveGain, QuadraticDrag, Stribeck
 from tau_dyn.estimate import Autoregression, fit_autoregression
 from tau_dyn.identify import build_model

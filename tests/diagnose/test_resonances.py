@@ -20,7 +20,7 @@ from tau_dyn.diagnose.force_diagnosis import fit_baseline
 from tau_dyn.diagnose.noise import fit_noise_models
 from tau_dyn.diagnose.resonances import add_band_note, add_resonances, propose_resonances
 from tau_dyn.effects import Motion, Scene, StructuralCompliance
-from tau_dyn.identify.identify import build_model
+from tau_dyn.identify import build_model
 from tau_dyn.log import lowpass
 from tau_dyn.parameters import Parameter
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.diagnose.result import Diagnosis, OutputErrors
-from tau_dyn.diagnose.simulated import add_simulation
+from tau_dyn.diagnose import Diagnosis, OutputErrors, add_simulation
 from tau_dyn.effects import TorqueOffset, build_friction_model
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot

@@ -15,9 +15,9 @@ from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.tool import build_tool_channel
 from tau_dyn.diagnose.tool_diagnosis import diagnose_tool
 from tau_dyn.diagnose.tool_pieces import build_tool_segment
-from tau_dyn.dynamics import GantryTauMechanism
 from tau_dyn.effects import EFFECTS
 from tau_dyn.log import Log
+from tau_dyn.mechanism import GantryTauMechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.dynamics import TreeMechanism, build_mechanism
-from tau_dyn.dynamics.samplewise import SamplewiseTree
+from tau_dyn.mechanism import TreeMechanism, build_mechanism
+from tau_dyn.mechanism.samplewise import SamplewiseTree
 
 KINDS = ["two_link", "turning", "block", "pendulum", "tx40", "ur5", "panda", "four_bar",
          "l1 simplified uniform", "d1 simplified point", "l1 complete uniform"]  # fmt: skip

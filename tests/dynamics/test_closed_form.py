@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.dynamics import GantryTauMechanism, TreeMechanism, build_mechanism
+from tau_dyn.mechanism import GantryTauMechanism, TreeMechanism, build_mechanism
 from tau_dyn.robot import Robot, load_robot
 
 

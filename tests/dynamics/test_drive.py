@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.dynamics import PositionDrives
+from tau_dyn.mechanism import PositionDrives
 
 
 def test_a_drive_is_on_time_where_nobody_says_otherwise() -> None:

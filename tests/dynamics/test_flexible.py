@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from raising import raises_code
 
-from tau_dyn.dynamics import L1_DRIVES, FlexibleModel, Linearised, PositionDrives, TreeMechanism
+from tau_dyn.mechanism import L1_DRIVES, FlexibleModel, Linearised, PositionDrives, TreeMechanism
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 MASS, STIFF, DAMP = 2.0, 5000.0, 3.0

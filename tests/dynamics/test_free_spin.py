@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.dynamics import TreeMechanism
+from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 CRANK, ROD, AT = 0.3, 0.9, 0.4  # [m], [m], crank's angle at zero [rad]

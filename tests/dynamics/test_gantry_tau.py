@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.dynamics import GantryTauMechanism
+from tau_dyn.mechanism import GantryTauMechanism
 
 
 @pytest.mark.parametrize("n", [1, 40], ids=["one by one", "all at once"])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.dynamics import TreeMechanism
-from tau_dyn.dynamics.samplewise import SamplewiseTree
+from tau_dyn.mechanism import TreeMechanism
+from tau_dyn.mechanism.samplewise import SamplewiseTree
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 EXTRA = {"simplified": 22.38, "complete": 15.0}

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.dynamics import TreeMechanism, build_mechanism
+from tau_dyn.mechanism import TreeMechanism, build_mechanism
 from tau_dyn.robot import load_robot, robot_from_urdf
 
 SERIAL = ["two_link", "turning", "block", "tx40", "ur5", "panda"]

@@ -7,7 +7,7 @@ import pytest
 from raising import raises_code
 from scipy.integrate import solve_ivp
 
-from tau_dyn.dynamics import ContinuousModel, PositionDrives
+from tau_dyn.mechanism import ContinuousModel, PositionDrives
 
 W, ZETA = 2 * np.pi * 3, 0.1
 

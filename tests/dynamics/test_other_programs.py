@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.dynamics import TreeMechanism, build_mechanism
+from tau_dyn.mechanism import TreeMechanism, build_mechanism
 
 KINDS = ["four_bar", "l1 simplified uniform", "d1 simplified uniform", "l1 complete uniform", "d1 complete uniform"]
 

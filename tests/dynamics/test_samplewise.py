@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.dynamics import TreeMechanism
+from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 STEP = 1e-5

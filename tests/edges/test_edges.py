@@ -16,8 +16,8 @@ from raising import raises_code
 from tau_dyn.cli import main
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import Identification, build_model, identify
-from tau_dyn.kinematics import LoopSolver
 from tau_dyn.log import Log
+from tau_dyn.mechanism import LoopSolver
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 from tau_dyn.simulate import Trajectory, build_named_motion

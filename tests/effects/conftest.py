@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.dynamics import GantryTauMechanism
+from tau_dyn.mechanism import GantryTauMechanism
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 

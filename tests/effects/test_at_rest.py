@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS, Motion, Scene
-from tau_dyn.effects.effect import name_effect_in_errors
+from tau_dyn.effects import EFFECTS, Motion, Scene, name_effect_in_errors
 from tau_dyn.effects.hysteresis import integrate_bristle
 
 

@@ -9,11 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.dynamics import GantryTauMechanism
-from tau_dyn.effects import Motion
-from tau_dyn.effects.cart_shift import SENSITIVITY
-from tau_dyn.effects.cart_tilt import CartTilt
-from tau_dyn.effects.guideway_compliance import SIDE_FORCE, GuidewayCompliance
+from tau_dyn.effects import SENSITIVITY, SIDE_FORCE, CartTilt, GuidewayCompliance, Motion
+from tau_dyn.mechanism import GantryTauMechanism
 from tau_dyn.robot import load_robot
 
 JOINTS = ("cart1", "cart2", "cart3")

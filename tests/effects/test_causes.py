@@ -10,9 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
-from tau_dyn.effects.cart_shift import CartShift
-from tau_dyn.effects.plausible import describe_ranges
+from tau_dyn.effects import EFFECTS, CartShift, Effect, Motion, Scene, describe_ranges
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import AsymmetricFriction, Motion
-from tau_dyn.effects.displacement import DisplacementEffect, differentiate_columns
+from tau_dyn.effects import AsymmetricFriction, DisplacementEffect, Motion
+from tau_dyn.effects.displacement import differentiate_columns
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot

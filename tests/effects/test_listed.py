@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS
-from tau_dyn.effects.read import read_effects
+from tau_dyn.effects import EFFECTS, read_effects
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot import Robot, load_robot_from_urdf
 

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.effects import Motion
-from tau_dyn.effects.load_friction import LoadFriction
+from tau_dyn.effects import LoadFriction, Motion
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import Motion
-from tau_dyn.effects.passive_joint_friction import PassiveJointFriction
+from tau_dyn.effects import Motion, PassiveJointFriction
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.effects import EFFECTS, Scene
-from tau_dyn.effects.state import describe_missing_state
-from tau_dyn.effects.words import format_quantity
+from tau_dyn.effects import EFFECTS, Scene, describe_missing_state, format_quantity
 from tau_dyn.parameters import Parameter, Parameters
 
 

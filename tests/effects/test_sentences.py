@@ -6,8 +6,7 @@ from typing import Any, cast
 
 import pytest
 
-from tau_dyn.effects import EFFECTS, Effect
-from tau_dyn.effects.words import format_quantity, spell_unit
+from tau_dyn.effects import EFFECTS, Effect, format_quantity, spell_unit
 
 
 def said(name: str, values: dict[str, float], joints: str = "x", stderr: float | None = None, **settings: float) -> str:

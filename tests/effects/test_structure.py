@@ -9,8 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS, Motion, Scene
-from tau_dyn.effects.structural_compliance import StructuralCompliance
+from tau_dyn.effects import EFFECTS, Motion, Scene, StructuralCompliance
 
 JOINTS, UNITS, N, DT = ("a", "b"), ("N", "N m"), 600, 1e-3
 M = np.array([[3.0, 1.0], [1.0, 2.0]])

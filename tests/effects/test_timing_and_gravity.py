@@ -10,12 +10,20 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.diagnose.plausibility import find_edge
-from tau_dyn.dynamics import GantryTauMechanism, TreeMechanism, build_mechanism
-from tau_dyn.dynamics.mechanism import compute_perpendicular_axes
-from tau_dyn.effects import EFFECTS, Delay, DriveLag, Effect, GuidewayNonparallel, Motion, Scene
-from tau_dyn.effects.cart_shift import SENSITIVITY
-from tau_dyn.effects.drive_lag import apply_first_order_lowpass
-from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
+from tau_dyn.effects import (
+    EFFECTS,
+    GUIDE_ACROSS,
+    SENSITIVITY,
+    Delay,
+    DriveLag,
+    Effect,
+    GuidewayNonparallel,
+    Motion,
+    Scene,
+    apply_first_order_lowpass,
+)
+from tau_dyn.mechanism import GantryTauMechanism, TreeMechanism, build_mechanism
+from tau_dyn.mechanism.mechanism import compute_perpendicular_axes
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 

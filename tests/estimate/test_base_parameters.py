@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.estimate import find_base
-from tau_dyn.estimate.base_parameters import BaseParameters, read_expression
+from tau_dyn.estimate import BaseParameters, find_base, read_expression
 from tau_dyn.identify.structural_identifiability import find_structural_base
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot

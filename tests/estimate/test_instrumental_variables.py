@@ -9,13 +9,15 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.estimate import Regression, RegressionRun, solve_least_squares
-from tau_dyn.estimate.instrumental_variables import (
+from tau_dyn.estimate import (
+    Regression,
+    RegressionRun,
     WhiteRows,
-    estimate_instrumental_covariance,
     estimate_of,
     solve_instrumental_variables,
+    solve_least_squares,
 )
+from tau_dyn.estimate.instrumental_variables import estimate_instrumental_covariance
 from tau_dyn.parameters import Parameter, Parameters
 
 N, TRUTH = 3000, np.array([2.0, -1.0])

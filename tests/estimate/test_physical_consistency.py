@@ -7,7 +7,7 @@ from raising import raises_code
 
 from tau_dyn.estimate import InertialBody, PhysicalConstraints, find_base, pseudo_inertia, solve_consistent
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot.robot import INERTIAL
+from tau_dyn.robot import INERTIAL
 
 LINK = tuple(f"arm_link.{quantity}" for quantity in INERTIAL)
 PHYSICAL = np.array([2.0, 0.1, 0.0, 0.2, 0.5, 0.0, 0.5, 0.0, 0.0, 0.5])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tau_dyn.estimate.position_noise import PositionNoise, compute_accelerations
+from tau_dyn.estimate import PositionNoise, compute_accelerations
 
 N, M, DT = 30, 3, 0.01
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from numpy.testing import assert_array_equal
 
-from tau_dyn.estimate import RegressionRows
-from tau_dyn.estimate.stored_rows import StoredRows
+from tau_dyn.estimate import RegressionRows, StoredRows
 
 
 def test_what_was_written_comes_back(rng) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.dynamics import TreeMechanism
 from tau_dyn.effects import AsymmetricFriction, Stribeck, SymmetricFriction
 from tau_dyn.exchange import build_mjcf, build_urdf
+from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 

@@ -21,8 +21,14 @@ from tau_dyn.excitation.series import Series
 from tau_dyn.identify import build_model, build_regression
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import Sensors, build_fourier_motion, describe_exceeded_limit, simulate
-from tau_dyn.simulate.fourier import compute_reach, compute_top_speed
+from tau_dyn.simulate import (
+    Sensors,
+    build_fourier_motion,
+    compute_reach,
+    compute_top_speed,
+    describe_exceeded_limit,
+    simulate,
+)
 
 SIZES = {"coulomb_pos": 90.0, "coulomb_neg": 70.0, "viscous_pos": 130.0, "viscous_neg": 110.0}
 

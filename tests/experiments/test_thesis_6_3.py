@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tau_dyn.modes import load_state_space
+from tau_dyn.modes import Record, load_state_space
 from tau_dyn.modes.modal import find_resonances
-from tau_dyn.modes.record import Record
 from tau_dyn.modes.simulate import simulate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))

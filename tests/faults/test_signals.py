@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tau_dyn.cli.ending import ASKED, Ended, Interrupted, describe_machine_fault, unwind_on_signal
+from tau_dyn.cli import Ended, describe_machine_fault, unwind_on_signal
+from tau_dyn.cli.ending import ASKED, Interrupted
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 

@@ -28,12 +28,13 @@ from fuzz_parts.judge import judge
 from fuzz_parts.readers import READERS
 
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.kinematics.poses import convert_from_quaternions
 from tau_dyn.log import read_log
 from tau_dyn.log.copies import copy_groups
+from tau_dyn.mechanism import convert_from_quaternions
+from tau_dyn.modes import Record
 from tau_dyn.modes.delay import InitialModels, choose_delay
 from tau_dyn.modes.methods import estimate_first_poles
-from tau_dyn.modes.record import Record, build_records
+from tau_dyn.modes.record import build_records
 
 
 def parquet(**columns: object) -> bytes:

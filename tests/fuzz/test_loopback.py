@@ -42,7 +42,7 @@ def test_the_viewer_listens_on_loopback() -> None:
 def test_the_embedded_cluster_listens_on_loopback_its_dashboard_too() -> None:
     """Dask asks nobody who he is: whoever reaches a scheduler runs code."""
     distributed = pytest.importorskip("distributed")
-    from tau_dyn.scale.run_many import connect_client
+    from tau_dyn.scale.runner import connect_client
 
     with connect_client(None, 1) as client:
         workers = [worker["nanny"] for worker in client.scheduler_info()["workers"].values()]

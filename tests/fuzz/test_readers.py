@@ -9,8 +9,7 @@ from random import Random
 
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from fuzz_parts.judge import judge

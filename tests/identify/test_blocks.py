@@ -11,11 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
 from tau_dyn.effects import EFFECTS
-from tau_dyn.identify import Preparation, blocks, build_model
+from tau_dyn.identify import Preparation, blocks, build_model, prepare_segment
 from tau_dyn.identify.blocks import Block, BlockWork, compute_overlap, list_channels, refuse_memory, split_blocks
-from tau_dyn.identify.regression import prepare_segment
-from tau_dyn.log import Log, compute_edge_samples
-from tau_dyn.log.even_segments import InMemorySegment
+from tau_dyn.log import InMemorySegment, Log, compute_edge_samples
 from tau_dyn.model import Model
 
 RATE = 1000.0

@@ -131,7 +131,7 @@ def test_a_motor_constant_scales_the_answer_and_carries_its_error(l1, monday, fo
 def test_a_bound_holds_and_is_said(axis, axis_log, monkeypatch):
     """A viscous coefficient bounded below what the log says sits on its bound, and a warning names it with the plain value."""
     monkeypatch.setattr(
-        import_module("tau_dyn.identify.identify"), "build_offset_columns", lambda *_: None
+        import_module("tau_dyn.identify.identification"), "build_offset_columns", lambda *_: None
     )  # the times as logged
     known = identify(axis, axis_log, choices=Choices(bound=("axis.viscous_neg=0:200",)), estimator="wls")
     assert known.parameters["axis.viscous_neg"].value == 200

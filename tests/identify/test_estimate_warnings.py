@@ -18,8 +18,7 @@ from tau_dyn.estimate import (
     find_base,
     solve_least_squares,
 )
-from tau_dyn.identify import identify
-from tau_dyn.identify.errors import ForceErrors
+from tau_dyn.identify import ForceErrors, identify
 from tau_dyn.identify.estimate_warnings import (
     list_equivalent_models,
     list_estimate_warnings,

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tau_dyn.estimate.position_noise import REACH, compute_accelerations
+from tau_dyn.estimate import REACH, compute_accelerations
 from tau_dyn.identify import build_model, choose_preparation
-from tau_dyn.identify.full_rate import INERTIA_EVERY, SIGN_THRESHOLD_RATIO, build_full_rate_equations
-from tau_dyn.identify.full_rate import _inertia as inertia_of
-from tau_dyn.identify.full_rate import _sure as sure_of
+from tau_dyn.identify.full_rate import (
+    INERTIA_EVERY,
+    SIGN_THRESHOLD_RATIO,
+    _inertia as inertia_of,
+    _sure as sure_of,
+    build_full_rate_equations,
+)
 from tau_dyn.log import Log, compute_edge_samples
 from tau_dyn.model import Model
 

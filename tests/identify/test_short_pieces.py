@@ -9,11 +9,9 @@ import pytest
 from raising import raises_code
 
 from tau_dyn.coded_warning import get_code
-from tau_dyn.identify import identify
-from tau_dyn.identify.short_pieces import EXPERIMENT, compute_min_samples, count_information, keep_long
-from tau_dyn.log import Log
-from tau_dyn.log.filtering import compute_edge_samples
-from tau_dyn.log.resample import count_short_segments
+from tau_dyn.identify import EXPERIMENT, count_information, identify, keep_long
+from tau_dyn.identify.short_pieces import compute_min_samples
+from tau_dyn.log import Log, compute_edge_samples, count_short_segments
 from tau_dyn.robot import load_robot
 
 RATE_HZ = 200.0

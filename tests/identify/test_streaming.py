@@ -50,7 +50,7 @@ def made(l1, monday):
 def test_blocks_give_what_the_whole_log_gives(tmp_path, made, large, monkeypatch) -> None:
     """Filters forget: cut with enough neighbourhood, blocks leave no trace in estimate, covariance or held-out errors."""
     monkeypatch.setattr(
-        sys.modules["tau_dyn.identify.identify"], "build_offset_columns", lambda *_: None
+        sys.modules["tau_dyn.identify.identification"], "build_offset_columns", lambda *_: None
     )  # blocks keep the logged times
     robot, log = made
     path = stored(tmp_path, log)
@@ -91,7 +91,7 @@ def test_a_cluster_gives_the_same_bits(tmp_path, made, large) -> None:
 def test_a_held_out_recording_is_judged_in_blocks(tmp_path, made, large, monkeypatch) -> None:
     """Held-out errors of a recording on disk are those of the log in memory."""
     monkeypatch.setattr(
-        sys.modules["tau_dyn.identify.identify"], "build_offset_columns", lambda *_: None
+        sys.modules["tau_dyn.identify.identification"], "build_offset_columns", lambda *_: None
     )  # blocks keep the logged times
     robot, log = made
     first, last = log.split(0.6)

@@ -7,8 +7,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, find_collisions
-from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace, Shape, Sphere
+from tau_dyn.kinematics import (
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    PlacedSolid,
+    build_capsule,
+    build_standing_solid,
+    find_collisions,
+)
+from tau_dyn.kinematics.shapes import Shape, Sphere
 
 SOLIDS = [Box((0.3, 0.2, 0.5)), Cylinder(0.1, 0.4), Sphere(0.15), Capsule(0.05, 0.6)]
 

@@ -7,15 +7,13 @@ import pytest
 from raising import raises_code
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.kinematics import Rates
 from tau_dyn.kinematics.dexterity import (
-    Rates,
     compute_dexterity,
     compute_tool_jacobian,
     compute_worst_force,
     compute_worst_speed,
 )
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.stiffness import (
     Springs,
     combine_in_series,
@@ -23,8 +21,8 @@ from tau_dyn.kinematics.stiffness import (
     compute_stiffness_matrix,
     find_softest,
 )
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.maps import Quality, build_elasticity
+from tau_dyn.kinematics.workspace import Quality, build_elasticity, build_machine
+from tau_dyn.mechanism import Poses, forward_kinematics
 from tau_dyn.robot import load_robot
 
 ROBOTS = [("gantry_tau", {}), ("stewart", {}), ("gantry_tau_f1", {})]

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.kinematics import LoopSolver, build_rods, forward_kinematics
+from tau_dyn.mechanism import LoopSolver, build_rods, forward_kinematics
 from tau_dyn.robot import load_robot
 
 ROBOTS = [

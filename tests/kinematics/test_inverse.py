@@ -11,9 +11,13 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics import (
+from tau_dyn.kinematics import build_inverse_table
+from tau_dyn.mechanism import (
     Poses,
+    RootChain,
+    build_chains,
     build_rods,
+    find_nearest_configuration,
     forward_kinematics,
     get_home_configuration,
     inverse_kinematics,
@@ -21,9 +25,7 @@ from tau_dyn.kinematics import (
     list_configurations,
     solve_all_configurations,
 )
-from tau_dyn.kinematics.chain_inverse import NewtonChain, RootChain, build_chains
-from tau_dyn.kinematics.inverse import find_nearest_configuration
-from tau_dyn.kinematics.pose_table import build_inverse_table
+from tau_dyn.mechanism.chain_inverse import NewtonChain
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 ROBOTS = [

@@ -10,15 +10,15 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics import (
+from tau_dyn.mechanism import (
     chains,
     compute_acceleration_bias,
     compute_inverse_jacobian,
     forward_kinematics,
+    get_rods,
     jacobian,
     measure_singularity,
 )
-from tau_dyn.kinematics.solvers import get_rods
 from tau_dyn.robot import load_robot
 
 ROBOTS = ["gantry_tau", "gantry_tau_f1", "gantry_tau_queensland", "delta", "stewart", "hexarot", "h4", "linear_axis"]
@@ -81,7 +81,7 @@ def test_singularities_show():
     assert usual.parallel[0] > 0.2 and usual.serial[0] > 0.5
     rods = get_rods(robot)
     assert rods is not None
-    from tau_dyn.kinematics.sliding_plate import SlidingPlate
+    from tau_dyn.mechanism import SlidingPlate
 
     engine = SlidingPlate(rods)
     away = np.linspace(0, 3, 4000)[:, None] * np.array([1.0, -1.0, 0.0]) + robot.home  # carts apart until out of reach

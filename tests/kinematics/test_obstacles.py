@@ -10,7 +10,8 @@ import pytest
 from raising import raises_code
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.obstacles import Surroundings, add_limits, build_surroundings, read_surroundings
+from tau_dyn.kinematics import Surroundings, add_limits, read_surroundings
+from tau_dyn.kinematics.obstacles import build_surroundings
 
 
 def one(**entry: Any):

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics import Poses, forward_kinematics, solve_all_configurations
-from tau_dyn.kinematics.path_following import follow_path
+from tau_dyn.kinematics import follow_path
+from tau_dyn.mechanism import Poses, forward_kinematics, solve_all_configurations
 from tau_dyn.robot import load_robot
 
 

@@ -8,9 +8,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.kinematics.assembly import list_robot_modes
 from tau_dyn.kinematics.assembly.tree_modes import search_tree_modes
-from tau_dyn.kinematics.forward import forward_kinematics, solve_both_forward
-from tau_dyn.kinematics.rods import build_rods
-from tau_dyn.kinematics.tree_pose import TreePose
+from tau_dyn.mechanism import TreePose, build_rods, forward_kinematics, solve_both_forward
 from tau_dyn.robot import load_robot
 
 

@@ -8,8 +8,7 @@ import weakref
 
 import pytest
 
-from tau_dyn.kinematics import forward_kinematics, inverse_kinematics, jacobian
-from tau_dyn.kinematics.solvers import get_rods, get_solver
+from tau_dyn.mechanism import forward_kinematics, get_rods, get_solver, inverse_kinematics, jacobian
 from tau_dyn.robot import load_robot
 
 

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.log import (
+    MAX_MAGNITUDE,
     ColumnMap,
     Log,
     ensure_even,
@@ -22,7 +23,6 @@ from tau_dyn.log import (
     split_at_gaps,
     split_even_segments,
 )
-from tau_dyn.log.table import MAX_MAGNITUDE
 
 N = 2000
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.log import Log, check_log
-from tau_dyn.log.jumps import check_jumps, find_jumps
+from tau_dyn.log import Log, check_jumps, check_log
+from tau_dyn.log.jumps import find_jumps
 
 
 def said(log: Log, **known) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.log.measured import read_measured
+from tau_dyn.log import read_measured
 
 HEADER = "q_a,q_b,x_tool,y_tool,z_tool,qx_tool,qy_tool,qz_tool,qw_tool"
 TURNED = "0.1,0.2,1,2,3,0,0,0.6,0.8"  # 0.6^2 + 0.8^2 = 1

@@ -16,8 +16,8 @@ from numpy.testing import assert_array_equal
 from raising import raises_code
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.log import MAX_MAGNITUDE, Table, read_table
 from tau_dyn.log.delimited import MAX_COLUMNS
-from tau_dyn.log.table import MAX_MAGNITUDE, Table, read_table
 
 
 def table(**cells: object) -> Table:

@@ -19,8 +19,7 @@ from scipy.io import savemat
 
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import ColumnMap, Log, open_log, read_log
-from tau_dyn.log import topic_columns as columns_module
+from tau_dyn.log import ColumnMap, Log, open_log, read_log, topic_columns as columns_module
 
 pytest.importorskip("mcap_ros2")
 pytest.importorskip("rosbags")

@@ -14,12 +14,10 @@ import pinocchio as pin
 import pytest
 
 from tau_dyn.identify import build_model
-from tau_dyn.kinematics import LoopSolver
+from tau_dyn.mechanism import LoopSolver
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.simulate import build_named_motion
-from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
-from tau_dyn.simulate.plant import PlantRun, free_motion, run_plant
+from tau_dyn.simulate import CascadeController, CascadeLaw, PlantRun, build_named_motion, free_motion, run_plant
 
 SPEEDS = {"elbow": (0.8, -1.1, 1.5), "l1": (0.35, -0.3, 0.25), "complete": (0.35, -0.3, 0.25)}
 NEAR = 1e-5  # [s] before and after a sample

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.identify import identify
-from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify import Preparation, identify
 from tau_dyn.log import Log
 from tau_dyn.robot import load_robot, load_robot_from_urdf
 from tau_dyn.simulate import build_named_motion

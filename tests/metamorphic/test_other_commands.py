@@ -11,8 +11,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
-from tau_dyn.calibrate.pose_set import PoseSet
+from tau_dyn.calibrate import PoseSet, fit_geometry_to_poses
 from tau_dyn.calibrate.simulated import simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.diagnose import Diagnosis, diagnose

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.dynamics import build_mechanism
 from tau_dyn.identify import identify
 from tau_dyn.log import Log, read_log
+from tau_dyn.mechanism import build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot, load_robot_from_urdf
 

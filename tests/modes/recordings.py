@@ -9,8 +9,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from tau_dyn.log import Log
-from tau_dyn.modes.record import Record
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes import Record, StateSpace
 
 HZ, DAMPING, DT = (7.4, 11.5), (0.02, 0.015), 0.01
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
+from tau_dyn.modes import StateSpace
 from tau_dyn.modes.second_order import SecondOrder
-from tau_dyn.modes.state_space import StateSpace
 
 DT = 0.004  # [s]
 

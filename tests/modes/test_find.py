@@ -19,10 +19,9 @@ from recordings import DAMPING, HZ, in_loop, log_of, pulses, recorded, structure
 from tau_dyn.cli.common import format_json
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
-from tau_dyn.modes import find_modes
+from tau_dyn.modes import Modes, find_modes
 from tau_dyn.modes.contest import choose_error_kind
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
-from tau_dyn.modes.result import Modes
 
 IN, OUT = ("force1", "force2"), ("place1", "place2")
 

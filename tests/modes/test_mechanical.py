@@ -18,9 +18,9 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import DT, Found, chain, refined, relative_error
 
+from tau_dyn.modes import StateSpace
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.second_order import OUTPUTS, SecondOrder, pack
-from tau_dyn.modes.state_space import StateSpace
 
 HZ = (7.4, 11.5, 14.0)
 HZ4 = (7.4, 11.5, 14.0, 103.0)

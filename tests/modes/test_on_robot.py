@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.dynamics import FlexibleModel
-from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.on_robot import ShapesOnRobot, compute_mac, find_sensed_places, project_shapes_on_robot
+from tau_dyn.mechanism import FlexibleModel
+from tau_dyn.modes import Mode, ShapesOnRobot, project_shapes_on_robot
+from tau_dyn.modes.on_robot import compute_mac, find_sensed_places
 from tau_dyn.report.modes_robot import draw_robot_modes
 from tau_dyn.robot import Robot, load_robot
 

@@ -7,6 +7,7 @@ import pytest
 from raising import raises_code
 from scipy.signal import lfilter
 
+from tau_dyn.modes import Record, StateSpace, refine
 from tau_dyn.modes.basis import build_columns, compute_derivative_maps
 from tau_dyn.modes.error_covariance import compute_spectrum, fit_autoregression
 from tau_dyn.modes.innovation import build_innovation_model, build_predictor
@@ -18,10 +19,7 @@ from tau_dyn.modes.modal_form import (
     flatten_form,
     step_form,
 )
-from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import refine
 from tau_dyn.modes.simulate import simulate, simulate_states
-from tau_dyn.modes.state_space import StateSpace
 from tau_dyn.modes.tangent import balance_model
 
 DT = 0.01

@@ -14,12 +14,11 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import DAMPING, DT, HZ, structure
 
-from tau_dyn.modes.modal import Mode, find_resonances
-from tau_dyn.modes.model_file import ModelFile, load_state_space, save_state_space
+from tau_dyn.modes import Mode, ModelFile, StateSpace, load_state_space, save_state_space
+from tau_dyn.modes.modal import find_resonances
 from tau_dyn.modes.noise import fit_noise_model
 from tau_dyn.modes.poles import list_poles, list_zeros
 from tau_dyn.modes.stabilisation import build_stabilisation_diagram
-from tau_dyn.modes.state_space import StateSpace
 
 
 def _mode(hz: float, damping: float = 0.02, stderr: float = 0.01) -> Mode:

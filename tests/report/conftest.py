@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.diagnose.result import (
+from tau_dyn.diagnose import (
     Diagnosis,
     Finding,
     Gain,
     Limit,
     OutputErrors,
     Signature,
-    Step,
     TimeTrace,
     Unexplained,
     Untestable,
 )
+from tau_dyn.diagnose.result import Step
 from tau_dyn.effects import Stribeck, build_friction_model
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tau_dyn.diagnose.result import Unexplained
+from tau_dyn.diagnose import Unexplained
 from tau_dyn.report import build_diagnosis_page, print_diagnosis, write_report
 from tau_dyn.report.diagnosis_text import describe_confirmation, describe_unexplained, format_p_value, format_value
 from tau_dyn.report.quantities import estimate, format_quantity

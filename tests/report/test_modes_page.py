@@ -13,8 +13,7 @@ from rich.console import Console
 from scipy.signal import lfilter
 
 from tau_dyn.log import Log
-from tau_dyn.modes import Modes, find_modes
-from tau_dyn.modes.modal import Mode
+from tau_dyn.modes import Mode, Modes, find_modes
 from tau_dyn.report import build_modes_page, print_modes
 from tau_dyn.report.log_chart import LogChart, log_ticks
 from tau_dyn.report.modes_shapes import draw_shape, find_space_axes

@@ -14,10 +14,9 @@ import pytest
 
 from tau_dyn.compare import ComparedSide, compare
 from tau_dyn.compare.read import MeasuredQuantity
-from tau_dyn.kinematics.accuracy import AccuracyResult
-from tau_dyn.kinematics.accuracy.result import Measured
-from tau_dyn.kinematics.pose_table import build_forward_table
-from tau_dyn.kinematics.workspace.study import study_workspace
+from tau_dyn.kinematics import build_forward_table
+from tau_dyn.kinematics.accuracy import AccuracyResult, Measured
+from tau_dyn.kinematics.workspace import study_workspace
 from tau_dyn.log import Log, check_log
 from tau_dyn.modes import find_modes
 from tau_dyn.report.notebook import build_table, render_html

@@ -11,10 +11,8 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.cli import main
-from tau_dyn.kinematics import build_rods, forward_kinematics
-from tau_dyn.robot import load_robot
-from tau_dyn.robot.dimensions import read_dimensions_file
-from tau_dyn.robot.expand import list_dimensions, list_robot_names
+from tau_dyn.mechanism import build_rods, forward_kinematics
+from tau_dyn.robot import list_dimensions, list_robot_names, load_robot, read_dimensions_file
 
 ALIASES = [", ".join([f"*{letter}"] * 10) for letter in "abcdef"]
 BOMB = "a: &a [1]\n" + "\n".join(f"{n}: &{n} [{inside}]" for n, inside in zip("bcdefg", ALIASES, strict=True))

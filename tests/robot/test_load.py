@@ -16,7 +16,7 @@ from tau_dyn.robot import load_robot, load_robot_from_urdf
 def test_short_name_and_path_mean_the_same_robot() -> None:
     """The short name `linear_axis` is the file of that name in `urdf/`."""
     by_name = load_robot("linear_axis")
-    from tau_dyn.robot.expand import find_robot
+    from tau_dyn.robot import find_robot
 
     by_path = load_robot(find_robot("linear_axis"))
     assert by_name.urdf == by_path.urdf and by_name.sha256 == by_path.sha256
@@ -127,7 +127,7 @@ def test_a_file_without_any_mass_starts_from_zero_and_says_so(write) -> None:
 
 def test_gravity_mass_is_felt_by_gravity_only(rng) -> None:
     """The thesis' 22.38 kg: forces at rest grow in proportion, the mass matrix does not change at all."""
-    from tau_dyn.dynamics import build_mechanism
+    from tau_dyn.mechanism import build_mechanism
 
     light, heavy = (
         build_mechanism(load_robot("gantry_tau")),

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tau_dyn.dynamics import TreeMechanism
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import TreeMechanism
 from tau_dyn.robot import Spring, load_robot, load_robot_from_urdf
 
 

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.robot import Robot, load_robot_from_urdf
-from tau_dyn.robot.robot import INERTIAL, LinkInertia
+from tau_dyn.robot import INERTIAL, LinkInertia, Robot, load_robot_from_urdf
 
 
 def with_attributes(urdf: str, tag: str, attributes: str) -> str:

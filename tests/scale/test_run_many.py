@@ -44,7 +44,7 @@ def raise_timeout(item: int) -> None:
 def settings(monkeypatch):
     """The module that counts workers, with times for a test."""
     pytest.importorskip("distributed")
-    module = importlib.import_module("tau_dyn.scale.run_many")
+    module = importlib.import_module("tau_dyn.scale.runner")
     monkeypatch.setattr(module, "MAX_TIME_WITHOUT_WORKER_S", 2.0)
     monkeypatch.setattr(module, "_LOOK_INTERVAL_S", 0.2)
     return module

@@ -9,10 +9,7 @@ from raising import raises_code
 
 from tau_dyn.control.lead_through import ForceLoop, ForceSensor, LeadThrough, LeadThroughSettings
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate.contact import ContactSensors, run_contact
-from tau_dyn.simulate.contact_arm import ServoArm
-from tau_dyn.simulate.contact_hand import Hand
-from tau_dyn.simulate.contact_work import CompliantSurface, Hole
+from tau_dyn.simulate import CompliantSurface, ContactSensors, Hand, Hole, ServoArm, run_contact
 
 IRB140 = Path(__file__).parents[2] / "experiments" / "lead_through_parts" / "irb140.urdf"
 UP = np.array([0.0, 0.0, 1.0])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.dynamics import L1_DRIVES, FlexibleModel, Linearised, PositionDrives
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import L1_DRIVES, FlexibleModel, Linearised, PositionDrives
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import VibrationSensors, push_log, simulate_binary_log, simulate_vibration_log
 

@@ -5,11 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.dynamics import L1_DRIVES, FlexibleModel, build_mechanism
+from tau_dyn.mechanism import L1_DRIVES, FlexibleModel, build_mechanism
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import VibrationSensors
-from tau_dyn.simulate.learning_plant import LearningPlant, Unrepeatable
-from tau_dyn.simulate.square_path import square_path
+from tau_dyn.simulate import LearningPlant, Unrepeatable, VibrationSensors, square_path
 
 QUIET = {"sensors": VibrationSensors(), "unrepeatable": Unrepeatable(drive=0.0, push=0.0)}
 

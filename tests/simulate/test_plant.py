@@ -12,8 +12,7 @@ from scipy.special import ellipk
 from tau_dyn.effects import Effect, Motion, ReducerCoupling
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.simulate import CascadeController, CascadeLaw, build_named_motion, free_motion, run_plant
-from tau_dyn.simulate.forces import SampledForces
+from tau_dyn.simulate import CascadeController, CascadeLaw, SampledForces, build_named_motion, free_motion, run_plant
 from tau_dyn.simulate.slip import solve_slip
 
 G = 9.81  # [m/s^2], Pinocchio's

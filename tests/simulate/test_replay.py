@@ -9,13 +9,12 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 from scipy.linalg import expm
 
-from tau_dyn.effects import Delay, build_friction_model
-from tau_dyn.effects.thermal_drift import ThermalDrift
+from tau_dyn.effects import Delay, ThermalDrift, build_friction_model
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.simulate import CascadeController, CascadeLaw, Replay, Sensors, move, replay, simulate
-from tau_dyn.simulate.replay import _reference
+from tau_dyn.simulate.log_replay import _reference
 
 MASS, VISCOUS = 95.0, 200.0
 LAW = CascadeLaw.of(25.0, 240.0, na=1, integral_rate=8.0, speed_feedforward=0.7, force_per_unit=35.0, limit=10.0)

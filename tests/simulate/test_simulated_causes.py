@@ -8,11 +8,18 @@ import yaml
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.effects import EFFECTS, Motion
-from tau_dyn.effects.hysteresis import STATE
+from tau_dyn.effects import EFFECTS, STATE, Motion
 from tau_dyn.model import Model
-from tau_dyn.simulate import Sensors, concatenate, measure, move, read_effects_file, simulate, simulate_drive
-from tau_dyn.simulate.forces import SampledForces
+from tau_dyn.simulate import (
+    SampledForces,
+    Sensors,
+    concatenate,
+    measure,
+    move,
+    read_effects_file,
+    simulate,
+    simulate_drive,
+)
 from tau_dyn.simulate.memory import EffectSurroundings, compute_warm_up
 
 IN_THE_ROBOT = {

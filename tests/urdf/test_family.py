@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import LoopSolver
+from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import Robot, load_robot
 
 FAMILY = {

@@ -10,11 +10,10 @@ from raising import raises_code
 
 from tau_dyn.cli import main
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import forward_kinematics
+from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import load_robot
-from tau_dyn.view import read_result
+from tau_dyn.view import read_cloud, read_result
 from tau_dyn.view.contents import Cloud, ErrorVectors, Findings, Uncertainty
-from tau_dyn.view.results import read_cloud
 
 
 @pytest.fixture(scope="module")

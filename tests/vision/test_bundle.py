@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tau_dyn.vision import solve
 from tau_dyn.vision.bundle import adjust
 from tau_dyn.vision.camera import project
-from tau_dyn.vision.solve import solve
 
 N, PLATES = 2, 4
 

@@ -3,9 +3,9 @@
 import numpy as np
 from raising import raises_code
 
+from tau_dyn.vision import solve
 from tau_dyn.vision.bundle import Plates, Views
 from tau_dyn.vision.render import draw_facing_rotation
-from tau_dyn.vision.solve import solve
 
 
 def test_a_distorted_lens_is_recovered(rig):

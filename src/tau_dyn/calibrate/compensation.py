@@ -28,8 +28,7 @@ from tau_dyn.calibrate.commanded_axes import find_independent_axes, require_vali
 from tau_dyn.calibrate.frames import AXES, compute_rotation_between
 from tau_dyn.calibrate.geometry import Geometry, expand_constraints
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.positions import require_positions
+from tau_dyn.mechanism import Poses, require_positions
 from tau_dyn.robot import Robot
 
 METHODS = ("exact", "linear")

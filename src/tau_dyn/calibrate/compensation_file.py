@@ -23,7 +23,7 @@ from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import TreeGeometry, build_tree_geometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import build_rods
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 _FORMAT = 1  # version of the file format

@@ -14,8 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from tau_dyn.kinematics.chains import list_path
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Rods, list_path
 from tau_dyn.parameters import Parameter, Parameters
 
 AXES = ("x", "y", "z")

@@ -19,7 +19,7 @@ from tau_dyn.calibrate.models import BETWEEN_CAMPAIGNS, RodFamily, Spec, list_be
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.rods import NotRods, build_rods
+from tau_dyn.mechanism import NotRods, build_rods
 from tau_dyn.robot import Robot
 
 _WHY_NOT = {

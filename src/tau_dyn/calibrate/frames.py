@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from tau_dyn.exceptions import UnknownName
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
 
 

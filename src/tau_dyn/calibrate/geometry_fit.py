@@ -19,7 +19,7 @@ from tau_dyn.calibrate.residuals import FitState, Problem, compute_actuated_posi
 from tau_dyn.calibrate.start import estimate_initial_frames
 from tau_dyn.calibrate.unknowns import Unknowns, collect
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
 
 

@@ -24,8 +24,7 @@ import numpy as np
 
 from tau_dyn.calibrate.geometry import Predicted, WithoutClosure
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.tree_arrays import compute_frames, transform_point
+from tau_dyn.mechanism import Poses, compute_frames, transform_point
 from tau_dyn.parameters import Parameter, Parameters
 
 MAX_DEFLECTION = 0.01

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape
-from tau_dyn.kinematics.tree_arrays import Frames, compute_cross_product, transform_point
+from tau_dyn.mechanism import Frames, compute_cross_product, transform_point
 
 
 class OpenRates(NamedTuple):

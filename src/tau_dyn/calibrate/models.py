@@ -40,7 +40,7 @@ from tau_dyn.calibrate.loads import RodLoads
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Rods
 
 ADDITIONS = (
     "base_frame", "tool_frame", "coupling", "periodic", "periodic2", "piecewise", "compliant", "gravity", "eccentric", "backlash",

@@ -17,7 +17,7 @@ from tau_dyn.calibrate.crossvalidation import CrossValidationGain, HeldOutErrors
 from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter
 
 _SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target

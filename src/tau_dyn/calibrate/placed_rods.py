@@ -8,10 +8,15 @@ import numpy as np
 
 from tau_dyn.calibrate.drive_and_guide_laws import DriveLaw, GuideLaw
 from tau_dyn.calibrate.rod_numbers import TurnedNumbers, right_jacobian
-from tau_dyn.kinematics import chains
-from tau_dyn.kinematics.chains import ChainJoint
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rod_dimensions import RodDimensions, compute_gap_columns, compute_leg_lengths, compute_leg_rates
+from tau_dyn.mechanism import (
+    ChainJoint,
+    Poses,
+    RodDimensions,
+    chains,
+    compute_gap_columns,
+    compute_leg_lengths,
+    compute_leg_rates,
+)
 
 
 class PlacedRods:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tau_dyn.calibrate.frames import compute_rotation_between
 from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 
 class ErrorSize(NamedTuple):

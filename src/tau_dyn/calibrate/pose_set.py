@@ -10,12 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.log.column_map import ColumnMap
-from tau_dyn.log.column_names import format_names
-from tau_dyn.log.read import compute_mapped_columns
-from tau_dyn.log.table import Table, read_table
-from tau_dyn.robot.annotations import Mimic
+from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, read_table
+from tau_dyn.mechanism import Poses
+from tau_dyn.robot import Mimic
 
 POSITION = ("x_tool", "y_tool", "z_tool")
 STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")

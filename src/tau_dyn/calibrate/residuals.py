@@ -25,7 +25,7 @@ from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.unknowns import Unknowns
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 KINDS = ("forward", "closure", "inverse")
 

@@ -21,10 +21,7 @@ from tau_dyn.calibrate.drive_and_guide_laws import DriveLaw, GuideLaw
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.placed_rods import PlacedRods
 from tau_dyn.calibrate.rod_numbers import TURN, compute_dimensions_at
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rod_dimensions import RodDimensions
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, RodDimensions, Rods, forward_kinematics
 from tau_dyn.parameters import Parameter, Parameters
 
 _STEPS = 12  # Newton steps to a pose

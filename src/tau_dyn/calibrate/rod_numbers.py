@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.kinematics import chains
-from tau_dyn.kinematics.chains import Carried
-from tau_dyn.kinematics.rod_dimensions import AXES, RodDimensions
+from tau_dyn.mechanism import AXES, Carried, RodDimensions, chains
 
 TURN = "turn"
 

@@ -28,8 +28,7 @@ from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 FORMAT = 1  # version of the file format

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.pose_set import POSITION, QUATERNION, PoseSet
-from tau_dyn.kinematics.poses import convert_to_quaternions
+from tau_dyn.mechanism import convert_to_quaternions
 
 TRACKER = DeviceFrames(
     (Frame(Rotation.from_euler("zyx", [137.9, -0.5, 0.4], degrees=True).as_matrix(), np.array([1.8, -4.3, -0.1])),),

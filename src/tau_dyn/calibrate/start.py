@@ -8,7 +8,7 @@ from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames, Frame, align, compu
 from tau_dyn.calibrate.geometry import Predicted
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 _FLAT = 1e-3
 """Thickness of a cloud of positions, relative to its extent, below which it is a plane."""

@@ -1,6 +1,6 @@
 """Loops of a tree closed at other geometries than the robot file's, many samples at once.
 
-The nominal closure (`kinematics/loop_arrays.py`) gives the assembly mode and the start; Newton steps on the passive
+The nominal closure (`mechanism/loop_arrays.py`) gives the assembly mode and the start; Newton steps on the passive
 joints do the rest. Two kinds of deficiency belong to a mechanism and not to a configuration: a rod between two ball
 joints spins freely, and ball constraints in a planar loop ask for what its joints cannot give. So the rank of `J_p` is
 that of the nominal robot at home: singular directions beyond it are left alone (the rod does not spin), and only that
@@ -19,10 +19,7 @@ import numpy as np
 from tau_dyn.calibrate.loop_derivatives import compute_gap_by_position, compute_loop_gaps
 from tau_dyn.calibrate.tree_shape import TreeNumbers, TreeShape
 from tau_dyn.exceptions import LoopClosureError
-from tau_dyn.kinematics.loop_arrays import LoopArrays
-from tau_dyn.kinematics.loops import LoopSolver
-from tau_dyn.kinematics.pseudo_inverse import measure_column_lengths
-from tau_dyn.kinematics.tree_arrays import compute_frames
+from tau_dyn.mechanism import LoopArrays, LoopSolver, compute_frames, measure_column_lengths
 
 _MAX_ITERATIONS = 40  # Newton steps to closed loops
 _DONE = 1e-12  # [m or rad] Newton's last step

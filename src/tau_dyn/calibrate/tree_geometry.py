@@ -25,9 +25,7 @@ from tau_dyn.calibrate.tree_closure import ClosedConfigurations, TreeClosure
 from tau_dyn.calibrate.tree_parameters import PRIORITY, build_rows
 from tau_dyn.calibrate.tree_shape import Knob, TreeNumbers, TreeShape, compute_dimensions_at, get_shape
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.positions import require_positions
-from tau_dyn.kinematics.tree_arrays import compute_frames, multiply_by_rotation, transform_point
+from tau_dyn.mechanism import Poses, compute_frames, multiply_by_rotation, require_positions, transform_point
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.calibrate.tree_shape import AXES, Knob, TreeShape
-from tau_dyn.kinematics.tree_arrays import Joint
+from tau_dyn.mechanism import Joint
 from tau_dyn.parameters import Parameter
 
 _ALIGNED = 1 - 1e-9  # cosine from which two directions are one

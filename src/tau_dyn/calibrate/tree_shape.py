@@ -19,9 +19,8 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, UnknownName
-from tau_dyn.kinematics.tree_arrays import Joint, list_joints
-from tau_dyn.robot import Robot
-from tau_dyn.robot.annotations import read_annotations
+from tau_dyn.mechanism import Joint, list_joints
+from tau_dyn.robot import Robot, read_annotations
 
 AXES = ("x", "y", "z")
 

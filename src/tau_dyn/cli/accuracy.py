@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> Outcome:
     """Bound the tool's error."""
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.solvers import get_rods
+        from tau_dyn.mechanism import get_rods
 
         robot = load_robot_from(args)
         rods = get_rods(robot)
@@ -112,8 +112,8 @@ def _measured(args: argparse.Namespace, robot):
     """Return the checks of measured points, and the files."""
     from tau_dyn.kinematics.accuracy import Measured
     from tau_dyn.kinematics.assumptions import check_orientation, check_parallelism, fit_guideway, load_shift
-    from tau_dyn.kinematics.poses import convert_from_quaternions
-    from tau_dyn.log.measured import read_measured
+    from tau_dyn.log import read_measured
+    from tau_dyn.mechanism import convert_from_quaternions
 
     lines, loads, orientation, files = {}, [], None, []
     for text in args.measured:
@@ -196,7 +196,7 @@ def _checked_only(robot, measured):
 
 def _study(args: argparse.Namespace, robot, rods, errors, measured, from_measured: bool, step):
     from tau_dyn.kinematics.accuracy import METHODS, study_accuracy
-    from tau_dyn.kinematics.poses import Poses
+    from tau_dyn.mechanism import Poses
 
     step("poses")
     methods = list(
@@ -212,8 +212,8 @@ def _study(args: argparse.Namespace, robot, rods, errors, measured, from_measure
 
 
 def _listed(args: argparse.Namespace, robot):
-    from tau_dyn.kinematics.forward import forward_kinematics
-    from tau_dyn.log.measured import read_measured
+    from tau_dyn.log import read_measured
+    from tau_dyn.mechanism import forward_kinematics
 
     if args.section or args.range:
         raise InputError("bad_option", "--poses and --section are two ways to say where; give one")
@@ -239,8 +239,7 @@ def _gridded(args: argparse.Namespace, robot, rods):
         read_section,
         sample_default_motion,
     )
-    from tau_dyn.kinematics.forward import forward_kinematics
-    from tau_dyn.kinematics.poses import Poses
+    from tau_dyn.mechanism import Poses, forward_kinematics
 
     limits, given = not args.no_limits, bool(args.section or args.range)
     if not given and (sampled := sample_default_motion(robot, args.grid)):

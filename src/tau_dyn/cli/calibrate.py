@@ -123,8 +123,8 @@ def run(args: argparse.Namespace) -> Outcome:
     with show_progress(args.quiet) as step:
         step("loading")
         from tau_dyn.calibrate import calibrate, read_poses
-        from tau_dyn.kinematics.pose_columns import read_positions
-        from tau_dyn.robot.annotations import read_annotations
+        from tau_dyn.kinematics import read_positions
+        from tau_dyn.robot import read_annotations
 
         robot = load_robot_from(args)
         wanted = None if args.correct is None else read_positions(read_columns(args.correct), robot, str(args.correct))
@@ -164,8 +164,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _held_out(args: argparse.Namespace, robot, known: dict):
-    from tau_dyn.calibrate import read_poses
-    from tau_dyn.calibrate.pose_set import join_pose_sets
+    from tau_dyn.calibrate import join_pose_sets, read_poses
 
     same = [path for path in args.holdout if path.resolve() == args.poses.resolve()]
     said = [f"{path} is both fitted and held out; it counts as fitted only" for path in same]
@@ -180,7 +179,7 @@ def _correct(found, wanted) -> tuple[str, list[str]]:
     import numpy as np
     import pandas as pd
 
-    from tau_dyn.calibrate.compensation import build_compensation
+    from tau_dyn.calibrate import build_compensation
 
     robot = found.robot
     made = build_compensation(robot, found.fit.geometry, found.fit.theta)(wanted)
@@ -191,18 +190,18 @@ def _correct(found, wanted) -> tuple[str, list[str]]:
 
 
 def _save(path: Path, found) -> None:
-    from tau_dyn.calibrate.saved import save_calibration
+    from tau_dyn.calibrate import save_calibration
 
     save_calibration(path, found)
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report.calibration_terminal import print_calibration
+    from tau_dyn.report import print_calibration
 
     print_calibration(console, found, list_written_files(args, model=args.out))
 
 
 def _page(found, read: list[tuple[str, str]]) -> str:
-    from tau_dyn.report.calibration_page import build_calibration_page
+    from tau_dyn.report import build_calibration_page
 
     return build_calibration_page(found, poses=read, command_line=format_command_line())

@@ -32,8 +32,7 @@ def _list_causes() -> list[dict[str, str]]:
     """Return one row a cause and a measurement that shows it."""
     from tau_dyn.calibrate import CAUSE_EQUATIONS
     from tau_dyn.diagnose import PARAMETER_CAUSES
-    from tau_dyn.effects import EFFECTS
-    from tau_dyn.effects.plausible import describe_ranges
+    from tau_dyn.effects import EFFECTS, describe_ranges
 
     rows = [
         {"cause": name, "named_by": "diagnose", "equation": effect.equation, "range": describe_ranges(effect.plausible),

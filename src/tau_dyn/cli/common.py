@@ -127,14 +127,14 @@ def _load_calibrated(args: argparse.Namespace, given: dict[str, str]):
         )
     if given or args.actuated or args.tool:
         raise InputError("bad_option", f"{args.robot}: a calibrated robot has its arguments, joints and tool already")
-    from tau_dyn.calibrate.saved import load_calibration
+    from tau_dyn.calibrate import load_calibration
 
     return load_calibration(args.robot).build_robot(str(args.robot))
 
 
 def read_arguments(texts: Sequence[str]) -> dict[str, str]:
     """Return xacro arguments and dimensions of `--set`; NAME=VALUE counts before a file."""
-    from tau_dyn.robot.dimensions import read_dimensions_file
+    from tau_dyn.robot import read_dimensions_file
 
     from_files, given = {}, {}
     for text in texts:
@@ -157,7 +157,7 @@ def is_model_file(path: str | Path) -> bool:
 
 def get_robot_file(args: argparse.Namespace) -> list[Path]:
     """Return the robot's or the model's file and files of dimensions, for the list of inputs."""
-    from tau_dyn.robot.expand import find_robot
+    from tau_dyn.robot import find_robot
 
     dimensions = [Path(text) for text in getattr(args, "set", []) if "=" not in text]
     return [Path(args.robot) if is_model_file(args.robot) else find_robot(args.robot), *dimensions]

@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> Outcome:
     with show_progress(args.quiet) as step:
         step("comparing")
         from tau_dyn.compare import compare, read_side
-        from tau_dyn.report.comparison import build_comparison_page, print_comparison
+        from tau_dyn.report import build_comparison_page, print_comparison
 
         found = compare(read_side(args.a), read_side(args.b))
     return Outcome(

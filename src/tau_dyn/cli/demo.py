@@ -227,8 +227,7 @@ def _extend(model: Model, effects: Sequence, values: dict[str, float]) -> Model:
 
 
 def _show(console, made: Made, found, written: dict[str, str]) -> None:
-    from tau_dyn.report import print_diagnosis
-    from tau_dyn.report.terminal import say
+    from tau_dyn.report import print_diagnosis, say
 
     print_diagnosis(console, found, written)
     claims = " ".join(f.sentence for f in found.findings if f.status in ("confirmed", "parameter"))

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> Outcome:
         law = _law(args, robot, logs)
         found = diagnose(robot, logs, holdout=held, progress=step, **collect_fitting_options(args))
         if law is not None:
-            from tau_dyn.diagnose.simulated import add_simulation
+            from tau_dyn.diagnose import add_simulation
 
             found = add_simulation(found, logs, law, step)
         result, files, warnings, status = found.to_dict(), {}, list(found.warnings), found.exit_status
@@ -91,7 +91,7 @@ def _law(args: argparse.Namespace, robot, logs):
     """Return the controller, sure that a log can be simulated with it, or None."""
     if not args.controller:
         return None
-    from tau_dyn.diagnose.simulated import log_with_references
+    from tau_dyn.diagnose import log_with_references
     from tau_dyn.simulate import read_law_file
 
     log_with_references(logs, robot.actuated)
@@ -100,7 +100,7 @@ def _law(args: argparse.Namespace, robot, logs):
 
 def _proposed(found, logs, args: argparse.Namespace, step):
     """Return the proposed motion or None, warnings, and what the result says of it."""
-    from tau_dyn.diagnose.propose import propose_motion
+    from tau_dyn.diagnose import propose_motion
 
     try:
         motion = propose_motion(found, logs, seed=args.seed, progress=step)

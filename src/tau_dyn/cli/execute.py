@@ -158,7 +158,7 @@ def _mapped_files(args: argparse.Namespace) -> Sequence[str]:
     """Return the further files that a column map reads beside the log."""
     if getattr(args, "columns", None) is None:
         return ()
-    from tau_dyn.log.column_map import ColumnMap
+    from tau_dyn.log import ColumnMap
 
     return tuple(ColumnMap.load(args.columns).files.values())
 

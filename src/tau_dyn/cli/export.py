@@ -168,8 +168,13 @@ def _fmu(args: argparse.Namespace, out: Path) -> Made:
 
 def _kinematics(args: argparse.Namespace, out: Path) -> Made:
     """Return C kinematics and their header."""
-    from tau_dyn.control import build_kinematics, write_kinematics_source
-    from tau_dyn.control.export_c_text import build_identifiers, include_header, locate_header
+    from tau_dyn.control import (
+        build_identifiers,
+        build_kinematics,
+        include_header,
+        locate_header,
+        write_kinematics_source,
+    )
 
     robot = _model(args).robot
     name = args.name or build_identifiers([robot.name])[0].lstrip("_0123456789") or "robot"

@@ -41,9 +41,15 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("cannot_write", f"{args.out}: what --to {args.to} writes ends in {ending}")
     with show_progress(args.quiet) as step:
         step("tracing")
-        from tau_dyn.control import Feedforward, build_program, write_c_source, write_python_source
-        from tau_dyn.control.export_c_text import include_header, locate_header
-        from tau_dyn.control.export_model import ARGUMENTS
+        from tau_dyn.control import (
+            ARGUMENTS,
+            Feedforward,
+            build_program,
+            include_header,
+            locate_header,
+            write_c_source,
+            write_python_source,
+        )
         from tau_dyn.model import Model
 
         model = Model.load(args.model)

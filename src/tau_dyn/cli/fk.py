@@ -34,8 +34,7 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("bad_option", "give --q VALUE ... or --poses POSES.csv")
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.pose_columns import read_positions
-        from tau_dyn.kinematics.pose_table import build_forward_table
+        from tau_dyn.kinematics import build_forward_table, read_positions
 
         robot = load_robot_from(args)
         if args.q is not None and len(args.q) != robot.na:

@@ -20,7 +20,7 @@ from tau_dyn.cli.fitting import (
     collect_fitting_options,
     open_fitting_logs,
 )
-from tau_dyn.scale.run_many import count_cores
+from tau_dyn.scale import count_cores
 
 HELP = "masses and friction from torque logs"
 

@@ -37,9 +37,8 @@ def run(args: argparse.Namespace) -> Outcome:
         raise InputError("bad_option", "--quaternion goes with --position; a table has its own columns qx_tool ..")
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.pose_columns import place_home_orientation, read_poses
-        from tau_dyn.kinematics.pose_table import build_inverse_table
-        from tau_dyn.kinematics.poses import convert_from_quaternions
+        from tau_dyn.kinematics import build_inverse_table, place_home_orientation, read_poses
+        from tau_dyn.mechanism import convert_from_quaternions
 
         robot = load_robot_from(args)
         if args.poses is not None:

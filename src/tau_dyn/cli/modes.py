@@ -167,7 +167,7 @@ def _robot_asked(args: argparse.Namespace) -> bool:
 
 def _on_robot(robot, found):
     """Return the modes on the robot, and a warning where it was asked for and nothing can be drawn."""
-    from tau_dyn.modes.on_robot import project_shapes_on_robot
+    from tau_dyn.modes import project_shapes_on_robot
 
     if robot is None:
         return None, []

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> Outcome:
         )  # fmt: skip
 
     def show(console) -> None:
-        from tau_dyn.report.motion_plan_terminal import print_motion_plan
+        from tau_dyn.report import print_motion_plan
 
         print_motion_plan(console, plan, list_written_files(args, motion=args.out))
 
@@ -120,7 +120,7 @@ def _ends(args: argparse.Namespace):
 
 def _path(args: argparse.Namespace):
     """Return None, 'line', or the points of a table (n, 3)."""
-    from tau_dyn.kinematics.pose_columns import pick_columns
+    from tau_dyn.kinematics import pick_columns
 
     if args.path in (None, "line"):
         return args.path
@@ -151,6 +151,6 @@ def _model(args: argparse.Namespace):
 
 
 def _page(plan) -> str:
-    from tau_dyn.report.motion_plan_page import build_motion_plan_page
+    from tau_dyn.report import build_motion_plan_page
 
     return build_motion_plan_page(plan, command_line=format_command_line())

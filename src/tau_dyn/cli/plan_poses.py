@@ -143,10 +143,8 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def _going_on(args: argparse.Namespace) -> Outcome:
     """Hand out what is left of a plan."""
-    from tau_dyn.calibrate.poses.path_check import PathCheck
-    from tau_dyn.calibrate.poses.progress_file import read_progress
-    from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
-    from tau_dyn.kinematics.workspace.machines import build_machine
+    from tau_dyn.calibrate.poses import PathCheck, format_rapid_module, format_tour_csv, read_progress
+    from tau_dyn.kinematics.workspace import build_machine
 
     robot = load_robot_from(args)
     now = read_progress(args.resume, robot.actuated)
@@ -178,7 +176,7 @@ def _files(args: argparse.Namespace, csv, rapid) -> dict:
 
 
 def _device(args: argparse.Namespace):
-    from tau_dyn.calibrate.poses.device_file import read_camera, read_tracker
+    from tau_dyn.calibrate.poses import read_camera, read_tracker
 
     if args.camera is not None:
         return read_camera(args.camera)
@@ -186,7 +184,7 @@ def _device(args: argparse.Namespace):
 
 
 def _demands(args: argparse.Namespace):
-    from tau_dyn.kinematics.obstacles import Surroundings, read_surroundings
+    from tau_dyn.kinematics import Surroundings, read_surroundings
     from tau_dyn.kinematics.workspace import PoseRequirements
 
     around = read_surroundings(args.obstacles) if args.obstacles else Surroundings()
@@ -196,12 +194,12 @@ def _demands(args: argparse.Namespace):
 def _safety(args: argparse.Namespace):
     import numpy as np
 
-    from tau_dyn.calibrate.poses.reachable import Safety
+    from tau_dyn.calibrate.poses import Safety
 
     return Safety(args.safety, float(np.deg2rad(args.safety_angle)))
 
 
 def _show(console, plan, args: argparse.Namespace) -> None:
-    from tau_dyn.report.poses_terminal import print_pose_plan
+    from tau_dyn.report import print_pose_plan
 
     print_pose_plan(console, plan, list_written_files(args, places=args.out, RAPID=args.rapid, progress=args.resume))

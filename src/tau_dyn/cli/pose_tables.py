@@ -24,7 +24,7 @@ def add_table_options(parser: argparse.ArgumentParser, what: str) -> None:
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Read a table's columns by name."""
-    from tau_dyn.log.delimited import parse_delimited
+    from tau_dyn.log import parse_delimited
 
     try:
         data = read_bytes(path)
@@ -35,7 +35,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 
 def build_outcome(table, args: argparse.Namespace) -> Outcome:
     """Return what to print and write."""
-    from tau_dyn.report.kinematics_page import build_kinematics_page, print_poses
+    from tau_dyn.report import build_kinematics_page, print_poses
 
     return Outcome(
         result=table.to_dict(),

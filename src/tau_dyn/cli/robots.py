@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def _list_dimensions(args: argparse.Namespace) -> Outcome:
     """List arguments and dimensions of one robot."""
-    from tau_dyn.robot.expand import find_robot, list_dimensions
+    from tau_dyn.robot import find_robot, list_dimensions
 
     path = find_robot(args.robot)
     found = list_dimensions(path, read_arguments(args.set), evaluate=not args.no_xacro)

@@ -78,7 +78,7 @@ class RunFolder:
 
     def _kept_for(self, command: str, configuration: dict[str, Any]) -> str:
         """Return why what the folder holds must stay; empty where it is an earlier run of the same."""
-        from tau_dyn.compare.run import RUN, is_run, read_run
+        from tau_dyn.compare import RUN, is_run, read_run
 
         names = self._holds()
         if not is_run(self.path):
@@ -97,7 +97,7 @@ class RunFolder:
 
     def files(self) -> tuple[Path, Path, Path]:
         """Return run.json, the result and the page."""
-        from tau_dyn.compare.run import REPORT, RESULT, RUN
+        from tau_dyn.compare import REPORT, RESULT, RUN
 
         return self.path / RUN, self.path / RESULT, self.path / REPORT
 
@@ -133,7 +133,7 @@ class RunFolder:
     def record(self, staged: Path, command: str, *, command_line: str, configuration: dict[str, Any], inputs: dict[str, str],
                seed: int, exit_status: int) -> dict[str, Any]:  # fmt: skip
         """Return what run.json says of a run whose other files are staged."""
-        from tau_dyn.compare.run import RecordedRun
+        from tau_dyn.compare import RecordedRun
 
         return RecordedRun(
             command=command,
@@ -151,7 +151,7 @@ class RunFolder:
 
 def _moved_in(staged: Path, folder: Path) -> None:
     """Move files into an existing folder: what an earlier run left goes first, run.json comes last."""
-    from tau_dyn.compare.run import RUN, is_run, read_run
+    from tau_dyn.compare import RUN, is_run, read_run
 
     new = sorted((p.name for p in staged.iterdir()), key=lambda n: n == RUN)
     if is_run(folder):

@@ -56,8 +56,13 @@ def run(args: argparse.Namespace) -> Outcome:
     """Measure poses."""
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.vision import measure_poses_from_images, parse_pattern, read_cameras, read_positions
-        from tau_dyn.vision.cameras import format_cameras_text
+        from tau_dyn.vision import (
+            format_cameras_text,
+            measure_poses_from_images,
+            parse_pattern,
+            read_cameras,
+            read_positions,
+        )
 
         table = measure_poses_from_images(
             args.images,

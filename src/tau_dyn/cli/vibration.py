@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> Outcome:
             raise InputError("bad_option", f"{option} does not go with --vibration")
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.dynamics import FlexibleModel
+        from tau_dyn.mechanism import FlexibleModel
 
         robot = load_robot_from(args)
         near = FlexibleModel(robot).at(tool=args.frame, pushed=args.push_at)
@@ -92,7 +92,7 @@ def _log(near, args: argparse.Namespace):
 
 
 def _drives(near, args: argparse.Namespace):
-    from tau_dyn.dynamics import PositionDrives
+    from tau_dyn.mechanism import PositionDrives
 
     if not args.drive_lag:
         if args.drive_delay:

@@ -60,8 +60,7 @@ def run(args: argparse.Namespace) -> Outcome:
 
 def open_window(args: argparse.Namespace, step: Callable[[str], None]):
     """Return the window with all that the arguments name in it; nothing is opened before all of it is read."""
-    from tau_dyn.view import Viewer, read_result
-    from tau_dyn.view.results import read_cloud
+    from tau_dyn.view import Viewer, read_cloud, read_result
 
     if args.simulated and not args.log:
         raise InputError("bad_option", "--simulated is the ghost of a log; name the log too")

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> Outcome:
     """Find the workspace."""
     with show_progress(args.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.workspace.study import study_workspace
+        from tau_dyn.kinematics.workspace import study_workspace
 
         robot = load_robot_from(args)
         found = study_workspace(
@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> Outcome:
 def _demands(args: argparse.Namespace):
     import numpy as np
 
-    from tau_dyn.kinematics.obstacles import Surroundings, add_limits, read_surroundings
+    from tau_dyn.kinematics import Surroundings, add_limits, read_surroundings
     from tau_dyn.kinematics.workspace import PoseRequirements
 
     around = read_surroundings(args.obstacles) if args.obstacles else Surroundings()
@@ -146,18 +146,18 @@ def _stiffnesses(given: list[str]) -> dict[str, float]:
 
 
 def _save(path: Path, found) -> None:
-    from tau_dyn.kinematics.workspace.table import build_points_table
+    from tau_dyn.kinematics.workspace import build_points_table
 
     build_points_table(found).to_csv(path, index=False, float_format="%.9g")
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report.workspace_terminal import print_workspace
+    from tau_dyn.report import print_workspace
 
     print_workspace(console, found, list_written_files(args, points=args.out))
 
 
 def _page(found) -> str:
-    from tau_dyn.report.workspace_page import build_workspace_page
+    from tau_dyn.report import build_workspace_page
 
     return build_workspace_page(found, command_line=format_command_line())

@@ -1,26 +1,5 @@
 """Two models, results or runs beside each other: what changed, and whether by more than their uncertainty."""
 
-from tau_dyn.compare.circumstances import CircumstanceDifference, InputChange
-from tau_dyn.compare.compare import compare
-from tau_dyn.compare.read import ComparedSide, read_side
-from tau_dyn.compare.result import Change, Comparison, ErrorChange, FindingChange
-from tau_dyn.compare.run import RecordedRun, read_run
-from tau_dyn.deprecated_names import get_deprecated
+from tau_dyn.public_names import attach_public_names
 
-__all__ = [
-    "Change",
-    "CircumstanceDifference",
-    "ComparedSide",
-    "Comparison",
-    "ErrorChange",
-    "FindingChange",
-    "InputChange",
-    "RecordedRun",
-    "compare",
-    "read_run",
-    "read_side",
-]
-
-
-def __getattr__(name: str) -> object:
-    return get_deprecated(__name__, name)
+__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.compare.quantity import MeasuredQuantity, build_measured_quantity
-from tau_dyn.estimate.base_parameters import read_expression
+from tau_dyn.estimate import read_expression
 
 _TOLERANCE = 1e-5
 """Relative difference of two coefficients that are the same; they are written with six digits."""

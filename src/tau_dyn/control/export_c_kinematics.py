@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tau_dyn.control import export_c_inverse as search
-from tau_dyn.control import export_c_newton as text
+from tau_dyn.control import export_c_inverse as search, export_c_newton as text
 from tau_dyn.control.export_c_graph import guard_lines, yield_graph_lines, yield_output_lines, yield_unused_lines
 from tau_dyn.control.export_c_linear import FACTOR, SOLVE
 from tau_dyn.control.export_c_text import format_header, format_numbers, format_source, require_c_name

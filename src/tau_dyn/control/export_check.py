@@ -9,8 +9,7 @@ import numpy as np
 
 from tau_dyn.control.graph import Graph, Node
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import Rods, forward_kinematics
-from tau_dyn.kinematics.solvers import get_robot
+from tau_dyn.mechanism import Rods, forward_kinematics, get_robot
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 

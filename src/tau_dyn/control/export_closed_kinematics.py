@@ -1,7 +1,7 @@
 r"""Kinematics in closed form on expressions: a translating plate on three rods, and drives that each move one rod of their own.
 
-Forward: three spheres met, on home's side of the plane of their centres (thesis (4.9); `kinematics/trilateration.py`).
-Inverse: chain by chain, home's root (`kinematics/chain_inverse.py`). Where a root or a side does not exist, a guard of
+Forward: three spheres met, on home's side of the plane of their centres (thesis (4.9); `mechanism/trilateration.py`).
+Inverse: chain by chain, home's root (`mechanism/chain_inverse.py`). Where a root or a side does not exist, a guard of
 the graph says no.
 """
 
@@ -17,9 +17,7 @@ from tau_dyn.control.export_tree import remove_rounding
 from tau_dyn.control.expression_arrays import as_expression_array, compute_cross_product
 from tau_dyn.control.graph import Node
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.chain_inverse import RootChain, build_chains
-from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.sliding_plate import SlidingPlate
+from tau_dyn.mechanism import Rods, RootChain, SlidingPlate, build_chains
 
 _FLAT = 1e-12  # squared height over the centres' plane by the squared longest rod, as in sliding_plate.py
 

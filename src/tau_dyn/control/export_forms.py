@@ -16,7 +16,7 @@ from tau_dyn.control.export_loops import Loops
 from tau_dyn.control.export_tree import Tree
 from tau_dyn.control.expression_arrays import as_expression_array
 from tau_dyn.control.graph import Graph
-from tau_dyn.dynamics import GantryTauMechanism, Mechanism
+from tau_dyn.mechanism import GantryTauMechanism, Mechanism
 from tau_dyn.model import Model
 
 

@@ -20,8 +20,7 @@ from tau_dyn.control.export_tree_kinematics import TreeKinematics
 from tau_dyn.control.expression_arrays import build_inputs
 from tau_dyn.control.graph import Graph
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import Rods, forward_kinematics, jacobian
-from tau_dyn.kinematics.solvers import get_robot, get_rods, get_solver
+from tau_dyn.mechanism import Rods, forward_kinematics, get_robot, get_rods, get_solver, jacobian
 from tau_dyn.robot import Robot
 
 _SEED = 3  # any; states that are drawn once decide about ranks only

@@ -8,7 +8,7 @@ from tau_dyn.control.export_check import draw_reachable_positions, evaluate_grap
 from tau_dyn.control.export_kinematics import KinematicsProgram, TracedFunction
 from tau_dyn.control.export_tree_kinematics import TreeKinematics
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import forward_kinematics, jacobian
+from tau_dyn.mechanism import forward_kinematics, jacobian
 
 _SEED, _STATES = 2, 15
 AGREEMENT = 1e-9

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tau_dyn.control import export_c_inverse as search
-from tau_dyn.control import export_c_newton as text
+from tau_dyn.control import export_c_inverse as search, export_c_newton as text
 from tau_dyn.control.export_c_text import build_identifiers
 from tau_dyn.control.export_kinematics import KinematicsProgram
 

@@ -4,7 +4,7 @@ r"""Loops on expressions: the gap of every loop, its Jacobian, and the passive j
 
 with `gamma` the gap's acceleration without joint accelerations: three solves with one factored matrix, and no more. Where
 rows repeat each other (a planar linkage closed by a ball) or a joint moves nothing (a rod's spin), rows and joints that say
-nothing at home are left out; what is left is square. Reference: Khalil & Dombre 2002, ch. 7 and 10; `kinematics/loops.py`.
+nothing at home are left out; what is left is square. Reference: Khalil & Dombre 2002, ch. 7 and 10; `mechanism/loops.py`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.linalg import qr
 
 from tau_dyn.control.export_tree import LinkMotion, Tree
 from tau_dyn.control.expression_arrays import compute_cross_product
-from tau_dyn.kinematics import LoopSolver
+from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import Robot
 
 _RANK = 1e-8  # pivots relative to the largest; less counts as zero

@@ -20,9 +20,9 @@ from tau_dyn.control.export_tree import Tree
 from tau_dyn.control.expression_arrays import build_inputs
 from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.control.graph import Graph
-from tau_dyn.dynamics import GantryTauMechanism, Mechanism
-from tau_dyn.effects.state import describe_missing_state
+from tau_dyn.effects import describe_missing_state
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import GantryTauMechanism, Mechanism
 from tau_dyn.model import BY_STATE
 
 ARGUMENTS = ("temperature",)

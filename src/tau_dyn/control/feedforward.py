@@ -19,8 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.effects import Effect, Motion
-from tau_dyn.effects.state import describe_missing_state
+from tau_dyn.effects import Effect, Motion, describe_missing_state
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import BY_STATE, Model
 

@@ -15,8 +15,8 @@ from tau_dyn.simulate import (
     build_random_binary_motion,
     build_slow_motion,
     build_stroke_motion,
+    compute_top_speed,
 )
-from tau_dyn.simulate.fourier import compute_top_speed
 
 _Maker = Callable[[Model, float, int, np.random.Generator], Trajectory]
 

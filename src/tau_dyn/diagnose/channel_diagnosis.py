@@ -29,7 +29,7 @@ from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors, Unexplaine
 from tau_dyn.diagnose.stepwise_selection import select_causes
 from tau_dyn.diagnose.unexplained import build_unexplained
 from tau_dyn.diagnose.unknown_structure import find_structure
-from tau_dyn.effects.words import format_quantity
+from tau_dyn.effects import format_quantity
 from tau_dyn.model import Model
 
 

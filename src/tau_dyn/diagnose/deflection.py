@@ -25,11 +25,9 @@ from tau_dyn.diagnose.null_model import NullModel
 from tau_dyn.diagnose.periodogram import build_force_terms, compute_period_statistics, select_output_rows
 from tau_dyn.diagnose.result import Diagnosis
 from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
-from tau_dyn.effects import EFFECTS, Effect, Scene
-from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
+from tau_dyn.effects import EFFECTS, Effect, JointwiseDisplacement, Scene
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.log_inputs import drop_duplicate_logs, drop_trained_logs
-from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify import Preparation, drop_duplicate_logs, drop_trained_logs
 from tau_dyn.log import Log, decimate, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters

@@ -13,10 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tau_dyn.effects.jointwise_displacement import JointwiseDisplacement
-from tau_dyn.effects.motion import JointMotion
-from tau_dyn.effects.plausible import PlausibleRange
-from tau_dyn.effects.words import format_amount
+from tau_dyn.effects import JointMotion, JointwiseDisplacement, PlausibleRange, format_amount
 from tau_dyn.parameters import Parameter
 
 LOAD_SPEED = "load_speed"

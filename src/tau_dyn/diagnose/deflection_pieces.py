@@ -12,8 +12,7 @@ from tau_dyn.diagnose.pieces import find_directions, mask_filter_edges
 from tau_dyn.effects import Motion
 from tau_dyn.estimate import RegressionRun
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import get_measured_signals
+from tau_dyn.identify import Preparation, get_measured_signals
 from tau_dyn.log import Log, decimate, differentiate, lowpass
 from tau_dyn.robot import Robot
 

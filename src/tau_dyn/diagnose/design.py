@@ -25,7 +25,7 @@ from scipy.ndimage import binary_dilation
 from tau_dyn.diagnose.result import Diagnosis, TimeTrace
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.estimate import Autoregression, RegressionRun, Whitener, fit_autoregression
-from tau_dyn.identify.regression import get_measured_signals
+from tau_dyn.identify import get_measured_signals
 from tau_dyn.log import Log, compute_attenuation, decimate, differentiate, find_true_runs, lowpass
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.parameters import Parameters

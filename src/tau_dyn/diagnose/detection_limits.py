@@ -18,8 +18,7 @@ from tau_dyn.diagnose.group_tests import FAMILY_LEVEL, CandidateCause, GroupTest
 from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Limit, Untestable
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection
-from tau_dyn.effects import Effect
-from tau_dyn.effects.words import format_quantity
+from tau_dyn.effects import Effect, format_quantity
 
 POWER = 0.95  # of the test at the detection limit, by convention
 OWNED = 1e-9  # share of a column's power left beside the null model; less is rounding

@@ -13,8 +13,7 @@ from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.output_errors import WholeErrors
 from tau_dyn.diagnose.result import Gain, OutputErrors
 from tau_dyn.effects import Effect
-from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, solve_least_squares
-from tau_dyn.estimate.covariance import BLOCK_S, ROUNDING
+from tau_dyn.estimate import BLOCK_S, ROUNDING, Estimate, PhysicalConstraints, Regression, solve_least_squares
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameters
 

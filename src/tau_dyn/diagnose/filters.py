@@ -13,9 +13,20 @@ import numpy as np
 
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.diagnose.scenes import compute_fast_speeds
-from tau_dyn.identify.preparation import NOISE_FACTOR, RATE_FACTOR, Preparation, choose_preparation
-from tau_dyn.identify.short_pieces import CODE, Kept, TooShort, choose_from_long, keep_long, refuse_short
+from tau_dyn.identify import (
+    CODE,
+    NOISE_FACTOR,
+    RATE_FACTOR,
+    Kept,
+    Preparation,
+    TooShort,
+    choose_from_long,
+    choose_preparation,
+    keep_long,
+    refuse_short,
+)
 from tau_dyn.log import (
+    MIN_SEGMENT_SAMPLES,
     Log,
     compute_edge_samples,
     compute_noise_gain,
@@ -25,7 +36,6 @@ from tau_dyn.log import (
     find_motion_band,
     lowpass,
 )
-from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0

@@ -14,8 +14,7 @@ from tau_dyn.diagnose.null_model import MIN_UNABSORBED_SHARE, NullModel
 from tau_dyn.diagnose.result import Finding, Gain, Signature
 from tau_dyn.diagnose.settings_refinement import differentiate_settings
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection
-from tau_dyn.effects import Effect
-from tau_dyn.effects.words import spell_unit
+from tau_dyn.effects import Effect, spell_unit
 from tau_dyn.estimate import scale_columns
 from tau_dyn.parameters import Parameter, Parameters
 

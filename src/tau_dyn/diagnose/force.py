@@ -23,12 +23,9 @@ from tau_dyn.diagnose.periodogram import (
 )
 from tau_dyn.diagnose.plausibility import measure_scales
 from tau_dyn.diagnose.scenes import build_scene, find_shared_signals
-from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
-from tau_dyn.effects.displacement import DisplacementEffect
-from tau_dyn.effects.gravity_direction import GRAVITY_TURN
+from tau_dyn.effects import EFFECTS, GRAVITY_TURN, DisplacementEffect, Effect, Motion, Scene
 from tau_dyn.estimate import Regression, RegressionRun
-from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.regression import PreparedSegment, prepare_segment
+from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model
 

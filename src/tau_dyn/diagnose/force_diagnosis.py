@@ -57,12 +57,18 @@ from tau_dyn.diagnose.unknown_structure import Structure, compute_structure_p_va
 from tau_dyn.diagnose.words import describe_verdict
 from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_squares
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.identify.log_inputs import log_warnings
-from tau_dyn.identify.log_integrity import check_integrity, is_diagnosis_invalid
-from tau_dyn.identify.preparation import Preparation
-from tau_dyn.identify.resting import list_resting_warnings
-from tau_dyn.identify.short_pieces import EXPERIMENT, count_information, list_crumbs, list_information_warnings
-from tau_dyn.identify.structural_identifiability import build_physical_constraints
+from tau_dyn.identify import (
+    EXPERIMENT,
+    Preparation,
+    build_physical_constraints,
+    check_integrity,
+    count_information,
+    is_diagnosis_invalid,
+    list_crumbs,
+    list_information_warnings,
+    list_resting_warnings,
+    log_warnings,
+)
 from tau_dyn.log import Log, find_motion_band, mend_log, resample_segments
 from tau_dyn.model import Model
 

@@ -22,12 +22,11 @@ from tau_dyn.diagnose.payload import (
     find_explanation,
 )
 from tau_dyn.diagnose.result import Finding
-from tau_dyn.effects.words import format_quantity
+from tau_dyn.effects import format_quantity
 from tau_dyn.estimate import Estimate
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import Robot
-from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
+from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot
 
 PARAMETER_CAUSES = {
     "payload": "tau += Y_last(q, v, a) (ten inertial numbers of the payload)",

@@ -24,8 +24,7 @@ from scipy import stats
 
 from tau_dyn.estimate import Estimate
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import INERTIAL, NOT_GIVEN, Robot
-from tau_dyn.robot.robot import NOMINAL_MASS_STDERR, LinkInertia
+from tau_dyn.robot import INERTIAL, NOMINAL_MASS_STDERR, NOT_GIVEN, LinkInertia, Robot
 
 SIGNIFICANCE_LEVEL = 0.01
 """Chance, over all explanations (Bonferroni), at which a fit of bodies as trusted gives one so much."""

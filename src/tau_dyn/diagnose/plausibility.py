@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from tau_dyn.effects import Effect, JointScales, Scene
-from tau_dyn.effects.words import format_quantity, spell_unit
+from tau_dyn.effects import Effect, JointScales, Scene, format_quantity, spell_unit
 from tau_dyn.estimate import Estimate
 from tau_dyn.parameters import Parameters
 

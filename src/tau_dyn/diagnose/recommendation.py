@@ -19,7 +19,7 @@ from tau_dyn.diagnose.data_split import TEST, TRAIN, VALIDATION
 from tau_dyn.diagnose.extended_fit import EvaluatedFit, compute_gain
 from tau_dyn.diagnose.result import Choice, Gain
 from tau_dyn.diagnose.stepwise_selection import StepwiseSelection, build_effects
-from tau_dyn.identify.estimate_warnings import MAX_HELD_OUT_RATIO, describe_foreign_joints
+from tau_dyn.identify import MAX_HELD_OUT_RATIO, describe_foreign_joints
 
 
 class Recommendation(NamedTuple):

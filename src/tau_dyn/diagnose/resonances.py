@@ -27,12 +27,17 @@ from tau_dyn.effects import StructuralCompliance
 from tau_dyn.estimate import scale_columns, solve_scaled
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.log import find_true_runs
-from tau_dyn.modes.methods import stabilise_poles
-from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import RefinedModel, refine
-from tau_dyn.modes.residuals import compute_aic_bic, compute_log_det_loss, count_free_parameters
-from tau_dyn.modes.subspace import compress_subspace_data
+from tau_dyn.modes import (
+    Mode,
+    Record,
+    RefinedModel,
+    compress_subspace_data,
+    compute_aic_bic,
+    compute_log_det_loss,
+    count_free_parameters,
+    refine,
+    stabilise_poles,
+)
 from tau_dyn.parameters import Parameter
 
 ORDERS = (2, 4, 6, 8)

@@ -30,11 +30,10 @@ from tau_dyn.diagnose.tool_pieces import (
     cut,
     is_static,
 )
-from tau_dyn.effects import EFFECTS, Effect, Motion, Scene
-from tau_dyn.effects.displacement import DisplacementEffect
+from tau_dyn.effects import EFFECTS, DisplacementEffect, Effect, Motion, Scene
 from tau_dyn.estimate import RegressionRun
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.preparation import Preparation
+from tau_dyn.identify import Preparation
 from tau_dyn.log import Log, compute_attenuation
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters

@@ -31,7 +31,7 @@ from tau_dyn.diagnose.resonances import add_resonances
 from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors
 from tau_dyn.diagnose.stepwise_selection import SelectedCause, StepwiseSelection, select_causes
 from tau_dyn.diagnose.tool import ToolChannel, build_tool_channel
-from tau_dyn.effects.words import format_quantity
+from tau_dyn.effects import format_quantity
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 

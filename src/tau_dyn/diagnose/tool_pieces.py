@@ -12,13 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.diagnose.pieces import find_directions, mask_filter_edges
-from tau_dyn.effects import Motion
-from tau_dyn.effects.cart_shift import SENSITIVITY
-from tau_dyn.effects.guideway_compliance import SIDE_FORCE
-from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
+from tau_dyn.effects import GUIDE_ACROSS, SENSITIVITY, SIDE_FORCE, Motion
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.identify.preparation import MIN_RATE_HZ, Preparation
-from tau_dyn.identify.regression import get_measured_signals
+from tau_dyn.identify import MIN_RATE_HZ, Preparation, get_measured_signals
 from tau_dyn.log import Log, decimate, differentiate, lowpass, resample_segments
 from tau_dyn.model import Model
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.effects.words import format_quantity as in_words
-from tau_dyn.effects.words import spell_unit
+from tau_dyn.effects.words import format_quantity as in_words, spell_unit
 
 REFERENCES = {
     "coulomb": "the joint's Coulomb friction",

@@ -12,7 +12,7 @@ import zipfile
 from dataclasses import dataclass
 from html import escape
 
-from tau_dyn.effects.state import acts_on_recording
+from tau_dyn.effects import acts_on_recording
 from tau_dyn.exchange.content import list_nominal_parameters
 from tau_dyn.exchange.fmu_build import compile_library, find_compiler, get_library_path
 from tau_dyn.exchange.fmu_check import compute_largest_difference

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.control.export_check import draw_random_states, evaluate_graph
+from tau_dyn.control import draw_random_states, evaluate_graph
 from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.fmu_equations import EquationFunction, Equations
-from tau_dyn.simulate.forces import SampledForces
+from tau_dyn.simulate import SampledForces
 
 STATES, AGREEMENT = 15, 1e-9
 """Random states, and how far expressions and simulator may differ there, relative to the largest value."""

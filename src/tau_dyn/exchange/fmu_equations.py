@@ -15,16 +15,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tau_dyn.control.export_check import draw_random_states
-from tau_dyn.control.export_forms import ClosedForm, LoopForm, TreeForm
-from tau_dyn.control.export_loops import Loops
-from tau_dyn.control.export_tree import Tree
-from tau_dyn.control.expression_arrays import ExpressionArray, as_expression_array, build_inputs
-from tau_dyn.control.graph import Graph, Node
-from tau_dyn.dynamics import GantryTauMechanism, Mechanism
-from tau_dyn.effects import Motion
-from tau_dyn.effects.state import acts_on_recording
+from tau_dyn.control import (
+    ClosedForm,
+    ExpressionArray,
+    Graph,
+    LoopForm,
+    Loops,
+    Node,
+    Tree,
+    TreeForm,
+    as_expression_array,
+    build_inputs,
+    draw_random_states,
+)
+from tau_dyn.effects import Motion, acts_on_recording
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import GantryTauMechanism, Mechanism
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 
 

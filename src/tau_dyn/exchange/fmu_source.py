@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from tau_dyn.control.export_c_graph import (
+from tau_dyn.control import (
+    Feedforward,
+    Program,
+    escape_comment_line,
     format_number,
     guard_lines,
+    yield_closing_lines,
     yield_graph_lines,
     yield_output_lines,
     yield_unused_lines,
 )
-from tau_dyn.control.export_c_loops import yield_closing_lines
-from tau_dyn.control.export_c_text import escape_comment_line
-from tau_dyn.control.export_model import Program
-from tau_dyn.control.feedforward import Feedforward
 from tau_dyn.exchange.content import list_nominal_parameters
 from tau_dyn.exchange.fmu_equations import EquationFunction, Equations
 from tau_dyn.exchange.fmu_interface import INTERFACE

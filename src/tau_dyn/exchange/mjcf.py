@@ -25,8 +25,7 @@ from tau_dyn.exchange.content import (
     list_omitted_effects,
     split,
 )
-from tau_dyn.kinematics import LoopSolver
-from tau_dyn.kinematics.tree_arrays import Joint, list_joints
+from tau_dyn.mechanism import Joint, LoopSolver, list_joints
 from tau_dyn.model import Model
 
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}

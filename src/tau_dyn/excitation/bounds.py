@@ -14,12 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import LoopSolver
-from tau_dyn.kinematics.loop_arrays import LoopArrays
-from tau_dyn.kinematics.tree_arrays import list_joints
+from tau_dyn.mechanism import LoopArrays, LoopSolver, list_joints
 from tau_dyn.model import Model
-from tau_dyn.simulate.limits import compute_condition_bound
-from tau_dyn.simulate.profiles import MotionProfile
+from tau_dyn.simulate import MotionProfile, compute_condition_bound
 
 MARGIN = 0.05
 """Share of every limit that stays unused, as of all motions (`simulate/limits.py`)."""

@@ -20,14 +20,11 @@ from tau_dyn.excitation.criteria import CRITERIA, Criterion
 from tau_dyn.excitation.information import Information, compute_information_matrix
 from tau_dyn.excitation.layout import MotionLayout, build_full_motion, lay_out
 from tau_dyn.excitation.noise import Noise
-from tau_dyn.excitation.predict import InformationPrediction, predict
+from tau_dyn.excitation.prediction import InformationPrediction, predict
 from tau_dyn.excitation.search import MotionSearch, Stopped
 from tau_dyn.excitation.series import Series
 from tau_dyn.model import Model
-from tau_dyn.simulate import Trajectory
-from tau_dyn.simulate.fourier import RATE_HZ, compute_reach, compute_top_speed
-from tau_dyn.simulate.motions import ACCELERATION
-from tau_dyn.simulate.profiles import MotionProfile
+from tau_dyn.simulate import ACCELERATION, RATE_HZ, MotionProfile, Trajectory, compute_reach, compute_top_speed
 
 SHORTEST_S, LONGEST_S = 4.0, 3600.0
 _BAND = 8.0  # the low-pass of forces is this many times the highest harmonic, about

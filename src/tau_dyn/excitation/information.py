@@ -20,7 +20,7 @@ from tau_dyn.effects import Motion
 from tau_dyn.estimate import BaseParameters, find_base
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.model import Model
-from tau_dyn.simulate.profiles import MotionProfile
+from tau_dyn.simulate import MotionProfile
 
 STEP = 1e-6
 """Of the finite differences [m or rad, a second, a second squared]."""

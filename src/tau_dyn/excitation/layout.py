@@ -10,11 +10,14 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.excitation.bounds import Bounds
 from tau_dyn.excitation.series import Series
 from tau_dyn.model import Model
-from tau_dyn.simulate import Trajectory
-from tau_dyn.simulate.fourier import RATE_HZ, compute_reach
-from tau_dyn.simulate.limits import describe_exceeded_limit
-from tau_dyn.simulate.motions import build_stroke_motion
-from tau_dyn.simulate.profiles import MotionProfile
+from tau_dyn.simulate import (
+    RATE_HZ,
+    MotionProfile,
+    Trajectory,
+    build_stroke_motion,
+    compute_reach,
+    describe_exceeded_limit,
+)
 
 PERIOD_S = 10.0
 """Length of a period, about [s]."""

@@ -21,7 +21,7 @@ from tau_dyn.excitation.bounds import Bounds, Excess
 from tau_dyn.excitation.criteria import Criterion
 from tau_dyn.excitation.information import Information, compute_information_matrix
 from tau_dyn.excitation.series import Series
-from tau_dyn.simulate.profiles import MotionProfile
+from tau_dyn.simulate import MotionProfile
 
 MAX_ITERATIONS = 6  # rounds of the augmented Lagrangian; bounds hold to 1 % after three to five
 ITERATIONS = 40  # of L-BFGS within a round; a round need not converge

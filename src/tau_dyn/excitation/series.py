@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import null_space
 
-from tau_dyn.simulate.profiles import MotionProfile
+from tau_dyn.simulate import MotionProfile
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.effects.hysteresis import Hysteresis
+from tau_dyn.effects import Hysteresis
 from tau_dyn.estimate import RegressionRows, RegressionRun, SufficientStatistics
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import ROUNDING, Preparation
 from tau_dyn.identify.regression import prepare_segment
-from tau_dyn.log import Log, compute_edge_samples
-from tau_dyn.log.column_names import ROOM_TEMPERATURE
-from tau_dyn.log.even_segments import EvenSegment, InMemorySegment
+from tau_dyn.log import ROOM_TEMPERATURE, EvenSegment, InMemorySegment, Log, compute_edge_samples
 from tau_dyn.model import Model
 
 SIZE = 2**22

@@ -26,8 +26,7 @@ from tau_dyn.identify.streaming import (
     refuse_missing,
     split_recording_evenly,
 )
-from tau_dyn.log import Log, Recording, mend_log, resample_segments
-from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
+from tau_dyn.log import MIN_SEGMENT_SAMPLES, Log, Recording, mend_log, resample_segments
 from tau_dyn.model import Model
 
 TRAIN_SHARE = 0.7

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.coded_warning import CodedWarning
-from tau_dyn.dynamics import build_mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.excerpt import Excerpt
+from tau_dyn.mechanism import build_mechanism
 from tau_dyn.robot import Robot
 
 MIN_Z = 8.0

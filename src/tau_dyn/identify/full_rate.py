@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from tau_dyn.estimate.position_noise import REACH, compute_accelerations
+from tau_dyn.estimate import REACH, compute_accelerations
 from tau_dyn.identify.gate import find_excluded_samples
 from tau_dyn.identify.preparation import Preparation
 from tau_dyn.identify.signals import get_measured_signals

@@ -22,15 +22,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.estimate import Estimate, PhysicalConstraints
-from tau_dyn.estimate.instrumental_variables import (
+from tau_dyn.estimate import (
+    Estimate,
     InstrumentalSolution,
+    PhysicalConstraints,
+    PositionNoise,
     WhiteRows,
+    compute_accelerations,
+    compute_bisquare_weights,
+    compute_robust_covariance_factor,
     estimate_of,
+    estimate_robust_scale,
     solve_instrumental_variables,
 )
-from tau_dyn.estimate.position_noise import PositionNoise, compute_accelerations
-from tau_dyn.estimate.robust import compute_bisquare_weights, compute_robust_covariance_factor, estimate_robust_scale
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.full_rate import FullRate, build_full_rate_equations
 from tau_dyn.identify.reference_instruments import predict_tracked_motion

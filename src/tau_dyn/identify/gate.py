@@ -14,8 +14,7 @@ from scipy.ndimage import convolve1d, minimum_filter1d
 from tau_dyn.effects import Effect, Motion
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.preparation import ROUNDING, Preparation
-from tau_dyn.log import Log
-from tau_dyn.log.jumps import check_jumps
+from tau_dyn.log import Log, check_jumps
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.robot import Robot
 

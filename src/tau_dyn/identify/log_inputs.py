@@ -12,9 +12,7 @@ from tau_dyn.coded_warning import UNCODED, CodedWarning, get_code
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.gate import SATURATION_RATIO
 from tau_dyn.identify.preparation import MIN_SEGMENT_SAMPLES
-from tau_dyn.log import Log, Recording, list_unit_warnings
-from tau_dyn.log.check_motion import find_moving_samples
-from tau_dyn.log.check_signals import check_signals
+from tau_dyn.log import Log, Recording, check_signals, find_moving_samples, list_unit_warnings
 from tau_dyn.robot import Robot
 
 Kind = TypeVar("Kind", bound=Log | Recording)

@@ -18,16 +18,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion
-from tau_dyn.effects.effect import name_effect_in_errors
+from tau_dyn.effects import Effect, JointMotion, JointwiseEffect, Motion, name_effect_in_errors
 from tau_dyn.estimate import Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.gate import compute_gate, find_excluded_samples, hold_closed, refuse_jumps
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs, refuse_short
 from tau_dyn.identify.signals import get_measured_signals, refuse_missing_campaign, refuse_missing_temperature
-from tau_dyn.log import Log, compute_edge_samples, decimate, differentiate, lowpass, resample_segments
-from tau_dyn.log.resample import MIN_SEGMENT_SAMPLES
+from tau_dyn.log import (
+    MIN_SEGMENT_SAMPLES,
+    Log,
+    compute_edge_samples,
+    decimate,
+    differentiate,
+    lowpass,
+    resample_segments,
+)
 from tau_dyn.model import Model
 
 MIN_SHARE = 0.5

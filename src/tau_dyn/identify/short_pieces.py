@@ -16,8 +16,7 @@ from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.estimate import Regression
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify.preparation import BAND_FACTOR, Preparation
-from tau_dyn.log import Log, Recording, compute_edge_samples, count_short_segments
-from tau_dyn.log.column_names import count
+from tau_dyn.log import Log, Recording, compute_edge_samples, count, count_short_segments
 
 CODE = "short_log"
 

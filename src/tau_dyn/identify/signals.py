@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, find_reversals
-from tau_dyn.log.column_names import ROOM_TEMPERATURE
+from tau_dyn.log import ROOM_TEMPERATURE, Log, find_reversals
 from tau_dyn.model import Model
 
 

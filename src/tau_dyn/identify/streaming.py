@@ -18,17 +18,15 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tau_dyn.estimate import Regression, RegressionRun, StreamedData, SufficientStatistics
-from tau_dyn.estimate.stored_rows import StoredRows
+from tau_dyn.estimate import Regression, RegressionRun, StoredRows, StreamedData, SufficientStatistics
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.blocks import Block, BlockRows, BlockWork, list_channels, refuse_memory, split_blocks
 from tau_dyn.identify.freed_memory import give_back
 from tau_dyn.identify.preparation import Preparation, choose_preparation
 from tau_dyn.identify.short_pieces import choose_from_long, keep_long, list_crumbs
-from tau_dyn.log import Log, Recording, resample_segments
-from tau_dyn.log.even_segments import EvenSegment, InMemorySegment, split_even_segments
+from tau_dyn.log import EvenSegment, InMemorySegment, Log, Recording, resample_segments, split_even_segments
 from tau_dyn.model import Model
-from tau_dyn.scale.run_many import iterate_in_order, run_on_workers
+from tau_dyn.scale import iterate_in_order, run_on_workers
 
 SURVEYED = 2**20
 """Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tau_dyn.effects import Delay
-from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, solve_least_squares
-from tau_dyn.estimate.prior import build_prior_rows
+from tau_dyn.estimate import Estimate, PhysicalConstraints, Regression, build_prior_rows, solve_least_squares
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import Log

@@ -23,9 +23,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from tau_dyn.coded_warning import CodedWarning
-from tau_dyn.dynamics import Mechanism, build_mechanism
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.excerpt import Excerpt
+from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.robot import Robot
 
 MIN_GAIN_NATS = 30.0

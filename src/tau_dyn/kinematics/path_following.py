@@ -13,13 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import find_nearest_configuration, inverse_kinematics
-from tau_dyn.kinematics.jacobians import jacobian
-from tau_dyn.kinematics.poses import Poses, require_poses
-from tau_dyn.kinematics.positions import require_positions
-from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.solvers import get_robot, get_rods
+from tau_dyn.mechanism import (
+    Poses,
+    Rods,
+    find_nearest_configuration,
+    forward_kinematics,
+    get_robot,
+    get_rods,
+    inverse_kinematics,
+    jacobian,
+    require_poses,
+    require_positions,
+)
 from tau_dyn.robot import Robot
 
 _MAX_STEP_RATIO = 0.3  # of the mean rod's length, or m or rad without rods: no path of neighbouring poses asks for this

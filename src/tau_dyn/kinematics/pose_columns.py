@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.poses import Poses, convert_from_quaternions
+from tau_dyn.mechanism import Poses, convert_from_quaternions, forward_kinematics
 from tau_dyn.robot import Robot
 
 TOOL = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")

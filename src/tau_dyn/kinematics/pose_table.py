@@ -11,12 +11,22 @@ import pandas as pd
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly import list_robot_modes
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import inverse_kinematics, list_configurations, solve_all_configurations
-from tau_dyn.kinematics.kinematics_result import JOINT_LIMIT, NOT_A_NUMBER, OK, OUT_OF_REACH, REASONS, InverseResult
 from tau_dyn.kinematics.pose_columns import TOOL
-from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
-from tau_dyn.kinematics.solvers import get_rods
+from tau_dyn.mechanism import (
+    JOINT_LIMIT,
+    NOT_A_NUMBER,
+    OK,
+    OUT_OF_REACH,
+    REASONS,
+    InverseResult,
+    Poses,
+    convert_to_quaternions,
+    forward_kinematics,
+    get_rods,
+    inverse_kinematics,
+    list_configurations,
+    solve_all_configurations,
+)
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 

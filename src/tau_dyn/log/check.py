@@ -13,12 +13,12 @@ from tau_dyn.coded_warning import UNCODED, get_code
 from tau_dyn.log.check_clock import check_clock
 from tau_dyn.log.check_motion import check_motion, find_moving_samples
 from tau_dyn.log.check_result import CheckFinding, LogCheck, Severity, build_fault
-from tau_dyn.log.check_signals import check_signals
 from tau_dyn.log.column_names import format_names
 from tau_dyn.log.data_integrity import list_data_warnings
 from tau_dyn.log.jumps import check_jumps
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import resample_segments, split_at_gaps
+from tau_dyn.log.signal_checks import check_signals
 from tau_dyn.log.units import JointLimits, list_unit_warnings
 
 

@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 from tau_dyn.exceptions import CannotAnswer, TauDynError
 from tau_dyn.modes.methods import InitialModels
 from tau_dyn.modes.record import Record, truncate_records
-from tau_dyn.modes.refine import refine
+from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
 
 MAX_SAMPLES = 6_000

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.dynamics import FlexibleModel
-from tau_dyn.kinematics import LoopSolver
+from tau_dyn.mechanism import FlexibleModel, LoopSolver
 from tau_dyn.robot import Robot
 
 _MAX_DUPLICATE_DISTANCE_M = 1e-4  # [m] between points that are one

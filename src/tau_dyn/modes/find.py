@@ -23,7 +23,7 @@ from tau_dyn.modes.methods import METHODS, build_initial_estimator, estimate_fir
 from tau_dyn.modes.model_validation import validate_model
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
 from tau_dyn.modes.preparation import PreparedRecords, prepare_records
-from tau_dyn.modes.refine import RefinedModel, refine
+from tau_dyn.modes.refinement import RefinedModel, refine
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 from tau_dyn.modes.response_onset import find_response_onset
 from tau_dyn.modes.result import Modes

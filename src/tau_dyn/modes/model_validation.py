@@ -19,7 +19,7 @@ from tau_dyn.modes.poles import list_poles, list_zeros
 from tau_dyn.modes.preparation import PreparedRecords
 from tau_dyn.modes.pulses import compute_impulse_responses
 from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import RefinedModel
+from tau_dyn.modes.refinement import RefinedModel
 from tau_dyn.modes.residuals import compute_residuals
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.result_warnings import add_warnings

@@ -24,7 +24,7 @@ from tau_dyn.modes.checks import check_whiteness, fit_of
 from tau_dyn.modes.methods import Start
 from tau_dyn.modes.modal import Mode, find_resonances
 from tau_dyn.modes.record import Record, truncate_records
-from tau_dyn.modes.refine import refine
+from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import (
     SIMULATED,
     compare_errors_paired,

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, resample_segments
-from tau_dyn.log.read_errors import describe_missing_column
+from tau_dyn.log import Log, describe_missing_column, resample_segments
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from scipy.linalg import qr
 
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.record import Record
-from tau_dyn.modes.refine import RefinedModel, refine
+from tau_dyn.modes.refinement import RefinedModel, refine
 from tau_dyn.modes.residuals import PREDICTED
 
 MODE_EQUALITY_TOLERANCE = 0.05

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.calibrate.candidates import CandidateModel
-from tau_dyn.calibrate.result import Calibration
+from tau_dyn.calibrate import Calibration, CandidateModel
 from tau_dyn.report.log_chart import LogChart
 from tau_dyn.report.projection import BOX_EDGES, compute_box_corners, project
 from tau_dyn.report.svg import Chart, format_tag, pad_limits

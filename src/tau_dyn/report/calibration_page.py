@@ -7,8 +7,14 @@ from typing import Any
 
 from markupsafe import Markup
 
-from tau_dyn.calibrate.result import Calibration, build_frame_rows, build_parameter_rows, list_correlated_pairs
-from tau_dyn.calibrate.sensitivity import CHANGE, compute_sensitivities
+from tau_dyn.calibrate import (
+    CHANGE,
+    Calibration,
+    build_frame_rows,
+    build_parameter_rows,
+    compute_sensitivities,
+    list_correlated_pairs,
+)
 from tau_dyn.report import calibration_charts as charts
 from tau_dyn.report.calibration_words import (
     describe_finding,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from tau_dyn.calibrate.result import Calibration
+from tau_dyn.calibrate import Calibration
 from tau_dyn.report.calibration_words import (
     describe_finding,
     describe_headline,

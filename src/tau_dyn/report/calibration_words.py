@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.calibrate.candidates import CandidateModel
-from tau_dyn.calibrate.causes import CalibrationFinding
-from tau_dyn.calibrate.result import Calibration
+from tau_dyn.calibrate import Calibration, CalibrationFinding, CandidateModel
 from tau_dyn.report.formatting import UseRecommendation, count, format_list, format_percent
 from tau_dyn.report.quantities import format_quantity
 

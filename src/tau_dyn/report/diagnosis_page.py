@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.diagnose.result import Diagnosis, Finding, TimeTrace, Unexplained
-from tau_dyn.report import diagnosis_text, formatting, identification_charts, quantities
-from tau_dyn.report import waterfall as fall
+from tau_dyn.diagnose import Diagnosis, Finding, TimeTrace, Unexplained
+from tau_dyn.report import diagnosis_text, formatting, identification_charts, quantities, waterfall as fall
 from tau_dyn.report.diagnosis_rows import build_diagnosed_rows
 from tau_dyn.report.force_series import compute_limits
 from tau_dyn.report.html_page import PageHeader, list_logs_used, render_page

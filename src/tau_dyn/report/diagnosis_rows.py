@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.diagnose import Diagnosis
 from tau_dyn.estimate import MAX_RELATIVE_STDERR
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.report.formatting import Z95, format_with_uncertainty
@@ -17,8 +17,7 @@ from tau_dyn.report.parameter_rows import (
     explain_unreliable,
     name_group,
 )
-from tau_dyn.robot import Robot, load_robot_from_urdf
-from tau_dyn.robot.robot import NOMINAL_MASS_STDERR
+from tau_dyn.robot import NOMINAL_MASS_STDERR, Robot, load_robot_from_urdf
 
 
 def build_diagnosed_rows(diagnosis: Diagnosis) -> tuple[list[ParameterRow], float]:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
 
-from tau_dyn.diagnose.result import Diagnosis, Finding
+from tau_dyn.diagnose import Diagnosis, Finding
 from tau_dyn.report import diagnosis_text as said
 from tau_dyn.report.formatting import format_list, format_percent
 from tau_dyn.report.terminal import (

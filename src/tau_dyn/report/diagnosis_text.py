@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.diagnose.result import Diagnosis, Finding, Gain, Limit, Status, Unexplained, Untestable
+from tau_dyn.diagnose import Diagnosis, Finding, Gain, Limit, Status, Unexplained, Untestable
 from tau_dyn.report.formatting import (
     Level,
     UseRecommendation,

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.effects import Motion, TorqueOffset
-from tau_dyn.effects.jointwise import JointwiseEffect
+from tau_dyn.effects import JointwiseEffect, Motion, TorqueOffset
 from tau_dyn.identify import Identification
 from tau_dyn.report.formatting import format_number, format_unit
 from tau_dyn.report.parameter_rows import ParameterRow

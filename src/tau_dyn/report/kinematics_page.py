@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tau_dyn.kinematics.pose_table import PoseTable
+from tau_dyn.kinematics import PoseTable
 from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.terminal import (
     MARGIN,

@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.modes.checks import CorrelationTest
-from tau_dyn.modes.result import Modes
+from tau_dyn.modes import CorrelationTest, Modes
 from tau_dyn.report.formatting import Z95
 from tau_dyn.report.log_chart import LogChart
 from tau_dyn.report.modes_svg import draw_across, draw_between

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.modes.operational_result import OperationalModes
-from tau_dyn.modes.result import Modes
-from tau_dyn.modes.stabilisation import StabilityPoint
+from tau_dyn.modes import Modes, OperationalModes, StabilityPoint
 from tau_dyn.report.formatting import Z95
 from tau_dyn.report.log_chart import LogChart
 from tau_dyn.report.modes_charts import convert_to_decibels, draw_mode_lines, select_ends, select_excited

@@ -8,12 +8,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.on_robot import ShapesOnRobot
-from tau_dyn.modes.result import Modes, Trace
-from tau_dyn.modes.stabilisation import StabilityPoint
-from tau_dyn.report import modes_charts as charts
-from tau_dyn.report import modes_model_charts as model_charts
+from tau_dyn.modes import Mode, Modes, ShapesOnRobot, StabilityPoint, Trace
+from tau_dyn.report import modes_charts as charts, modes_model_charts as model_charts
 from tau_dyn.report.formatting import Z95, format_number, format_percent, round_to_stderr
 from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.identification_charts import draw_interval_bar

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.modes.figure import Skeleton
-from tau_dyn.modes.on_robot import ModePair, ModeShape, ShapesOnRobot
+from tau_dyn.modes import ModePair, ModeShape, ShapesOnRobot, Skeleton
 from tau_dyn.report.formatting import format_number
 from tau_dyn.report.modes_shapes import PERIOD
 from tau_dyn.report.projection import View, compute_hull, project

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.modes.modal import Mode
+from tau_dyn.modes import Mode
 from tau_dyn.report.svg import format_path, format_tag
 
 AXES = {"x": (0.90, 0.30), "y": (-0.78, 0.42), "z": (0.0, -1.0)}

@@ -8,8 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tau_dyn.modes.operational_result import OperationalModes
-from tau_dyn.modes.result import Modes
+from tau_dyn.modes import Modes, OperationalModes
 from tau_dyn.report.modes_text import (
     describe_headline,
     describe_inputs,

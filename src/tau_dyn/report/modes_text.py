@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.operational_result import OperationalModes
-from tau_dyn.modes.result import Modes
+from tau_dyn.modes import Mode, Modes, OperationalModes
 from tau_dyn.report.formatting import (
     Z95,
     UseRecommendation,

@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.calibrate.result import Calibration
+from tau_dyn.calibrate import Calibration
 from tau_dyn.compare import Comparison
-from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.diagnose import Diagnosis
 from tau_dyn.identify import Identification
+from tau_dyn.kinematics import PoseTable
 from tau_dyn.kinematics.accuracy import AccuracyResult
-from tau_dyn.kinematics.pose_table import PoseTable
-from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.kinematics.workspace import Study
 from tau_dyn.log import Log, LogCheck
 from tau_dyn.model import Model
-from tau_dyn.modes.operational_result import OperationalModes
-from tau_dyn.modes.result import Modes
+from tau_dyn.modes import Modes, OperationalModes
 from tau_dyn.parameters import Parameters
 from tau_dyn.report import (
     accuracy_words,

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.on_robot import ShapesOnRobot
-from tau_dyn.modes.operational_result import REASON_WITHOUT_SCALE, OperationalModes
+from tau_dyn.modes import REASON_WITHOUT_SCALE, Mode, OperationalModes, ShapesOnRobot
 from tau_dyn.report.html_page import PageHeader, render_page
 from tau_dyn.report.modes_model_charts import draw_operational_stabilisation_chart
 from tau_dyn.report.modes_page import SHAPES, describe_mode

@@ -8,8 +8,7 @@ from math import isnan
 from rich.console import Console
 from rich.table import Table
 
-from tau_dyn.calibrate.poses.automation import CalibrationCampaign
-from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain, compute_min_poses
+from tau_dyn.calibrate.poses import CalibrationCampaign, compute_doubling_gain, compute_min_poses
 from tau_dyn.report.calibration_words import format_angle, format_length
 from tau_dyn.report.formatting import format_list
 from tau_dyn.report.terminal import build_bare_table, escape_control_characters, put, say, say_written

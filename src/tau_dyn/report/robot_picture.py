@@ -13,7 +13,7 @@ import pinocchio as pin
 from markupsafe import Markup
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.kinematics import LoopSolver
+from tau_dyn.mechanism import LoopSolver
 from tau_dyn.report.projection import View, draw_outline, draw_triad
 from tau_dyn.report.svg import format_path, format_tag
 from tau_dyn.robot import Robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.diagnose.result import Signature
+from tau_dyn.diagnose import Signature
 from tau_dyn.report.formatting import format_unit
 from tau_dyn.report.identification_charts import BINS, SMALL, average_in_bins
 from tau_dyn.report.svg import Chart, pad_limits

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.diagnose.result import Diagnosis, Finding, OutputErrors
+from tau_dyn.diagnose import Diagnosis, Finding, OutputErrors
 from tau_dyn.report.formatting import format_list, format_percent
 from tau_dyn.report.quantities import estimate, format_quantity
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.kinematics.workspace.maps import QUANTITIES
-from tau_dyn.kinematics.workspace.pose_requirements import KINDS
-from tau_dyn.kinematics.workspace.sections import Section
-from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.kinematics.workspace import KINDS, QUANTITIES, Section, Study
 from tau_dyn.report.formatting import format_number, replace_minus_signs
 from tau_dyn.report.svg import BOTTOM, LEFT, RIGHT, THIRD, TOP, Chart, format_tag
 from tau_dyn.report.workspace_words import SHOWN_UNITS

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.kinematics.workspace.maps import QUANTITIES
-from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.kinematics.workspace import QUANTITIES, Study
 from tau_dyn.report import workspace_charts as charts
 from tau_dyn.report.formatting import format_list, format_number, format_percent, replace_minus_signs
 from tau_dyn.report.html_page import PageHeader, render_page

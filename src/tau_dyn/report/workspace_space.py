@@ -15,12 +15,9 @@ import pinocchio as pin
 from markupsafe import Markup
 from scipy import ndimage
 
-from tau_dyn.kinematics.collisions import PlacedSolid
-from tau_dyn.kinematics.loops import LoopSolver
-from tau_dyn.kinematics.obstacles import Obstacle
-from tau_dyn.kinematics.shapes import Box, Capsule, Cylinder, HalfSpace
-from tau_dyn.kinematics.workspace.orientations import Tilt
-from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.kinematics import Box, Capsule, Cylinder, HalfSpace, Obstacle, PlacedSolid
+from tau_dyn.kinematics.workspace import Study, Tilt
+from tau_dyn.mechanism import LoopSolver
 from tau_dyn.report.projection import BOX_EDGES, View, compute_box_corners, draw_outline, draw_triad, project_with_depth
 from tau_dyn.report.svg import format_path, format_tag
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from tau_dyn.kinematics.workspace.maps import QUANTITIES
-from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.kinematics.workspace import QUANTITIES, Study
 from tau_dyn.report.formatting import format_list, format_number, format_percent
 from tau_dyn.report.terminal import (
     build_bare_table,

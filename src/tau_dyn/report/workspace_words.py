@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.kinematics.workspace.maps import QUANTITIES
-from tau_dyn.kinematics.workspace.study import Study
+from tau_dyn.kinematics.workspace import QUANTITIES, Study
 from tau_dyn.report.formatting import Level, UseRecommendation, count, format_list, format_number, format_percent
 
 SHOWN_UNITS = {"N/m": (1e-6, "N/µm"), "m/s": (1.0, "m/s"), "N": (1.0, "N"), "1": (1.0, "")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tau_dyn.diagnose.result import Diagnosis
+from tau_dyn.diagnose import Diagnosis
 from tau_dyn.files import write_whole
 from tau_dyn.identify import Identification
 from tau_dyn.report.diagnosis_page import build_diagnosis_page

@@ -1,26 +1,5 @@
 """Robots: from a xacro file to a tree with loops, actuated joints and nominal parameters."""
 
-from tau_dyn.deprecated_names import get_deprecated
-from tau_dyn.robot.annotations import Spring
-from tau_dyn.robot.expand import describe_robot, list_robot_names, list_robots, list_stock_robots
-from tau_dyn.robot.load import load_robot, load_robot_from_urdf
-from tau_dyn.robot.robot import INERTIAL, NOT_GIVEN, LinkInertia, Loop, Robot
+from tau_dyn.public_names import attach_public_names
 
-__all__ = [
-    "INERTIAL",
-    "NOT_GIVEN",
-    "LinkInertia",
-    "Loop",
-    "Robot",
-    "Spring",
-    "describe_robot",
-    "list_robot_names",
-    "list_robots",
-    "list_stock_robots",
-    "load_robot",
-    "load_robot_from_urdf",
-]
-
-
-def __getattr__(name: str) -> object:
-    return get_deprecated(__name__, name)
+__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)

@@ -14,8 +14,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr
 from functools import cache
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import files as files_of
+from importlib.metadata import PackageNotFoundError, files as files_of
 from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any

@@ -1,6 +1,5 @@
 """Leaving one process: the same function on many items, here, on this machine's cores or on a cluster, in their order."""
 
-from tau_dyn.scale.journal import run_journaled
-from tau_dyn.scale.run_many import run_many
+from tau_dyn.public_names import attach_public_names
 
-__all__ = ["run_journaled", "run_many"]
+__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)

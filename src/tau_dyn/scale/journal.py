@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.scale.run_many import run_many
+from tau_dyn.scale.runner import run_many
 from tau_dyn.version import __version__
 
 Item = TypeVar("Item")

@@ -17,8 +17,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from tau_dyn.effects import Effect
-from tau_dyn.effects.read import read_effects
+from tau_dyn.effects import Effect, read_effects
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml
 from tau_dyn.model import Model

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import max_len_seq
 
-from tau_dyn.dynamics.drive import PositionDrives
-from tau_dyn.dynamics.linearised import AXES, Linearised
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.log import Log
+from tau_dyn.mechanism import AXES, Linearised, PositionDrives
 
 
 @dataclass(frozen=True)

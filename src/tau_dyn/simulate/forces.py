@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.effects import Effect, Hysteresis, JointMotion, JointwiseEffect, Motion
-from tau_dyn.effects.state import acts_on_recording
+from tau_dyn.effects import Effect, Hysteresis, JointMotion, JointwiseEffect, Motion, acts_on_recording
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 from tau_dyn.simulate.memory import EffectSurroundings, Memory, repeat_signals

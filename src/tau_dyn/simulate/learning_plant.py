@@ -17,11 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import lfilter
 
-from tau_dyn.dynamics.drive import PositionDrives
-from tau_dyn.dynamics.linear_system import SampledModel
-from tau_dyn.dynamics.linearised import Linearised
-from tau_dyn.dynamics.mechanism import Mechanism
 from tau_dyn.exceptions import InputError
+from tau_dyn.mechanism import Linearised, Mechanism, PositionDrives, SampledModel
 from tau_dyn.simulate.flexible import VibrationSensors
 
 _CURVED = 0.05  # m; farther from the pose than this the linear model is not trusted

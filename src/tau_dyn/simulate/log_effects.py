@@ -13,15 +13,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from tau_dyn.effects import Delay, DisplacementEffect, Motion
-from tau_dyn.effects.cart_shift import SENSITIVITY, CartShift
-from tau_dyn.effects.drive_lag import apply_first_order_lowpass
-from tau_dyn.effects.guideway_compliance import SIDE_FORCE
-from tau_dyn.effects.guideway_nonparallel import GUIDE_ACROSS
-from tau_dyn.effects.state import acts_on_recording
-from tau_dyn.effects.timing import TimingEffect
+from tau_dyn.effects import (
+    GUIDE_ACROSS,
+    SENSITIVITY,
+    SIDE_FORCE,
+    CartShift,
+    Delay,
+    DisplacementEffect,
+    Motion,
+    TimingEffect,
+    acts_on_recording,
+    apply_first_order_lowpass,
+)
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.column_names import ROOM_TEMPERATURE
+from tau_dyn.log import ROOM_TEMPERATURE
 from tau_dyn.model import COMPUTED, Model
 from tau_dyn.simulate.memory import Memory, compute_warm_up, repeat_signals
 from tau_dyn.simulate.plant import PlantRun

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.effects import Effect, Hysteresis
-from tau_dyn.effects.hysteresis import STATE
+from tau_dyn.effects import STATE, Effect, Hysteresis
 
 COLD, RISE, WARMING_S = 20.0, 20.0, 60.0
 

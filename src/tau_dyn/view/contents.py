@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tau_dyn.modes.on_robot import ShapesOnRobot
+from tau_dyn.modes import ShapesOnRobot
 
 
 @dataclass(frozen=True)

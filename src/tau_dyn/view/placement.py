@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.kinematics import LoopSolver
+from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import Robot
 from tau_dyn.view.shapes import Shape
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import forward_kinematics
 from tau_dyn.log import Log
+from tau_dyn.mechanism import forward_kinematics
 from tau_dyn.robot import Robot
 
 FRAMES_HZ = 30.0  # Hz, as screens and films

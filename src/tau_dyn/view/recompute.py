@@ -22,8 +22,7 @@ def recompute_workspace(robot: Robot, resolution: float, box: np.ndarray) -> tup
         resolution: Of the result [m]; no finer one is used.
         box: Corners (2, 3) [m] of the workspace.
     """
-    from tau_dyn.kinematics.workspace.study import study_workspace
-    from tau_dyn.kinematics.workspace.table import build_points_table
+    from tau_dyn.kinematics.workspace import build_points_table, study_workspace
 
     step = max(resolution, float(np.ptp(box, axis=0).max()) / _ACROSS)
     table = build_points_table(study_workspace(robot, resolution=step, maps=["condition"]))
@@ -40,10 +39,9 @@ def recompute_calibration(content: dict[str, Any], robot: Robot, path: Path) -> 
     Raises:
         InputError: They are not.
     """
-    from tau_dyn.calibrate import read_poses
-    from tau_dyn.calibrate.frames import align
-    from tau_dyn.kinematics import forward_kinematics
-    from tau_dyn.robot.annotations import read_annotations
+    from tau_dyn.calibrate import align, read_poses
+    from tau_dyn.mechanism import forward_kinematics
+    from tau_dyn.robot import read_annotations
 
     files = [i for i in content.get("inputs", []) if str(i["path"]).endswith(".csv")]
     if not files:

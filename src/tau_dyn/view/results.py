@@ -11,7 +11,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
-from tau_dyn.log.table import MAX_MAGNITUDE, read_table
+from tau_dyn.log import MAX_MAGNITUDE, read_table
 from tau_dyn.robot import Robot
 from tau_dyn.view import recompute
 from tau_dyn.view.contents import Cloud, Content, ErrorVectors, Findings, Uncertainty, ViewedFinding
@@ -179,8 +179,7 @@ def _calibrate(content: dict[str, Any], robot: Robot, path: Path, compute: bool)
 
 
 def _modes(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> list[Content]:
-    from tau_dyn.modes.modal import Mode
-    from tau_dyn.modes.on_robot import project_shapes_on_robot
+    from tau_dyn.modes import Mode, project_shapes_on_robot
 
     outputs = [str(name) for name in content["outputs_used"]]
     modes = []

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
-from tau_dyn.modes.on_robot import ModeShape, ShapesOnRobot
+from tau_dyn.modes import ModeShape, ShapesOnRobot
 from tau_dyn.view.palette import NAMED, ROLES, escape_html
 from tau_dyn.view.placement import convert_to_wxyz
 from tau_dyn.view.scene import compute_link_pose

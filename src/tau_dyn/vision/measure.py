@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.log.column_names import format_names
+from tau_dyn.log import format_names
 from tau_dyn.vision.album import Album, Images, check_cameras, check_some, read_album
 from tau_dyn.vision.bundle import Views
 from tau_dyn.vision.cameras import Cameras, check_lens
 from tau_dyn.vision.pattern import Pattern
 from tau_dyn.vision.pose_table import CameraPoseTable, Positions
-from tau_dyn.vision.solve import CameraSolution, solve
+from tau_dyn.vision.solution import CameraSolution, solve
 
 
 def measure_poses_from_images(

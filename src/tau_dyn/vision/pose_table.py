@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log.column_names import format_names
-from tau_dyn.log.table import read_table
+from tau_dyn.log import format_names, read_table
 from tau_dyn.vision.cameras import Cameras
 
 POSE = ("x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool")

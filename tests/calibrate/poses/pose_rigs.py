@@ -6,14 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from tau_dyn.calibrate import Geometry
 from tau_dyn.calibrate.frames import Frame
-from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.poses.automation import build_geometry
 from tau_dyn.calibrate.poses.camera import Camera, CameraPattern, build_camera_frame, build_target_frame
 from tau_dyn.calibrate.poses.tracker import Tracker
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import Poses, build_rods, inverse_kinematics
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -15,16 +15,22 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 from pose_rigs import at, camera, candidates, l1, six_axes
 
-from tau_dyn.calibrate.poses import CalibrationCampaign, plan_campaign
-from tau_dyn.calibrate.poses.path_check import PathCheck
-from tau_dyn.calibrate.poses.progress_file import build_new_progress, read_progress, run_campaign
-from tau_dyn.calibrate.poses.rapid import format_rapid_module, format_tour_csv
-from tau_dyn.calibrate.poses.reachable import Safety, find_reachable
+from tau_dyn.calibrate.poses import (
+    CalibrationCampaign,
+    PathCheck,
+    Safety,
+    format_rapid_module,
+    format_tour_csv,
+    plan_campaign,
+    read_progress,
+)
+from tau_dyn.calibrate.poses.progress_file import build_new_progress, run_campaign
+from tau_dyn.calibrate.poses.reachable import find_reachable
 from tau_dyn.calibrate.poses.tour import plan_tour
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.kinematics.obstacles import Surroundings, build_surroundings
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
+from tau_dyn.kinematics import Surroundings
+from tau_dyn.kinematics.obstacles import build_surroundings
+from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
 from tau_dyn.report.poses_terminal import describe_headline, describe_inputs, describe_rehearsal
 
 LAB = build_surroundings(

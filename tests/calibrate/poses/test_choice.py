@@ -13,17 +13,22 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 from pose_rigs import candidates, l1_geometry
 
-from tau_dyn.calibrate.geometry import constrain_parameters
-from tau_dyn.calibrate.geometry_fit import fit_geometry_to_poses
-from tau_dyn.calibrate.pose_set import PoseSet
-from tau_dyn.calibrate.poses.choice import PoseChoice, choose_from, choose_poses
+from tau_dyn.calibrate import PoseSet, constrain_parameters, fit_geometry_to_poses
+from tau_dyn.calibrate.poses import (
+    CalibrationPrediction,
+    PoseChoice,
+    UniformDevice,
+    choose_poses,
+    compute_doubling_gain,
+    compute_min_poses,
+)
+from tau_dyn.calibrate.poses.choice import choose_from
 from tau_dyn.calibrate.poses.criteria import NAMES, build_criterion, compute_observability_indices
 from tau_dyn.calibrate.poses.design import PoseDesign, build_design
-from tau_dyn.calibrate.poses.devices import UniformDevice, add_noise, transform_to_device
+from tau_dyn.calibrate.poses.devices import add_noise, transform_to_device
 from tau_dyn.calibrate.poses.exchange import PoseExchange, leave_one_out
 from tau_dyn.calibrate.poses.monte_carlo import draw_robot, simulate_measurement
-from tau_dyn.calibrate.poses.pose_count import compute_doubling_gain, compute_min_poses
-from tau_dyn.calibrate.poses.prediction import CalibrationPrediction, predict
+from tau_dyn.calibrate.poses.prediction import predict
 from tau_dyn.calibrate.poses.refine import refine
 from tau_dyn.exceptions import InputError
 

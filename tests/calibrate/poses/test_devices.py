@@ -12,17 +12,16 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 from pose_rigs import MIDDLE, at, camera, candidates, l1, tracker
 
+from tau_dyn.calibrate.poses import PathCheck, read_camera, read_tracker
 from tau_dyn.calibrate.poses.camera import CameraPattern, build_camera_frame
-from tau_dyn.calibrate.poses.device_file import read_camera, read_tracker
 from tau_dyn.calibrate.poses.devices import transform_to_device
 from tau_dyn.calibrate.poses.line_of_sight import find_occlusions
-from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.calibrate.poses.reachable import Reachable
 from tau_dyn.calibrate.poses.visible import find_visible
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.obstacles import Surroundings, build_surroundings
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
+from tau_dyn.kinematics import Surroundings
+from tau_dyn.kinematics.obstacles import build_surroundings
+from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
 
 SPREAD = at((1.7, -0.6, 0.7), (1.4, -0.2, 1.0), (2.1, -0.9, 0.4), (1.8, -0.3, 0.3))
 

@@ -14,6 +14,7 @@ from tau_dyn.control import (
     Correction,
     LearningLaw,
     MotorSide,
+    Reference as Repeated,
     TimeShift,
     apply_correction,
     build_correction,
@@ -26,11 +27,10 @@ from tau_dyn.control import (
     write_correction,
     write_reference,
 )
-from tau_dyn.control import Reference as Repeated
 from tau_dyn.control.interface.reference import compute_digest
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
-from tau_dyn.modes.actuators import Actuator
+from tau_dyn.modes import Actuator
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Trajectory, move
 

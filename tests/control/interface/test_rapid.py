@@ -9,7 +9,7 @@ import pytest
 
 from tau_dyn.control import format_rapid_motion
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import convert_to_quaternions, forward_kinematics
+from tau_dyn.mechanism import convert_to_quaternions, forward_kinematics
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Trajectory
 

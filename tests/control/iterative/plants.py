@@ -6,8 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tau_dyn.control.iterative import Reference, stack_controlled_actuators
-from tau_dyn.modes import StateSpace
-from tau_dyn.modes.actuators import Actuator
+from tau_dyn.modes import Actuator, StateSpace
 
 DT = 0.004
 N = 400

@@ -17,7 +17,7 @@ from tau_dyn.control.iterative import (
     design_low_pass,
     stack_controlled_actuators,
 )
-from tau_dyn.modes.actuators import Actuator
+from tau_dyn.modes import Actuator
 
 DT = 0.004
 PRINTED = ((0.03527, 0.9647), (0.03425, 0.9656), (0.02748, 0.9728))  # (6.11)

@@ -13,10 +13,8 @@ from tau_dyn.kinematics.accuracy import (
     sample_default_motion,
 )
 from tau_dyn.kinematics.accuracy.default_poses import ENOUGH_POINTS
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.solvers import get_rods
-from tau_dyn.robot import load_robot
-from tau_dyn.robot.expand import list_robot_names
+from tau_dyn.mechanism import forward_kinematics, get_rods
+from tau_dyn.robot import list_robot_names, load_robot
 
 VARIANTS = [
     ("gantry_tau", {"arms": "complete"}),

@@ -14,17 +14,15 @@ from tau_dyn.kinematics.accuracy import (
     RodError,
     build_device,
     build_isotropic_error,
+    certified as certified_bound,
     compute_positioning_errors,
     ellipsoids,
     parallelepiped,
 )
-from tau_dyn.kinematics.accuracy import certified as certified_bound
 from tau_dyn.kinematics.accuracy.monte_carlo import draw, monte_carlo
 from tau_dyn.kinematics.accuracy.rod_device import Moved, State
 from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, solve_worst_case
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import build_rods
+from tau_dyn.mechanism import Poses, build_rods, forward_kinematics
 from tau_dyn.robot import load_robot
 
 CASE_2 = {

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assumptions import check_orientation, check_parallelism, fit_guideway, load_shift
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 NOISE = 10e-6
 FRAME = Rotation.from_euler("xyz", (0.3, -0.5, 1.1)).as_matrix()

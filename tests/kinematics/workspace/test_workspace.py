@@ -12,10 +12,8 @@ from raising import raises_code
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.obstacles import build_surroundings
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace import PoseRequirements, find_workspace, measure_tilt
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.study import study_workspace
+from tau_dyn.kinematics.workspace import PoseRequirements, build_machine, find_workspace, measure_tilt, study_workspace
+from tau_dyn.mechanism import Poses
 from tau_dyn.robot import load_robot
 
 
@@ -253,7 +251,7 @@ def test_place_of_the_tilt_may_be_an_array() -> None:
 
 def test_judged_positions_reach_their_places(gantry) -> None:
     """Forward kinematics of the positions kept is the place that was asked for."""
-    from tau_dyn.kinematics.forward import forward_kinematics
+    from tau_dyn.mechanism import forward_kinematics
 
     found = find_workspace(gantry, resolution=0.1, demands=FREE)
     inside = found.place_codes == 0

@@ -28,9 +28,8 @@ from tau_dyn.calibrate.poses.reachable import WANTED, Reachable, Safety, find_re
 from tau_dyn.calibrate.poses.tour import Tour, plan_tour
 from tau_dyn.calibrate.poses.visible import Visible, find_visible
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.machines import build_machine
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
+from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
+from tau_dyn.mechanism import Poses
 from tau_dyn.robot import Robot
 
 _NOISE = (1e-4, 1e-4)

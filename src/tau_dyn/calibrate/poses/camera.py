@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.frames import DeviceFrames, Frame, compute_mean_rotation
 from tau_dyn.calibrate.poses.devices import SEEN, transform_to_base, transform_to_device
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 _STEPS = 8  # iterations of the pose of a view
 _AT_REST = 1e-10  # largest part of a step at which the iteration ends

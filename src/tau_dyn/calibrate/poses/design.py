@@ -24,7 +24,7 @@ from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.calibrate.residuals import FitState, Problem
 from tau_dyn.calibrate.unknowns import Unknowns, collect
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 _SEEN = 1e-3
 """Part of the largest tool shift below which a parameter that no candidate tells is left out of the warning."""

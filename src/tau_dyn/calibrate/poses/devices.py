@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import DeviceFrames
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 SEEN = ""
 

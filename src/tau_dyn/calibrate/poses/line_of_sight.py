@@ -6,10 +6,9 @@ import numpy as np
 
 from tau_dyn.calibrate.poses.devices import SEEN, MeasuringDevice
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, build_standing_solid, find_collisions
-from tau_dyn.kinematics.obstacles import Surroundings
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel
+from tau_dyn.kinematics import PlacedSolid, Surroundings, build_capsule, build_standing_solid, find_collisions
+from tau_dyn.kinematics.workspace import WorkspaceModel
+from tau_dyn.mechanism import Poses
 
 _BEAM = 1e-4  # [m] radius of a line of sight
 _FREE = 0.02  # [m] before the mark that may be hidden: the target's own mount

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tau_dyn.kinematics.collisions import PlacedSolid
-from tau_dyn.kinematics.dexterity import Rates
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machine import InverseSolution, WorkspaceModel
-from tau_dyn.kinematics.workspace.pose_check import PoseChecker
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
+from tau_dyn.kinematics import PlacedSolid, Rates
+from tau_dyn.kinematics.workspace import INSIDE, InverseSolution, PoseChecker, PoseRequirements, WorkspaceModel
+from tau_dyn.mechanism import Poses, forward_kinematics
 
 _STEPS = 40
 """Places at which a move over the whole travel is looked at."""

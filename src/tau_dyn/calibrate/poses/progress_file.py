@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.files import read_bytes, write_whole
-from tau_dyn.kinematics.poses import Poses, convert_from_quaternions, convert_to_quaternions
+from tau_dyn.mechanism import Poses, convert_from_quaternions, convert_to_quaternions
 
 _VERSION = 1  # version of the file format
 _MAX_FILE_BYTES = 64 * 2**20  # [bytes]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.control.interface.rapid_text import (
+from tau_dyn.control.interface import (
     format_array,
     format_comment,
     format_jointtarget,
@@ -20,7 +20,7 @@ from tau_dyn.control.interface.rapid_text import (
     require_rapid_name,
 )
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
+from tau_dyn.mechanism import Poses, convert_to_quaternions
 
 
 def format_rapid_module(

@@ -17,14 +17,16 @@ from scipy.stats import qmc
 
 from tau_dyn.calibrate.poses.path_check import PathCheck
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.kinematics.ball_joints import DEFAULT_ANGLE
-from tau_dyn.kinematics.obstacles import Obstacle
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.workspace.find import find_workspace
-from tau_dyn.kinematics.workspace.lattice import INSIDE
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
-from tau_dyn.kinematics.workspace.pose_check import PoseChecker
-from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
+from tau_dyn.kinematics import Obstacle
+from tau_dyn.kinematics.workspace import (
+    INSIDE,
+    PoseChecker,
+    PoseRequirements,
+    WorkspaceModel,
+    find_workspace,
+    get_travel,
+)
+from tau_dyn.mechanism import DEFAULT_ANGLE, Poses
 
 WANTED = 1000
 """Candidates that are enough to choose a hundred poses from."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.poses.devices import SEEN, add_noise, transform_to_base, transform_to_device
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 
 @dataclass(frozen=True, eq=False)

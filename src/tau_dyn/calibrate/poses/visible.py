@@ -11,8 +11,8 @@ from tau_dyn.calibrate.poses.devices import SEEN, MeasuringDevice
 from tau_dyn.calibrate.poses.line_of_sight import check_place, find_occlusions
 from tau_dyn.calibrate.poses.reachable import Reachable
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.kinematics.obstacles import Surroundings
-from tau_dyn.kinematics.workspace.machine import WorkspaceModel
+from tau_dyn.kinematics import Surroundings
+from tau_dyn.kinematics.workspace import WorkspaceModel
 
 _HELP = {
     "nearer": "a device farther away",

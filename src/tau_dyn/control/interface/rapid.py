@@ -18,7 +18,7 @@ from tau_dyn.control.interface.rapid_text import (
     require_rapid_name,
 )
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import convert_to_quaternions, forward_kinematics
+from tau_dyn.mechanism import convert_to_quaternions, forward_kinematics
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory
 

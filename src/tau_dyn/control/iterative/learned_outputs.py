@@ -17,7 +17,7 @@ import numpy as np
 from tau_dyn.control.iterative.lifted_system import Operator, build_convolution, compute_pulse_response
 from tau_dyn.control.iterative.reference import Reference
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes import StateSpace
 
 
 class TrialMeasurement(Protocol):

@@ -15,8 +15,7 @@ from scipy.linalg import toeplitz
 from scipy.sparse.linalg import LinearOperator
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.actuators import Actuator
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes import Actuator, StateSpace
 
 Operator = Any
 """A scipy `LinearOperator`: `A @ x`, `A.T`, sums and products; its type stubs know less than it does."""

@@ -1,13 +1,5 @@
 """Lead-through programming with two force sensors: Dressler 2012, chapter 8."""
 
-from tau_dyn.control.lead_through.lead_through import LeadThrough
-from tau_dyn.control.lead_through.sensor import ForceSensor
-from tau_dyn.control.lead_through.settings import LeadThroughSettings
-from tau_dyn.control.lead_through.stability import ForceLoop, StabilityLimit
-from tau_dyn.deprecated_names import get_deprecated
+from tau_dyn.public_names import attach_public_names
 
-__all__ = ["ForceLoop", "ForceSensor", "LeadThrough", "LeadThroughSettings", "StabilityLimit"]
-
-
-def __getattr__(name: str) -> object:
-    return get_deprecated(__name__, name)
+__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)

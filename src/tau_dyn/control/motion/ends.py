@@ -6,8 +6,8 @@ import numpy as np
 
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import inverse_kinematics
-from tau_dyn.kinematics.pose_columns import place_home_orientation
+from tau_dyn.kinematics import place_home_orientation
+from tau_dyn.mechanism import inverse_kinematics
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 

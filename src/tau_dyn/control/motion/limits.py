@@ -10,7 +10,7 @@ from tau_dyn.control.per_joint import PerJoint, broadcast_limit
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
-from tau_dyn.simulate.limits import compute_condition_bound
+from tau_dyn.simulate import compute_condition_bound
 
 _NONE = 1e8  # acceleration [m/s^2 or rad/s^2] above which a drive is as good as unlimited
 

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tau_dyn.control.motion.limits import MotionLimits
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics import follow_path, forward_kinematics
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.kinematics import follow_path
+from tau_dyn.mechanism import Poses, forward_kinematics
 from tau_dyn.model import Model
 
 PathShape = Literal["line"] | np.ndarray

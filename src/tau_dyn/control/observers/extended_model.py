@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes import StateSpace
 
 
 @dataclass(frozen=True, eq=False)

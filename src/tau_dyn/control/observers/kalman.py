@@ -27,7 +27,7 @@ from tau_dyn.control.iterative.lifted_system import Operator, build_convolution,
 from tau_dyn.control.observers.extended_model import ExtendedModel, extend_model
 from tau_dyn.control.observers.signals import require_signals
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes import StateSpace
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from tau_dyn.control.observers.complementary import ComplementaryToolObserver
 from tau_dyn.control.observers.kalman import KalmanToolObserver
 from tau_dyn.control.observers.whiteness import Whiteness, check_whiteness
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes import StateSpace
 
 
 @dataclass(frozen=True, eq=False)

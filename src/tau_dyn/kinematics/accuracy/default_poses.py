@@ -6,10 +6,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.section import UNLIMITED, Grid, Section, describe_unreached, lay_grid
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.jacobians import jacobian
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods, forward_kinematics, jacobian
 from tau_dyn.robot import Robot
 
 ENOUGH_POINTS = 10

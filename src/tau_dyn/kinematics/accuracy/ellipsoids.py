@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State, solve
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 _STEPS = 60  # Newton steps; corners that need more do not exist
 _TOLERANCE = 1e-12

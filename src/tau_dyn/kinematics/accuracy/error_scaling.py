@@ -9,8 +9,7 @@ import numpy as np
 
 from tau_dyn.kinematics.accuracy.error_bounds import MAX_ERROR_SIZE, ErrorBounds
 from tau_dyn.kinematics.accuracy.study import Accuracy, build_device, compute_positioning_errors
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.robot import Robot
 
 FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)

@@ -16,8 +16,7 @@ from tau_dyn.kinematics.accuracy.parallelepiped import compute_half_edges
 from tau_dyn.kinematics.accuracy.section import Grid
 from tau_dyn.kinematics.accuracy.study import METHODS, Accuracy, build_device, compute_positioning_errors
 from tau_dyn.kinematics.assumptions import Guideway, Orientation, Parallelism
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.robot import Robot
 from tau_dyn.shown import Shown
 

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.sources import Sources
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 
 _TOLERANCE = 1e-12
 """[m and rad] After a step this small the next one, a quadratic one, would be rounding."""

@@ -9,10 +9,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods, forward_kinematics, inverse_kinematics
 from tau_dyn.robot import Robot
 
 AXES = "xyz"

@@ -8,9 +8,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.error_bounds import ErrorBounds
 from tau_dyn.kinematics.accuracy.rod_device import Moved, State
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.jacobians import jacobian
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses, forward_kinematics, jacobian
 from tau_dyn.robot import Robot
 
 

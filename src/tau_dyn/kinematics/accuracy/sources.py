@@ -17,7 +17,7 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.accuracy.error_bounds import ActuatorError, ErrorBounds
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Rods
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,7 @@ from tau_dyn.kinematics.accuracy.rod_device import RodDevice, State
 from tau_dyn.kinematics.accuracy.serial_device import SerialDevice
 from tau_dyn.kinematics.accuracy.sources import build_rod_sources
 from tau_dyn.kinematics.accuracy.worst_case import bound_first_order, solve_worst_case
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 from tau_dyn.robot import Robot
 
 METHODS = ("linear", "parallelepiped", "ellipsoid", "exact", "certified", "montecarlo")

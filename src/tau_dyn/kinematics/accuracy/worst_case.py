@@ -20,7 +20,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from tau_dyn.kinematics.accuracy.rod_device import Moved, State
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 MAX_ITERATIONS = 12
 """Steps to first order; each doubles the digits of a direction that is not a corner already."""

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.kinematics.assembly.states import compute_plate_jacobian
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 
 _CLOSED = 1e-10  # [m] largest gap of a sample
 _CHORDS = 12

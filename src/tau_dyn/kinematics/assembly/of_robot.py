@@ -12,13 +12,19 @@ import numpy as np
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly.modes import AssemblyModes, find_assembly_modes
 from tau_dyn.kinematics.assembly.tree_modes import search_tree_modes
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
-from tau_dyn.kinematics.positions import require_positions
-from tau_dyn.kinematics.rods import Rods, build_rods
-from tau_dyn.kinematics.solver_cache import get_cached
-from tau_dyn.kinematics.solvers import get_robot, get_rods, get_solver
-from tau_dyn.kinematics.tree_pose import TreePose
+from tau_dyn.mechanism import (
+    Poses,
+    Rods,
+    TreePose,
+    build_rods,
+    convert_to_quaternions,
+    forward_kinematics,
+    get_cached,
+    get_robot,
+    get_rods,
+    get_solver,
+    require_positions,
+)
 from tau_dyn.robot import Robot
 
 _FLAT = 1e-12

@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly.motion import Limits, Sample, advance, measure_pose_distances, sample_at
 from tau_dyn.kinematics.assembly.states import solve_configuration_states
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 
 HOME, REACHABLE, SEPARATED, UNKNOWN = "home", "reachable", "behind a singularity", "unknown"
 

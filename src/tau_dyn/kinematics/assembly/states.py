@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
+from tau_dyn.mechanism import Poses, Rods
 
 _NOISE = 1e-10
 """Smallest singular value, as a share of the largest, below which a determinant has no sign."""

@@ -15,9 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.tree_arrays import Frames, compute_frames
-from tau_dyn.kinematics.tree_pose import TreePose
+from tau_dyn.mechanism import Frames, Poses, TreePose, compute_frames
 
 _BATCH = 100  # starts at a time
 _MAX_STARTS = 3000  # of one set of actuated positions

@@ -1,15 +1,5 @@
 """Are guideways straight and parallel, does the plate keep its orientation: thesis 4.2's assumptions, on measured points."""
 
-from tau_dyn.kinematics.assumptions.guideway import Guideway, fit_guideway, load_shift
-from tau_dyn.kinematics.assumptions.orientation import Orientation, check_orientation
-from tau_dyn.kinematics.assumptions.parallelism import Parallelism, check_parallelism
+from tau_dyn.public_names import attach_public_names
 
-__all__ = [
-    "Guideway",
-    "Orientation",
-    "Parallelism",
-    "check_orientation",
-    "check_parallelism",
-    "fit_guideway",
-    "load_shift",
-]
+__getattr__, __dir__, __all__ = attach_public_names(__name__, __file__)

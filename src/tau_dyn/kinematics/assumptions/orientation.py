@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assumptions.guideway import SIGNIFICANCE_LEVEL
-from tau_dyn.kinematics.poses import Poses
+from tau_dyn.mechanism import Poses
 
 MIN_ORIENTATION_POSES = 6  # poses; three angles have a mean and a scatter each
 POLE_DISTANCE_RAD = np.radians(2.0)

@@ -8,7 +8,6 @@ import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.kinematics.collisions import measure_thickness
-from tau_dyn.kinematics.poses import Poses, require_poses
 from tau_dyn.kinematics.workspace.footprint import build_footprint
 from tau_dyn.kinematics.workspace.lattice import INSIDE, ClassifiedLattice, Lattice, build_lattice, classify_lattice
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
@@ -24,6 +23,7 @@ from tau_dyn.kinematics.workspace.measure import (
 from tau_dyn.kinematics.workspace.pose_check import PoseChecker
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements
 from tau_dyn.kinematics.workspace.result import Workspace
+from tau_dyn.mechanism import Poses, require_poses
 from tau_dyn.robot import Robot
 
 _CELLS = 60

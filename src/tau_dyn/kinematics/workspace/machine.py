@@ -10,9 +10,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.bodies import Body
 from tau_dyn.kinematics.collisions import PlacedSolid, build_standing_solid, move_solid
 from tau_dyn.kinematics.dexterity import Rates
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.tree_arrays import Frames, compute_frames
+from tau_dyn.mechanism import Frames, Poses, Rods, compute_frames
 from tau_dyn.robot import Robot
 
 _SAMPLES = 4000

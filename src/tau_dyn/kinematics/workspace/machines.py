@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tau_dyn.kinematics.rods import NotRods, build_rods
 from tau_dyn.kinematics.workspace.rod_machine import RodMachine
 from tau_dyn.kinematics.workspace.tree_machine import TreeMachine
+from tau_dyn.mechanism import NotRods, build_rods
 from tau_dyn.robot import Robot
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.kinematics.dexterity import Rates, compute_dexterity, compute_worst_force, compute_worst_speed
-from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.stiffness import Softest, Springs, combine_in_series, compute_compliance, find_softest
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
+from tau_dyn.mechanism import Poses
 from tau_dyn.robot import Robot
 
 JOINT_STIFFNESS = 115e6

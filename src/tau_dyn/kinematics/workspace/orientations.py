@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.result import Workspace
+from tau_dyn.mechanism import Poses
 
 _SIDES = 24  # directions of leaning, 15 degrees apart
 _MAX_TILT_RAD = np.deg2rad(120.0)

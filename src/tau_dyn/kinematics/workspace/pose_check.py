@@ -6,15 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.kinematics.ball_joints import BallJoints, find_ball_joints
 from tau_dyn.kinematics.collisions import PlacedSolid, find_touched_obstacle
 from tau_dyn.kinematics.dexterity import compute_dexterity
-from tau_dyn.kinematics.joint_limits import SLACK, unwind_turns
-from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.lattice import INSIDE
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel, get_travel
 from tau_dyn.kinematics.workspace.pairs import list_pairs
 from tau_dyn.kinematics.workspace.pose_requirements import PoseRequirements, Reasons
+from tau_dyn.mechanism import SLACK, BallJoints, Poses, find_ball_joints, unwind_turns
 
 _BATCH = 20000  # poses at a time, tens of MB
 

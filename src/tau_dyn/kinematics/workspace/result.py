@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.workspace.lattice import INSIDE, Lattice
 from tau_dyn.kinematics.workspace.machine import WorkspaceModel
 from tau_dyn.kinematics.workspace.measure import Size
 from tau_dyn.kinematics.workspace.pose_check import PoseChecker
 from tau_dyn.kinematics.workspace.pose_requirements import KINDS, Reasons
+from tau_dyn.mechanism import Poses
 
 _MEASURES = {1: ("length", "m"), 2: ("area", "m2"), 3: ("volume", "m3")}
 

@@ -7,11 +7,8 @@ import numpy as np
 from tau_dyn.kinematics.bodies import Body, build_rod_body, measure_rod_radius, read_bodies
 from tau_dyn.kinematics.collisions import PlacedSolid, build_capsule, move_solid
 from tau_dyn.kinematics.dexterity import Rates
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.tree_arrays import list_joints
 from tau_dyn.kinematics.workspace.machine import InverseSolution, compute_joint_frames, draw_positions, place_body
+from tau_dyn.mechanism import Poses, Rods, inverse_kinematics, list_joints
 
 _TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
 

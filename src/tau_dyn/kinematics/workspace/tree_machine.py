@@ -7,17 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tau_dyn.kinematics import jacobians
 from tau_dyn.kinematics.bodies import read_bodies
 from tau_dyn.kinematics.collisions import PlacedSolid
 from tau_dyn.kinematics.dexterity import Rates
-from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import inverse_kinematics
-from tau_dyn.kinematics.poses import Poses
-from tau_dyn.kinematics.rods import Rods
-from tau_dyn.kinematics.solvers import get_solver
-from tau_dyn.kinematics.tree_pose import TreePose
 from tau_dyn.kinematics.workspace.machine import InverseSolution, draw_positions, place_body
+from tau_dyn.mechanism import Poses, Rods, TreePose, forward_kinematics, get_solver, inverse_kinematics, jacobians
 from tau_dyn.robot import Robot
 
 _WAVES = 300

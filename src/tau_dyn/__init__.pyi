@@ -1,0 +1,17 @@
+from .calibrate import calibrate as calibrate
+from .control import Feedforward as Feedforward
+from .diagnose import diagnose as diagnose
+from .exceptions import CannotAnswer as CannotAnswer, InputError as InputError, TauDynError as TauDynError
+from .identify import Choices as Choices, build_regression as build_regression, identify as identify
+from .log import Log as Log, check_log as check_log, read_log as read_log
+from .mechanism import (
+    build_mechanism as build_mechanism,
+    forward_kinematics as forward_kinematics,
+    inverse_kinematics as inverse_kinematics,
+)
+from .model import Model as Model
+from .modes import find_modes as find_modes
+from .report import write_report as write_report
+from .robot import load_robot as load_robot
+from .simulate import simulate as simulate
+from .version import __version__ as __version__

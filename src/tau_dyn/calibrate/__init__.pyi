@@ -1,0 +1,19 @@
+"""Kinematic calibration: from measured poses to a geometry with uncertainty, and what each model gains."""
+
+from .calibration import calibrate as calibrate
+from .candidates import CandidateModel as CandidateModel
+from .causes import CalibrationFinding as CalibrationFinding
+from .compensation import build_compensation as build_compensation
+from .frames import align as align
+from .geometry import Geometry as Geometry, Predicted as Predicted, constrain_parameters as constrain_parameters
+from .geometry_fit import GeometryFit as GeometryFit, fit_geometry_to_poses as fit_geometry_to_poses
+from .pose_errors import PoseErrors as PoseErrors
+from .pose_set import PoseSet as PoseSet, join_pose_sets as join_pose_sets, read_poses as read_poses
+from .result import (
+    Calibration as Calibration,
+    build_frame_rows as build_frame_rows,
+    build_parameter_rows as build_parameter_rows,
+    list_correlated_pairs as list_correlated_pairs,
+)
+from .saved import load_calibration as load_calibration, save_calibration as save_calibration
+from .sensitivity import CHANGE as CHANGE, compute_sensitivities as compute_sensitivities

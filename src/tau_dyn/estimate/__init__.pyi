@@ -1,0 +1,45 @@
+"""The engines that torque, pose and vibration share: linear regressions, noise, base parameters, physics."""
+
+from .autoregression import Autoregression as Autoregression, fit_autoregression as fit_autoregression
+from .base_parameters import (
+    BaseParameters as BaseParameters,
+    find_base as find_base,
+    read_expression as read_expression,
+)
+from .covariance import BLOCK_S as BLOCK_S, ROUNDING as ROUNDING
+from .estimate import MAX_RELATIVE_STDERR as MAX_RELATIVE_STDERR, Estimate as Estimate
+from .instrumental_variables import (
+    InstrumentalSolution as InstrumentalSolution,
+    WhiteRows as WhiteRows,
+    estimate_of as estimate_of,
+    solve_instrumental_variables as solve_instrumental_variables,
+)
+from .least_squares import solve_least_squares as solve_least_squares
+from .parameter_combination import ParameterSum as ParameterSum, combine_parameters as combine_parameters
+from .physical_consistency import solve_consistent as solve_consistent
+from .physics import (
+    InertialBody as InertialBody,
+    PhysicalConstraints as PhysicalConstraints,
+    pseudo_inertia as pseudo_inertia,
+)
+from .position_noise import (
+    REACH as REACH,
+    PositionNoise as PositionNoise,
+    compute_accelerations as compute_accelerations,
+)
+from .prior import build_prior_rows as build_prior_rows
+from .regression import (
+    Regression as Regression,
+    RegressionRows as RegressionRows,
+    RegressionRun as RegressionRun,
+    StreamedData as StreamedData,
+)
+from .robust import (
+    compute_bisquare_weights as compute_bisquare_weights,
+    compute_robust_covariance_factor as compute_robust_covariance_factor,
+    estimate_robust_scale as estimate_robust_scale,
+)
+from .scaled import scale_columns as scale_columns, solve_scaled as solve_scaled
+from .stored_rows import StoredRows as StoredRows
+from .sufficient_statistics import SufficientStatistics as SufficientStatistics
+from .whitening import Whitener as Whitener

@@ -1,0 +1,28 @@
+"""What follows from a mechanism's kinematics: paths, workspace, accuracy, assembly modes."""
+
+from .collisions import (
+    PlacedSolid as PlacedSolid,
+    build_capsule as build_capsule,
+    build_standing_solid as build_standing_solid,
+    find_collisions as find_collisions,
+)
+from .dexterity import Rates as Rates
+from .obstacles import (
+    Obstacle as Obstacle,
+    Surroundings as Surroundings,
+    add_limits as add_limits,
+    read_surroundings as read_surroundings,
+)
+from .path_following import FollowedPath as FollowedPath, follow_path as follow_path
+from .pose_columns import (
+    pick_columns as pick_columns,
+    place_home_orientation as place_home_orientation,
+    read_poses as read_poses,
+    read_positions as read_positions,
+)
+from .pose_table import (
+    PoseTable as PoseTable,
+    build_forward_table as build_forward_table,
+    build_inverse_table as build_inverse_table,
+)
+from .shapes import Box as Box, Capsule as Capsule, Cylinder as Cylinder, HalfSpace as HalfSpace

@@ -1,0 +1,295 @@
+r"""The closed loops solved for many samples at once, as `loops.py` solves them one by one; arrays have samples last.
+
+Every sample starts from the closure at the middle of its cell of actuated positions, moved along `G`, and Newton steps on
+all samples together do the rest. The middles are walked to from home in small steps, which selects home's assembly mode, and
+are kept. So a closure depends on its own positions alone: in which order, block or process samples come changes nothing.
+What does not converge (near a singularity, at the edge of reach) is left to the one-by-one solver, which says why not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from tau_dyn.mechanism.elimination import Elimination, Entries
+from tau_dyn.mechanism.loops import LoopSolver
+from tau_dyn.mechanism.pseudo_inverse import ILL, invert_matrices
+from tau_dyn.mechanism.tree_arrays import (
+    FrameMotion,
+    Frames,
+    Joint,
+    Vector,
+    add_vectors,
+    compute_cross_product,
+    compute_frames,
+    compute_motion,
+    transform_point,
+)
+
+_CELL = 0.05  # [m or rad] as far as one-by-one closures step
+_DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square
+_MAX_ITERATIONS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
+_MAX_PASSIVE_STEP = 0.5  # [m or rad] of a passive joint from its guess; more may be another assembly mode
+_MAX_CELLS_FROM_HOME = 2000  # cells from home beyond which positions are taken for a mistake of units
+_TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPACK
+
+
+class PassiveInverse(Protocol):
+    """What the passive Jacobian's (pseudo-)inverse must do, on arrays (n, ..., N)."""
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """Return `J_p^+ b`."""
+        ...
+
+    def solve_transposed(self, b: np.ndarray) -> np.ndarray:
+        """Return `J_p'^+ b`."""
+        ...
+
+
+class Dense(NamedTuple):
+    """Inverses (N, passive, 3 * loops) of matrices that elimination cannot do."""
+
+    inverse: np.ndarray
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """Return `J_p^+ b`."""
+        return np.einsum("npc,c...n->p...n", self.inverse, b)
+
+    def solve_transposed(self, b: np.ndarray) -> np.ndarray:
+        """Return `J_p'^+ b`."""
+        return np.einsum("npc,p...n->c...n", self.inverse, b)
+
+
+class ClosedLoops(NamedTuple):
+    """Closed configurations.
+
+    Attributes:
+        x: Positions of all joints (nv, N).
+        at: Their frames.
+        inverse: Of the passive constraint Jacobian.
+        G: Tree velocity per actuated velocity (nv, na, N).
+    """
+
+    x: np.ndarray
+    at: Frames
+    inverse: PassiveInverse
+    G: np.ndarray
+
+
+class _Ends(NamedTuple):
+    """One end of a loop: its joint, where it sits in that joint's frame, and the joints that carry it."""
+
+    joint: int
+    local: np.ndarray
+    carriers: tuple[int, ...]
+
+
+class LoopArrays:
+    """Solves the loops of one robot for arrays of samples."""
+
+    def __init__(self, solver: LoopSolver, joints: list[Joint]) -> None:
+        """Prepare for the robot and model of a one-by-one solver."""
+        self.solver, self.joints = solver, joints
+        robot, model = solver.robot, solver.model
+        self.active, self.passive = solver.active_v, solver.passive_v
+        self._by_index = {joint.index: joint for joint in joints}
+        self._ends = [(_end(model, loop.frame_a), _end(model, loop.frame_b)) for loop in robot.loops]
+        self._cells: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = {}
+        self._row = {int(v): k for k, v in enumerate(self.passive)}
+        self._plan = self._planned()
+        self._endless = np.array([model.joints[model.getJointId(j)].nq == 2 for j in robot.actuated])
+
+    def close(self, q: np.ndarray) -> ClosedLoops:
+        """Return the closed configurations at actuated positions `q` (N, na).
+
+        Raises:
+            LoopClosureError: The robot cannot reach one of them.
+        """
+        if not self._ends:
+            return self._without_loops(q)
+        x = self._started(q)
+        x, found = self._newton(x)
+        for k in np.flatnonzero(~found):
+            x[:, k] = self._positions(self.solver.close(q[k]))
+        return self._linearised(x)
+
+    def accelerations(self, closed: ClosedLoops, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the tree's accelerations (nv, N) at its velocities `v` (nv, N) and actuated accelerations `a` (na, N)."""
+        total = np.einsum("van,an->vn", closed.G, a)
+        if self._ends:
+            gap = self._gap_acceleration(closed.at, compute_motion(self.joints, closed.at, v, None, np.zeros(3)))
+            total[self.passive] -= closed.inverse.solve(gap)
+        return total
+
+    def _without_loops(self, q: np.ndarray) -> ClosedLoops:
+        x = np.zeros((self.solver.model.nv, len(q)))
+        x[self.active] = q.T
+        G = np.zeros((*x.shape[:1], len(self.active), 1))
+        G[self.active, range(len(self.active))] = 1.0
+        G = np.broadcast_to(G, (*G.shape[:2], len(q)))
+        return ClosedLoops(x, compute_frames(self.joints, x), Dense(np.zeros((len(q), 0, 0))), G)
+
+    def _started(self, q: np.ndarray) -> np.ndarray:
+        """Return a first guess of all positions (nv, N): the cell's middle, moved along its `G`."""
+        away = self._reduced(q - self.solver.robot.home)
+        nearest = np.clip(
+            np.round(away / _CELL), -_MAX_CELLS_FROM_HOME - 1, _MAX_CELLS_FROM_HOME + 1
+        )  # what is farther has no closure anyway
+        cells, which = np.unique(nearest.astype(int), axis=0, return_inverse=True)
+        self._learn(cells[[tuple(cell) not in self._cells for cell in cells.tolist()]])
+        known = [self._cells[tuple(cell)] for cell in cells.tolist()]
+        which = which.ravel()
+        x = np.stack([start for start, _ in known], axis=1)[:, which]
+        G = np.stack([slope for _, slope in known], axis=2)[:, :, which]
+        return x + np.einsum("van,an->vn", G, self._reduced(q - x[self.active].T).T)
+
+    def _reduced(self, away: np.ndarray) -> np.ndarray:
+        """Return distances (N, na), without whole turns of joints that turn forever."""
+        turn = 2 * np.pi * np.round(away / (2 * np.pi))
+        return np.where(self._endless, away - turn, away)
+
+    def _learn(self, cells: np.ndarray) -> None:
+        """Walk from home to the middles of new cells (n, na), all at once, and keep them."""
+        if not len(cells):
+            return
+        x = np.repeat(self._positions(self.solver.close(self.solver.robot.home))[:, None], len(cells), axis=1)
+        distance = np.abs(cells).max(axis=1)
+        x[:, distance > _MAX_CELLS_FROM_HOME] = np.nan
+        steps = int(distance[distance <= _MAX_CELLS_FROM_HOME].max(initial=0))
+        with np.errstate(all="ignore"):
+            for step in range(steps + 1):
+                G = self._linearised(x).G
+                if step < steps:
+                    x, found = self._newton(x + np.einsum("van,an->vn", G, _CELL / steps * cells.T))
+                    x[:, ~found] = np.nan
+        for k, cell in enumerate(cells.tolist()):
+            self._cells[tuple(cell)] = x[:, k], G[:, :, k]
+
+    def _newton(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return closed positions (nv, N), started at `x`, and where that worked (N,)."""
+        guess, x, found = x, x.copy(), np.zeros(x.shape[1], bool)
+        left = np.flatnonzero(np.isfinite(x).all(axis=0))
+        for _ in range(_MAX_ITERATIONS):
+            if not left.size:
+                break
+            now = x[:, left]
+            at = compute_frames(self.joints, now)
+            step = -self._inverse(self.entries(at))[0].solve(self.gap(at))
+            now[self.passive] += step
+            x[:, left] = now
+            done = np.abs(step).max(axis=0) < _DONE
+            found[left[done]] = True
+            astray = ~(np.abs(now - guess[:, left]).max(axis=0) < _MAX_PASSIVE_STEP)
+            left = left[~done & ~astray]
+        return x, found
+
+    def _linearised(self, x: np.ndarray) -> ClosedLoops:
+        at = compute_frames(self.joints, x)
+        entries = self.entries(at)
+        J_a = np.zeros((3 * len(self._ends), len(self.active), x.shape[1]))
+        for k, v in enumerate(self.active):
+            for (r, c), value in entries.items():
+                if c == v:
+                    J_a[r, k] = value
+        inverse, sure = self._inverse(entries, J_a)
+        G = np.zeros((x.shape[0], len(self.active), x.shape[1]))
+        G[self.active, range(len(self.active))] = 1.0
+        G[self.passive] = -(inverse.solve(J_a) if sure is None else sure)
+        return ClosedLoops(x, at, inverse, G)
+
+    def _inverse(self, entries: Entries, probe: np.ndarray | None = None) -> tuple[PassiveInverse, np.ndarray | None]:
+        """Return the passive Jacobian's inverse, and its product with a probe where elimination was tried and trusted on it."""
+        passive = self._passive(entries)
+        if self._plan is not None:
+            factor = self._plan.factor(passive)
+            if probe is None:
+                return factor, None
+            x = factor.solve(probe)
+            if np.all(factor.residual(x, probe) < _TRUSTED):
+                return factor, x
+        return Dense(invert_matrices(self._dense(passive, len(self.passive)))), None
+
+    def _planned(self) -> Elimination | None:
+        """Return how to eliminate at home and near it; None where the passive Jacobian has no inverse."""
+        if not self._ends or 3 * len(self._ends) != len(self.passive):
+            return None
+        home = self._positions(self.solver.close(self.solver.robot.home))
+        passive = self._passive(self.entries(compute_frames(self.joints, home[:, None])))
+        J = self._dense(passive, len(self.passive))[0]
+        return None if np.linalg.cond(J) > ILL else Elimination.plan(set(passive), J)
+
+    def jacobian(self, at: Frames) -> np.ndarray:
+        """Return the gaps' derivatives by passive speeds (N, 3 * loops, passive)."""
+        return self._dense(self._passive(self.entries(at)), len(self.passive))
+
+    def _passive(self, entries: Entries) -> Entries:
+        """Return the passive joints' columns, numbered among themselves."""
+        return {(r, self._row[c]): value for (r, c), value in entries.items() if c in self._row}
+
+    def _dense(self, entries: Entries, width: int) -> np.ndarray:
+        n = len(next(iter(entries.values())))
+        J = np.zeros((n, 3 * len(self._ends), width))
+        for (r, c), value in entries.items():
+            J[:, r, c] = value
+        return J
+
+    def entries(self, at: Frames) -> Entries:
+        """Return the gaps' derivatives by the tree's speeds: those that are not zero by structure."""
+        found: Entries = {}
+        for k, ends in enumerate(self._ends):
+            for end, sign in zip(ends, (1.0, -1.0), strict=True):
+                place = transform_point(at, end.joint, end.local)
+                for index in end.carriers:
+                    joint, z = self._by_index[index], at.axis[index]
+                    column = sign * (z if joint.slides else compute_cross_product(z, place - at.origin[index]))
+                    for r in range(3):
+                        before = found.get((3 * k + r, joint.v))
+                        found[3 * k + r, joint.v] = column[r] if before is None else before + column[r]
+        return found
+
+    def gap(self, at: Frames) -> np.ndarray:
+        """Return `p_A - p_B` of all loops (3 * loops, N) [m]."""
+        return np.concatenate(
+            [transform_point(at, a.joint, a.local) - transform_point(at, b.joint, b.local) for a, b in self._ends]
+        )
+
+    def closing_points(self, at: Frames) -> list[np.ndarray]:
+        """Return the points `p_A` of all loops, each (3, N) [m]."""
+        return [transform_point(at, a.joint, a.local) for a, _ in self._ends]
+
+    def _gap_acceleration(self, at: Frames, moving: FrameMotion) -> np.ndarray:
+        """Return the gaps' accelerations (3 * loops, N) [m/s^2]."""
+        zero = np.zeros_like(at.origin[0])
+
+        def of(end: _Ends) -> np.ndarray:
+            j = end.joint
+            arm = transform_point(at, j, end.local) - at.origin[j]
+            w = moving.turning[j]
+            total: Vector = add_vectors(
+                moving.acceleration[j],
+                add_vectors(
+                    compute_cross_product(moving.spinning_up[j], arm),
+                    compute_cross_product(w, compute_cross_product(w, arm)),
+                ),
+            )
+            return zero if total is None else total
+
+        return np.concatenate([of(a) - of(b) for a, b in self._ends])
+
+    def _positions(self, q: np.ndarray) -> np.ndarray:
+        """Return Pinocchio's configuration (nq,) as one position a joint (nv,)."""
+        x = np.empty(self.solver.model.nv)
+        for joint in self.joints:
+            item = self.solver.model.joints[joint.index]
+            at = item.idx_q
+            x[joint.v] = np.arctan2(q[at + 1], q[at]) if item.nq == 2 else q[at]
+        return x
+
+
+def _end(model: pin.Model, frame: int) -> _Ends:
+    item = model.frames[frame]
+    return _Ends(
+        item.parentJoint, item.placement.translation.copy(), tuple(model.supports[item.parentJoint].tolist()[1:])
+    )

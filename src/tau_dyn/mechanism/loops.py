@@ -1,0 +1,194 @@
+r"""The closed loops solved: from actuated positions, speeds and accelerations to those of the whole tree.
+
+A loop k says that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. With `J_c = dc/dv_tree`, split into
+actuated and passive columns,
+
+    v_tree = G v_a,   G = [1; -J_p^+ J_a],   a_tree = G a_a + g_0,   g_0 = [0; -J_p^+ gamma],
+
+where `gamma` is the constraint's acceleration at zero joint acceleration. Closure is by Newton on the passive joints, started
+where `G` points from the last configuration; the inverse of `J_p` is kept while it converges well. The first configuration is
+reached by continuation from the robot's home, which selects the assembly mode. `constraints.py` has `c`, `J_c` and `gamma`;
+`loop_arrays.py` closes many samples at once.
+Reference: Khalil & Dombre 2002, ch. 7; Featherstone 2008, ch. 8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from tau_dyn.exceptions import LoopClosureError
+from tau_dyn.mechanism.constraints import Constraints
+from tau_dyn.mechanism.pseudo_inverse import invert_matrix, measure_column_lengths
+from tau_dyn.robot import Robot
+
+_TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
+_ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
+_STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
+
+
+@dataclass
+class TreeState:
+    """One configuration of the whole tree.
+
+    Attributes:
+        q: Configuration (nq,).
+        v: Velocity (nv,).
+        a: Acceleration (nv,).
+        G: Tree velocity per actuated velocity (nv, na).
+        g0: Tree acceleration at zero actuated acceleration (nv,).
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    G: np.ndarray
+    g0: np.ndarray
+
+
+class LoopSolver:
+    """Solves the loops of one robot, keeping the last configuration as the next one's start."""
+
+    def __init__(self, robot: Robot, model: pin.Model | None = None) -> None:
+        """Prepare for a robot; `model` may carry other masses, its kinematics must be the robot's."""
+        self.robot = robot
+        self.model = model if model is not None else robot.model
+        self.data = self.model.createData()
+        self.active_v, self._active_q = robot.active_v, robot.active_q
+        self.passive_v = np.setdiff1d(np.arange(self.model.nv), self.active_v)
+        self._turning = np.array([self.model.joints[self.model.getJointId(j)].nq == 2 for j in robot.actuated])
+        self._identity = np.zeros((self.model.nv, robot.na))
+        self._identity[self.active_v, range(robot.na)] = 1.0
+        self._neutral = pin.neutral(self.model)
+        self._constraints = Constraints(self.model, self.data, robot.loops)
+        self._inverse, self._G = np.zeros((0, 0)), self._identity
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
+
+    def close(self, q_a: np.ndarray) -> np.ndarray:
+        """Return the tree's configuration (nq,) that closes all loops at actuated positions `q_a` (na,).
+
+        Raises:
+            LoopClosureError: No closure was found on the way from home; the robot cannot reach these positions.
+        """
+        q_a = np.asarray(q_a, float)
+        if not self.robot.loops:
+            return self._with_active(self._neutral, q_a)
+        q = None
+        if self._last is not None and np.abs(q_a - self._last[0]).max() <= _STEP:
+            q = self._step_to(q_a, *self._last)
+        if q is None:
+            q = self._from_home(q_a)
+        self._last = (q_a.copy(), q)
+        return q
+
+    def state(self, q_a: np.ndarray, v_a: np.ndarray, a_a: np.ndarray) -> TreeState:
+        """Return the tree's motion at one sample of actuated motion, each (na,)."""
+        q = self.close(q_a)
+        G, g0 = self._identity, np.zeros(self.model.nv)
+        if self.robot.loops:
+            self._linearise(q)
+            G = self._G
+            g0[self.passive_v] = -self._inverse @ self._constraints.acceleration_at_rest(q, G @ v_a)
+        return TreeState(q, G @ v_a, G @ a_a + g0, G, g0)
+
+    def condition(self, q_a: np.ndarray) -> float:
+        """Return the conditioning of the passive constraint Jacobian with unit columns; 1 without loops."""
+        if not self.robot.loops:
+            return 1.0
+        J_p = self._constraints.jacobian(self.close(q_a))[:, self.passive_v]
+        s = np.linalg.svd(J_p / measure_column_lengths(J_p), compute_uv=False)
+        return float(s[0] / s[-1]) if s[-1] > 1e-10 * s[0] else np.inf
+
+    def free_motions(self) -> np.ndarray:
+        """Return the passive motions (nv, k) that loops and actuated joints leave free at home, as unit columns.
+
+        Raises:
+            LoopClosureError: The loops do not let the actuated joints move independently of each other.
+        """
+        jacobian = self._constraints.jacobian(self.close(self.robot.home))
+        J_p, J_a = jacobian[:, self.passive_v], jacobian[:, self.active_v]
+        _, s, vt = np.linalg.svd(J_p) if J_p.size else (None, np.zeros(0), np.eye(len(self.passive_v)))
+        rank = int(np.sum(s > 1e-9 * s.max(initial=0.0)))
+        stuck = J_a - J_p @ np.linalg.lstsq(J_p, J_a, rcond=1e-9)[0] if J_p.size else J_a
+        if np.abs(stuck).max() > 1e-6 * np.abs(J_a).max():
+            raise LoopClosureError(
+                f"{self.robot.source}: the loops do not let {', '.join(self.robot.actuated)} move independently; "
+                "name fewer actuated joints"
+            )
+        free = np.zeros((self.model.nv, len(self.passive_v) - rank))
+        free[self.passive_v] = vt[rank:].T
+        return free
+
+    def closure_error(self, q: np.ndarray) -> float:
+        """Return the largest distance between two points that should coincide [m]."""
+        return float(np.abs(self._constraints.gap(q)).max()) if self.robot.loops else 0.0
+
+    def _with_active(self, q: np.ndarray, q_a: np.ndarray) -> np.ndarray:
+        q, index = q.copy(), self._active_q
+        q[index] = q_a
+        if self._turning.any():  # a continuous joint's configuration is a cosine and a sine
+            index, angle = index[self._turning], q_a[self._turning]
+            q[index], q[index + 1] = np.cos(angle), np.sin(angle)
+        return q
+
+    def _from_home(self, q_a: np.ndarray) -> np.ndarray:
+        """Walk from home to `q_a` in small steps, so that the assembly mode is home's."""
+        home = self.robot.home
+        steps = np.ceil(np.max(np.abs(q_a - home)) / _STEP)
+        if not steps <= 2000:
+            raise LoopClosureError(
+                f"{self.robot.source}: {self._listed(q_a)} is far outside the robot; positions must be in m and rad"
+            )
+        start = self._with_active(self._neutral, home)
+        self._linearise(start)
+        q = self._newton(start)
+        if q is None:
+            raise LoopClosureError(f"{self.robot.source}: the loops cannot be closed at home {self._listed(home)}")
+        at = home
+        for share in np.linspace(0, 1, int(steps) + 1)[1:]:
+            there = home + share * (q_a - home)
+            q = self._step_to(there, at, q)
+            if q is None:
+                raise LoopClosureError(
+                    f"{self.robot.source}: the loops cannot be closed at {self._listed(q_a)}: out of reach"
+                )
+            at = there
+        return q
+
+    def _step_to(self, q_a: np.ndarray, last_a: np.ndarray, last: np.ndarray) -> np.ndarray | None:
+        """Return the closure at `q_a`, started where `G` points from the last one."""
+        return self._newton(self._with_active(pin.integrate(self.model, last, self._G @ (q_a - last_a)), q_a))
+
+    def _newton(self, q: np.ndarray) -> np.ndarray | None:
+        step, before, error, fresh = np.zeros(self.model.nv), np.inf, np.inf, False
+        for _ in range(30):
+            gap = self._constraints.gap(q)
+            error = np.abs(gap).max()
+            if not np.isfinite(error):
+                return None
+            rate = min(1.0, error / before) if np.isfinite(before) else 1.0
+            if fresh and rate > 0.5 and error < _ROUNDED:
+                return q
+            if rate > 0.1 and np.isfinite(before):
+                self._linearise(q)
+                fresh = True
+            change = -self._inverse @ gap
+            step[self.passive_v] = change * min(1.0, 0.5 / max(np.abs(change).max(initial=0.0), 1e-300))
+            q = pin.integrate(self.model, q, step)
+            if error * rate < _TOLERANCE:
+                return q
+            before = error
+        return q if error < _ROUNDED else None
+
+    def _linearise(self, q: np.ndarray) -> None:
+        """Keep the inverse of `J_p` and `G` at this configuration."""
+        jacobian = self._constraints.jacobian(q)
+        self._inverse = invert_matrix(jacobian[:, self.passive_v])
+        self._G = self._identity.copy()
+        self._G[self.passive_v] = -self._inverse @ jacobian[:, self.active_v]
+
+    def _listed(self, q_a: np.ndarray) -> str:
+        pairs = zip(self.robot.actuated, q_a, self.robot.position_units, strict=True)
+        return ", ".join(f"{j} = {x:.4g} {unit}" for j, x, unit in pairs)

@@ -1,0 +1,273 @@
+r"""A rod robot's geometry as named parameters, there and back, and the closure's derivative by each of them.
+
+Names: `<rod>.length`, `<rod>.base_x` (A in the frame of the link that carries it), `<rod>.plate_x` (B in the plate's
+frame), `<joint>.origin_x` and `<joint>.direction_x` of an actuated slide, `<joint>.axis_x` of an actuated turn, both in
+the parent's frame; a direction's or axis' length is the drive's gain (thesis, section 5.4). A simplified Gantry-Tau has
+instead, arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: what its plate and cart joints add is part of the origin
+(thesis (4.7)). A slide in a rod lengthens it: `length` is then the length with the slide at zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tau_dyn.exceptions import UnknownName
+from tau_dyn.mechanism.chains import Carried, ChainJoint, Placed, compute_joint_frames, compute_velocities, list_path
+from tau_dyn.parameters import Parameter, Parameters
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, eq=False)
+class RodDimensions:
+    """A rod robot's geometry.
+
+    Attributes:
+        names: Of the rods.
+        joints: Actuated joints of the chains.
+        carried: Points A.
+        lengths: (n,) [m]; of a rod with a slide, at the slide's zero.
+        on_plate: Points B in the plate's frame (n, 3) [m].
+        slides: Actuator of the slide in each rod (n,), -1 for none.
+        offsets: How far the slide's line misses A (n,) [m].
+        gains: Whether the slide lengthens (1) or shortens (-1) the rod (n,).
+        arms: Names of the arms of a simplified Gantry-Tau, in the rods' order, else empty.
+    """
+
+    names: tuple[str, ...]
+    joints: tuple[ChainJoint, ...]
+    carried: Carried
+    lengths: np.ndarray
+    on_plate: np.ndarray
+    slides: np.ndarray
+    offsets: np.ndarray
+    gains: np.ndarray
+    arms: tuple[str, ...] = ()
+
+
+def build_parameters(numbers: RodDimensions) -> Parameters:
+    """Return the geometry's parameters at these numbers."""
+    rows: list[Parameter] = []
+    if numbers.arms:
+        for arm, length, carrier in zip(numbers.arms, numbers.lengths, numbers.carried.carrier, strict=True):
+            joint = numbers.joints[carrier]
+            rows += [_length(arm, length), *_vector(arm, "origin", joint.origin, "m")]
+            rows += _vector(arm, "direction", joint.direction, "1")
+        return Parameters(rows)
+    for joint in numbers.joints:
+        rows += _vector(joint.name, "origin", joint.origin, "m")
+        rows += _vector(joint.name, "direction" if joint.slides else "axis", joint.direction, "1")
+    for k, name in enumerate(numbers.names):
+        rows += [_length(name, numbers.lengths[k]), *_vector(name, "base", numbers.carried.local[k], "m")]
+        rows += _vector(name, "plate", numbers.on_plate[k], "m")
+    return Parameters(rows)
+
+
+def replace_values(numbers: RodDimensions, parameters: Parameters) -> RodDimensions:
+    """Return the geometry at other values of some or all of its parameters.
+
+    Raises:
+        UnknownName: A parameter that this geometry does not have.
+    """
+    known = build_parameters(numbers)
+    for name in parameters.names:
+        if name not in known:
+            raise UnknownName("geometry parameter", name, known.names)
+    values = {p.name: p.value for p in known} | {p.name: p.value for p in parameters}
+
+    def vector(owner: str, what: str) -> np.ndarray:
+        return np.array([values[f"{owner}.{what}_{axis}"] for axis in AXES])
+
+    if numbers.arms:
+        joints = list(numbers.joints)
+        for arm, carrier in zip(numbers.arms, numbers.carried.carrier, strict=True):
+            moved = {"origin": vector(arm, "origin"), "direction": vector(arm, "direction")}
+            joints[carrier] = joints[carrier]._replace(**moved)
+        lengths = np.array([values[f"{arm}.length"] for arm in numbers.arms])
+        return replace(numbers, joints=tuple(joints), lengths=lengths)
+    return replace(
+        numbers,
+        joints=tuple(
+            j._replace(origin=vector(j.name, "origin"), direction=vector(j.name, "direction" if j.slides else "axis"))
+            for j in numbers.joints
+        ),
+        carried=Carried(numbers.carried.carrier, np.array([vector(n, "base") for n in numbers.names])),
+        lengths=np.array([values[f"{n}.length"] for n in numbers.names]),
+        on_plate=np.array([vector(n, "plate") for n in numbers.names]),
+    )
+
+
+def compute_gap_columns(
+    numbers: RodDimensions,
+    at: Sequence[Placed],
+    q: np.ndarray,
+    places: np.ndarray,
+    unit: np.ndarray,
+    plate_rotation: np.ndarray,
+) -> dict[tuple[int, str], np.ndarray]:
+    """Return the gaps' derivatives by the parameters: those of `(rod, parameter)` that are not zero, each (N,).
+
+    Args:
+        numbers: The geometry.
+        at: Frames of its joints.
+        q: Actuated positions (na, N).
+        places: Points A (n, 3, N) [m].
+        unit: Directions from B to A (n, 3, N).
+        plate_rotation: Of the plate (3, 3, N).
+    """
+    found: dict[tuple[int, str], np.ndarray] = {}
+    for k, name in enumerate(numbers.names):
+        carrier = numbers.carried.carrier[k]
+        owner = numbers.arms[k] if numbers.arms else name
+        found[k, f"{owner}.length"] = -_stretch(numbers, k, q)
+        for index in list_path(numbers.joints, carrier):
+            joint = numbers.joints[index]
+            parent = at[joint.parent].rotation if joint.parent >= 0 else np.eye(3)[:, :, None]
+            pushed = _into(parent, unit[k])
+            owner = numbers.arms[k] if numbers.arms else joint.name
+            _put(found, k, f"{owner}.origin", pushed)
+            if joint.slides:
+                _put(found, k, f"{owner}.direction", pushed * q[joint.actuator])
+            else:
+                _put(
+                    found, k, f"{owner}.axis", _by_axis(joint, q[joint.actuator], pushed, places[k], at[index], parent)
+                )
+        if not numbers.arms:
+            carried_by = at[carrier].rotation if carrier >= 0 else np.eye(3)[:, :, None]
+            _put(found, k, f"{name}.base", _into(carried_by, unit[k]))
+            _put(found, k, f"{name}.plate", -_into(plate_rotation, unit[k]))
+    return found
+
+
+def compute_leg_lengths(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
+    """Return the rods' lengths (n, N or 1) [m] at `q` (na, N)."""
+    if not np.any(numbers.slides >= 0):
+        return numbers.lengths[:, None]
+    out = np.repeat(numbers.lengths[:, None], q.shape[1], axis=1)
+    for k in np.flatnonzero(numbers.slides >= 0).tolist():
+        reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
+        out[k] = np.hypot(reach, numbers.offsets[k]) if numbers.offsets[k] else reach
+    return out
+
+
+def compute_leg_rates(numbers: RodDimensions, q: np.ndarray) -> np.ndarray:
+    """Return how fast each rod grows with its own slide (n, N or 1), zero for rods without one."""
+    out = np.zeros((len(numbers.names), q.shape[1] if np.any(numbers.offsets) else 1))
+    for k in np.flatnonzero(numbers.slides >= 0).tolist():
+        out[k] = numbers.gains[k]
+        if numbers.offsets[k]:
+            reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
+            out[k] = numbers.gains[k] * reach / np.hypot(reach, numbers.offsets[k])
+    return out
+
+
+def compute_closure_by_q(
+    numbers: RodDimensions, q: np.ndarray, points: np.ndarray, d: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Return the derivative of `(|d|^2 - L^2) / 2` by the positions, `d . dA/dq - L dL/dq` (n, na, N).
+
+    Args:
+        numbers: The geometry.
+        q: Actuated positions (na, N).
+        points: Points A (n, 3, N) [m].
+        d: From B to A, n times (3, N) [m].
+    """
+    out = np.zeros((len(numbers.names), *q.shape))
+    at = compute_joint_frames(numbers.joints, q)
+    for (k, actuator), column in compute_velocities(numbers.joints, numbers.carried, at, points).items():
+        out[k, actuator] += column[0] * d[k][0] + column[1] * d[k][1] + column[2] * d[k][2]
+    slides = np.flatnonzero(numbers.slides >= 0)
+    if slides.size:
+        lengths, rates = compute_leg_lengths(numbers, q), compute_leg_rates(numbers, q)
+        for k in slides:
+            out[k, numbers.slides[k]] -= lengths[k] * rates[k]
+    return out
+
+
+def measure_rail_distances(numbers: RodDimensions) -> list[Callable[[np.ndarray], np.ndarray] | None]:
+    """Return for each rod the distance (N,) [m] of places (N, 3) to all that its point A can reach, limits aside.
+
+    A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
+    """
+    return [_rail(numbers, k) for k in range(len(numbers.names))]
+
+
+def _rail(numbers: RodDimensions, k: int) -> Callable[[np.ndarray], np.ndarray] | None:
+    carrier, local = numbers.carried.carrier[k], numbers.carried.local[k]
+    if carrier < 0:
+        return lambda place: np.linalg.norm(place - local, axis=1)
+    joint = numbers.joints[carrier]
+    if joint.parent >= 0:
+        return None
+    axis, point = joint.direction / np.linalg.norm(joint.direction), joint.rotation @ local
+    centre = joint.origin + (point if joint.slides else axis * (axis @ point))
+    radius = 0.0 if joint.slides else float(np.linalg.norm(point - axis * (axis @ point)))
+
+    def distance(place: np.ndarray) -> np.ndarray:
+        along = (place - centre) @ axis
+        across = np.linalg.norm(place - centre - along[:, None] * axis, axis=1)
+        return across if joint.slides else np.hypot(across - radius, along)
+
+    return distance
+
+
+def _along(numbers: RodDimensions, k: int) -> float:
+    return float(np.sqrt(numbers.lengths[k] ** 2 - numbers.offsets[k] ** 2))
+
+
+def _stretch(numbers: RodDimensions, k: int, q: np.ndarray) -> np.ndarray:
+    """Return the derivative (N,) of a rod's length by its length with the slide at zero."""
+    if numbers.slides[k] < 0 or not numbers.offsets[k]:
+        return np.ones(q.shape[1])
+    reach = _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
+    return reach / np.hypot(reach, numbers.offsets[k]) * numbers.lengths[k] / _along(numbers, k)
+
+
+def _by_axis(
+    joint: ChainJoint, q: np.ndarray, pushed: np.ndarray, place: np.ndarray, here: Placed, parent: np.ndarray
+) -> np.ndarray:
+    r"""Return the gap's derivative (3, N) by a turn's axis `d`: `u . (J_l(q d) q e_k x (A - o))`.
+
+    `J_l` is the left Jacobian of the rotation group (Chirikjian 2012); all in the parent's frame.
+    """
+    arm = _into(parent, place - here.origin)
+    torque = np.cross(arm, pushed, axis=0)  # u . (w x arm) = w . (arm x u)
+    gain = float(np.linalg.norm(joint.direction))
+    n = joint.direction / gain
+    angle = gain * q
+    with np.errstate(invalid="ignore", divide="ignore"):
+        s = np.where(np.abs(angle) < 1e-4, 1 - angle**2 / 6, np.sin(angle) / angle)
+        c = np.where(np.abs(angle) < 1e-4, angle / 2, (1 - np.cos(angle)) / angle)
+    along = n @ torque
+    # J_l' t = s t + (1 - s) n (n . t) - c n x t
+    turned_back = s * torque + (1 - s) * np.outer(n, along).reshape(3, -1) - c * np.cross(n, torque, axisa=0, axisb=0).T
+    return turned_back * q
+
+
+def _into(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return `R' x` (3, N)."""
+    if rotation.shape[2] == 1:
+        return rotation[:, :, 0].T @ vector
+    return np.einsum("ijn,in->jn", rotation, vector)
+
+
+def _put(found: dict[tuple[int, str], np.ndarray], rod: int, stem: str, rows: np.ndarray) -> None:
+    for axis, row in zip(AXES, rows, strict=True):
+        found[rod, f"{stem}_{axis}"] = row
+
+
+def _length(owner: str, value: float) -> Parameter:
+    return Parameter(f"{owner}.length", float(value), "m")
+
+
+def _vector(owner: str, what: str, value: np.ndarray, unit: str) -> list[Parameter]:
+    return [Parameter(f"{owner}.{what}_{axis}", float(x), unit) for axis, x in zip(AXES, value, strict=True)]
+
+
+__all__ = [
+    "RodDimensions", "compute_closure_by_q", "compute_gap_columns", "compute_leg_lengths", "compute_leg_rates",
+    "measure_rail_distances", "build_parameters", "replace_values",
+]  # fmt: skip

@@ -1,0 +1,22 @@
+"""Robots: from a xacro file to a tree with loops, actuated joints and nominal parameters."""
+
+from .annotations import Mimic as Mimic, Spring as Spring, read_annotations as read_annotations
+from .dimensions import read_dimensions_file as read_dimensions_file
+from .expand import (
+    describe_robot as describe_robot,
+    find_robot as find_robot,
+    list_dimensions as list_dimensions,
+    list_robot_names as list_robot_names,
+    list_robots as list_robots,
+    list_stock_robots as list_stock_robots,
+)
+from .load import load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf
+from .robot import (
+    INERTIAL as INERTIAL,
+    NOMINAL_MASS_STDERR as NOMINAL_MASS_STDERR,
+    NOT_GIVEN as NOT_GIVEN,
+    LinkInertia as LinkInertia,
+    Loop as Loop,
+    Robot as Robot,
+    compute_inertia_matrix as compute_inertia_matrix,
+)

@@ -1,0 +1,244 @@
+"""A recording repeated by the model: the plant under the rig's own controller, driven by the log's own references.
+
+The controller sees `q_ref_J` of the log and the simulated positions; the plant starts from the log's first position and
+speed. What is compared is what the log holds: positions and forces as they are, the following error `q_ref - q`, and speeds
+and accelerations, both sides low-passed alike and differentiated by central differences (`replay_result.py`).
+
+Timing is a drive's: position k is read, force k follows from it and is held until sample k + 1. The plant's step runs from half
+a sample before to half a sample after, so it is given the mean of the last two forces, which is that hold exactly. The loop
+runs at the log's rate, or at a whole multiple of it; between the log's samples the reference is a cubic spline that does not
+swing around a step. Encoders do not round here, but they read beside the load, forces are logged late and friction follows the
+log's temperature where the model says so (`log_effects.py`, `memory.py`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import ROOM_TEMPERATURE, Log, differentiate, ensure_even, find_motion_band
+from tau_dyn.model import Model
+from tau_dyn.simulate.controllers import CascadeController, CascadeLaw
+from tau_dyn.simulate.forces import SampledForces
+from tau_dyn.simulate.log_effects import EncoderErrors, record_run
+from tau_dyn.simulate.memory import EffectSurroundings
+from tau_dyn.simulate.plant import OFTEN_AT_LIMIT, Plant, PlantRun, Progress
+from tau_dyn.simulate.replay_result import Replay, get_signals
+from tau_dyn.simulate.trajectory import Trajectory
+
+CONTROL_HZ = 1000.0
+"""A loop is not taken to run more slowly than this [Hz], however few samples the log keeps."""
+
+START_S = 0.02
+"""Stretch at the log's start from which its first position, speed and force are read, by a cubic through it [s]."""
+
+
+def replay(
+    model: Model,
+    log: Log,
+    controller_law: CascadeLaw,
+    *,
+    rate_hz: float | None = None,
+    substeps: int = 1,
+    cutoff_hz: float | None = None,
+    progress: Progress | None = None,
+) -> Replay:
+    """Simulate a recording again and compare.
+
+    Args:
+        model: The plant.
+        log: Has `q_J`, `tau_J` and `q_ref_J` of every actuated joint, without gaps; it may start in motion.
+        controller_law: The rig's own controller.
+        rate_hz: Rate of its loop [Hz], a whole multiple of the log's; by default the smallest that reaches 1 kHz.
+        substeps: Steps of the plant in one period of the loop.
+        cutoff_hz: Low-pass before speeds and accelerations are taken [Hz], inf for none; by default as high as the measured
+            encoders' noise allows (1e-4 of the acceleration's power, `find_motion_band`), and the same for later replays of
+            the log.
+        progress: Is told the share that is done.
+
+    Raises:
+        InputError: The log lacks a column or has a gap, the law is for another robot, or the simulated feedback is unstable.
+        LoopClosureError: The robot was driven where its loops cannot be closed.
+    """
+    joints = model.robot.actuated
+    log = ensure_even(_checked(log, joints))
+    if substeps < 1:
+        raise InputError(
+            "invalid_value", f"a replay takes {substeps} substeps of the plant; give a whole number from 1"
+        )
+    if any("temperature" in effect.needs for effect in model.effects) and _surroundings(log, joints) is None:
+        raise InputError(
+            "missing_column",
+            f"{log.name} has no temperature, which the model's friction follows; give temp_room or temp_J",
+        )
+    often = _per_sample(log, rate_hz)
+    cutoff = _cutoff(log.joint("q", joints), _rate(log)) if cutoff_hz is None else cutoff_hz
+    reference = log.joint("q_ref", joints)
+    run = _drive(model, log, controller_law, often, substeps, progress)
+    q = run.q if run.q_read is None else run.q_read
+    tau = run.tau if run.tau_shown is None else run.tau_shown
+    at_limit = np.mean(np.abs(run.tau) >= controller_law.limit * controller_law.force_per_unit * (1 - 1e-9), axis=0)
+    notes = [
+        f"joint {joint} was at its controller's limit in {100 * share:.0f} % of the samples of the replay of {log.name}"
+        for joint, share in zip(joints, at_limit, strict=True)
+        if share > OFTEN_AT_LIMIT
+    ]
+    return Replay(
+        joints,
+        tuple(zip(model.robot.position_units, model.robot.force_units, strict=True)),
+        log.t,
+        get_signals(log.t, reference, log.joint("q", joints), log.joint("tau", joints), cutoff),
+        get_signals(log.t, reference, q, tau, cutoff),
+        float(cutoff),
+        often * _rate(log),
+        at_limit,
+        run.sticking_share,
+        (*log.warnings, *notes),
+    )
+
+
+class _State(NamedTuple):
+    """A log's first sample, and the two positions a drive had read before it: (na,) each, `before` (2, na)."""
+
+    q: np.ndarray
+    v: np.ndarray
+    tau: np.ndarray
+    before: np.ndarray
+
+
+class _ResumedController(CascadeController):
+    """A cascade that has been running before the first sample."""
+
+    def resume(self, reference: Trajectory, start: _State) -> None:
+        """Get ready as `reset` does, but in motion; an integral starts with what makes the first force the measured one."""
+        self.reset(reference)
+        v_before = 2 * reference.v[0] - reference.v[1]
+        self._before, self._v_ref = (start.before[0], start.before[1]), v_before
+        push = self.force(0, 0.0, reference.q[0], reference.v[0], reference.a[0], start.q)
+        integrates = (self.law.integral_rate > 0) & (self.law.force_per_unit > 0)
+        unit = np.where(integrates, self.law.force_per_unit, 1.0)
+        wound = np.minimum(np.maximum((start.tau - push) / unit, -self.law.limit), self.law.limit)
+        self._integral = np.where(integrates, wound, 0.0)
+        self._before, self._v_ref = (start.before[0], start.before[1]), v_before
+
+
+def _drive(model: Model, log: Log, law: CascadeLaw, often: int, substeps: int, progress: Progress | None) -> PlantRun:
+    """Return what happens, at the log's samples."""
+    joints = model.robot.actuated
+    reference = _reference(log, joints, often)
+    period = 1 / (often * _rate(log))
+    start, errors = _start(log, joints, period), EncoderErrors(model)
+    controller = _ResumedController(law)
+    controller.resume(reference, start)
+    beside = EncoderErrors(model).read(start.q) - start.q if errors.any else 0.0
+    plant = Plant(model, start.q - beside, start.v, period / substeps)
+    plant.forces = SampledForces(model, _surroundings(log, joints))
+    q, read, v, a, tau = np.empty((5, log.n_samples, len(joints)))
+    stuck = np.zeros((log.n_samples, len(joints)), dtype=bool)
+    far = 100 * (1 + np.max(np.abs(reference.q), axis=0))
+    last = None
+    for k in range(reference.n_samples):
+        place, shown = plant.q, errors.read(plant.q) if errors.any else plant.q
+        force = controller.force(k, reference.t[k], reference.q[k], reference.v[k], reference.a[k], shown)
+        step = plant.step(force if last is None else 0.5 * (last + force))
+        for _ in range(1, substeps):
+            plant.step(force)
+        row, between = divmod(k, often)
+        if not between:
+            q[row], read[row], tau[row], (v[row], a[row], stuck[row]) = place, shown, force, step
+        last = force
+        if k % max(1, reference.n_samples // 100) == 0:
+            if not np.all(np.abs(plant.q) < far):
+                raise InputError(
+                    "unstable",
+                    f"{log.name}: the simulated robot ran away before t = {reference.t[k]:.4g} s; the controller's gains, "
+                    "their units or its rate are not this robot's",
+                )
+            if progress is not None:
+                progress(k / reference.n_samples)
+    return record_run(PlantRun(model, log.t, q, v, a, tau, stuck, reference.every(often), read))
+
+
+def _surroundings(log: Log, joints: tuple[str, ...]) -> EffectSurroundings | None:
+    """Return the temperatures that the log holds, of its joints or of the room, or None."""
+    measured = log.temperatures(joints)
+    if measured is None:
+        return None
+    t = log.t - log.t[0]
+    return EffectSurroundings(lambda at: np.array([np.interp(at, t, column) for column in measured.T]))
+
+
+def _start(log: Log, joints: tuple[str, ...], period: float) -> _State:
+    """Return how the log starts, by cubics through its first samples, which average the encoders' noise."""
+    n = min(log.n_samples, max(8, round(START_S * _rate(log)) + 1))
+    t = log.t[:n] - log.t[0]
+    powers = np.vander(t, 4, increasing=True)
+    q = np.linalg.lstsq(powers, log.joint("q", joints)[:n], rcond=None)[0]
+    tau = np.linalg.lstsq(powers, log.joint("tau", joints)[:n], rcond=None)[0]
+    before = np.vander([-2 * period, -period], 4, increasing=True) @ q
+    return _State(q[0], q[1], tau[0], before)
+
+
+def _reference(log: Log, joints: tuple[str, ...], often: int) -> Trajectory:
+    """Return the log's reference at `often` samples for each of the log's.
+
+    Slopes of a cubic Hermite spline: central differences, no steeper than three times the flatter chord beside them, so
+    that no value lies beyond its neighbours (Fritsch & Carlson 1980; Hyman 1983).
+    """
+    dt, q = 1 / _rate(log), log.joint("q_ref", joints)
+    chord = np.abs(np.diff(q, axis=0)) / dt
+    steepest = 3 * np.minimum(np.vstack([chord[:1], chord]), np.vstack([chord, chord[-1:]]))
+    slope = np.minimum(np.maximum(differentiate(q, dt, accuracy=4), -steepest), steepest)
+    curve = CubicHermiteSpline(log.t, q, slope)
+    clock = np.linspace(log.t[0], log.t[-1], (log.n_samples - 1) * often + 1)
+    return Trajectory(joints, clock, curve(clock), curve(clock, 1), curve(clock, 2), log.name)
+
+
+def _cutoff(q: np.ndarray, rate_hz: float) -> float:
+    """Return the highest low-pass [Hz] under which noise stays small in every moving joint's acceleration."""
+    band = find_motion_band(q, rate_hz)
+    edges = np.maximum(band.noise_edge_hz, band.edge_hz)[band.edge_hz > 0]
+    return float(min([0.4 * rate_hz, *edges]))
+
+
+def _per_sample(log: Log, rate_hz: float | None) -> int:
+    """Return how many periods of the loop pass between two samples of the log."""
+    if rate_hz is None:
+        return max(1, int(np.ceil(CONTROL_HZ / _rate(log) * (1 - 1e-3))))
+    ratio = rate_hz / _rate(log) if np.isfinite(rate_hz) else 0.0
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-3 * ratio:
+        raise InputError(
+            "mismatch",
+            f"a control loop of {rate_hz:g} Hz is no whole multiple of the {_rate(log):g} Hz of {log.name}; resample the log",
+        )
+    return round(ratio)
+
+
+def _checked(log: Log, joints: tuple[str, ...]) -> Log:
+    """Return the log with the columns that count, all there and finite."""
+    if not log.has("q_ref", joints):
+        raise InputError(
+            "missing_column",
+            f"{log.name} has no q_ref column for {', '.join(j for j in joints if not log.has('q_ref', [j]))}; without the "
+            "references its controller got, a recording cannot be simulated again",
+        )
+    columns = {f"{s}_{j}": log.joint(s, [j])[:, 0] for s in ("q", "tau", "q_ref") for j in joints}
+    for name, values in columns.items():
+        if not np.all(np.isfinite(values)):
+            raise InputError("bad_sample", f"{log.name}: {name} has samples that are no finite number")
+    if log.n_samples < 10:
+        raise InputError(
+            "too_little_data",
+            f"{log.name} has {log.n_samples} samples, too few to be simulated again; give ten or more",
+        )
+    warmth = (ROOM_TEMPERATURE, *(f"temp_{j}" for j in joints))
+    columns |= {key: log.channels[key] for key in warmth if np.all(np.isfinite(log.channels.get(key, np.nan)))}
+    return Log(log.t, columns, log.name, log.sha256, log.warnings)
+
+
+def _rate(log: Log) -> float:
+    """Return the rate of an even log [Hz], free of the jitter of single steps."""
+    return (log.n_samples - 1) / log.duration

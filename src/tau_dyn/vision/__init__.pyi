@@ -1,0 +1,12 @@
+"""Camera vision: images of a chessboard plate in, measured poses with uncertainty out (needs OpenCV, the extra `vision`)."""
+
+from .cameras import (
+    Cameras as Cameras,
+    format_cameras_text as format_cameras_text,
+    read_cameras as read_cameras,
+    write_cameras as write_cameras,
+)
+from .measure import measure_poses_from_images as measure_poses_from_images
+from .pattern import Pattern as Pattern, parse_pattern as parse_pattern
+from .pose_table import CameraPoseTable as CameraPoseTable, Positions as Positions, read_positions as read_positions
+from .solution import solve as solve
