@@ -240,7 +240,11 @@ def attach_public_names(package: str, file: str) -> tuple[Callable[[str], Any], 
 
     def get(name: str) -> Any:
         new = DEPRECATED.get(package, {}).get(name)
-        return load(name) if new is None else _get_renamed(package, name, new)
+        if new is not None:
+            return _get_renamed(package, name, new)
+        if name not in public:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+        return load(name)
 
     return get, names, public
 
