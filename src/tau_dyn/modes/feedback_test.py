@@ -28,8 +28,8 @@ from scipy.stats import f as fisher
 
 from tau_dyn.modes.record import Record
 
-LAGS = (10, 20)
-"""Lengths of the ARX model to choose from."""
+LAGS = (10, 20, 60)
+"""Lengths of the ARX model to choose from; many modes with little noise outlast the short ones."""
 LEADS = 4
 """Inputs to come that the ARX model sees: the two-sided kernel of a path whose input ends at 0.2 to 0.9 of the Nyquist
 frequency has died away by then, down to noise of a thousandth."""
