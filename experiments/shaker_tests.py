@@ -1,11 +1,17 @@
 """Ordinary shaker tests with a known truth: does the default answer, and do its intervals hold it?
 
     python experiments/shaker_tests.py [--tests three fourteen weak strong] [--seeds 0 1 2] [--methods auto n4sid pbsid]
+    python experiments/shaker_tests.py --feedback [--outputs 1 3 10 28] [--gains 0 0.3 1] --runs 20 --first-seed 1000
 
 A structure of separate modes is driven by a continuous random force that ends below the Nyquist frequency. Force and
 responses pass the same anti-alias filters before they are sampled, so the samples hold no power near the Nyquist frequency
 and the sampled path looks slightly acausal. `weak` and `strong` close a loop on the velocity (largest loop gains 0.3 and
 0.8) under a disturbing force; the loop's reference is not logged. Out: one line a test and method.
+
+`--feedback` asks only whether a loop is claimed: three modes, 6000 samples, models of order 8 without refinement. Loops have
+1 % of noise and a disturbing force of half the force's size; so have open loops (gain 0) of even seeds, those of odd seeds
+have no disturbance, and 1 or 0.1 % of noise. Out: how many sets are claimed by the decision and by each of the two tests
+alone, and in how many standard errors allow for a loop.
 """
 
 from __future__ import annotations
@@ -19,7 +25,13 @@ from scipy.signal import butter, lfilter, sosfilt
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.log import Log
-from tau_dyn.modes import find_modes
+from tau_dyn.modes import StateSpace, find_modes
+from tau_dyn.modes.contest import ACAUSALITY_SIGNIFICANCE_LEVEL, MethodCandidate, check_candidate, settle
+from tau_dyn.modes.delay import DelayChoice
+from tau_dyn.modes.feedback_test import detect_feedback
+from tau_dyn.modes.methods import build_initial_estimator
+from tau_dyn.modes.order import OrderChoice, OrderTrial, select_parts
+from tau_dyn.modes.preparation import prepare_records
 
 RATE_HZ, OVERSAMPLING = 1000, 16
 """Sampling rate of the log; the continuous world is computed 16 times finer."""
@@ -131,13 +143,49 @@ def judge(test: Shaker, log: Log, method: str, **options) -> dict:
     return row | {"damping_error_%": 100 * max(errors, default=np.nan), "stderr_%": 100 * max(sizes, default=np.nan)}
 
 
+def decide_feedback(outputs: int, gain: float, seed: int) -> dict[str, bool]:
+    """Return whether a loop is claimed, by the decision and by each test alone."""
+    disturbance, noise = 0.5 if gain or seed % 2 == 0 else 0.0, 1e-3 if gain == 0 and seed % 4 == 3 else 0.01
+    test = Shaker(outputs=outputs, gain=gain, disturbance=disturbance, n=6000, noise=noise)
+    data = prepare_records([record_shaker(test, seed)], ["force"], [f"place{k + 1}" for k in range(outputs)])
+
+    def make(method: str) -> MethodCandidate:
+        model = build_initial_estimator(method, select_parts(data.train)[0])(8)
+        states = OrderChoice(8, (_trial_of(model),), {}, "")
+        return MethodCandidate(method, "output_error", DelayChoice(0, (), float("nan"), ""), states)
+
+    plain, before = make("n4sid"), detect_feedback(data.train)
+    _, feedback, _ = settle(data, before, plain, lambda: make("pbsid"))
+    alone = check_candidate(plain, data).p_value < ACAUSALITY_SIGNIFICANCE_LEVEL
+    row = {"claimed": feedback.suspected, "acausality": alone, "innovations": before.suspected}
+    return row | {"allowed for": feedback.suspected or feedback.possible}
+
+
+def _trial_of(model: StateSpace) -> OrderTrial:
+    """Return a first model as the trial of its order."""
+    nan = float("nan")
+    return OrderTrial(model.order, nan, nan, nan, nan, 0.0, True, False, (), model)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tests", nargs="+", default=["three", "fourteen", "weak", "strong"], choices=sorted(TESTS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--methods", nargs="+", default=["auto"])
     parser.add_argument("--order", default="auto")
+    parser.add_argument("--feedback", action="store_true")
+    parser.add_argument("--outputs", nargs="+", type=int, default=[1, 3, 10, 28])
+    parser.add_argument("--gains", nargs="+", type=float, default=[0.0, 0.3, 1.0])
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--first-seed", type=int, default=1000)
     args = parser.parse_args()
+    if args.feedback:
+        for outputs in args.outputs:
+            for gain in args.gains:
+                rows = [decide_feedback(outputs, gain, args.first_seed + k) for k in range(args.runs)]
+                counts = (f"{name} {sum(row[name] for row in rows)}" for name in rows[0])
+                print(f"outputs {outputs} gain {gain:g} of {args.runs}:", ", ".join(counts), flush=True)
+        return
     for name in args.tests:
         for seed in args.seeds:
             log = record_shaker(TESTS[name], seed)

@@ -7,6 +7,10 @@ without past innovations:
     u_t = sum a_k u_{t-k} + sum b_k e_{t-k},  k = 1 .. L          all b = 0 in open loop (Granger 1969; Caines & Chan
     1975)
 
+The ARX model may look at a few inputs to come as well: a path sampled behind anti-alias filters is two-sided, because the
+force between samples shows in those before and after, and a causal model would leave those inputs in e, more so the more
+outputs there are and the less noise. A controller's answer lasts longer than these few samples (Sims 1972).
+
 An F-test says whether the b help, their share of the input's movement whether it matters: innovations that make up a
 thousandth of the input bias nothing that anyone could see. An input that repeats itself exactly answers to nobody's
 noise. A purely proportional controller that acts within the same sample on white noise leaves no trace here; where a
@@ -24,8 +28,11 @@ from scipy.stats import f as fisher
 
 from tau_dyn.modes.record import Record
 
-LAGS = (10, 20)
-"""Lengths of the ARX model to choose from."""
+LAGS = (10, 20, 60)
+"""Lengths of the ARX model to choose from; many modes with little noise outlast the short ones."""
+LEADS = 4
+"""Inputs to come that the ARX model sees: the two-sided kernel of a path whose input ends at 0.2 to 0.9 of the Nyquist
+frequency has died away by then, down to noise of a thousandth."""
 MAX_SAMPLES = 10_000
 """Samples looked at: more add power to see what would not matter."""
 SIGNIFICANCE_LEVEL = 1e-3  # of feedback that is not there; one record in a thousand
@@ -76,6 +83,7 @@ def detect_feedback(records: Sequence[Record]) -> Feedback:
         return Feedback(False, 1.0, 0.0, "the inputs repeat themselves exactly, so they answer to no noise")
     lags = max(L for L in LAGS if L == LAGS[0] or _affordable(few, L))
     innovations = _innovations(few, lags)
+    few = [r.window(slice(0, r.n_samples - LEADS)) for r in few]
     found = [_answers(few, innovations, lags, j) for j in range(few[0].u.shape[1])]
     j = int(np.argmin([p if share > MIN_VARIANCE_SHARE else 1.0 for p, share, _ in found]))
     p = min(1.0, found[j][0] * len(found))
@@ -103,9 +111,9 @@ def _affordable(records: Sequence[Record], lags: int) -> bool:
 
 
 def _innovations(records: Sequence[Record], lags: int) -> list[np.ndarray]:
-    """Return one-step errors of an ARX model (N - lags, p), one array a record."""
-    rows = [np.hstack([_past(r.y, lags), _past(r.u, lags, 0)]) for r in records]
-    ys = [r.y[lags:] for r in records]
+    """Return one-step errors of an ARX model that sees inputs to come (N - lags - LEADS, p), one array a record."""
+    rows = [np.hstack([_past(r.y[:-LEADS], lags), _past(r.u, lags + LEADS, 0)]) for r in records]
+    ys = [r.y[lags:-LEADS] for r in records]
     basis = _orthonormal(np.vstack(rows))
     left = np.vstack(ys)
     left = left - basis @ (basis.T @ left)

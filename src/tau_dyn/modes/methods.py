@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -31,7 +32,7 @@ Start = Callable[[int], StateSpace]
 
 
 def build_initial_estimator(method: str, records: Sequence[Record], *, delay: int = 0, highest: int = 20) -> Start:
-    """Return a function from an order to a stable first model; what all orders share is computed once.
+    """Return a function from an order to a stable first model; each order, and what all share, is computed once.
 
     Args:
         method: `n4sid`, `pbsid`, `arx` or `era`.
@@ -44,15 +45,15 @@ def build_initial_estimator(method: str, records: Sequence[Record], *, delay: in
     """
     if method == "n4sid":
         factors = compress_subspace_data(records, delay=delay)
-        return lambda order: stabilise_poles(factors.model(order))
+        return cache(lambda order: stabilise_poles(factors.model(order)))
     if method == "pbsid":
-        return lambda order: stabilise_poles(pbsid(records, order, delay=delay))
+        return cache(lambda order: stabilise_poles(pbsid(records, order, delay=delay)))
     if method == "arx":
         long = arx(records, _lags(records, highest), delay=delay)
-        return lambda order: stabilise_poles(reduce_order(long, order))
+        return cache(lambda order: stabilise_poles(reduce_order(long, order)))
     if method == "era":
         decays = decompose_pulse_tests(records, delay=delay)
-        return lambda order: stabilise_poles(decays.model(order))
+        return cache(lambda order: stabilise_poles(decays.model(order)))
     raise InputError("bad_option", f"--method {method}: there are auto, {', '.join(METHODS)}")
 
 
