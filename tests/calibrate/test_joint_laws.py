@@ -76,7 +76,7 @@ def spoil(arm: ArmGeometry, seed: int, **given: float) -> np.ndarray:
 def test_derivatives_are_those_of_the_poses(robot):
     """Twists per parameter and per encoder are the differences of the poses, with loads and couplings in between."""
     arm = build_arm(robot)
-    theta, q = spoil(arm, 1), np.random.default_rng(2).uniform(-1, 1, (5, 4))
+    theta, q = spoil(arm, 1, **{"j2.mass_error": 0.2, "j4.mass_error": -0.3}), np.random.default_rng(2).uniform(-1, 1, (5, 4))
 
     def differ(a, b):
         turn = Rotation.from_matrix(b.rotation @ np.swapaxes(a.rotation, 1, 2)).as_rotvec()
@@ -97,10 +97,14 @@ def test_a_horizontal_arm_yields_by_its_weight_times_its_lever(robot):
     """All of the arm beyond j2 stretched out weighs on j2 by the sum of mass times distance times gravity."""
     tree = build_tree_geometry(robot)
     (law,) = build_gravity_laws(tree, ("j2",), np.full(4, -1.5), np.full(4, 1.5))
-    torques = law.select(compute_gravity_torques(tree, tree.parameters.values, np.zeros((1, 4))).torques)[0]
+    loads = compute_gravity_torques(tree, tree.parameters.values, np.zeros((1, 4)))
+    torques = law.select(loads.sum_bodies(np.zeros(4))[0])[0]
     masses, load = 9.81 * (5 * 0.2 + 4 * 0.8 + 3 * (1.0 + 0.0)), 9.81 * (1.0 + 0.05)
     assert torques == pytest.approx([masses, load], rel=1e-9)
     assert [p.unit for p in law.parameters] == ["rad/(N m)", "rad kg/(N m)"]
+    lighter = law.select(loads.sum_bodies(np.array([0.9, 0.0, 0.0, -0.5]))[0])[0]  # j1's link does not load j2
+    assert lighter == pytest.approx([masses - 0.5 * 9.81 * 3 * 1.0, load], rel=1e-9)
+    assert law.bodies == ("j2", "j3", "j4")
     assert not build_gravity_laws(tree, ("j1",), np.full(4, -1.5), np.full(4, 1.5))  # its axis is vertical
 
 

@@ -7,6 +7,9 @@ r"""What an arm's joints do beside turning as their encoders say: each law is a 
   and `tau_1` that of 1 kg at the tool, which stands for a load that the file does not have;
 - coupling: another joint's drive turns this one along, `e = k q_other`.
 
+The file's masses are known to `BODY_STDERR` only, so `tau = sum_k (1 + m_k) tau_k` over the bodies k that such joints carry: each
+`m_k` is an unknown with that prior, and what poses do not tell of it widens the intervals of compliances and predicted poses.
+
 Torques are those of the nominal arm at the joints' positions before they yield. Calibrated placements would make the direction of
 a link's centre of mass a parameter: an offset and the next joint's place turn a link in its own frame without moving the tool.
 
@@ -22,11 +25,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import Predicted, WithoutClosure
+from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Predicted, WithoutClosure
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.kinematics.poses import Poses
 from tau_dyn.kinematics.tree_arrays import compute_frames, transform_point
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.robot.robot import BODY_STDERR
 
 MAX_DEFLECTION = 0.01
 """Deflection by gravity that a machine is taken to have before its poses are known (one standard deviation) [rad or m]."""
@@ -111,12 +115,14 @@ class GravityLaw:
         actuator: Its index.
         unit: Of the joint.
         sizes: Largest torques of the masses and of 1 kg at the tool on this joint [N m or N].
+        bodies: Joints whose bodies' masses load this joint.
     """
 
     joint: str
     actuator: int
     unit: str
     sizes: tuple[float, float]
+    bodies: tuple[str, ...]
 
     @property
     def parameters(self) -> Parameters:
@@ -139,15 +145,23 @@ JointLaw = EccentricityLaw | CouplingLaw | GravityLaw
 
 
 class GravityTorques(NamedTuple):
-    """Torques that hold a tree against gravity, those of the robot file's masses first, then those of 1 kg at the tool.
+    """Torques that hold a tree against gravity, those of each body's mass first, then those of 1 kg at the tool.
 
     Attributes:
-        torques: (N, na, 2) [N m or N].
-        slopes: Their derivative by the actuated positions (N, na, 2, na).
+        bodies: Joints that move the bodies with mass (b).
+        torques: (N, na, b + 1) [N m or N].
+        slopes: Their derivative by the actuated positions (N, na, b + 1, na).
     """
 
+    bodies: tuple[str, ...]
     torques: np.ndarray
     slopes: np.ndarray
+
+    def sum_bodies(self, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return torques (N, na, 2) and slopes (N, na, 2, na) of all masses, each off by its share (b,), and of 1 kg at the tool."""
+        weights = np.zeros((len(self.bodies) + 1, 2))
+        weights[:-1, 0], weights[-1, 1] = 1 + errors, 1.0
+        return self.torques @ weights, np.einsum("nakb,kw->nawb", self.slopes, weights)
 
 
 def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray) -> GravityTorques:
@@ -161,17 +175,17 @@ def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray
     numbers, x = tree.place(theta, q)
     at, gravity = compute_frames(numbers.joints, x), model.gravity.linear
     joints = [next(j for j in numbers.joints if j.v == v) for v in shape.active]
-    bodies = [(0, body.mass, k, body.lever) for k, body in enumerate(model.inertias) if k and body.mass > 0]
-    bodies.append((1, 1.0, shape.tool.joint, numbers.tool))
-    masses = np.zeros((len(joints), 2, len(bodies)))  # that each joint carries, by joint, kind and body
-    for i, (kind, mass, carrier, _) in enumerate(bodies):
-        masses[[j.index in model.supports[carrier].tolist() for j in joints], kind, i] = mass
-    points = np.stack([transform_point(at, carrier, lever) for _, _, carrier, lever in bodies])
+    bodies = [(k, body.mass, body.lever) for k, body in enumerate(model.inertias) if k and body.mass > 0]
+    names = tuple(model.names[k] for k, _, _ in bodies)
+    bodies.append((shape.tool.joint, 1.0, numbers.tool))
+    carried = np.array([[j.index in model.supports[k].tolist() for k, _, _ in bodies] for j in joints])
+    masses = carried * np.array([mass for _, mass, _ in bodies])  # by joint and body
+    points = np.stack([transform_point(at, carrier, lever) for carrier, _, lever in bodies])
     origin, z = (np.stack([vectors[j.index] for j in joints]) for vectors in (at.origin, at.axis))
-    total, slides = masses.sum(axis=2), np.array([j.slides for j in joints])
-    moment = np.einsum("aki,icn->akcn", masses, points) - total[:, :, None, None] * origin[:, None]
+    slides = np.array([j.slides for j in joints])
+    moment = masses[:, :, None, None] * (points[None] - origin[:, None])
     swept = np.where(
-        slides[:, None, None, None], total[:, :, None, None] * z[:, None], np.cross(z[:, None], moment, axis=2)
+        slides[:, None, None, None], masses[:, :, None, None] * z[:, None], np.cross(z[:, None], moment, axis=2)
     )
     torques = -np.einsum("c,akcn->nak", gravity, swept)
     turning = np.cross(gravity, z, axisb=1, axisc=1) * ~slides[:, None, None]
@@ -179,13 +193,14 @@ def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray
     carries = np.array([[a.index in model.supports[b.index].tolist() for b in joints] for a in joints])
     by_carried, by_carrier = products, np.swapaxes(products, 1, 3)
     slopes = np.where(carries.T[:, None], by_carrier, np.where(carries[:, None], by_carried, 0.0))
-    return GravityTorques(torques, slopes)
+    return GravityTorques(names, torques, slopes)
 
 
 class _Deflected(NamedTuple):
     real: np.ndarray  # joints' positions (N, na)
     by_position: np.ndarray  # their derivative by the positions without loads (N, na, na)
-    torques: np.ndarray  # (N, na, 2)
+    torques: np.ndarray  # of all masses and of 1 kg at the tool (N, na, 2)
+    by_mass: np.ndarray  # derivative of `real` by the shares of masses (N, na, m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +217,20 @@ class ArmGeometry(WithoutClosure):
 
     @property
     def parameters(self) -> Parameters:
-        """The tree's parameters, then the laws'."""
+        """The tree's parameters, then the laws', then by what share the masses that matter to them are off."""
         return self._parameters
 
     @cached_property
     def _parameters(self) -> Parameters:
-        return Parameters([*self.tree.parameters, *(p for law in self.laws for p in law.parameters)])
+        masses = [
+            Parameter(f"{body}.mass_error", 0.0, "1", prior_stderr=BODY_STDERR, origin="law") for body in self._bodies
+        ]
+        return Parameters([*self.tree.parameters, *(p for law in self.laws for p in law.parameters), *masses])
+
+    @cached_property
+    def _bodies(self) -> tuple[str, ...]:
+        """Joints whose bodies load a joint that yields, each once."""
+        return tuple(dict.fromkeys(b for law in self.laws if isinstance(law, GravityLaw) for b in law.bodies))
 
     @property
     def actuated(self) -> tuple[str, ...]:
@@ -227,18 +250,20 @@ class ArmGeometry(WithoutClosure):
     @property
     def priority(self) -> np.ndarray:
         """The tree's, and one more for the laws: what a dimension does as well stays with the dimension (p,)."""
-        n = len(self.parameters) - len(self.tree.parameters)
-        return np.concatenate([self.tree.priority, np.full(n, int(self.tree.priority.max(initial=0)) + 1)])
+        own, masses = self.tree.priority, len(self._bodies)
+        n = len(self.parameters) - len(own) - masses
+        laws = np.full(n, int(own.max(initial=0)) + 1)
+        return np.concatenate([own, laws, np.full(masses, KNOWN_BEFOREHAND)])
 
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses."""
-        own, of_laws = self._split(theta)
-        return self.tree.forward(own, self._deflect(of_laws, self._move(of_laws, q)).real, start)
+        own, of_laws, masses = self._split(theta)
+        return self.tree.forward(own, self._deflect(of_laws, masses, self._move(of_laws, q)).real, start)
 
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per parameter (N, 6, p)."""
-        own, of_laws = self._split(theta)
-        at = self._deflect(of_laws, self._move(of_laws, q))
+        own, of_laws, masses = self._split(theta)
+        at = self._deflect(of_laws, masses, self._move(of_laws, q))
         slopes, columns = self.tree.tool_by_joint(own, at.real), [self.tree.tool_by_parameter(own, at.real)]
         through = slopes @ at.by_position
         for law in self.laws:
@@ -246,23 +271,23 @@ class ArmGeometry(WithoutClosure):
                 columns.append(slopes[:, :, [law.actuator]] * law.select(at.torques)[:, None, :])
             else:
                 columns.append(through[:, :, [law.actuator]] * law.compute_columns(q)[:, None, :])
-        return np.concatenate(columns, axis=2)
+        return np.concatenate([*columns, slopes @ at.by_mass], axis=2)
 
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per actuated joint's encoder (N, 6, na)."""
-        own, of_laws = self._split(theta)
-        at = self._deflect(of_laws, self._move(of_laws, q))
+        own, of_laws, masses = self._split(theta)
+        at = self._deflect(of_laws, masses, self._move(of_laws, q))
         moving = np.broadcast_to(np.eye(q.shape[1]), (len(q), q.shape[1], q.shape[1])).copy()
         for law, values in zip(self.laws, of_laws, strict=True):
             if not isinstance(law, GravityLaw):
                 moving[:, law.actuator] += np.einsum("npa,p->na", law.compute_slopes(q), values)
         return self.tree.tool_by_joint(own, at.real) @ at.by_position @ moving
 
-    def _split(self, theta: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return the tree's parameters and each law's."""
+    def _split(self, theta: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+        """Return the tree's parameters, each law's, and by what share masses are off."""
         ends = np.cumsum([len(self.tree.parameters), *(len(law.parameters) for law in self.laws)])
-        own, *of_laws = np.split(np.asarray(theta, float), ends[:-1])
-        return own, of_laws
+        own, *of_laws, masses = np.split(np.asarray(theta, float), ends)
+        return own, of_laws, masses
 
     def _move(self, of_laws: Sequence[np.ndarray], q: np.ndarray) -> np.ndarray:
         """Return where the joints are (N, na) by their encoders' laws, before they yield."""
@@ -272,17 +297,24 @@ class ArmGeometry(WithoutClosure):
                 moved[:, law.actuator] += law.compute_columns(q) @ values
         return moved
 
-    def _deflect(self, of_laws: Sequence[np.ndarray], moved: np.ndarray) -> _Deflected:
+    def _deflect(self, of_laws: Sequence[np.ndarray], masses: np.ndarray, moved: np.ndarray) -> _Deflected:
         """Return where the joints really are, from where they would be without loads (N, na)."""
         real, by_position = moved.copy(), np.broadcast_to(np.eye(moved.shape[1]), (*moved.shape, moved.shape[1])).copy()
+        by_mass = np.zeros((*moved.shape, len(masses)))
         if not any(isinstance(law, GravityLaw) for law in self.laws):
-            return _Deflected(real, by_position, np.zeros((*moved.shape, 2)))
-        torques, slopes = compute_gravity_torques(self.tree, self.tree.parameters.values, moved)
+            return _Deflected(real, by_position, np.zeros((*moved.shape, 2)), by_mass)
+        loads = compute_gravity_torques(self.tree, self.tree.parameters.values, moved)
+        places = [loads.bodies.index(body) for body in self._bodies]
+        errors = np.zeros(len(loads.bodies))
+        errors[places] = masses
+        torques, slopes = loads.sum_bodies(errors)
         for law, values in zip(self.laws, of_laws, strict=True):
             if isinstance(law, GravityLaw):
                 real[:, law.actuator] += law.select(torques) @ values
                 by_position[:, law.actuator] += np.einsum("npa,p->na", law.select(slopes), values)
-        return _Deflected(real, by_position, torques)
+                if law.sizes[0] > 0:
+                    by_mass[:, law.actuator] += values[0] * loads.torques[:, law.actuator, places]
+        return _Deflected(real, by_position, torques, by_mass)
 
 
 def build_gravity_laws(
@@ -291,11 +323,15 @@ def build_gravity_laws(
     """Return the laws of those joints that carry gravity somewhere between two positions (na,); the tree has no loops."""
     robot = tree.shape.robot
     q = low + (high - low) * np.random.default_rng(0).random((_TRIED, robot.na))
-    sizes = np.abs(compute_gravity_torques(tree, tree.parameters.values, q).torques).max(axis=0)
-    sizes[sizes < _NO_TORQUE * max(float(sizes.max()), 1.0)] = 0.0
+    loads = compute_gravity_torques(tree, tree.parameters.values, q)
+    sizes = np.abs(loads.sum_bodies(np.zeros(len(loads.bodies)))[0]).max(axis=0)
+    threshold = _NO_TORQUE * max(float(sizes.max()), 1.0)
+    sizes[sizes < threshold] = 0.0
+    loading = np.abs(loads.torques[:, :, :-1]).max(axis=0) >= threshold
     found = []
     for joint in joints:
         a = robot.actuated.index(joint)
         if sizes[a].any():
-            found.append(GravityLaw(joint, a, robot.position_units[a], (sizes[a, 0], sizes[a, 1])))
+            bodies = tuple(name for name, loads_it in zip(loads.bodies, loading[a], strict=True) if loads_it)
+            found.append(GravityLaw(joint, a, robot.position_units[a], (sizes[a, 0], sizes[a, 1]), bodies))
     return found
