@@ -7,8 +7,9 @@ r"""What an arm's joints do beside turning as their encoders say: each law is a 
   and `tau_1` that of 1 kg at the tool, which stands for a load that the file does not have;
 - coupling: another joint's drive turns this one along, `e = k q_other`.
 
-The file's masses are known to `BODY_STDERR` only, so `tau = sum_k (1 + m_k) tau_k` over the bodies k that such joints carry: each
-`m_k` is an unknown with that prior, and what poses do not tell of it widens the intervals of compliances and predicted poses.
+The file's masses are known to `BODY_STDERR` only, so `tau = sum_k (1 + m_k) tau_k` over the bodies k that such joints carry, and
+the base is level within the prior of all angles, as the device's frame takes its tilt `t` up: gravity is `g + t x g`. The shares
+`m_k` and `t` are unknowns with these priors; what poses do not tell of them widens the intervals of compliances and of poses.
 
 Torques are those of the nominal arm at the joints' positions before they yield. Calibrated placements would make the direction of
 a link's centre of mass a parameter: an offset and the next joint's place turn a link in its own frame without moving the tool.
@@ -38,6 +39,10 @@ _COUPLING_STDERR = 0.1
 """Share of another joint's motion that may be coupled in, one standard deviation."""
 _TRIED = 50
 """Positions at which it is looked whether a joint carries gravity."""
+_TILTS = ("base.tilt_x", "base.tilt_y", "base.tilt_z")
+"""Rotation vector by which gravity is turned in the base frame [rad]; the one along gravity does nothing and is left out."""
+_LEVEL = 1e-6
+"""Share of gravity across an axis that is rounding."""
 _NO_TORQUE = 1e-9
 """Torque relative to the largest one, or to 1 N m, that is rounding."""
 
@@ -158,14 +163,16 @@ class GravityTorques(NamedTuple):
     slopes: np.ndarray
 
     def sum_bodies(self, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return torques (N, na, 2) and slopes (N, na, 2, na) of all masses, each off by its share (b,), and of 1 kg at the tool."""
+        """Return torques (N, na, 2) and slopes (N, na, 2, na) of all masses, off by shares (b,), and of 1 kg at the tool."""
         weights = np.zeros((len(self.bodies) + 1, 2))
         weights[:-1, 0], weights[-1, 1] = 1 + errors, 1.0
         return self.torques @ weights, np.einsum("nakb,kw->nawb", self.slopes, weights)
 
 
-def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray) -> GravityTorques:
-    """Return the torques of a tree without loops, its geometry at `theta` (p,) and its joints at `q` (N, na).
+def compute_gravity_torques(
+    tree: TreeGeometry, theta: np.ndarray, q: np.ndarray, gravity: np.ndarray | None = None
+) -> GravityTorques:
+    """Return the torques of a tree without loops, its geometry at `theta` (p,), its joints at `q` (N, na), gravity (3,) [m/s^2].
 
     With `M_j` the mass that joint j carries, `A_j` its first moment about the joint, and `s_j = z_j x A_j` for a turn, `M_j z_j`
     for a slide: `tau_j = -g . s_j`. Of a turn j its derivative by a joint k that it carries is `-(g x z_j) . s_k`, and by a turn
@@ -173,7 +180,7 @@ def compute_gravity_torques(tree: TreeGeometry, theta: np.ndarray, q: np.ndarray
     """
     shape, model = tree.shape, tree.shape.robot.model
     numbers, x = tree.place(theta, q)
-    at, gravity = compute_frames(numbers.joints, x), model.gravity.linear
+    at, gravity = compute_frames(numbers.joints, x), model.gravity.linear if gravity is None else gravity
     joints = [next(j for j in numbers.joints if j.v == v) for v in shape.active]
     bodies = [(k, body.mass, body.lever) for k, body in enumerate(model.inertias) if k and body.mass > 0]
     names = tuple(model.names[k] for k, _, _ in bodies)
@@ -200,7 +207,7 @@ class _Deflected(NamedTuple):
     real: np.ndarray  # joints' positions (N, na)
     by_position: np.ndarray  # their derivative by the positions without loads (N, na, na)
     torques: np.ndarray  # of all masses and of 1 kg at the tool (N, na, 2)
-    by_mass: np.ndarray  # derivative of `real` by the shares of masses (N, na, m)
+    bodies: np.ndarray  # of each mass that counts (N, na, m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +224,7 @@ class ArmGeometry(WithoutClosure):
 
     @property
     def parameters(self) -> Parameters:
-        """The tree's parameters, then the laws', then by what share the masses that matter to them are off."""
+        """The tree's parameters, then the laws', then by what share masses are off that matter to them, and the base's tilt."""
         return self._parameters
 
     @cached_property
@@ -225,12 +232,31 @@ class ArmGeometry(WithoutClosure):
         masses = [
             Parameter(f"{body}.mass_error", 0.0, "1", prior_stderr=BODY_STDERR, origin="law") for body in self._bodies
         ]
-        return Parameters([*self.tree.parameters, *(p for law in self.laws for p in law.parameters), *masses])
+        tilts = [Parameter(_TILTS[axis], 0.0, "rad", origin="law") for axis in self._tilts]
+        return Parameters([*self.tree.parameters, *(p for law in self.laws for p in law.parameters), *masses, *tilts])
 
     @cached_property
     def _bodies(self) -> tuple[str, ...]:
         """Joints whose bodies load a joint that yields, each once."""
-        return tuple(dict.fromkeys(b for law in self.laws if isinstance(law, GravityLaw) for b in law.bodies))
+        return tuple(dict.fromkeys(b for law in self._gravity_laws for b in law.bodies))
+
+    @cached_property
+    def _gravity_laws(self) -> tuple[GravityLaw, ...]:
+        return tuple(law for law in self.laws if isinstance(law, GravityLaw))
+
+    @property
+    def _gravity(self) -> np.ndarray:
+        return np.asarray(self.tree.shape.robot.model.gravity.linear)
+
+    @cached_property
+    def _tilts(self) -> tuple[int, ...]:
+        """Axes about which a tilt of the base turns gravity, where a joint yields to it."""
+        across = np.linalg.norm(np.cross(np.eye(3), self._gravity), axis=1)
+        return (
+            tuple(np.flatnonzero(across > _LEVEL * np.linalg.norm(self._gravity)).tolist())
+            if self._gravity_laws
+            else ()
+        )
 
     @property
     def actuated(self) -> tuple[str, ...]:
@@ -250,20 +276,20 @@ class ArmGeometry(WithoutClosure):
     @property
     def priority(self) -> np.ndarray:
         """The tree's, and one more for the laws: what a dimension does as well stays with the dimension (p,)."""
-        own, masses = self.tree.priority, len(self._bodies)
-        n = len(self.parameters) - len(own) - masses
-        laws = np.full(n, int(own.max(initial=0)) + 1)
-        return np.concatenate([own, laws, np.full(masses, KNOWN_BEFOREHAND)])
+        own, loads = self.tree.priority, len(self._bodies) + len(self._tilts)
+        laws = np.full(len(self.parameters) - len(own) - loads, int(own.max(initial=0)) + 1)
+        return np.concatenate([own, laws, np.full(loads, KNOWN_BEFOREHAND)])
 
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses."""
-        own, of_laws, masses = self._split(theta)
-        return self.tree.forward(own, self._deflect(of_laws, masses, self._move(of_laws, q)).real, start)
+        own, of_laws, off = self._split(theta)
+        return self.tree.forward(own, self._deflect(of_laws, off, self._move(of_laws, q)).real, start)
 
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per parameter (N, 6, p)."""
-        own, of_laws, masses = self._split(theta)
-        at = self._deflect(of_laws, masses, self._move(of_laws, q))
+        own, of_laws, off = self._split(theta)
+        moved = self._move(of_laws, q)
+        at = self._deflect(of_laws, off, moved)
         slopes, columns = self.tree.tool_by_joint(own, at.real), [self.tree.tool_by_parameter(own, at.real)]
         through = slopes @ at.by_position
         for law in self.laws:
@@ -271,12 +297,12 @@ class ArmGeometry(WithoutClosure):
                 columns.append(slopes[:, :, [law.actuator]] * law.select(at.torques)[:, None, :])
             else:
                 columns.append(through[:, :, [law.actuator]] * law.compute_columns(q)[:, None, :])
-        return np.concatenate([*columns, slopes @ at.by_mass], axis=2)
+        return np.concatenate([*columns, slopes @ self._by_load(of_laws, off, moved, at)], axis=2)
 
     def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses | None = None) -> np.ndarray:
         """Return the tool's twist per actuated joint's encoder (N, 6, na)."""
-        own, of_laws, masses = self._split(theta)
-        at = self._deflect(of_laws, masses, self._move(of_laws, q))
+        own, of_laws, off = self._split(theta)
+        at = self._deflect(of_laws, off, self._move(of_laws, q))
         moving = np.broadcast_to(np.eye(q.shape[1]), (len(q), q.shape[1], q.shape[1])).copy()
         for law, values in zip(self.laws, of_laws, strict=True):
             if not isinstance(law, GravityLaw):
@@ -284,10 +310,10 @@ class ArmGeometry(WithoutClosure):
         return self.tree.tool_by_joint(own, at.real) @ at.by_position @ moving
 
     def _split(self, theta: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-        """Return the tree's parameters, each law's, and by what share masses are off."""
+        """Return the tree's parameters, each law's, and what is off in loads: masses, then the tilt."""
         ends = np.cumsum([len(self.tree.parameters), *(len(law.parameters) for law in self.laws)])
-        own, *of_laws, masses = np.split(np.asarray(theta, float), ends)
-        return own, of_laws, masses
+        own, *of_laws, off = np.split(np.asarray(theta, float), ends)
+        return own, of_laws, off
 
     def _move(self, of_laws: Sequence[np.ndarray], q: np.ndarray) -> np.ndarray:
         """Return where the joints are (N, na) by their encoders' laws, before they yield."""
@@ -297,24 +323,42 @@ class ArmGeometry(WithoutClosure):
                 moved[:, law.actuator] += law.compute_columns(q) @ values
         return moved
 
-    def _deflect(self, of_laws: Sequence[np.ndarray], masses: np.ndarray, moved: np.ndarray) -> _Deflected:
+    def _deflect(self, of_laws: Sequence[np.ndarray], off: np.ndarray, moved: np.ndarray) -> _Deflected:
         """Return where the joints really are, from where they would be without loads (N, na)."""
         real, by_position = moved.copy(), np.broadcast_to(np.eye(moved.shape[1]), (*moved.shape, moved.shape[1])).copy()
-        by_mass = np.zeros((*moved.shape, len(masses)))
-        if not any(isinstance(law, GravityLaw) for law in self.laws):
-            return _Deflected(real, by_position, np.zeros((*moved.shape, 2)), by_mass)
-        loads = compute_gravity_torques(self.tree, self.tree.parameters.values, moved)
-        places = [loads.bodies.index(body) for body in self._bodies]
-        errors = np.zeros(len(loads.bodies))
-        errors[places] = masses
-        torques, slopes = loads.sum_bodies(errors)
+        if not self._gravity_laws:
+            return _Deflected(real, by_position, np.zeros((*moved.shape, 2)), np.zeros((*moved.shape, 0)))
+        tilt = np.zeros(3)
+        tilt[list(self._tilts)] = off[len(self._bodies) :]
+        loads = self._load(moved, self._gravity + np.cross(tilt, self._gravity))
+        torques, slopes = loads.sum_bodies(self._of_bodies(loads, off))
         for law, values in zip(self.laws, of_laws, strict=True):
             if isinstance(law, GravityLaw):
                 real[:, law.actuator] += law.select(torques) @ values
                 by_position[:, law.actuator] += np.einsum("npa,p->na", law.select(slopes), values)
+        places = [loads.bodies.index(body) for body in self._bodies]
+        return _Deflected(real, by_position, torques, loads.torques[:, :, places])
+
+    def _by_load(self, of_laws: Sequence[np.ndarray], off: np.ndarray, moved: np.ndarray, at: _Deflected) -> np.ndarray:
+        """Return the derivative of the joints' positions by what is off in loads (N, na, o)."""
+        tilted = [self._load(moved, np.cross(np.eye(3)[axis], self._gravity)) for axis in self._tilts]
+        sums = [loads.sum_bodies(self._of_bodies(loads, off))[0] for loads in tilted]
+        out, many = np.zeros((*moved.shape, len(off))), len(self._bodies)
+        for law, values in zip(self.laws, of_laws, strict=True):
+            if isinstance(law, GravityLaw):
                 if law.sizes[0] > 0:
-                    by_mass[:, law.actuator] += values[0] * loads.torques[:, law.actuator, places]
-        return _Deflected(real, by_position, torques, by_mass)
+                    out[:, law.actuator, :many] += values[0] * at.bodies[:, law.actuator]
+                for k, torques in enumerate(sums):
+                    out[:, law.actuator, many + k] += law.select(torques) @ values
+        return out
+
+    def _load(self, moved: np.ndarray, gravity: np.ndarray) -> GravityTorques:
+        return compute_gravity_torques(self.tree, self.tree.parameters.values, moved, gravity)
+
+    def _of_bodies(self, loads: GravityTorques, off: np.ndarray) -> np.ndarray:
+        """Return by what share each body's mass is off (b,), zero where it does not count."""
+        known = dict(zip(self._bodies, off[: len(self._bodies)].tolist(), strict=True))
+        return np.array([known.get(body, 0.0) for body in loads.bodies])
 
 
 def build_gravity_laws(
