@@ -19,6 +19,9 @@ from tau_dyn.exceptions import UnknownName
 from tau_dyn.mechanism import Poses
 from tau_dyn.parameters import Parameter, Parameters
 
+KNOWN_BEFOREHAND = 1000
+"""Priority of a parameter that its `prior_stderr` tells where poses do not: never dropped, its uncertainty always counts."""
+
 
 class Predicted(NamedTuple):
     """Where a model says that the tool is.

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
+from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND
 from tau_dyn.calibrate.identifiability import Identifiability, find_identifiable
 from tau_dyn.calibrate.residuals import FitState, Problem
 from tau_dyn.calibrate.weights import compute_robust_weights, estimate_robust_scale
@@ -71,12 +72,14 @@ class LevenbergMarquardt:
         return state, noise, False
 
     def identifiable(self, state: FitState, noise: tuple[float, ...]) -> Identifiability:
-        """Return what the poses can tell at a state."""
+        """Return what the poses can tell at a state, or prior knowledge of what is known beforehand."""
         _, w = self._whitened(state, noise)
         columns = self._columns(state, noise, w)
         names = tuple(self.unknowns.names[k] for k in self.free)
-        flat = columns.reshape(-1, len(self.free))
-        return find_identifiable(flat, names, self.scales, self.unknowns.priority[self.free])
+        priority = self.unknowns.priority[self.free]
+        known = np.diag(1 / self.scales)[priority == KNOWN_BEFOREHAND]
+        flat = np.vstack([columns.reshape(-1, len(self.free)), known])
+        return find_identifiable(flat, names, self.scales, priority)
 
     def reset_unidentifiable(self, state: FitState, noise: tuple[float, ...], found: Identifiability) -> FitState:
         """Return the state with parameters that cannot be told at their nominal values, the others making up for it.

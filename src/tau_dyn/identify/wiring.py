@@ -27,6 +27,7 @@ from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.excerpt import Excerpt
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.robot import Robot
+from tau_dyn.robot.robot import BODY_STDERR
 
 MIN_GAIN_NATS = 30.0
 """Log-likelihood gain from which an alternative is named; sound logs with bodies 40 % off reach about 5."""
@@ -36,9 +37,6 @@ ALIAS_NATS = 5.0
 
 MODEL_ERROR = 0.05
 """Least residual of a joint, as a share of its force: what compliance, cables and heat leave of sound robots."""
-
-BODY_STDERR = 0.25
-"""Standard deviation of a body's mass, moments and inertia against the robot file, relative to its size."""
 
 PAYLOAD_SHARE = 0.2
 """Standard deviation of what the last bodies carry beyond the file, as a share of the robot's mass."""

@@ -23,6 +23,8 @@ INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 NOT_GIVEN = "not given"
 """Origin of a drive inertia that the robot file says nothing about."""
+BODY_STDERR = 0.25
+"""Standard deviation of a body's mass, moments and inertia against the robot file, relative to its size, if not weighed."""
 NOMINAL_MASS_STDERR = 0.02  # relative; what a nominal mass is trusted to unless a file says otherwise
 
 
