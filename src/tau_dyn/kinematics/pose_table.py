@@ -12,7 +12,7 @@ import pandas as pd
 from tau_dyn.exceptions import InputError
 from tau_dyn.kinematics.assembly import list_robot_modes
 from tau_dyn.kinematics.forward import forward_kinematics
-from tau_dyn.kinematics.inverse import inverse_kinematics, list_configurations, solve_all_configurations
+from tau_dyn.kinematics.inverse import find_all_solutions, inverse_kinematics, list_configurations
 from tau_dyn.kinematics.kinematics_result import JOINT_LIMIT, NOT_A_NUMBER, OK, OUT_OF_REACH, REASONS, InverseResult
 from tau_dyn.kinematics.pose_columns import TOOL
 from tau_dyn.kinematics.poses import Poses, convert_to_quaternions
@@ -24,8 +24,8 @@ _MAX_REACH_M = 50.0  # [m] no robot is larger, and millimetres are
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
 
 
-class ModeCount(NamedTuple):
-    """How many assembly modes one row of positions has: the number found, whether it is proved, and the sentence why."""
+class Count(NamedTuple):
+    """How many assembly modes or inverse solutions a row of the input has: found, whether it is proved to be all, and why."""
 
     pose: int
     count: int
@@ -47,8 +47,7 @@ class PoseTable(Shown):
         reason: Why a row has no answer, '' where it has one (N,).
         configuration: Name of the configuration (`ik`) or of the assembly mode (`fk`), '' where not asked for (N,).
         warnings: Sentences.
-        complete: Whether every configuration or mode is listed for certain, as closed forms do.
-        modes: Assembly modes of each row of the input; empty where not asked for.
+        counts: Of modes or configurations of each row of the input; empty where not asked for.
     """
 
     robot: Robot
@@ -107,7 +106,7 @@ class PoseTable(Shown):
             "units": list(self.robot.position_units),
             "answered": int(self.ok.sum()),
             "rows": rows,
-            "modes": [count._asdict() for count in self.modes],
+            "solutions" if self.inverse else "modes": [count._asdict() for count in self.counts],
         }
 
 
@@ -146,11 +145,11 @@ def _all_modes(
         progress(f"assembly modes of row {k + 1} of {len(q)}")
         if not np.isfinite(row).all():
             modes, tool = None, None
-            counts.append(ModeCount(k + 1, 0, False, REASONS[NOT_A_NUMBER]))
+            counts.append(Count(k + 1, 0, False, REASONS[NOT_A_NUMBER]))
         else:
             modes = list_robot_modes(robot, row)
             tool = modes.tool
-            counts.append(ModeCount(k + 1, tool.n_samples, modes.proved, modes.why))
+            counts.append(Count(k + 1, tool.n_samples, modes.proved, modes.why))
         if modes is None or tool is None or not tool.n_samples:
             parts.append(Poses(np.full((1, 3), np.nan), np.full((1, 3, 3), np.nan)))
             names, why = [*names, ""], [*why, reason[k] or REASONS[OUT_OF_REACH]]
@@ -170,7 +169,7 @@ def _all_modes(
         configuration=np.array(names),
         warnings=[*warnings, *lost],
     )
-    return replace(table, complete=all(c.proved for c in counts), modes=tuple(counts))
+    return replace(table, counts=tuple(counts))
 
 
 def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = False) -> PoseTable:
@@ -199,8 +198,8 @@ def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool 
 
 
 def _all(robot: Robot, poses: Poses) -> PoseTable:
-    found = solve_all_configurations(robot, poses)
-    rods = get_rods(robot)
+    solved, rods = find_all_solutions(robot, poses), get_rods(robot)
+    found = solved.q
     named = rods is not None and len(list_configurations(rods)) == found.shape[1]
     names = [_name(c) for c in list_configurations(rods)] if rods is not None and named else []
     names = names or [str(k + 1) for k in range(found.shape[1])]
@@ -218,8 +217,9 @@ def _all(robot: Robot, poses: Poses) -> PoseTable:
     missing = n - len(np.unique(pose))
     warnings = [f"{missing} of {n} poses cannot be reached in any configuration"] if missing else []
     table = _table(robot, True, q, poses.take(pose), reason, pose=pose, configuration=name, warnings=warnings)
-    closed = rods is not None and named and bool((list_configurations(rods) != 0).all())
-    return replace(table, complete=closed)
+    counts = np.bincount(pose, minlength=n).tolist()
+    each = zip(range(1, n + 1), counts, solved.proved.tolist(), solved.why, strict=True)
+    return replace(table, counts=tuple(Count(*row) for row in each))
 
 
 def _name(signs: np.ndarray) -> str:
