@@ -59,8 +59,12 @@ class PoseTable(Shown):
     reason: np.ndarray
     configuration: np.ndarray
     warnings: tuple[str, ...]
-    complete: bool = False
-    modes: tuple[ModeCount, ...] = ()
+    counts: tuple[Count, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every configuration or mode is listed for certain."""
+        return bool(self.counts) and all(count.proved for count in self.counts)
 
     @property
     def choice(self) -> str:

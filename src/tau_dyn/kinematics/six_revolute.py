@@ -28,13 +28,20 @@ from scipy.linalg import eig
 _ANGLES = 2 * np.pi / 3 * np.arange(3)  # [rad] where functions of harmonics -1, 0, 1 are sampled
 _ORDER = [2, 0, 1]  # of the discrete Fourier transform, so that harmonics run from -1 to 1
 _RANK = 1e-7  # singular values below this, relative to the largest, are those of axes that are special up to a file's digits
-_REGULAR = 1e-9  # smallest singular value at a random w, relative to the largest, of a regular polynomial
+_REGULAR = (
+    1e6  # smallest singular value at a random w, relative to the largest, by the coefficients' error; less is singular
+)
 _NULL, _NOT_NULL = 1e-7, 1e-5  # singular values, relative to the largest, of solutions and of none; between: doubt
+_EXACT = 1e-12  # error of the coefficients up to which eigenvalues prove anything
+_SHARP = 1e4  # times the coefficients' error: what lets products be told from noise to 1e-4
 _BAND = 1e-4  # of log |w|: what is nearer to the circle must be explained; rounding moves simple roots by 1e-10
 _TOGETHER = 1e-6  # eigenvalues nearer to each other are looked at together
 _ROUNDING = 1e-13  # of the polynomial relative to its size, from which an eigenvalue's error follows
 _SPREAD = 1e8  # condition number above which directions of a null space are not told apart
+_SAME = 1e-5  # error of the products of a null space relative to their size, by which they may miss being such
+_POINT = 1e-9  # [m] lengths of an arm whose axes all meet
 _OPEN = 1e-2  # of a loop relative to the arm's size: what candidates of real solutions do not leave open
+_ONE_EQUATION = 1e-4  # singular value relative to the largest; less, and an equation's rounding is too much to use it
 _ON_AXIS = [2, 5, 8, 11, 12, 13]  # of the 14 numbers, those that a turn about z leaves
 
 MAX_SOLUTIONS = 16
@@ -42,9 +49,16 @@ MAX_SOLUTIONS = 16
 
 
 class Candidates(NamedTuple):
-    """What one elimination gives: rows of angles near all real solutions (m, 6) [rad], and why they may not be all."""
+    """What one elimination gives.
+
+    Attributes:
+        q: Rows of angles near all real solutions (m, 6) [rad]; two may lead to the same one.
+        needed: Number of real solutions below which some are missing.
+        doubt: Why the rows may not be all, '' where they are.
+    """
 
     q: np.ndarray
+    needed: int
     doubt: str
 
 
@@ -74,24 +88,32 @@ def eliminate(G: np.ndarray) -> Iterator[Candidates]:
     Args:
         G: Placements (6, 4, 4): of joint k + 1 in joint k's frame [m], `G[0]` of the first in the last one's.
     """
-    built = sorted((_build_polynomial(G, first) for first in range(6)), key=lambda P: -P.regular)
+    built = sorted((_build_polynomial(G, first) for first in range(6)), key=lambda P: -P.regular / P.error)
     for P in built:
-        if P.regular < _REGULAR:
-            break
-        yield _solve(P)
+        if P.regular >= _REGULAR * P.error:
+            yield _solve(P)
 
 
 def _solve(P: _Polynomial) -> Candidates:
     groups, doubt = _find_on_circle(P)
+    if P.error > _EXACT:
+        doubt = "axes are special up to a file's digits only"
     found: list[np.ndarray] = []
+    needed = 0
     for w, multiplicity in groups:
-        pairs, why = _solve_products(_at(P.tall, w), multiplicity)
+        pairs, why = _solve_products(_at(P.tall, w), multiplicity, P.error)
         doubt = doubt or why
+        if not pairs and not why and P.tall.shape == P.square.shape:
+            doubt = doubt or "an eigenvalue gives no solution"
         for pair in pairs:
-            rows = _complete(P.G, np.angle([w, *pair]))
-            doubt = doubt or ("" if rows else "an angle is free")
-            found += [q for q in rows if _measure_gap(P.G, q) < _OPEN]
-    return Candidates(np.roll(np.array(found).reshape(-1, 6), P.first, axis=1), doubt)
+            all_rows, why = _complete(P.G, np.angle([w, *pair]))
+            rows = [q for q in all_rows if _measure_gap(P.G, q) < _OPEN]
+            doubt = (
+                doubt or why or ("the angles of an eigenvalue do not close the loop" if all_rows and not rows else "")
+            )
+            needed += bool(rows)
+            found += rows
+    return Candidates(np.roll(np.array(found).reshape(-1, 6), P.first, axis=1), needed, doubt)
 
 
 def _measure_gap(G: np.ndarray, q: np.ndarray) -> float:
@@ -103,7 +125,8 @@ def _measure_gap(G: np.ndarray, q: np.ndarray) -> float:
 
 def _build_polynomial(G: np.ndarray, first: int) -> _Polynomial:
     G = np.roll(G, -first, axis=0)
-    G[:, :3, 3] /= max(np.linalg.norm(G[:, :3, 3], axis=1).max(), 1e-300)
+    size = np.linalg.norm(G[:, :3, 3], axis=1).max()
+    G[:, :3, 3] /= size if size > _POINT else 1.0
     turns = _turn(_ANGLES)
     tail = G[3] @ turns[:, None] @ G[4] @ turns[None] @ G[5]
     left = _invariants(turns[:, None, None] @ tail[None])
@@ -117,7 +140,7 @@ def _build_polynomial(G: np.ndarray, first: int) -> _Polynomial:
     six = np.tensordot(u[:, rank:].conj().T, L, axes=1)
     tall, square = _times_w4(six), _times_w4(np.tensordot(_mix(len(six)), six, axes=1))
     tried = [np.linalg.svd(_at(square, np.exp(1j * angle)), compute_uv=False) for angle in (0.3, 1.7, 4.1)]
-    error = _ROUNDING + float(s[rank:].max(initial=0.0) / s[0])
+    error = _ROUNDING + float(s[rank:].max(initial=0.0) / max(s[0], 1e-300))
     return _Polynomial(first, G, tall, square, error, float(min(s[-1] / s[0] for s in tried)))
 
 
@@ -164,14 +187,15 @@ def _find_on_circle(P: _Polynomial) -> tuple[list[tuple[complex, int]], str]:
     return groups, "an eigenvalue is too sensitive to be told from a real one" if unclear.any() else ""
 
 
-def _solve_products(P: np.ndarray, multiplicity: int) -> tuple[list[tuple[complex, complex]], str]:
+def _solve_products(P: np.ndarray, multiplicity: int, error: float) -> tuple[list[tuple[complex, complex]], str]:
     """Return the pairs (w_4, w_5) on the unit circle whose products w_4^i w_5^j (12,) the matrix annihilates, and a doubt.
 
     In a null space of several directions the products are those that multiplying by w_4, and by w_5, only scales.
     """
     _, s, vh = np.linalg.svd(P)
     n = int(np.sum(s < _NULL * s[0]))
-    doubt = "an eigenvalue is close to others" if np.any((s >= _NULL * s[0]) & (s < _NOT_NULL * s[0])) else ""
+    unclear = (s >= _NULL * s[0]) & (s < max(_NOT_NULL, _SHARP * error) * s[0])
+    doubt = "an eigenvalue is close to others" if unclear.any() else ""
     if n == 0:
         return [], doubt
     N = vh[-n:].conj().T.reshape(4, 3, n)
@@ -181,7 +205,10 @@ def _solve_products(P: np.ndarray, multiplicity: int) -> tuple[list[tuple[comple
         over, under = (a * high + b * low).reshape(-1, n), (0.7 * c * high + d * low).reshape(-1, n)
         if np.linalg.cond(under) > _SPREAD:
             return [], "solutions of one angle are not told apart"
-        whole += share * np.linalg.lstsq(under, over, rcond=None)[0]
+        scaled = np.linalg.lstsq(under, over, rcond=None)[0]
+        if n > 1 and np.abs(under @ scaled - over).max() > _SAME:
+            doubt = doubt or "an eigenvalue's null space is not made of solutions"
+        whole += share * scaled
     _, vectors = np.linalg.eig(whole)
     if np.linalg.cond(vectors) > _SPREAD:
         doubt = doubt or "solutions of one angle are not told apart"
@@ -196,22 +223,27 @@ def _solve_products(P: np.ndarray, multiplicity: int) -> tuple[list[tuple[comple
     return pairs, doubt
 
 
-def _complete(G: np.ndarray, q345: np.ndarray) -> list[np.ndarray]:
-    """Return rows of six angles with these of joints 3 to 5: what joint 1 leaves in place gives joint 2."""
+def _complete(G: np.ndarray, q345: np.ndarray) -> tuple[list[np.ndarray], str]:
+    """Return rows of six angles with these of joints 3 to 5, none where joint 2's angle is complex, and a doubt.
+
+    What joint 1 leaves in place is linear in the cosine and sine of joint 2's angle.
+    """
     R3, R4, R5 = _turn(q345)
     tail = G[2] @ R3 @ G[3] @ R4 @ G[4] @ R5 @ G[5]
     at = np.fft.fft(_invariants(G[1] @ _turn(_ANGLES) @ tail)[_ON_AXIS], axis=1) / 3
     wanted = _invariants(np.linalg.inv(G[0]))[_ON_AXIS]
     A, b = np.column_stack([2 * at[:, 1].real, -2 * at[:, 1].imag]), wanted - at[:, 0].real
     u, s, vh = np.linalg.svd(A, full_matrices=False)
-    if s[0] < 1e-9:
-        return []
-    x = [u[:, k] @ b / s[k] for k in range(2) if s[k] > 1e-6 * s[0]]
-    if len(x) == 2:
-        seconds = [vh.T @ x]
-    else:  # one equation, two angles
-        height = np.sqrt(max(1 - x[0] ** 2, 0.0))
+    if s[0] < _ONE_EQUATION:
+        return [], "an angle is free"
+    x = u.T @ b / s
+    seconds, size, why = [vh.T @ x], float(np.hypot(*x)), ""
+    if s[1] < _ONE_EQUATION * s[0]:  # one equation: two angles
+        height, size = np.sqrt(max(1 - x[0] ** 2, 0.0)), max(abs(float(x[0])), 1.0)
+        why = "two solutions are too close to each other" if height < _OPEN else ""
         seconds = [vh.T @ [x[0], side * height] for side in (1, -1)]
+    if abs(size - 1) > _OPEN:
+        return [], ""
     rows = []
     for cosine, sine in seconds:
         q2 = np.arctan2(sine, cosine)
@@ -221,7 +253,7 @@ def _complete(G: np.ndarray, q345: np.ndarray) -> list[np.ndarray]:
         q1 = np.angle(np.vdot(a, b))
         last = (_turn(q1) @ here)[:3, :3].T @ there[:3, :3]
         rows.append(np.array([q1, q2, *q345, np.arctan2(last[1, 0] - last[0, 1], last[0, 0] + last[1, 1])]))
-    return rows
+    return rows, why
 
 
 def _plane(X: np.ndarray) -> np.ndarray:

@@ -21,7 +21,9 @@ _MAX_STARTS = 1500  # starts until every solution was met often enough; bounds t
 _MIN_TIMES_MET = 10  # times that each solution is met before the search ends; with 3 a quarter of UR5 poses lack one
 _STARTS_LOOPS = 2  # closing loops from far away takes its time
 _MOVED = 1e-2  # [rad] by how much Newton's method may move what an elimination gives
-_SINGULAR = 1e-6  # singular value of the Jacobian relative to the largest; less, and Newton's method may have met a continuum
+_SINGULAR = (
+    1e-6  # singular value of the Jacobian relative to the largest; less, and Newton's method may have met a continuum
+)
 _ELIMINATED = "by elimination to an eigenvalue problem"
 _EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
 _MODE = 1e-6  # [m or 1] by how much forward kinematics may lead elsewhere
@@ -143,15 +145,15 @@ def _eliminate(engine: TreeNewton, six: np.ndarray, pose: Poses) -> tuple[list[n
     for candidates in eliminate(G):
         refined, why = _refine(engine, pose, candidates.q)
         found += [q for q in refined if _index_of(engine.robot, q, found) is None]
-        missing = len(found) > len(refined)
-        doubt = candidates.doubt or why or ("one elimination misses what another one finds" if missing else "")
+        missing = len(refined) < max(candidates.needed, len(found))
+        doubt = candidates.doubt or why or ("fewer solutions than eigenvalues" if missing else "")
         if not doubt:
             break
-    return found, doubt
+    return found, "joints move while the tool rests" if engine.idle else doubt
 
 
 def _refine(engine: TreeNewton, pose: Poses, angles: np.ndarray) -> tuple[list[np.ndarray], str]:
-    """Return the solutions (na,) at candidates (m, 6), and a doubt where one of them is none of its own, or singular."""
+    """Return the solutions (na,) at candidates (m, 6), and a doubt where one leads elsewhere or is singular."""
     robot, m = engine.robot, len(angles)
     if not m:
         return [], ""
@@ -164,9 +166,7 @@ def _refine(engine: TreeNewton, pose: Poses, angles: np.ndarray) -> tuple[list[n
     for row, start in zip(q, x[robot.active_v].T, strict=True):
         if not np.isfinite(row).all() or np.abs(_unwrapped(robot, row - start)).max() > _MOVED:
             doubt = "a solution is too close to complex ones"
-        elif _index_of(robot, row, solutions) is not None:
-            doubt = "two solutions are too close to each other"
-        else:
+        elif _index_of(robot, row, solutions) is None:
             solutions.append(row)
     if solutions:
         J = engine.engine.jacobian(engine.engine.loops.close(np.array(solutions)))
@@ -175,6 +175,8 @@ def _refine(engine: TreeNewton, pose: Poses, angles: np.ndarray) -> tuple[list[n
         s = np.linalg.svd(J, compute_uv=False)
         if (s[:, -1] < _SINGULAR * s[:, 0]).any():
             doubt = "a solution is singular, others may be joined to it"
+        elif np.sign(np.linalg.det(J)).sum() != 0:  # the map from angles to poses is no cover: its degree is zero
+            doubt = "the signs of the Jacobian's determinant do not cancel"
     return solutions, doubt
 
 
