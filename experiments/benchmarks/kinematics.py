@@ -150,7 +150,7 @@ def draw_arm(rng: np.random.Generator) -> Robot:
 def solve_arms(runs: int, seed: int) -> None:
     """Print how often all solutions hold the true one, how often their number is proved, and what a pose costs."""
     rng = np.random.default_rng(seed)
-    for name in ("ur3", "ur5", "ur10", "random"):
+    for name in ("ur5", "ur10", "random"):
         fixed = None if name == "random" else load_robot(name)
         true, proved, counts, spent = 0, 0, [], 0.0
         for _ in range(runs):

@@ -60,8 +60,7 @@ def ur5() -> Robot:
 
 def solve_ur(T: np.ndarray) -> np.ndarray:
     """Return all angles (n, 6) [rad] of the UR5 by its closed form (Hawkins 2013), other geometry than the elimination's."""
-    a2, a3, (d1, _, _, d4, d5, d6) = UR5["a"][1], UR5["a"][2], UR5["d"]
-    turn = lambda q, k: transform_at(q, k)  # noqa: E731
+    a2, a3, d4, d6 = UR5["a"][1], UR5["a"][2], UR5["d"][3], UR5["d"][5]
     found = []
     wrist = T[:3, 3] - d6 * T[:3, 2]
     reach = np.hypot(wrist[0], wrist[1])
@@ -76,7 +75,7 @@ def solve_ur(T: np.ndarray) -> np.ndarray:
         for flip in (1, -1):
             q5 = flip * np.arccos(cosine)
             back = np.linalg.inv(T)
-            x, y = -back[:3, :3] @ [0, 0, 0] + back[:3, 0] * s1 - back[:3, 1] * c1, np.sign(np.sin(q5))
+            x, y = back[:3, 0] * s1 - back[:3, 1] * c1, np.sign(np.sin(q5))
             q6 = np.arctan2(-x[1] * y, x[0] * y)
             T14 = np.linalg.inv(turn(q1, 0)) @ T @ np.linalg.inv(turn(q5, 4) @ turn(q6, 5))
             p = T14[:3, 3]
@@ -91,7 +90,8 @@ def solve_ur(T: np.ndarray) -> np.ndarray:
     return np.array(found).reshape(-1, 6)
 
 
-def transform_at(q: float, k: int) -> np.ndarray:
+def turn(q: float, k: int) -> np.ndarray:
+    """Return joint k's turn by q [rad] and its link's transform (4, 4)."""
     X = np.eye(4)
     X[:3, :3] = Rotation.from_euler("z", q).as_matrix()
     return X @ transform(UR5["a"][k], UR5["alpha"][k], UR5["d"][k])

@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="all configurations, also outside joint limits, with the count: proved in closed form or by elimination (six turning joints), else found from many starts",
+        help="all configurations, also outside joint limits; the count is proved in closed form or by elimination, or only found",
     )
     add_table_options(parser, "poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool]")
 
