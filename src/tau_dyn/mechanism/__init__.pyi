@@ -9,6 +9,7 @@ from .flexible import FlexibleModel as FlexibleModel
 from .forward import forward_kinematics as forward_kinematics, solve_both_forward as solve_both_forward
 from .gantry_tau import GantryTauMechanism as GantryTauMechanism
 from .inverse import (
+    find_all_solutions as find_all_solutions,
     find_nearest_configuration as find_nearest_configuration,
     get_home_configuration as get_home_configuration,
     inverse_kinematics as inverse_kinematics,

@@ -26,7 +26,7 @@ from tau_dyn.mechanism.rod_inverse import RodInverse
 from tau_dyn.mechanism.rods import Rods
 from tau_dyn.mechanism.solver_cache import get_cached
 from tau_dyn.mechanism.solvers import get_robot, get_rods, get_solver
-from tau_dyn.mechanism.tree_inverse import find_tree_solutions, solve_tree_inverse
+from tau_dyn.mechanism.tree_inverse import TreeSolutions, find_tree_solutions, solve_tree_inverse
 from tau_dyn.mechanism.tree_newton import TreeNewton
 from tau_dyn.mechanism.tree_pose import TreePose
 from tau_dyn.robot import Robot
@@ -82,13 +82,21 @@ def inverse_kinematics(
 def solve_all_configurations(robot: Robot | Rods, poses: Poses) -> np.ndarray:
     """Return the positions of all configurations (N, n_configurations, na), nan where complex; joint limits are not looked at.
 
-    Rods in closed form: rows as `list_configurations`. Chains of several actuators and trees: what many starts find, nearest to
-    home first, not certified to be all.
+    Rods in closed form: rows as `list_configurations`. Six turning joints in a chain: all, by elimination, nearest to home
+    first. Chains of several actuators under rods and other trees: what many starts find. `find_all_solutions` says which.
     """
+    return find_all_solutions(robot, poses).q
+
+
+def find_all_solutions(robot: Robot | Rods, poses: Poses) -> TreeSolutions:
+    """Return `solve_all_configurations` with whether the solutions of each pose are proved to be all, and why."""
     rods, poses = get_rods(robot), require_poses(poses)
     if rods is None:
         return find_tree_solutions(_tree(robot), poses)
-    return _solver(rods).all(poses)
+    solver, n = _solver(rods), len(poses.position)
+    closed = all(0 not in chain.signs for chain in solver.chains)
+    why = "in closed form" if closed else "from many starts"
+    return TreeSolutions(solver.all(poses), np.full(n, closed), [why] * n)
 
 
 def list_configurations(robot: Robot | Rods) -> np.ndarray:
