@@ -1,4 +1,4 @@
-"""The command line: one thin file a command; each parses, calls the library, and hands back what to print and write."""
+"""The command line: a command is a function whose signature is its command line; it hands back what to show and write."""
 
 from __future__ import annotations
 
@@ -15,57 +15,11 @@ from tau_dyn.cli.ending import (  # first: from here on Ctrl-C is answered
 )
 
 # isort: split
-from tau_dyn.cli import (
-    accuracy,
-    calibrate,
-    causes,
-    check,
-    compare,
-    demo,
-    diagnose,
-    excite,
-    export,
-    feedforward,
-    fk,
-    identify,
-    ik,
-    modes,
-    plan_motion,
-    plan_poses,
-    robots,
-    see,
-    simulate,
-    view,
-    workspace,
-)
+from tau_dyn.cli.app import COMMANDS, build_app, name_own_file, parse
 from tau_dyn.cli.execute import execute
-from tau_dyn.cli.parser import Parser
 from tau_dyn.exceptions import TauDynError, format_one_line
-from tau_dyn.version import __version__
 
-COMMANDS = {
-    "demo": demo,
-    "check": check,
-    "simulate": simulate,
-    "excite": excite,
-    "identify": identify,
-    "diagnose": diagnose,
-    "modes": modes,
-    "see": see,
-    "calibrate": calibrate,
-    "plan-poses": plan_poses,
-    "plan-motion": plan_motion,
-    "feedforward": feedforward,
-    "export": export,
-    "compare": compare,
-    "view": view,
-    "fk": fk,
-    "ik": ik,
-    "accuracy": accuracy,
-    "workspace": workspace,
-    "robots": robots,
-    "causes": causes,
-}
+__all__ = ["COMMANDS", "Ended", "build_app", "describe_machine_fault", "execute", "main", "parse", "unwind_on_signal"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -74,8 +28,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     replace_unencodable()
     try:
         with unwind_on_signal():
-            args = build_parser().parse_args(argv)
-            return execute(args.command, COMMANDS[args.command].run, args)
+            call = parse(argv)
+            if call.function not in COMMANDS.values():  # help, the version, completion
+                text = call.run()
+                if isinstance(text, str):
+                    print(text)
+                return 0
+            return execute(call, name_own_file(call))
     except TauDynError as fault:
         say(f"error: {' '.join(str(fault).split())} [{fault.code}]")
         return fault.exit_status
@@ -92,16 +51,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         say(f"error: {format_one_line(sentence)}")
         return 2
-
-
-def build_parser() -> Parser:
-    """Return the parser of all commands."""
-    parser = Parser(prog="tau-dyn", description="Identify robot dynamics from torque logs, closed loops included.")
-    parser.add_argument("--version", action="version", version=f"tau-dyn {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
-    for name, module in COMMANDS.items():
-        module.add(commands.add_parser(name, help=module.HELP, description=module.__doc__))
-    return parser
 
 
 quiet_start.over()

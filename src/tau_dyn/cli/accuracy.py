@@ -1,114 +1,138 @@
-"""How far the tool may be from where it should be: stated or measured errors of actuators, rods and joints, over a section."""
+"""`tau-dyn accuracy`."""
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tau_dyn.cli.common import (
-    Outcome,
-    add_common,
-    add_robot,
-    format_command_line,
-    get_robot_file,
-    list_written_files,
-    load_robot_from,
-    show_progress,
-)
-from tau_dyn.cli.kinds import read_whole_between
+from cyclopts import Group, Parameter
+
+from tau_dyn.cli.arguments import FolderOutput, RobotName, RobotOptions, Strings, build_whole_kind
+from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
-HELP = "how accurate a robot is; are its guideways straight and parallel"
+_ERRORS = Group("What is wrong")
+_PLACES = Group("Where")
+_METHODS = Group("How")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_robot(parser)
-    errors = parser.add_argument_group("what is wrong")
-    errors.add_argument(
-        "--actuator-error",
-        metavar="SIZE",
-        nargs="+",
-        action="extend",
-        default=[],
-        help="bound on the actuators' errors in m (rad for turning joints): 50e-6 for all, JOINT=50e-6 in all directions, "
-        "JOINT=50e-6:20e-6 along and across its guideway",
-    )
-    errors.add_argument("--errors", metavar="FILE.yaml", type=Path, help="errors of actuators, rods and rod joints")
-    errors.add_argument(
-        "--measured",
-        metavar="[JOINT=]FILE.csv",
-        nargs="+",
-        action="extend",
-        default=[],
-        help="measured points: of one cart (q_J and x_tool..; name the joint where the file has several), to check and take "
-        "its errors from; of the plate (all q_J and qx_tool..), to check its orientation; a joint's second file is another load",
-    )
-    where = parser.add_argument_group("where")
-    where.add_argument(
-        "--section",
-        metavar="AXIS=VALUE",
-        help="cut through the workspace, such as x=1.75; default at home; of one or two actuators their whole motion",
-    )
-    where.add_argument(
-        "--range", metavar="AXIS=LOW:HIGH", nargs="+", action="extend", default=[], help="part of the section"
-    )
-    where.add_argument(
-        "--grid",
-        metavar="N",
-        type=read_whole_between(2, 201),
-        help="points along the section's longer side (31; 11 for slow ones)",
-    )
-    where.add_argument("--no-limits", action="store_true", help="ignore the actuators' position limits")
-    where.add_argument("--poses", metavar="POSES.csv", type=Path, help="poses (q_J) instead of a section")
-    how = parser.add_argument_group("how")
-    how.add_argument(
-        "--method",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="METHOD",
-        help="linear, parallelepiped, ellipsoid, exact, certified, montecarlo or all (default)",
-    )
-    how.add_argument(
-        "--samples",
-        metavar="N",
-        type=read_whole_between(1, 100_000),
-        help="random draws a pose (300; 50 for slow robots)",
-    )
-    add_common(parser)
+@Parameter(name="*", group=_PLACES)
+@dataclass(frozen=True, kw_only=True)
+class PlaceOptions:
+    """Where the accuracy is asked for."""
+
+    section: Annotated[
+        str | None,
+        Parameter(
+            metavar="AXIS=VALUE",
+            help="cut through the workspace, such as x=1.75; default at home; of one or two actuators their whole motion",
+        ),
+    ] = None
+    range: Annotated[Strings, Parameter(metavar="AXIS=LOW:HIGH", help="part of the section")] = ()
+    grid: Annotated[
+        int | None,
+        Parameter(
+            metavar="N",
+            validator=build_whole_kind(2, 201),
+            help="points along the section's longer side (31; 11 for slow ones)",
+        ),
+    ] = None
+    no_limits: Annotated[bool, Parameter(help="ignore the actuators' position limits")] = False
+    poses: Annotated[Path | None, Parameter(metavar="POSES.csv", help="poses (q_J) instead of a section")] = None
 
 
-def run(args: argparse.Namespace) -> Outcome:
-    """Bound the tool's error."""
-    with show_progress(args.quiet) as step:
+def accuracy(
+    robot: RobotName,
+    /,
+    *,
+    actuator_error: Annotated[
+        Strings,
+        Parameter(
+            group=_ERRORS,
+            metavar="SIZE",
+            help="bound on the actuators' errors in m (rad for turning joints): 50e-6 for all, JOINT=50e-6 in all directions, "
+            "JOINT=50e-6:20e-6 along and across its guideway",
+        ),
+    ] = (),
+    errors: Annotated[
+        Path | None,
+        Parameter(group=_ERRORS, metavar="FILE.yaml", help="errors of actuators, rods and rod joints"),
+    ] = None,
+    measured: Annotated[
+        Strings,
+        Parameter(
+            group=_ERRORS,
+            metavar="[JOINT=]FILE.csv",
+            help="measured points: of one cart (q_J and x_tool..; name the joint where the file has several), to check and take "
+            "its errors from; of the plate (all q_J and qx_tool..), to check its orientation; a joint's second file is another "
+            "load",
+        ),
+    ] = (),
+    places: PlaceOptions = PlaceOptions(),
+    method: Annotated[
+        Strings,
+        Parameter(
+            group=_METHODS,
+            metavar="METHOD",
+            help="linear, parallelepiped, ellipsoid, exact, certified, montecarlo or all (default)",
+        ),
+    ] = (),
+    samples: Annotated[
+        int | None,
+        Parameter(
+            group=_METHODS,
+            metavar="N",
+            validator=build_whole_kind(1, 100_000),
+            help="random draws a pose (300; 50 for slow robots)",
+        ),
+    ] = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: FolderOutput = FolderOutput(),
+) -> Outcome:
+    """How far the tool may be from where it should be: stated or measured errors of actuators and rods, over a section."""
+    with show_progress(output.quiet) as step:
         step("loading")
+        from tau_dyn.kinematics.accuracy import AccuracyResult
         from tau_dyn.mechanism import get_rods
 
-        robot = load_robot_from(args)
-        rods = get_rods(robot)
-        read, files = _measured(args, robot)
-        errors, from_measured = _errors(args, robot, rods, read)
-        found = (
-            _checked_only(robot, read)
-            if errors is None
-            else _study(args, robot, rods, errors, read, from_measured, step)
-        )
+        machine = robot_options.load(robot)
+        rods = get_rods(machine)
+        read, files = _read_measured(measured, machine)
+        bounds, from_measured = _collect_errors(errors, actuator_error, machine, rods, read)
+        if bounds is None:
+            found = AccuracyResult(machine, None, None, None, (), read)
+        else:
+            study = _Study(places, method, samples, output.seed)
+            found = study.run(machine, rods, bounds, read, from_measured, step)
+    hashes = [(name, points.sha256) for name, points in files]
+
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_accuracy
+
+        print_accuracy(console, found, written)
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_accuracy_page
+
+        return build_accuracy_page(found, files=hashes, command_line=command_line)
+
     return Outcome(
         result=found.to_dict(),
-        warnings=[*robot.warnings, *(w for _, points in files for w in points.warnings), *_doubts(found)],
+        warnings=[*machine.warnings, *(w for _, points in files for w in points.warnings), *_list_lost_poses(found)],
         inputs=[
-            *get_robot_file(args),
-            *([args.errors] if args.errors else []),
-            *((name, p.sha256) for name, p in files),
-            *([args.poses] if args.poses else []),
-        ],  # fmt: skip
-        show=lambda console: _show(console, found, args),
-        report=lambda: _page(found, [(name, p.sha256) for name, p in files]),
+            *robot_options.list_files(robot),
+            *([errors] if errors else []),
+            *hashes,
+            *([places.poses] if places.poses else []),
+        ],
+        show=show,
+        report=report,
     )
 
 
-def _measured(args: argparse.Namespace, robot):
+def _read_measured(given: tuple[str, ...], robot):
     """Return the checks of measured points, and the files."""
     from tau_dyn.kinematics.accuracy import Measured
     from tau_dyn.kinematics.assumptions import check_orientation, check_parallelism, fit_guideway, load_shift
@@ -116,7 +140,7 @@ def _measured(args: argparse.Namespace, robot):
     from tau_dyn.mechanism import convert_from_quaternions
 
     lines, loads, orientation, files = {}, [], None, []
-    for text in args.measured:
+    for text in given:
         named, equals, path = text.partition("=")
         named, path = (named, path) if equals and named in robot.actuated else ("", text)
         points = read_measured(path, robot.actuated)
@@ -142,7 +166,7 @@ def _measured(args: argparse.Namespace, robot):
                 points.q[:, sliding], convert_from_quaternions(points.points, points.quaternions)
             )
             continue
-        joint = named or _only(points, robot)
+        joint = named or _get_only_joint(points, robot)
         if points.points is None:
             raise InputError(
                 "missing_column", f"{points.name} lacks x_tool, y_tool, z_tool: where the cart was measured"
@@ -159,7 +183,7 @@ def _measured(args: argparse.Namespace, robot):
     return Measured(ordered, check_parallelism(ordered), loads, orientation), files
 
 
-def _only(points, robot) -> str:
+def _get_only_joint(points, robot) -> str:
     if len(points.joints) > 1:
         several = ", ".join(points.joints)
         raise InputError(
@@ -169,18 +193,18 @@ def _only(points, robot) -> str:
     return points.joints[0]
 
 
-def _errors(args: argparse.Namespace, robot, rods, measured):
+def _collect_errors(path: Path | None, sizes: tuple[str, ...], robot, rods, measured):
     """Return the errors, None for none at all, and whether they are from measurements."""
     from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, read_actuator_errors, read_errors_file
 
     given = ErrorBounds()
-    if args.errors is not None:
-        given = read_errors_file(args.errors, robot.actuated, () if rods is None else rods.names)
-    stated = {**given.actuators, **read_actuator_errors(args.actuator_error, robot.actuated)}
+    if path is not None:
+        given = read_errors_file(path, robot.actuated, () if rods is None else rods.names)
+    stated = {**given.actuators, **read_actuator_errors(list(sizes), robot.actuated)}
     seen = {line.joint: ActuatorError(*line.bounds()) for line in measured.guideways if line.joint not in stated}
     errors = ErrorBounds({**stated, **seen}, given.rods)
     if not errors.actuators and not errors.rods:
-        if not args.measured:
+        if not (measured.guideways or measured.loads or measured.orientation):
             raise InputError(
                 "bad_option", "no error is given; say --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv"
             )
@@ -188,36 +212,40 @@ def _errors(args: argparse.Namespace, robot, rods, measured):
     return errors, bool(seen)
 
 
-def _checked_only(robot, measured):
-    from tau_dyn.kinematics.accuracy import AccuracyResult
+@dataclass(frozen=True)
+class _Study:
+    """What is asked: where, by which methods, with how many draws."""
 
-    return AccuracyResult(robot, None, None, None, (), measured)
+    places: PlaceOptions
+    method: tuple[str, ...]
+    samples: int | None
+    seed: int
+
+    def run(self, robot, rods, errors, measured, from_measured: bool, step: Callable[[str], None]):
+        """Bound the tool's error."""
+        from tau_dyn.kinematics.accuracy import METHODS, study_accuracy
+        from tau_dyn.mechanism import Poses
+
+        step("poses")
+        chosen = self.method or ("all",)
+        methods = list(dict.fromkeys(m for given in chosen for m in (METHODS if given == "all" else (given,))))
+        slow = rods is None and bool(robot.loops)  # loops in a tree are closed one step at a time
+        points, samples = self.places.grid or (11 if slow else 31), self.samples or (50 if slow else 300)
+        listed = self.places.poses is not None
+        grid, q, tool = _read_poses(self.places, robot) if listed else _lay_poses(self.places, points, robot, rods)
+        return study_accuracy(
+            robot, rods, errors, q, Poses(tool.position, tool.rotation), grid=grid, methods=methods, samples=samples,
+            seed=self.seed, measured=measured, from_measured=from_measured, progress=step,
+        )  # fmt: skip
 
 
-def _study(args: argparse.Namespace, robot, rods, errors, measured, from_measured: bool, step):
-    from tau_dyn.kinematics.accuracy import METHODS, study_accuracy
-    from tau_dyn.mechanism import Poses
-
-    step("poses")
-    methods = list(
-        dict.fromkeys(m for given in args.method or ["all"] for m in (METHODS if given == "all" else (given,)))
-    )
-    slow = rods is None and bool(robot.loops)  # loops in a tree are closed one step at a time
-    args.grid, args.samples = args.grid or (11 if slow else 31), args.samples or (50 if slow else 300)
-    grid, q, tool = _listed(args, robot) if args.poses else _gridded(args, robot, rods)
-    return study_accuracy(
-        robot, rods, errors, q, Poses(tool.position, tool.rotation), grid=grid, methods=methods, samples=args.samples,
-        seed=args.seed, measured=measured, from_measured=from_measured, progress=step,
-    )  # fmt: skip
-
-
-def _listed(args: argparse.Namespace, robot):
+def _read_poses(places: PlaceOptions, robot):
     from tau_dyn.log import read_measured
     from tau_dyn.mechanism import forward_kinematics
 
-    if args.section or args.range:
+    if places.section or places.range:
         raise InputError("bad_option", "--poses and --section are two ways to say where; give one")
-    points = read_measured(args.poses, robot.actuated)
+    points = read_measured(str(places.poses), robot.actuated)
     missing = [j for j in robot.actuated if j not in points.joints]
     if missing:
         raise InputError("missing_column", f"{points.name} lacks q_{missing[0]}; a pose needs every actuated joint")
@@ -231,7 +259,7 @@ def _listed(args: argparse.Namespace, robot):
     return None, points.q, found.poses
 
 
-def _gridded(args: argparse.Namespace, robot, rods):
+def _lay_poses(places: PlaceOptions, points: int, robot, rods):
     from tau_dyn.kinematics.accuracy import (
         choose_default_section,
         lay_default_grid,
@@ -241,19 +269,19 @@ def _gridded(args: argparse.Namespace, robot, rods):
     )
     from tau_dyn.mechanism import Poses, forward_kinematics
 
-    limits, given = not args.no_limits, bool(args.section or args.range)
-    if not given and (sampled := sample_default_motion(robot, args.grid)):
+    limits, given = not places.no_limits, bool(places.section or places.range)
+    if not given and (sampled := sample_default_motion(robot, points)):
         return None, *sampled
     home = forward_kinematics(robot, robot.home[None]).poses
     if given:
-        section = read_section(args.section) if args.section else choose_default_section(robot, home, rods)
-        grid = lay_grid(robot, rods, home, section.within(args.range), args.grid, limits=limits)
+        section = read_section(places.section) if places.section else choose_default_section(robot, home, rods)
+        grid = lay_grid(robot, rods, home, section.within(list(places.range)), points, limits=limits)
     else:
-        grid = lay_default_grid(robot, rods, home, args.grid, limits=limits)
+        grid = lay_default_grid(robot, rods, home, points, limits=limits)
     return grid, grid.q[grid.ok], Poses(grid.poses.position[grid.ok], grid.poses.rotation[grid.ok])
 
 
-def _doubts(found) -> list[str]:
+def _list_lost_poses(found) -> list[str]:
     lost = int(found.lost.sum())
     if not lost:
         return []
@@ -261,15 +289,3 @@ def _doubts(found) -> list[str]:
         f"at {lost} of {len(found.lost)} poses errors within the bounds can take the robot into a singularity; "
         "there is no largest error there"
     ]
-
-
-def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_accuracy
-
-    print_accuracy(console, found, list_written_files(args))
-
-
-def _page(found, files: list[tuple[str, str]]) -> str:
-    from tau_dyn.report import build_accuracy_page
-
-    return build_accuracy_page(found, files=files, command_line=format_command_line())

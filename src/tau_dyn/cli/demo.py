@@ -1,27 +1,23 @@
-"""The main job on made data: simulate a robot with hidden effects, identify it, diagnose it, write the reports.
-
-Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
-Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared
-drives, a payload of 2 kg at its flange and Stribeck friction in one joint.
-"""
+"""`tau-dyn demo`."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
+from cyclopts import Parameter
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot_options, get_robot_file, load_robot_from, show_progress
+from tau_dyn.cli.arguments import Output, RobotOptions, build_destination
+from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.cli.run_folder import RunFolder
 from tau_dyn.exceptions import InputError
 
 if TYPE_CHECKING:
     from tau_dyn.model import Model
     from tau_dyn.robot import Robot
-
-HELP = "the main job on made data with hidden effects: simulate, identify, diagnose, report"
 
 # Dressler 2012, Table 6.1: coulomb_neg, coulomb_pos [N], viscous_neg, viscous_pos [N/(m/s)] of each actuator
 TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00), (177.22, 239.06, 197.52, 185.94))
@@ -52,6 +48,9 @@ _MASS_ERROR = 0.01
 _ENCODER_RAD = 2e-5  # rad, standard deviation; an encoder of 17 bits
 
 
+_FOLDER = cast(Path, RunFolder(Path("tau_dyn_demo"), beside=True))  # a command is given the folder's path
+
+
 @dataclass(frozen=True)
 class Made:
     """A robot as it truly is, and what of it the fitted model does not know.
@@ -73,65 +72,70 @@ class Made:
     call: str
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument(
-        "robot", metavar="ROBOT", nargs="?", help="the file of a serial arm, such as a UR5's (default: a Gantry-Tau)"
-    )
-    add_robot_options(parser)
-    parser.add_argument("--out", metavar="DIR", default="tau_dyn_demo", help="folder (default tau_dyn_demo)")
-    add_common(parser)
+def demo(
+    robot: Annotated[
+        str | None, Parameter(help="the file of a serial arm, such as a UR5's (default: a Gantry-Tau)")
+    ] = None,
+    /,
+    *,
+    out: Annotated[Path, build_destination("DIR"), Parameter(help="folder")] = _FOLDER,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """The main job on made data: simulate a robot with hidden effects, identify it, diagnose it, write the reports.
 
-
-def run(args: argparse.Namespace) -> Outcome:
-    """Run the demo."""
-    with show_progress(args.quiet) as step:
+    Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
+    Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared
+    drives, a payload of 2 kg at its flange and Stribeck friction in one joint.
+    """
+    with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.diagnose import diagnose
         from tau_dyn.identify import identify
         from tau_dyn.report import build_diagnosis_page, build_identification_page
         from tau_dyn.simulate import Sensors, build_named_motion, simulate
 
-        made = make_arm(load_robot_from(args), args.robot, args.seed) if args.robot else make_gantry(args.seed)
+        seed = output.seed
+        made = make_arm(robot_options.load(robot), robot, seed) if robot else make_gantry(seed)
         sensors, logs = Sensors(**made.sensors, log_rate_hz=RATE_HZ), []
         for k, (name, duration) in enumerate(SECONDS.items()):
-            path = build_named_motion("fourier", made.truth, duration, args.seed + k)
+            path = build_named_motion("fourier", made.truth, duration, seed + k)
             logs.append(
                 simulate(
                     made.truth,
                     path,
                     sensors=sensors,
                     rate_hz=RATE_HZ,
-                    seed=args.seed + k,
+                    seed=seed + k,
                     name=f"{name}.csv",
                     progress=lambda share, day=name: step(f"simulating {day}: {100 * share:.0f} %"),
                 )
             )
-        fit = identify(made.robot, logs[0], holdout=logs[1], seed=args.seed, progress=step)
-        found = diagnose(made.robot, logs[0], holdout=logs[1], seed=args.seed, progress=step)
+        fit = identify(made.robot, logs[0], holdout=logs[1], seed=seed, progress=step)
+        found = diagnose(made.robot, logs[0], holdout=logs[1], seed=seed, progress=step)
         step("reports")
         values = {p.name: p.value for p in made.truth.parameters}
-        files = f"{made.call} {args.out}/monday.csv --holdout {args.out}/tuesday.csv"
+        files = f"{made.call} {out}/monday.csv --holdout {out}/tuesday.csv"
         page = build_diagnosis_page(found, command_line=f"tau-dyn diagnose {files}")
         plain = build_identification_page(fit, command_line=f"tau-dyn identify {files}", truth=values)
     written = {
-        "report": str(args.out / "report.html"),
-        "extended model": str(args.out / "extended.yaml"),
-        "identification": str(args.out / "identification.html"),
-        "logs": str(args.out),
+        "report": str(out / "report.html"),
+        "extended model": str(out / "extended.yaml"),
+        "identification": str(out / "identification.html"),
+        "logs": str(out),
     }
     return Outcome(
-        result=found.to_dict() | {"truth": values, "hidden": list(made.hidden), "out": str(args.out)},
+        result=found.to_dict() | {"truth": values, "hidden": list(made.hidden), "out": str(out)},
         warnings=found.warnings,
-        inputs=get_robot_file(args) if args.robot else [],
-        show=lambda console: _show(console, made, found, written),
+        inputs=robot_options.list_files(robot) if robot else [],
+        show=lambda console, _: _show(console, made, found, written),
         files={
-            args.out / "identification.html": plain,
-            args.out / "model.yaml": fit.model.save,
-            args.out / "extended.yaml": found.extended_model.save,
-            **{args.out / log.name: log.to_csv for log in logs},
+            out / "identification.html": plain,
+            out / "model.yaml": fit.model.save,
+            out / "extended.yaml": found.extended_model.save,
+            **{out / log.name: log.to_csv for log in logs},
         },
-        report=lambda: page,
+        report=lambda command_line: page,
     )
 
 

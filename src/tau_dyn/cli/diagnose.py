@@ -1,127 +1,148 @@
-"""What the simulation gets wrong, which physical cause explains it, and how much better the model is with that cause.
-
-The model is fitted first; what it misses is searched for causes, confirmed on a second part of the data, and the gain is
-measured on a third. Where the data cannot tell, the answer says which experiment would, and the exit status is 3; so it is
-where a motion is asked for and none would tell.
-"""
+"""`tau-dyn diagnose`."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated, Any
 
-from tau_dyn.cli.common import (
-    Outcome,
-    add_common,
-    add_robot,
-    format_command_line,
-    list_written_files,
-    load_robot_from,
-    show_progress,
+from cyclopts import Parameter
+
+from tau_dyn.cli.arguments import (
+    FittingOptions,
+    Logs,
+    Output,
+    RobotName,
+    RobotOptions,
+    Strings,
+    build_destination,
+    describe_destination,
+    require_csv_name,
 )
-from tau_dyn.cli.fitting import add_fitting, collect_fitting_inputs, collect_fitting_options, read_fitting_logs
-from tau_dyn.cli.kinds import read_csv_file_name
+from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import CannotAnswer
 
-HELP = "what the simulation gets wrong, and the cause"
 
+def diagnose(
+    robot: RobotName,
+    logs: Logs,
+    /,
+    *,
+    holdout: Annotated[
+        Strings,
+        Parameter(
+            metavar="LOG",
+            help="logs kept from the search: one half confirms a cause, the other measures its gain (without any, blocks of "
+            "the logs do, 60/20/20)",
+        ),
+    ] = (),
+    model: Annotated[
+        str,
+        Parameter(
+            metavar="MODEL",
+            help="what the simulation has already: rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg), "
+            "or a model file; its parameters are refitted",
+        ),
+    ] = "asymmetric",
+    fitting: FittingOptions = FittingOptions(),
+    out: Annotated[
+        Path | None,
+        build_destination("MODEL.yaml"),
+        describe_destination(
+            "write the model extended by the confirmed causes here; simulate, identify and the feedforward read it"
+        ),
+    ] = None,
+    propose: Annotated[
+        Path | None,
+        Parameter(
+            metavar="MOTION.csv",
+            validator=require_csv_name,
+            help="write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what "
+            "these logs could not",
+        ),
+    ] = None,
+    controller: Annotated[
+        Path | None,
+        Parameter(
+            metavar="LAW.yaml",
+            help="the rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after",
+        ),
+    ] = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """What the simulation gets wrong, which physical cause explains it, and how much better the model is with that cause.
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_robot(parser)
-    add_fitting(
-        parser,
-        model="what the simulation has already: rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg; "
-        "default), or a model file; its parameters are refitted",
-        holdout="logs kept from the search: one half confirms a cause, the other measures its gain (without any, blocks of "
-        "the logs do, 60/20/20)",
-        out="write the model extended by the confirmed causes here; simulate, identify and the feedforward read it",
-    )
-    parser.add_argument(
-        "--propose",
-        metavar="MOTION.csv",
-        type=read_csv_file_name,
-        help="write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what these "
-        "logs could not",
-    )
-    parser.add_argument(
-        "--controller",
-        metavar="LAW.yaml",
-        type=Path,
-        help="the rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after",
-    )
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> Outcome:
-    """Diagnose."""
-    with show_progress(args.quiet) as step:
+    The model is fitted first; what it misses is searched for causes, confirmed on a second part of the data, and the gain is
+    measured on a third. Where the data cannot tell, the answer says which experiment would, and the exit status is 3; so it is
+    where a motion is asked for and none would tell.
+    """
+    with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.diagnose import diagnose
+        from tau_dyn.diagnose import add_simulation, diagnose as diagnose_robot
 
-        robot = load_robot_from(args)
-        logs, held = read_fitting_logs(args)
-        law = _law(args, robot, logs)
-        found = diagnose(robot, logs, holdout=held, progress=step, **collect_fitting_options(args))
+        machine = robot_options.load(robot)
+        trained, held = fitting.read_logs(logs), fitting.read_logs(holdout)
+        law = _read_law(controller, machine, trained)
+        found = diagnose_robot(machine, trained, holdout=held, progress=step, **fitting.collect(model, output.seed))
         if law is not None:
-            from tau_dyn.diagnose import add_simulation
-
-            found = add_simulation(found, logs, law, step)
-        result, files, warnings, status = found.to_dict(), {}, list(found.warnings), found.exit_status
-        if args.propose:
-            motion, refusal, answer = _proposed(found, logs, args, step)
+            found = add_simulation(found, trained, law, step)
+        result, warnings, status = found.to_dict(), list(found.warnings), found.exit_status
+        files: dict[Path, Any] = {out: found.extended_model.save} if out else {}
+        if propose:
+            motion, refusal, answer = _propose(found, trained, propose, output.seed, step)
             result |= answer
             warnings += refusal
-            files |= {args.propose: motion.to_csv} if motion else {}
+            files |= {propose: motion.to_csv} if motion else {}
             status = status if motion else CannotAnswer.exit_status
-    if args.out:
-        files[args.out] = found.extended_model.save
+
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_diagnosis
+
+        print_diagnosis(console, found, written)
+        for note in result.get("proposal", {}).get("notes", ()):
+            console.print(f"proposed: {note}", markup=False)
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_diagnosis_page
+
+        return build_diagnosis_page(found, command_line=command_line)
+
     return Outcome(
         result=result,
         warnings=warnings,
-        inputs=[*collect_fitting_inputs(args, logs, held), *([args.controller] if args.controller else [])],
-        show=lambda console: _show(console, found, args, result),
+        inputs=[
+            *robot_options.list_files(robot),
+            *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held]),
+            *([controller] if controller else []),
+        ],
+        show=show,
         files=files,
-        report=lambda: _page(found),
+        named={"extended model": out, "motion": propose if propose in files else None},
+        report=report,
         exit_status=status,
     )
 
 
-def _law(args: argparse.Namespace, robot, logs):
+def _read_law(path: Path | None, robot, logs):
     """Return the controller, sure that a log can be simulated with it, or None."""
-    if not args.controller:
+    if path is None:
         return None
     from tau_dyn.diagnose import log_with_references
     from tau_dyn.simulate import read_law_file
 
     log_with_references(logs, robot.actuated)
-    return read_law_file(args.controller, robot)
+    return read_law_file(path, robot)
 
 
-def _proposed(found, logs, args: argparse.Namespace, step):
+def _propose(found, logs, path: Path, seed: int, step):
     """Return the proposed motion or None, warnings, and what the result says of it."""
     from tau_dyn.diagnose import propose_motion
 
     try:
-        motion = propose_motion(found, logs, seed=args.seed, progress=step)
+        motion = propose_motion(found, logs, seed=seed, progress=step)
     except CannotAnswer as fault:
         text = f"no motion is proposed: {fault.missing}. The experiment that would: {fault.experiment}"
         answer = {"out": None, "missing": fault.missing, "experiment": fault.experiment}
         return None, [text], {"status": "cannot_answer", "proposal": answer}
-    answer = {"out": str(args.propose), "duration_s": motion.duration, "notes": list(motion.notes)}
+    answer = {"out": str(path), "duration_s": motion.duration, "notes": list(motion.notes)}
     return motion, [], {"proposal": answer}
-
-
-def _show(console, found, args: argparse.Namespace, result: dict) -> None:
-    from tau_dyn.report import print_diagnosis
-
-    proposed = result.get("proposal", {})
-    print_diagnosis(console, found, list_written_files(args, extended_model=args.out, motion=proposed.get("out")))
-    for note in proposed.get("notes", ()):
-        console.print(f"proposed: {note}", markup=False)
-
-
-def _page(found) -> str:
-    from tau_dyn.report import build_diagnosis_page
-
-    return build_diagnosis_page(found, command_line=format_command_line())

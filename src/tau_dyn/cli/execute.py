@@ -1,28 +1,34 @@
-"""One command from its arguments to its files: outputs are checked first, all is written whole at the end, then shown.
+"""One command from its call to its files: outputs are checked first, all is written whole at the end, then shown.
 
-Nothing is written before `run` has returned its `Outcome`. Exit status: 0 the answer stands, 2 the input is at fault (no file
-written), 3 the data cannot answer (`--json` and the run folder say so), 1 a defect of ours.
+Nothing is written before the command has returned its `Outcome`. Exit status: 0 the answer stands, 2 the input is at fault (no
+file written), 3 the data cannot answer (`--json` and the run folder say so), 1 a defect of ours.
 """
 
 from __future__ import annotations
 
-import argparse
+import json
+import math
 import os
+import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
+import numpy as np
 from rich.console import Console
 
-from tau_dyn.cli.common import Outcome, format_command_line, format_json, get_robot_file
+from tau_dyn.cli.arguments import is_model_file
 from tau_dyn.cli.run_folder import RunFolder, collect_configuration
 from tau_dyn.coded_warning import format_warnings, format_with_code
 from tau_dyn.exceptions import CannotAnswer, InputError, format_one_line
 from tau_dyn.files import compute_sha256, resolve_destination, write_atomically
 from tau_dyn.version import __version__
+
+if TYPE_CHECKING:
+    from tau_dyn.cli.app import Call
 
 _TWICE = "two outputs are to be written to one file; give each its own"
 
@@ -31,47 +37,76 @@ _OUTPUTS = ("json", "report", "out", "propose", "save_cameras", "rapid", "resume
 
 
 @dataclass(frozen=True)
-class _Call:
-    """A command with its arguments, and where its results go.
+class Outcome:
+    """What a command has to say, before anything is written.
 
     Attributes:
-        command: Its name.
-        args: Its arguments; `out`, `json` and `report` name files, in the run folder where there is one.
+        result: The command's part of the JSON result.
+        warnings: Sentences.
+        inputs: Files read; or pairs of path and hash, where a reader knows the hash already.
+        show: Prints the result for a person on a console; it is told what was written, by name.
+        files: What to write: path -> text, or a function that writes to the path given.
+        named: Names of files that were written, for the last line on the screen.
+        report: Makes the report page's text from the command line that repeats it; None if the command has none.
+        exit_status: 0 where the answer stands; 3 where the data cannot tell, and `result` says so in its own `status`.
+    """
+
+    result: dict[str, Any] = field(default_factory=dict)
+    warnings: Sequence[str] = ()
+    inputs: Sequence[Path | tuple[str, str]] = ()
+    show: Callable[[Console, dict[str, str]], None] = lambda console, written: None
+    files: Mapping[Path, str | Callable[[Path], None]] = field(default_factory=dict)
+    named: Mapping[str, Path | None] = field(default_factory=dict)
+    report: Callable[[str], str] | None = None
+    exit_status: int = 0
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A call, and where its results go.
+
+    Attributes:
+        call: With `out`, `json` and `report` as files, in the run folder where there is one.
+        values: Its arguments by name.
         folder: The run folder, None where none was asked for.
         configuration: Its options, for the run folder.
         page_asked: Whether `--report` was given.
     """
 
-    command: str
-    args: argparse.Namespace
+    call: Call
+    values: dict[str, Any]
     folder: RunFolder | None
     configuration: dict[str, Any]
     page_asked: bool
 
     def destinations(self) -> list[Path]:
         """Return every file that will be written."""
-        named = [getattr(self.args, name, None) for name in _OUTPUTS]
-        files = [path for path in named if isinstance(path, Path)]
+        files = [path for name in _OUTPUTS if isinstance(path := self.values.get(name), Path)]
         if self.folder is None:
             return files
         files = [path for path in files if path != self.folder.path]
-        taken = (None, self.args.json, self.args.report)
+        taken = (None, self.values["json"], self.values["report"])
         return [*files, *(path for path, named in zip(self.folder.files(), taken, strict=True) if path != named)]
 
 
-def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: argparse.Namespace) -> int:
-    """Run a command, print, write, and return the exit status."""
-    call = _call(command, args)
-    before = _checked(call)
+def execute(call: Call, own_file: str = "") -> int:
+    """Run a command, print, write, and return the exit status.
+
+    Args:
+        call: The command with its arguments.
+        own_file: Usual name of the command's own file in a run folder; empty where it has none.
+    """
+    run = _place_results(call, own_file)
+    before = _check_destinations(run)
     refusal = None
     try:
-        outcome = run(args)
+        outcome = run.call.run()
     except CannotAnswer as fault:
-        refusal, outcome = fault, _unanswered(args, fault)
-    if call.page_asked and refusal is None and outcome.report is None:
-        raise InputError("bad_option", f"tau-dyn {command} has no report; leave --report out")
-    outcome.warnings = [*outcome.warnings, *_changed(outcome.inputs, before)]
-    _write(call, outcome)
+        refusal, outcome = fault, _build_unanswered(run.values, fault)
+    if run.page_asked and refusal is None and outcome.report is None:
+        raise InputError("bad_option", f"tau-dyn {call.command} has no report; leave --report out")
+    outcome = replace(outcome, warnings=[*outcome.warnings, *_list_changed(outcome.inputs, before)])
+    written = _write(run, outcome)
     errors = Console(stderr=True, soft_wrap=True, highlight=False)
     sentences = [f"warning: {format_with_code(sentence)}" for sentence in dict.fromkeys(outcome.warnings)]
     if refusal is not None:
@@ -80,28 +115,30 @@ def execute(command: str, run: Callable[[argparse.Namespace], Outcome], args: ar
     with suppress(OSError):  # a screen that takes nothing; the files say it, too
         for sentence in sentences:
             errors.print(format_one_line(sentence), markup=False)
-    if refusal is None and not args.quiet:
-        _show(outcome)
+    if refusal is None and not run.values["quiet"]:
+        _show(outcome, written)
     return outcome.exit_status
 
 
-def _call(command: str, args: argparse.Namespace) -> _Call:
-    """Return the call; with a run folder, what was not asked for elsewhere goes there under its usual name."""
-    configuration, page_asked = collect_configuration(args), args.report is not None
-    folder = getattr(args, "out", None)
+def _place_results(call: Call, own_file: str) -> _Run:
+    """Return the run; with a run folder, what was not asked for elsewhere goes there under its usual name."""
+    values = call.values()
+    configuration, page_asked = collect_configuration(values), values["report"] is not None
+    folder = values.get("out")
     if not isinstance(folder, RunFolder):
-        return _Call(command, args, None, configuration, page_asked)
-    named: Any = args.own_file
-    own = str(named(args) if callable(named) else named)
-    args.out = folder.path / own if own else folder.path
+        return _Run(call, values, None, configuration, page_asked)
     _, result, page = folder.files()
-    args.json, args.report = args.json or result, args.report or page
-    return _Call(command, args, folder, configuration, page_asked)
+    placed = {
+        "out": folder.path / own_file if own_file else folder.path,
+        "json": values["json"] or result,
+        "report": values["report"] or page,
+    }
+    return _Run(call.replace(**placed), values | placed, folder, configuration, page_asked)
 
 
-def _checked(call: _Call) -> dict[Path, tuple[int, int]]:
+def _check_destinations(run: _Run) -> dict[Path, tuple[int, int]]:
     """Refuse outputs that cannot be written or would overwrite something; return how the inputs are now."""
-    folder, destinations = call.folder, call.destinations()
+    folder, destinations = run.folder, run.destinations()
     for path in destinations:
         if not resolve_destination(path).parent.is_dir() and not (folder is not None and folder.holds(path)):
             raise InputError("cannot_write", f"{path}: the folder {path.parent} does not exist")
@@ -109,20 +146,20 @@ def _checked(call: _Call) -> dict[Path, tuple[int, int]]:
             raise InputError("cannot_write", f"{path} is a folder; name a file")
     if len({resolve_destination(path) for path in destinations}) < len(destinations):
         raise InputError("cannot_write", _TWICE)
-    given = {path.resolve() for path in _given(call.args)}
+    given = {path.resolve() for path in _list_given(run.values)}
     for path in destinations:
         if resolve_destination(path) in given:
             raise InputError(
                 "cannot_write", f"{path} is an input of this command and would be overwritten; name another file"
             )
     if folder is not None:
-        folder.check(call.command, call.configuration, given)
+        folder.check(run.call.command, run.configuration, given)
     return {path: _stamp(path) for path in given}
 
 
-def _show(outcome: Outcome) -> None:
+def _show(outcome: Outcome, written: dict[str, str]) -> None:
     try:
-        outcome.show(_Screen(soft_wrap=False, highlight=False))
+        outcome.show(_Screen(soft_wrap=False, highlight=False), written)
     except BrokenPipeError:
         raise
     except OSError as fault:
@@ -131,15 +168,15 @@ def _show(outcome: Outcome) -> None:
         ) from fault
 
 
-def _given(args: argparse.Namespace) -> list[Path]:
+def _list_given(values: dict[str, Any]) -> list[Path]:
     """Return every file that the arguments name, as they name it: all that is not an output may be an input."""
-    names = [name for name in vars(args) if name not in (*_OUTPUTS, "command", "own_file")]
-    values = [x for name in names for x in _flat(getattr(args, name)) if isinstance(x, str | Path) and str(x)]
-    values += [x.partition("=")[2] for x in values if isinstance(x, str) and x.partition("=")[2]]  # JOINT=FILE
-    items = [Path(x) for x in values]
-    folders = [Path(x) for name in ("logs", "holdout", "images") for x in _flat(getattr(args, name, None)) if x]
+    named = [x for name, value in values.items() if name not in _OUTPUTS for x in _flat(value)]
+    texts = [x for x in named if isinstance(x, str | Path) and str(x)]
+    texts += [x.partition("=")[2] for x in texts if isinstance(x, str) and x.partition("=")[2]]  # JOINT=FILE
+    items = [Path(x) for x in texts]
+    folders = [Path(x) for name in ("logs", "holdout", "images") for x in _flat(values.get(name)) if x]
     items += [file for folder in folders if folder.is_dir() for file in folder.iterdir()]  # a recording in pieces
-    items += [path.parent / name for path in list(items) for name in _mapped_files(args)]
+    items += [path.parent / name for path in list(items) for name in _list_mapped_files(values)]
     return [item for item in items if _is_file(item)]
 
 
@@ -154,13 +191,13 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _mapped_files(args: argparse.Namespace) -> Sequence[str]:
+def _list_mapped_files(values: dict[str, Any]) -> Sequence[str]:
     """Return the further files that a column map reads beside the log."""
-    if getattr(args, "columns", None) is None:
+    if values.get("columns") is None:
         return ()
     from tau_dyn.log import ColumnMap
 
-    return tuple(ColumnMap.load(args.columns).files.values())
+    return tuple(ColumnMap.load(values["columns"]).files.values())
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -169,7 +206,7 @@ def _stamp(path: Path) -> tuple[int, int]:
     return about.st_size, about.st_mtime_ns
 
 
-def _changed(inputs: Sequence[Path | tuple[str, str]], before: dict[Path, tuple[int, int]]) -> list[str]:
+def _list_changed(inputs: Sequence[Path | tuple[str, str]], before: dict[Path, tuple[int, int]]) -> list[str]:
     """Return a sentence for each input that somebody wrote to meanwhile; the hash of a log is that of what was read."""
     paths = [item.resolve() for item in inputs if isinstance(item, Path)]
     return [
@@ -179,20 +216,20 @@ def _changed(inputs: Sequence[Path | tuple[str, str]], before: dict[Path, tuple[
     ]
 
 
-def _write(call: _Call, outcome: Outcome) -> None:
-    """Write everything, the run folder last; all are complete before the first takes its place."""
-    args, folder = call.args, call.folder
-    about = build_result_envelope(call.command, args, outcome.inputs, "ok", outcome.warnings)
-    files = dict(outcome.files)
-    _refuse_overwritten(call, files)
-    if args.report is not None and outcome.report is not None:
-        files |= dict.fromkeys(_twice(args.report, folder, 2), outcome.report())
-    else:
-        args.report = None  # so that nothing says that it was written
-    if args.json is not None:
-        files |= dict.fromkeys(
-            _twice(args.json, folder, 1), format_json(about | outcome.result | format_warnings(outcome.warnings))
-        )
+def _write(run: _Run, outcome: Outcome) -> dict[str, str]:
+    """Write everything, the run folder last, all complete before the first takes its place; return what was written by name."""
+    values, folder, command_line = run.values, run.folder, format_command_line()
+    about = build_result_envelope(run.call.command, values["seed"], outcome.inputs, "ok", outcome.warnings)
+    files: dict[Path, str | Callable[[Path], None]] = dict(outcome.files)
+    _refuse_overwritten(run, files)
+    named = dict(outcome.named)
+    if values["report"] is not None and outcome.report is not None:
+        files |= dict.fromkeys(_twice(values["report"], folder, 2), outcome.report(command_line))
+        named["report"] = values["report"]
+    if values["json"] is not None:
+        text = format_json(about | outcome.result | format_warnings(outcome.warnings))
+        files |= dict.fromkeys(_twice(values["json"], folder, 1), text)
+        named["result"] = values["json"]
     with ExitStack() as staged:
         room = None if folder is None else staged.enter_context(folder.writing())
         for path, content in files.items():
@@ -204,29 +241,30 @@ def _write(call: _Call, outcome: Outcome) -> None:
                 content(temporary)
         if room is not None and folder is not None:
             read = {row["path"]: row["sha256"] for row in about["inputs"]}
-            run = folder.record(
-                room, call.command, command_line=format_command_line(), configuration=call.configuration, inputs=read,
-                seed=args.seed, exit_status=outcome.exit_status,
+            record = folder.record(
+                room, run.call.command, command_line=command_line, configuration=run.configuration, inputs=read,
+                seed=values["seed"], exit_status=outcome.exit_status,
             )  # fmt: skip
-            (room / folder.files()[0].name).write_text(format_json(run), encoding="utf-8")
+            (room / folder.files()[0].name).write_text(format_json(record), encoding="utf-8")
+    return {name.replace("_", " "): str(path) for name, path in named.items() if path}
 
 
-def _refuse_overwritten(call: _Call, files: Iterable[Path]) -> None:
+def _refuse_overwritten(run: _Run, files: Iterable[Path]) -> None:
     """Refuse to write over what came along with an output, as a header does with C code, or what another run put in the folder.
 
     Known only when all is done, so the work is lost; nothing else is.
     """
     own = {resolve_destination(path) for path in files}
-    if own & {resolve_destination(path) for path in (call.args.json, call.args.report) if path is not None}:
+    if own & {resolve_destination(path) for path in (run.values["json"], run.values["report"]) if path is not None}:
         raise InputError("cannot_write", _TWICE)
-    given = {path.resolve() for path in _given(call.args)}
-    named = {resolve_destination(path) for path in call.destinations()}
+    given = {path.resolve() for path in _list_given(run.values)}
+    named = {resolve_destination(path) for path in run.destinations()}
     if lost := sorted((own - named) & given):
         raise InputError(
             "cannot_write", f"{lost[0]} is an input of this command and would be overwritten; name another output"
         )
-    if call.folder is not None:
-        call.folder.check(call.command, call.configuration, given)
+    if run.folder is not None:
+        run.folder.check(run.call.command, run.configuration, given)
 
 
 def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:
@@ -234,10 +272,14 @@ def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:
     return [path] if folder is None else list(dict.fromkeys([path, folder.files()[which]]))
 
 
-def _unanswered(args: argparse.Namespace, fault: CannotAnswer) -> Outcome:
+def _build_unanswered(values: dict[str, Any], fault: CannotAnswer) -> Outcome:
     """Return the outcome of a command whose data cannot answer, with the robot and all files that it was given."""
     result = {"status": "cannot_answer", "code": fault.code, "missing": fault.missing, "experiment": fault.experiment}
-    inputs = [*(get_robot_file(args) if getattr(args, "robot", None) else []), *_given(args)]
+    inputs = _list_given(values)
+    if values.get("robot") and not is_model_file(values["robot"]):
+        from tau_dyn.robot import find_robot
+
+        inputs = [find_robot(str(values["robot"])), *inputs]
     once = {path.resolve(): path for path in reversed(inputs)}
     return Outcome(
         result=result, warnings=fault.warnings, inputs=list(reversed(once.values())), exit_status=fault.exit_status
@@ -254,24 +296,57 @@ class _Screen(Console):
 
 
 def build_result_envelope(
-    command: str,
-    args: argparse.Namespace,
-    inputs: Sequence[Path | tuple[str, str]],
-    status: str,
-    warnings: Sequence[str],
+    command: str, seed: int, inputs: Sequence[Path | tuple[str, str]], status: str, warnings: Sequence[str]
 ) -> dict[str, Any]:
     """Return what every result says of itself."""
     return {
         "tool_version": __version__,
         "command": command,
-        "inputs": [{"path": path, "sha256": sha256} for path, sha256 in map(_hashed, inputs) if sha256],
-        "seed": args.seed,
+        "inputs": [{"path": path, "sha256": sha256} for path, sha256 in map(_hash_input, inputs) if sha256],
+        "seed": seed,
         "status": status,
         **format_warnings(warnings),
     }
 
 
-def _hashed(item: Path | tuple[str, str]) -> tuple[str, str]:
+def _hash_input(item: Path | tuple[str, str]) -> tuple[str, str]:
     if isinstance(item, tuple):
         return item
     return str(item), compute_sha256(item) if item.is_file() else ""
+
+
+def format_command_line() -> str:
+    """Return how the program was called, for a page's provenance."""
+    return shlex.join(["tau-dyn", *sys.argv[1:]])
+
+
+@contextmanager
+def show_progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Show a spinner with the current step on stderr, if somebody watches."""
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield lambda step: None
+        return
+    with console.status("...") as status:
+        yield lambda step: status.update(step)
+
+
+def format_json(value: Any) -> str:
+    """Return strict JSON: arrays as lists, what is not finite as null."""
+    return json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,18 +1,28 @@
-"""A robot or its identified model in another program's language: URDF, MJCF, FMU, C kinematics, controller references, RAPID."""
+"""`tau-dyn export` and `tau-dyn feedforward export`."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot_options, is_model_file, load_robot_from, show_progress
-from tau_dyn.cli.kinds import positive
+from cyclopts import Group, Parameter
+
+from tau_dyn.cli.arguments import (
+    Output,
+    Positive,
+    Positives,
+    RobotOptions,
+    build_destination,
+    describe_destination,
+    is_model_file,
+)
+from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
-HELP = "a robot or model as URDF, MJCF, FMU, C kinematics, a controller's reference, or RAPID"
+_CODE = Group("--to c")
+_SENT = Group("--to reference, rapid")
 
 
 @dataclass(frozen=True)
@@ -32,141 +42,158 @@ class Made:
     warnings: tuple[str, ...] = ()
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """What single formats take."""
+
+    name: Annotated[
+        str | None,
+        Parameter(group=_CODE, metavar="NAME", help="with which all functions begin (default: the robot's name)"),
+    ] = None
+    motion: Annotated[
+        Path | None, Parameter(group=_SENT, metavar="MOTION.csv", help="t, q_ref_J (or q_J) of each joint")
+    ] = None
+    correction: Annotated[
+        Path | None, Parameter(group=_SENT, metavar="FILE.csv", help="add this learned correction to the motion")
+    ] = None
+    period: Annotated[Positive, Parameter(group=_SENT, metavar="S", help="the controller's sample period")] = 0.004
+    resample: Annotated[bool, Parameter(group=_SENT, help="interpolate a motion that has another sample period")] = (
+        False
+    )
+    speed: Annotated[
+        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [per s]")
+    ] = None
+    acceleration: Annotated[
+        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [per s^2]")
+    ] = None
+    force: Annotated[
+        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [N or N m]")
+    ] = None
+    largest_correction: Annotated[
+        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [m or rad]")
+    ] = None
+    by: Annotated[Literal["joints", "tool"], Parameter(group=_SENT, help="rapid: MoveAbsJ or MoveL")] = "joints"
+    tolerance: Annotated[Positive, Parameter(group=_SENT, metavar="X", help="rapid: of straight moves [m or rad]")] = (
+        1e-4
+    )
+
+
 @dataclass(frozen=True)
-class Format:
-    """One choice of --to.
+class _Request:
+    """What is exported: a model file or a robot, how, and where to."""
 
-    Attributes:
-        ending: Of the file.
-        make: From arguments and the file's name.
-        moves: Whether --motion is needed.
-    """
+    source: Path
+    to: str
+    out: Path
+    options: ExportOptions
+    robot_options: RobotOptions = field(default_factory=RobotOptions)
 
-    ending: str
-    make: Callable[[argparse.Namespace, Path], Made]
-    moves: bool = False
+    def load_model(self):
+        """Return the model; of a robot its nominal rigid body without effects."""
+        from tau_dyn.model import Model
 
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument(
-        "model", metavar="MODEL.yaml|ROBOT", type=Path,
-        help="a model file of identify or diagnose; for fmu, c, reference and rapid also a robot (file or short name)",
-    )  # fmt: skip
-    parser.add_argument("--to", choices=tuple(FORMATS), required=True, help="format")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="by default beside the model, or here for a robot")
-    add_robot_options(parser)
-    code = parser.add_argument_group("--to c")
-    code.add_argument("--name", metavar="NAME", help="with which all functions begin (default: the robot's name)")
-    sent = parser.add_argument_group("--to reference, rapid")
-    sent.add_argument("--motion", metavar="MOTION.csv", type=Path, help="t, q_ref_J (or q_J) of each joint")
-    sent.add_argument("--correction", metavar="FILE.csv", type=Path, help="add this learned correction to the motion")
-    sent.add_argument(
-        "--period", metavar="S", type=positive, default=0.004, help="the controller's sample period (default 0.004)"
-    )
-    sent.add_argument("--resample", action="store_true", help="interpolate a motion that has another sample period")
-    for what, unit in (
-        ("speed", "per s"),
-        ("acceleration", "per s^2"),
-        ("force", "N or N m"),
-        ("largest-correction", "m or rad"),
-    ):
-        sent.add_argument(
-            f"--{what}", metavar="X", type=positive, nargs="+", help=f"limit, one or one a joint [{unit}]"
-        )
-    sent.add_argument(
-        "--by", choices=("joints", "tool"), default="joints", help="rapid: MoveAbsJ or MoveL (default joints)"
-    )
-    sent.add_argument(
-        "--tolerance",
-        metavar="X",
-        type=positive,
-        default=1e-4,
-        help="rapid: of straight moves [m or rad] (default 1e-4)",
-    )
-    parser.set_defaults(own_file=lambda args: f"{args.model.name.split('.')[0]}{FORMATS[args.to].ending}")
-    add_common(parser)
+        if is_model_file(self.source):
+            return Model.load(self.source)
+        return Model.of(self.robot_options.load(self.source), [])
 
 
-def run(args: argparse.Namespace) -> Outcome:
-    """Write the file."""
-    chosen = FORMATS[args.to]
-    out = args.out or _beside(args, chosen.ending)
-    if out.suffix != chosen.ending:
-        raise InputError("cannot_write", f"{out}: what --to {args.to} writes ends in {chosen.ending}")
-    if chosen.moves != (args.motion is not None):
+def export(
+    model: Annotated[
+        Path,
+        Parameter(
+            name="MODEL.yaml|ROBOT",
+            help="a model file of identify or diagnose; for fmu, c, reference and rapid also a robot (file or short name)",
+        ),
+    ],
+    /,
+    *,
+    to: Annotated[Literal["urdf", "mjcf", "fmu", "c", "reference", "rapid"], Parameter(help="format")],
+    out: Annotated[
+        Path | None,
+        build_destination("FILE"),
+        describe_destination("by default beside the model, or here for a robot"),
+    ] = None,
+    options: ExportOptions = ExportOptions(),
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """A robot or its identified model for another program: URDF, MJCF, FMU, C kinematics, controller references, RAPID."""
+    chosen = FORMATS[to]
+    path = out or _name_beside(model, options.motion, chosen.ending)
+    if path.suffix != chosen.ending:
+        raise InputError("cannot_write", f"{path}: what --to {to} writes ends in {chosen.ending}")
+    if chosen.moves != (options.motion is not None):
         raise InputError(
-            "bad_option", f"--to {args.to} {'needs --motion MOTION.csv' if chosen.moves else 'takes no --motion'}"
+            "bad_option", f"--to {to} {'needs --motion MOTION.csv' if chosen.moves else 'takes no --motion'}"
         )
-    with show_progress(args.quiet) as step:
+    with show_progress(output.quiet) as step:
         step("writing")
-        made = chosen.make(args, out)
-    given = [p for p in (args.model, args.motion, args.correction) if p is not None and p.is_file()]
+        made = chosen.make(_Request(model, to, path, options, robot_options))
+    given = [p for p in (model, options.motion, options.correction) if p is not None and p.is_file()]
     return Outcome(
-        result={"out": str(out), "format": args.to, **made.result},
+        result={"out": str(path), "format": to, **made.result},
         warnings=made.warnings,
         inputs=given,
-        show=lambda console: console.print(made.said, markup=False),
+        show=lambda console, written: console.print(made.said, markup=False),
         files=made.files,
     )
 
 
-def _beside(args: argparse.Namespace, ending: str) -> Path:
-    if is_model_file(args.model):
-        return args.model.with_suffix(ending)
-    stem = args.motion.stem if args.motion is not None else args.model.name.split(".")[0]
+def name_export(values: dict[str, Any]) -> str:
+    """Return the usual name of what `export` writes."""
+    return f"{values['model'].name.split('.')[0]}{FORMATS[values['to']].ending}"
+
+
+def _name_beside(model: Path, motion: Path | None, ending: str) -> Path:
+    if is_model_file(model):
+        return model.with_suffix(ending)
+    stem = motion.stem if motion is not None else model.name.split(".")[0]
     return Path(f"{stem}_reference{ending}" if ending == ".csv" else f"{stem}{ending}")
 
 
-def _model(args: argparse.Namespace):
-    """Return the model; of a robot its nominal rigid body without effects."""
-    from tau_dyn.model import Model
-
-    if is_model_file(args.model):
-        return Model.load(args.model)
-    args.robot = str(args.model)
-    return Model.of(load_robot_from(args), [])
-
-
-def _exchanged(args: argparse.Namespace, out: Path) -> Made:
+def _make_exchanged(request: _Request) -> Made:
     """Return URDF or MJCF."""
     from tau_dyn.exchange import build_mjcf, build_urdf
     from tau_dyn.model import Model
 
-    if not is_model_file(args.model):
-        learned = f"tau-dyn identify {args.model} LOG --out model.yaml"
+    if not is_model_file(request.source):
+        learned = f"tau-dyn identify {request.source} LOG --out model.yaml"
         raise InputError(
             "unsupported",
-            f"{args.model}: --to {args.to} takes a model file, as `{learned}` writes it; a robot's file is there already",
+            f"{request.source}: --to {request.to} takes a model file, as `{learned}` writes it; a robot's file is there already",
         )
-    model = Model.load(args.model)
-    made = build_urdf(model) if args.to == "urdf" else build_mjcf(model)
+    model = Model.load(request.source)
+    made = build_urdf(model) if request.to == "urdf" else build_mjcf(model)
     links = len(model.robot.links)
     kept = f"; nominal values, not identified: {', '.join(made.nominal)}" if made.nominal else ""
     shared = f"; one of many splits with the same forces: {', '.join(made.split)}" if made.split else ""
     carriers = "link that carries" if links == 1 else "links that carry"
-    said = f"{model.robot.name} with {links} {carriers} mass -> {out}{kept}{shared}"
+    said = f"{model.robot.name} with {links} {carriers} mass -> {request.out}{kept}{shared}"
     return Made(
-        {out: made.text}, said, {"left_out": list(made.left_out), "nominal": list(made.nominal)}, tuple(made.left_out)
+        {request.out: made.text},
+        said,
+        {"left_out": list(made.left_out), "nominal": list(made.nominal)},
+        tuple(made.left_out),
     )
 
 
-def _fmu(args: argparse.Namespace, out: Path) -> Made:
+def _make_fmu(request: _Request) -> Made:
     """Return an FMU for co-simulation."""
     from tau_dyn.exchange import build_fmu
 
-    model = _model(args)
+    model = request.load_model()
     made = build_fmu(model)
 
     def write(path: Path) -> None:
         path.write_bytes(made.content)
 
-    said = f"{model.robot.name} for FMI 2.0 co-simulation, its equations compared with the simulator's -> {out}"
+    said = f"{model.robot.name} for FMI 2.0 co-simulation, its equations compared with the simulator's -> {request.out}"
     result = {"left_out": list(made.left_out), "nominal": list(made.nominal), "difference": made.difference}
-    return Made({out: write}, said, result, made.left_out)
+    return Made({request.out: write}, said, result, made.left_out)
 
 
-def _kinematics(args: argparse.Namespace, out: Path) -> Made:
+def _make_kinematics(request: _Request) -> Made:
     """Return C kinematics and their header."""
     from tau_dyn.control import (
         build_identifiers,
@@ -176,65 +203,169 @@ def _kinematics(args: argparse.Namespace, out: Path) -> Made:
         write_kinematics_source,
     )
 
-    robot = _model(args).robot
-    name = args.name or build_identifiers([robot.name])[0].lstrip("_0123456789") or "robot"
-    header = locate_header(out)
+    robot = request.load_model().robot
+    name = request.options.name or build_identifiers([robot.name])[0].lstrip("_0123456789") or "robot"
+    header = locate_header(request.out)
     program = build_kinematics(robot)
     source, declared = write_kinematics_source(program, name)
     functions = [f"{name}_{x}" for x in ("fk", "jacobian", *(() if program.no_inverse else ("ik",)))]
     lacking = (f"{robot.name}: no inverse kinematics, since {program.no_inverse}",) if program.no_inverse else ()
-    said = f"{', '.join(functions)}: within {max(program.difference, 1e-16):.1g} of Python's -> {out} and {header}"
+    said = (
+        f"{', '.join(functions)}: within {max(program.difference, 1e-16):.1g} of Python's -> {request.out} and {header}"
+    )
     result = {
         "functions": functions,
         "kind": program.kind,
         "difference": program.difference,
         "joints": list(robot.actuated),
     }
-    return Made({out: include_header(source, name, header), header: declared}, said, result, lacking)
+    return Made({request.out: include_header(source, name, header), header: declared}, said, result, lacking)
 
 
-def _motion(args: argparse.Namespace):
+def _build_motion(request: _Request):
     """Return the model and the motion that a controller may be given."""
     from tau_dyn.control import CommandLimits, apply_correction, build_reference, read_correction
     from tau_dyn.simulate import Trajectory
 
-    model = _model(args)
-    given = {n: getattr(args, n) for n in ("speed", "acceleration", "force")} | {"correction": args.largest_correction}
+    options, model = request.options, request.load_model()
+    joints = model.robot.actuated
+    given = {n: getattr(options, n) for n in ("speed", "acceleration", "force")}
+    given |= {"correction": options.largest_correction}
     limits = CommandLimits.of(model.robot, **{k: x for k, x in given.items() if x is not None})
-    motion = Trajectory.from_csv(args.motion, model.robot.actuated)
-    motion = build_reference(model, motion, period=args.period, resample=args.resample, limits=limits)
-    if args.correction is not None:
-        correction = read_correction(args.correction, model.robot.actuated, period=args.period)
+    motion = Trajectory.from_csv(str(options.motion), joints)
+    motion = build_reference(model, motion, period=options.period, resample=options.resample, limits=limits)
+    if options.correction is not None:
+        correction = read_correction(options.correction, joints, period=options.period)
         motion = apply_correction(model, motion, correction, limits)
     return model, motion
 
 
-def _reference(args: argparse.Namespace, out: Path) -> Made:
+def _make_reference(request: _Request) -> Made:
     """Return a controller's reference file."""
-    model, motion = _motion(args)
-    said = f"{motion.n_samples} samples, one every {1e3 * args.period:g} ms, within the limits of {model.robot.name} -> {out}"
-    result = {"samples": motion.n_samples, "period": args.period, "joints": list(motion.joints)}
-    return Made({out: motion.to_csv}, said, result, motion.notes)
+    model, motion = _build_motion(request)
+    period = 1e3 * request.options.period
+    said = (
+        f"{motion.n_samples} samples, one every {period:g} ms, within the limits of {model.robot.name} -> {request.out}"
+    )
+    result = {"samples": motion.n_samples, "period": request.options.period, "joints": list(motion.joints)}
+    return Made({request.out: motion.to_csv}, said, result, motion.notes)
 
 
-def _rapid(args: argparse.Namespace, out: Path) -> Made:
+def _make_rapid(request: _Request) -> Made:
     """Return a RAPID module."""
     from tau_dyn.control import format_rapid_motion
 
-    model, motion = _motion(args)
+    model, motion = _build_motion(request)
     text = format_rapid_motion(
-        model.robot, motion, by=args.by, tolerance=args.tolerance, **({"name": args.name} if args.name else {})
+        model.robot,
+        motion,
+        by=request.options.by,
+        tolerance=request.options.tolerance,
+        **({"name": request.options.name} if request.options.name else {}),
     )
-    said = f"{motion.duration:.4g} s by {'MoveAbsJ' if args.by == 'joints' else 'MoveL'} -> {out}"
-    return Made({out: text}, said, {"duration": motion.duration, "by": args.by}, motion.notes)
+    said = f"{motion.duration:.4g} s by {'MoveAbsJ' if request.options.by == 'joints' else 'MoveL'} -> {request.out}"
+    return Made({request.out: text}, said, {"duration": motion.duration, "by": request.options.by}, motion.notes)
+
+
+@dataclass(frozen=True)
+class Format:
+    """One choice of --to.
+
+    Attributes:
+        ending: Of the file.
+        make: From what is asked.
+        moves: Whether --motion is needed.
+    """
+
+    ending: str
+    make: Callable[[_Request], Made]
+    moves: bool = False
 
 
 FORMATS: dict[str, Format] = {
-    "urdf": Format(".urdf", _exchanged),
-    "mjcf": Format(".xml", _exchanged),
-    "fmu": Format(".fmu", _fmu),
-    "c": Format(".c", _kinematics),
-    "reference": Format(".csv", _reference, moves=True),
-    "rapid": Format(".mod", _rapid, moves=True),
+    "urdf": Format(".urdf", _make_exchanged),
+    "mjcf": Format(".xml", _make_exchanged),
+    "fmu": Format(".fmu", _make_fmu),
+    "c": Format(".c", _make_kinematics),
+    "reference": Format(".csv", _make_reference, moves=True),
+    "rapid": Format(".mod", _make_rapid, moves=True),
 }
-"""What --to offers; another format is one more line here."""
+"""What --to offers; another format is one more line here and a word in the signature of `export`."""
+
+_ENDINGS = {"c": ".c", "python": ".py"}
+
+
+def export_feedforward(
+    model: Annotated[Path, Parameter(name="MODEL.yaml", help="a model file of identify or diagnose")],
+    /,
+    *,
+    to: Annotated[Literal["c", "python"], Parameter(help="language")],
+    out: Annotated[Path, build_destination("FILE"), describe_destination("FILE.c (with FILE.h beside it) or FILE.py")],
+    name: Annotated[str, Parameter(metavar="NAME", help="of the function")] = "tau_ff",
+    width: Annotated[
+        Positives,
+        Parameter(
+            metavar="V",
+            help="speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s]",
+        ),
+    ] = (0.01,),
+    shape: Annotated[Literal["ramp", "tanh"], Parameter(help="of the smoothed sign")] = "ramp",
+    steady: Annotated[bool, Parameter(help="leave out effects that need a history, and say which")] = False,
+    output: Output = Output(),
+) -> Outcome:
+    """A model's feedforward tau_ff(q, v, a) written out for a controller: dependency-free C, or Python with NumPy alone."""
+    ending = _ENDINGS[to]
+    if out.suffix != ending:
+        raise InputError("cannot_write", f"{out}: what --to {to} writes ends in {ending}")
+    with show_progress(output.quiet) as step:
+        step("tracing")
+        from tau_dyn.control import (
+            ARGUMENTS,
+            Feedforward,
+            build_program,
+            include_header,
+            locate_header,
+            write_c_source,
+            write_python_source,
+        )
+        from tau_dyn.model import Model
+
+        loaded = Model.load(model)
+        kept = loaded.steady(ARGUMENTS) if steady else loaded
+        dropped = [effect.name for effect in loaded.effects if effect not in kept.effects]
+        program = build_program(Feedforward(kept, width=width[0] if len(width) == 1 else list(width), shape=shape))
+        if to == "c":
+            header = locate_header(out)
+            source, declared = write_c_source(program, name)
+            files: dict[Path, Any] = {out: include_header(source, name, header), header: declared}
+        else:
+            files = {out: write_python_source(program, name)}
+    size = len(program.graph.needed(program.outputs))
+    result = {
+        "out": [str(path) for path in files],
+        "language": to,
+        "function": name,
+        "joints": list(kept.robot.actuated),
+        "signals": list(program.signals),
+        "expressions": size,
+        "difference": program.difference,
+        "left_out": dropped,
+    }
+    said = (
+        f"{name}({', '.join(('q', 'v', 'a', *program.signals))}): {size} expressions, within "
+        f"{max(program.difference, 1e-16):.1g} of Python's -> {' and '.join(str(path) for path in files)}"
+    )
+    return Outcome(
+        result=result,
+        warnings=[
+            f"the feedforward leaves out {effect}, which a single state does not determine" for effect in dropped
+        ],
+        inputs=[model],
+        show=lambda console, written: console.print(said, markup=False),
+        files=files,
+    )
+
+
+def name_feedforward(values: dict[str, Any]) -> str:
+    """Return the usual name of what `feedforward export` writes."""
+    return f"{values['name']}{_ENDINGS[values['to']]}"

@@ -1,87 +1,101 @@
-"""Masses and friction from torque logs, with standard errors; evaluated on data that the fit did not use."""
+"""`tau-dyn identify`."""
 
 from __future__ import annotations
 
-import argparse
+from pathlib import Path
+from typing import Annotated, Literal
 
-from tau_dyn.cli.common import (
-    Outcome,
-    add_common,
-    add_robot,
-    format_command_line,
-    list_written_files,
-    load_robot_from,
-    show_progress,
+from cyclopts import Group, Parameter
+
+from tau_dyn.cli.arguments import (
+    FittingOptions,
+    Logs,
+    Output,
+    RobotName,
+    RobotOptions,
+    Strings,
+    Whole,
+    build_destination,
+    describe_destination,
 )
-from tau_dyn.cli.fitting import (
-    add_engine,
-    add_fitting,
-    collect_fitting_inputs,
-    collect_fitting_options,
-    open_fitting_logs,
-)
-from tau_dyn.scale import count_cores
+from tau_dyn.cli.execute import Outcome, show_progress
 
-HELP = "masses and friction from torque logs"
+_BLOCKS = Group("Large recordings, which are read block by block")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_robot(parser)
-    add_fitting(
-        parser,
-        model="friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg; default); or a "
-        "model file, which gives start values and effects",
-        holdout="held-out logs, for evaluation only",
-        out="write the identified model here",
-    )
-    parser.add_argument(
-        "--estimator",
-        choices=("auto", "wls", "ml", "iv", "robust"),
-        default="auto",
-        help="wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder noise; "
-        "iv: ml with instrumental variables from q_ref_J, for encoder noise that the controller feeds back; robust: ml with "
-        "outlier weights; auto (default): iv or ml if the residual is consistent with noise, else wls",
-    )
-    add_engine(parser)
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> Outcome:
-    """Identify."""
-    with show_progress(args.quiet) as step:
+def identify(
+    robot: RobotName,
+    logs: Logs,
+    /,
+    *,
+    holdout: Annotated[Strings, Parameter(metavar="LOG", help="held-out logs, for evaluation only")] = (),
+    model: Annotated[
+        str,
+        Parameter(
+            metavar="MODEL",
+            help="friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg); or a model "
+            "file, which gives start values and effects",
+        ),
+    ] = "asymmetric",
+    fitting: FittingOptions = FittingOptions(),
+    out: Annotated[
+        Path | None, build_destination("MODEL.yaml"), describe_destination("write the identified model here")
+    ] = None,
+    estimator: Annotated[
+        Literal["auto", "wls", "ml", "iv", "robust"],
+        Parameter(
+            help="wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder noise; "
+            "iv: ml with instrumental variables from q_ref_J, for encoder noise that the controller feeds back; robust: ml with "
+            "outlier weights; auto: iv or ml if the residual is consistent with noise, else wls"
+        ),
+    ] = "auto",
+    jobs: Annotated[Whole, Parameter(group=_BLOCKS, metavar="N", help="threads (default: one a core)")] = 0,
+    cluster: Annotated[
+        str | None,
+        Parameter(
+            group=_BLOCKS,
+            metavar="tcp://HOST:PORT",
+            help="a Dask scheduler whose workers see the same files; 'local' starts one here with N processes",
+        ),
+    ] = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Masses and friction from torque logs, with standard errors; evaluated on data that the fit did not use."""
+    with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.identify import BlockExecutor, identify
+        from tau_dyn.identify import BlockExecutor, identify as identify_robot
+        from tau_dyn.scale import count_cores
 
-        robot = load_robot_from(args)
-        logs, held = open_fitting_logs(args)
-        options = collect_fitting_options(args) | {"estimator": args.estimator}
-        found = identify(
-            robot,
-            logs,
+        machine = robot_options.load(robot)
+        trained, held = fitting.open_logs(logs), fitting.open_logs(holdout)
+        found = identify_robot(
+            machine,
+            trained,
             holdout=held,
             progress=step,
-            engine=BlockExecutor(args.jobs or count_cores(), args.cluster),
-            **options,
+            engine=BlockExecutor(jobs or count_cores(), cluster),
+            estimator=estimator,
+            **fitting.collect(model, output.seed),
         )
+
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_identification
+
+        print_identification(console, found, written)
+        console.print(f"estimator: {found.estimator}")
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_identification_page
+
+        return build_identification_page(found, command_line=command_line)
+
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
-        inputs=collect_fitting_inputs(args, logs, held),
-        show=lambda console: _show(console, found, args),
-        files={args.out: found.model.save} if args.out else {},
-        report=lambda: _page(found),
+        inputs=[*robot_options.list_files(robot), *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held])],
+        show=show,
+        files={out: found.model.save} if out else {},
+        named={"model": out},
+        report=report,
     )
-
-
-def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_identification
-
-    print_identification(console, found, list_written_files(args, model=args.out))
-    console.print(f"estimator: {found.estimator}")
-
-
-def _page(found) -> str:
-    from tau_dyn.report import build_identification_page
-
-    return build_identification_page(found, command_line=format_command_line())

@@ -1,156 +1,187 @@
-"""The fastest motion between two places that the drives can follow, or one with less effort; free or along a path."""
+"""`tau-dyn plan-motion`."""
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tau_dyn.cli.common import (
-    Outcome,
-    add_common,
-    add_robot,
-    format_command_line,
-    get_robot_file,
+from cyclopts import Group, Parameter
+
+from tau_dyn.cli.arguments import (
+    Finites,
+    NotNegative,
+    Output,
+    Place,
+    Positive,
+    Positives,
+    RobotOptions,
+    Whole,
+    build_destination,
+    describe_destination,
+    describe_robot_or_model,
     is_model_file,
-    list_written_files,
-    load_robot_from,
-    show_progress,
+    read_columns,
 )
-from tau_dyn.cli.kinds import finite, not_negative, positive, read_csv_file_name, whole_number
-from tau_dyn.cli.pose_tables import read_columns
+from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
-HELP = "the fastest motion within force limits, free or along a path"
-
 _COLUMNS = ("x_tool", "y_tool", "z_tool")
+_ENDS = Group("Where")
+_LIMITS = Group("Limits, one or one a joint")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_robot(parser, or_model="whose friction then counts")
-    ends = parser.add_argument_group("where")
-    place = ("X", "Y", "Z")
-    ends.add_argument(
-        "--from", dest="start", metavar=place, nargs=3, type=finite, help="tool position at the start [m]"
-    )
-    ends.add_argument("--to", dest="end", metavar=place, nargs=3, type=finite, help="tool position at the end [m]")
-    for name, dest in (("from", "start_joints"), ("to", "end_joints")):
-        text = f"actuated positions instead of --{name} [m or rad]"
-        ends.add_argument(f"--{name}-joints", dest=dest, metavar="Q", nargs="+", type=finite, help=text)
-    ends.add_argument(
-        "--path", metavar="line|POINTS.csv",
-        help="line: the tool goes straight; a table with x_tool, y_tool, z_tool: a spline through these points (default: free)",
-    )  # fmt: skip
-    _add_limits(parser.add_argument_group("limits, one or one a joint"))
-    parser.add_argument(
-        "--energy-weight", metavar="W", type=not_negative, default=0.0,
-        help="minimise T + W times the integral of squared forces [s per N^2 s] (default 0: the shortest time)",
-    )  # fmt: skip
-    parser.add_argument("--rate", metavar="HZ", type=positive, default=1000.0, help="of the motion (default 1000)")
-    parser.add_argument(
-        "--nodes", metavar="N", type=whole_number, default=80, help="intervals of linear acceleration (default 80)"
-    )
-    parser.add_argument(
-        "--out", metavar="MOTION.csv", type=read_csv_file_name, required=True, help="write t, q_ref, v_ref, a_ref here"
-    )
-    add_common(parser)
+@Parameter(name="*", group=_ENDS)
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """Where a motion starts and ends, and along which path."""
+
+    start: Annotated[Place | None, Parameter(name="--from", help="tool position at the start [m]")] = None
+    end: Annotated[Place | None, Parameter(name="--to", help="tool position at the end [m]")] = None
+    start_joints: Annotated[
+        Finites,
+        Parameter(name="--from-joints", metavar="Q", help="actuated positions instead of --from [m or rad]"),
+    ] = ()
+    end_joints: Annotated[
+        Finites, Parameter(name="--to-joints", metavar="Q", help="actuated positions instead of --to [m or rad]")
+    ] = ()
+    path: Annotated[
+        str | None,
+        Parameter(
+            metavar="line|POINTS.csv",
+            help="line: the tool goes straight; a table with x_tool, y_tool, z_tool: a spline through these points (default: "
+            "free)",
+        ),
+    ] = None
+
+    def choose(self):
+        """Return start, end and whether they are actuated positions.
+
+        Raises:
+            InputError: They are given twice, or not at all.
+        """
+        if self.start and self.end and not (self.start_joints or self.end_joints):
+            return list(self.start), list(self.end), False
+        if self.start_joints and self.end_joints and not (self.start or self.end):
+            return list(self.start_joints), list(self.end_joints), True
+        raise InputError(
+            "bad_option",
+            "say where the motion starts and ends: --from X Y Z --to X Y Z, or --from-joints and --to-joints",
+        )
+
+    def read_path(self):
+        """Return None, 'line', or the points of a table (n, 3) [m].
+
+        Raises:
+            InputError: The table is missing, or a column of it.
+        """
+        from tau_dyn.kinematics import pick_columns
+
+        if self.path in (None, "line"):
+            return self.path
+        if not Path(self.path).is_file():
+            raise InputError(
+                "bad_option", f"--path {self.path}: write line, or name a table with the columns {', '.join(_COLUMNS)}"
+            )
+        table = read_columns(Path(self.path))
+        missing = [name for name in _COLUMNS if name not in table]
+        if missing:
+            raise InputError(
+                "missing_column", f"{self.path}: there is no column {missing[0]}; a path has {', '.join(_COLUMNS)} [m]"
+            )
+        return pick_columns(table, list(_COLUMNS), self.path)
 
 
-def _add_limits(group: argparse._ArgumentGroup) -> None:
-    for name, unit, default in (
-        ("force", "N or N m", "the robot file's"),
-        ("speed", "m/s or rad/s", "the robot file's"),
-        ("acceleration", "m/s^2 or rad/s^2", "none"),
-        ("jerk", "m/s^3 or rad/s^3", "none"),
-    ):
-        text = f"largest {name} [{unit}] (default {default})"
-        group.add_argument(f"--{name}-limit", metavar="L", type=positive, nargs="+", help=text)
-    group.add_argument(
-        "--margin", metavar="SHARE", type=not_negative, default=0.0,
-        help="share of the forces that is kept for the feedback (default 0)",
-    )  # fmt: skip
-    group.add_argument("--condition", metavar="C", type=positive, help="largest conditioning of the loops")
+@Parameter(name="*", group=_LIMITS)
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a motion may not exceed."""
+
+    force_limit: Annotated[
+        Positives | None,
+        Parameter(metavar="L", help="largest force [N or N m] (default the robot file's)"),
+    ] = None
+    speed_limit: Annotated[
+        Positives | None,
+        Parameter(metavar="L", help="largest speed [m/s or rad/s] (default the robot file's)"),
+    ] = None
+    acceleration_limit: Annotated[
+        Positives | None, Parameter(metavar="L", help="largest acceleration [m/s^2 or rad/s^2] (default none)")
+    ] = None
+    jerk_limit: Annotated[
+        Positives | None, Parameter(metavar="L", help="largest jerk [m/s^3 or rad/s^3] (default none)")
+    ] = None
+    margin: Annotated[
+        NotNegative, Parameter(metavar="SHARE", help="share of the forces that is kept for the feedback")
+    ] = 0.0
+    condition: Annotated[Positive | None, Parameter(metavar="C", help="largest conditioning of the loops")] = None
 
 
-def run(args: argparse.Namespace) -> Outcome:
-    """Plan."""
-    start, end, joints = _ends(args)
-    with show_progress(args.quiet) as step:
+def plan_motion(
+    robot: Annotated[str, describe_robot_or_model("whose friction then counts")],
+    /,
+    *,
+    ends: Ends = Ends(),
+    limits: Limits = Limits(),
+    energy_weight: Annotated[
+        NotNegative,
+        Parameter(
+            metavar="W",
+            help="minimise T + W times the integral of squared forces [s per N^2 s] (0: the shortest time)",
+        ),
+    ] = 0.0,
+    rate: Annotated[Positive, Parameter(metavar="HZ", help="of the motion")] = 1000.0,
+    nodes: Annotated[Whole, Parameter(metavar="N", help="intervals of linear acceleration")] = 80,
+    out: Annotated[
+        Path, build_destination("MOTION.csv", csv=True), describe_destination("write t, q_ref, v_ref, a_ref here")
+    ],
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """The fastest motion between two places that the drives can follow, or one with less effort; free or along a path."""
+    start, end, joints = ends.choose()
+    with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.control.motion import MotionLimits, plan_motion
+        from tau_dyn.control.motion import MotionLimits, plan_motion as plan
 
-        model = _model(args)
-        given = {name: getattr(args, f"{name}_limit") for name in ("force", "speed", "acceleration", "jerk")}
-        limits = MotionLimits.of(model, margin=args.margin, condition=args.condition, **given)
+        model = _load_model(robot, robot_options)
+        given = {name: getattr(limits, f"{name}_limit") for name in ("force", "speed", "acceleration", "jerk")}
+        bounds = MotionLimits.of(model, margin=limits.margin, condition=limits.condition, **given)
         step("optimising")
-        plan = plan_motion(
-            model, start, end, limits=limits, energy_weight=args.energy_weight, path=_path(args), joints=joints,
-            dt=1 / args.rate, nodes=args.nodes,
+        found = plan(
+            model, start, end, limits=bounds, energy_weight=energy_weight, path=ends.read_path(), joints=joints,
+            dt=1 / rate, nodes=nodes,
         )  # fmt: skip
 
-    def show(console) -> None:
+    def show(console, written: dict[str, str]) -> None:
         from tau_dyn.report import print_motion_plan
 
-        print_motion_plan(console, plan, list_written_files(args, motion=args.out))
+        print_motion_plan(console, found, written)
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_motion_plan_page
+
+        return build_motion_plan_page(found, command_line=command_line)
 
     return Outcome(
-        result=plan.to_dict() | {"out": str(args.out)},
-        warnings=[*model.robot.warnings, *plan.warnings],
-        inputs=[
-            *get_robot_file(args),
-            *([Path(args.path)] if args.path not in (None, "line") else []),
-        ],
+        result=found.to_dict() | {"out": str(out)},
+        warnings=[*model.robot.warnings, *found.warnings],
+        inputs=[*robot_options.list_files(robot), *([Path(ends.path)] if ends.path not in (None, "line") else [])],
         show=show,
-        files={args.out: plan.to_csv},
-        report=lambda: _page(plan),
+        files={out: found.to_csv},
+        named={"motion": out},
+        report=report,
     )
 
 
-def _ends(args: argparse.Namespace):
-    """Return start, end and whether they are actuated positions."""
-    tool, joints = (args.start, args.end), (args.start_joints, args.end_joints)
-    if None not in tool and joints == (None, None):
-        return (*tool, False)
-    if None not in joints and tool == (None, None):
-        return (*joints, True)
-    raise InputError(
-        "bad_option", "say where the motion starts and ends: --from X Y Z --to X Y Z, or --from-joints and --to-joints"
-    )
-
-
-def _path(args: argparse.Namespace):
-    """Return None, 'line', or the points of a table (n, 3)."""
-    from tau_dyn.kinematics import pick_columns
-
-    if args.path in (None, "line"):
-        return args.path
-    if not Path(args.path).is_file():
-        raise InputError(
-            "bad_option", f"--path {args.path}: write line, or name a table with the columns {', '.join(_COLUMNS)}"
-        )
-    table = read_columns(Path(args.path))
-    missing = [name for name in _COLUMNS if name not in table]
-    if missing:
-        raise InputError(
-            "missing_column", f"{args.path}: there is no column {missing[0]}; a path has {', '.join(_COLUMNS)} [m]"
-        )
-    return pick_columns(table, list(_COLUMNS), str(args.path))
-
-
-def _model(args: argparse.Namespace):
+def _load_model(robot: str, options: RobotOptions):
     """Return the model that ROBOT names: a file of ours with its effects, or a rigid robot."""
     from tau_dyn.model import Model
 
-    if not is_model_file(args.robot):
-        return Model.of(load_robot_from(args))
-    if args.set or args.actuated:
+    if not is_model_file(robot):
+        return Model.of(options.load(robot))
+    if options.set or options.actuated:
         raise InputError(
-            "bad_option", f"{args.robot} is a model file, which carries its own robot; leave --set and --actuated out"
+            "bad_option", f"{robot} is a model file, which carries its own robot; leave --set and --actuated out"
         )
-    return Model.load(args.robot)
-
-
-def _page(plan) -> str:
-    from tau_dyn.report import build_motion_plan_page
-
-    return build_motion_plan_page(plan, command_line=format_command_line())
+    return Model.load(robot)

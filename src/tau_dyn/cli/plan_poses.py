@@ -1,205 +1,192 @@
-"""Which poses to measure for a calibration, how accurate it will be, and in which order to drive to them."""
+"""`tau-dyn plan-poses`."""
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from tau_dyn.cli.common import (
-    Outcome,
-    add_common,
-    add_robot,
-    get_robot_file,
-    list_written_files,
-    load_robot_from,
-    show_progress,
+from cyclopts import Group, Parameter, Token, validators
+
+from tau_dyn.cli.arguments import (
+    POSITIVE_WHOLE,
+    NotNegative,
+    Output,
+    Positive,
+    RobotName,
+    RobotOptions,
+    build_destination,
+    describe_destination,
 )
-from tau_dyn.cli.kinds import not_negative, positive, positive_whole, read_csv_file_name, read_number_of_poses
+from tau_dyn.cli.calibrate import Frames
+from tau_dyn.cli.execute import Outcome, show_progress
 
-HELP = "poses to measure for a calibration, and what they will give"
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_robot(parser)
-    parser.add_argument(
-        "--n",
-        metavar="N|auto",
-        type=read_number_of_poses,
-        default="auto",
-        help="how many; auto: until more hardly help (default)",
-    )
-    parser.add_argument(
-        "--model",
-        metavar="NAME",
-        help="what is to be calibrated, as `calibrate --model` names it (default: all dimensions)",
-    )
-    parser.add_argument(
-        "--criterion",
-        default="tool",
-        choices=("tool", "worst", "determinant", "condition", "smallest", "amplification"),
-        help="what makes poses good (default tool: the tool's predicted variance over the workspace)",
-    )
-    parser.add_argument(
-        "--accuracy",
-        metavar="M",
-        type=positive,
-        help="accuracy asked for, rms over the workspace [m]; refuses where it is not met",
-    )
-    parser.add_argument(
-        "--known",
-        metavar="FRAME",
-        nargs="+",
-        action="extend",
-        default=[],
-        choices=("device", "tool"),
-        help="frames that are known",
-    )
-    parser.add_argument(
-        "--weighted", action="store_true", help="the fit will weigh each pose by the device's covariance there"
-    )
-    _add_device(parser.add_argument_group("what measures (default: everything seen with 0.1 mm and 0.1 mrad)"))
-    _add_demands(parser.add_argument_group("where the robot may go"))
-    parser.add_argument(
-        "--out", metavar="POSES.csv", type=read_csv_file_name, help="write the places in driving order here: pose, q_J"
-    )
-    parser.add_argument("--rapid", metavar="FILE.mod", type=Path, help="write a RAPID module here")
-    parser.add_argument(
-        "--resume",
-        metavar="FILE.json",
-        type=Path,
-        help="progress file: written if it does not exist; otherwise nothing is chosen anew and "
-        "--out and --rapid get what is left of it",
-    )
-    add_common(parser)
+_DEVICE = Group(
+    "What measures (default: everything seen with 0.1 mm and 0.1 mrad)", validator=validators.MutuallyExclusive()
+)
+_DEMANDS = Group("Where the robot may go")
 
 
-def _add_device(group: argparse._ArgumentGroup) -> None:
-    device = group.add_mutually_exclusive_group()
-    device.add_argument("--camera", metavar="FILE.yaml", type=Path, help="camera and pattern")
-    device.add_argument("--tracker", metavar="FILE.yaml", type=Path, help="laser tracker and reflector")
+def _read_count(_: Any, tokens: Sequence[Token]) -> int | str:
+    """Read a number of poses, or auto.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    text = tokens[0].value
+    try:
+        value = "auto" if text == "auto" else int(text)
+        POSITIVE_WHOLE(None, value)
+    except ValueError:
+        raise ValueError(f"write {POSITIVE_WHOLE.words}, or auto") from None
+    return value
 
 
-def _add_demands(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--obstacles", metavar="FILE.yaml", type=Path, help="obstacles, safety zones, limits of the tool"
-    )
-    group.add_argument("--no-collisions", action="store_true", help="let the robot pass through itself")
-    group.add_argument(
-        "--safety",
-        metavar="M",
-        type=not_negative,
-        default=0.05,
-        help="from obstacles and the workspace's border [m] (0.05)",
-    )
-    group.add_argument(
-        "--safety-angle", metavar="DEG", type=not_negative, default=5.0, help="from the ball joints' limits (5)"
-    )
-    group.add_argument(
-        "--candidates",
-        metavar="N",
-        type=positive_whole,
-        default=1000,
-        help="about how many poses to choose from (1000)",
-    )
-
-
-def run(args: argparse.Namespace) -> Outcome:
-    """Plan, or go on with a plan."""
-    if args.resume is not None and args.resume.exists():
-        return _going_on(args)
-    with show_progress(args.quiet) as step:
+def plan_poses(
+    robot: RobotName,
+    /,
+    *,
+    n: Annotated[
+        int | str,
+        Parameter(
+            converter=_read_count,
+            n_tokens=1,
+            metavar="N|auto",
+            help="how many; auto: until more hardly help",
+        ),
+    ] = "auto",
+    model: Annotated[
+        str | None,
+        Parameter(
+            metavar="NAME", help="what is to be calibrated, as `calibrate --model` names it (default: all dimensions)"
+        ),
+    ] = None,
+    criterion: Annotated[
+        Literal["tool", "worst", "determinant", "condition", "smallest", "amplification"],
+        Parameter(help="what makes poses good (tool: the tool's predicted variance over the workspace)"),
+    ] = "tool",
+    accuracy: Annotated[
+        Positive | None,
+        Parameter(metavar="M", help="accuracy asked for, rms over the workspace [m]; refuses where it is not met"),
+    ] = None,
+    known: Annotated[Frames, Parameter(help="frames that are known")] = (),
+    weighted: Annotated[bool, Parameter(help="the fit will weigh each pose by the device's covariance there")] = False,
+    camera: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml", help="camera and pattern")] = None,
+    tracker: Annotated[
+        Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml", help="laser tracker and reflector")
+    ] = None,
+    obstacles: Annotated[
+        Path | None,
+        Parameter(group=_DEMANDS, metavar="FILE.yaml", help="obstacles, safety zones, limits of the tool"),
+    ] = None,
+    no_collisions: Annotated[bool, Parameter(group=_DEMANDS, help="let the robot pass through itself")] = False,
+    safety: Annotated[
+        NotNegative, Parameter(group=_DEMANDS, metavar="M", help="from obstacles and the workspace's border [m]")
+    ] = 0.05,
+    safety_angle: Annotated[
+        NotNegative, Parameter(group=_DEMANDS, metavar="DEG", help="from the ball joints' limits")
+    ] = 5.0,
+    candidates: Annotated[
+        int,
+        Parameter(group=_DEMANDS, metavar="N", validator=POSITIVE_WHOLE, help="about how many poses to choose from"),
+    ] = 1000,
+    out: Annotated[
+        Path | None,
+        build_destination("POSES.csv", csv=True),
+        describe_destination("write the places in driving order here: pose, q_J"),
+    ] = None,
+    rapid: Annotated[Path | None, Parameter(metavar="FILE.mod", help="write a RAPID module here")] = None,
+    resume: Annotated[
+        Path | None,
+        Parameter(
+            metavar="FILE.json",
+            help="progress file: written if it does not exist; otherwise nothing is chosen anew and --out and --rapid get what "
+            "is left of it",
+        ),
+    ] = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Which poses to measure for a calibration, how accurate it will be, and in which order to drive to them."""
+    demands = _build_demands(obstacles, no_collisions)
+    if resume is not None and resume.exists():
+        return _go_on(robot, robot_options, resume, demands, out, rapid)
+    with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.calibrate.poses import plan_campaign
+        import numpy as np
 
-        robot = load_robot_from(args)
+        from tau_dyn.calibrate.poses import Safety, plan_campaign, read_camera, read_tracker
+
+        machine = robot_options.load(robot)
+        device = read_camera(camera) if camera is not None else read_tracker(tracker) if tracker is not None else None
         plan = plan_campaign(
-            robot,
-            _device(args),
-            args.n,
-            model=args.model,
-            criterion=args.criterion,
-            demands=_demands(args),
-            safety=_safety(args),
-            required=args.accuracy,
-            known=args.known,
-            weighted=args.weighted,
-            candidates=args.candidates,
-            seed=args.seed,
+            machine,
+            device,
+            n,
+            model=model,
+            criterion=criterion,
+            demands=demands,
+            safety=Safety(safety, float(np.deg2rad(safety_angle))),
+            required=accuracy,
+            known=list(known),
+            weighted=weighted,
+            candidates=candidates,
+            seed=output.seed,
             progress=step,
         )
-    files = _files(args, plan.csv, plan.rapid)
-    if args.resume is not None:
-        files[args.resume] = lambda path: plan.progress().save(path)
-    given = [p for p in (args.camera, args.tracker, args.obstacles) if p is not None]
+    files = _build_files(out, plan.csv, rapid, plan.rapid)
+    if resume is not None:
+        files[resume] = lambda path: plan.progress().save(path)
+
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_pose_plan
+
+        print_pose_plan(console, plan, written)
+
     return Outcome(
         result=plan.to_dict(),
-        warnings=[*robot.warnings, *plan.warnings],
-        inputs=[*get_robot_file(args), *given],
-        show=lambda console: _show(console, plan, args),
+        warnings=[*machine.warnings, *plan.warnings],
+        inputs=[*robot_options.list_files(robot), *(p for p in (camera, tracker, obstacles) if p is not None)],
+        show=show,
         files=files,
+        named={"places": out, "RAPID": rapid, "progress": resume},
     )
 
 
-def _going_on(args: argparse.Namespace) -> Outcome:
+def _go_on(robot: str, options: RobotOptions, resume: Path, demands, out: Path | None, rapid: Path | None) -> Outcome:
     """Hand out what is left of a plan."""
     from tau_dyn.calibrate.poses import PathCheck, format_rapid_module, format_tour_csv, read_progress
     from tau_dyn.kinematics.workspace import build_machine
 
-    robot = load_robot_from(args)
-    now = read_progress(args.resume, robot.actuated)
+    machine = options.load(robot)
+    now = read_progress(resume, machine.actuated)
     q, pose = now.q[now.left], now.pose[now.left]
-    check = PathCheck(build_machine(robot), _demands(args))
+    check = PathCheck(build_machine(machine), demands)
     done = {state: now.state.count(state) for state in ("measured", "missed")}
     left = int((pose >= 0).sum())
-    files = _files(
-        args,
-        lambda: format_tour_csv(q, pose, robot.actuated),
-        lambda: format_rapid_module(q, pose, check.poses(q)[0], robot.joint_kinds, actuated=robot.actuated),
+    files = _build_files(
+        out,
+        lambda: format_tour_csv(q, pose, machine.actuated),
+        rapid,
+        lambda: format_rapid_module(q, pose, check.poses(q)[0], machine.joint_kinds, actuated=machine.actuated),
     )
+    said = f"{done['measured']} poses measured, {done['missed']} not seen, {left} left"
     return Outcome(
         result={"resumed": True, **done, "left": left},
-        warnings=robot.warnings,
-        inputs=[*get_robot_file(args), args.resume],
-        show=lambda console: console.print(
-            f"{done['measured']} poses measured, {done['missed']} not seen, {left} left"
-        ),
+        warnings=machine.warnings,
+        inputs=[*options.list_files(robot), resume],
+        show=lambda console, written: console.print(said),
         files=files if left else {},
     )
 
 
-def _files(args: argparse.Namespace, csv, rapid) -> dict:
-    files = {args.out: csv()} if args.out else {}
-    if args.rapid:
-        files[args.rapid] = rapid()
-    return files
+def _build_files(out: Path | None, csv, rapid: Path | None, module) -> dict[Path, Any]:
+    return {**({out: csv()} if out else {}), **({rapid: module()} if rapid else {})}
 
 
-def _device(args: argparse.Namespace):
-    from tau_dyn.calibrate.poses import read_camera, read_tracker
-
-    if args.camera is not None:
-        return read_camera(args.camera)
-    return read_tracker(args.tracker) if args.tracker is not None else None
-
-
-def _demands(args: argparse.Namespace):
+def _build_demands(obstacles: Path | None, no_collisions: bool):
     from tau_dyn.kinematics import Surroundings, read_surroundings
     from tau_dyn.kinematics.workspace import PoseRequirements
 
-    around = read_surroundings(args.obstacles) if args.obstacles else Surroundings()
-    return PoseRequirements(surroundings=around, collisions=not args.no_collisions)
-
-
-def _safety(args: argparse.Namespace):
-    import numpy as np
-
-    from tau_dyn.calibrate.poses import Safety
-
-    return Safety(args.safety, float(np.deg2rad(args.safety_angle)))
-
-
-def _show(console, plan, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_pose_plan
-
-    print_pose_plan(console, plan, list_written_files(args, places=args.out, RAPID=args.rapid, progress=args.resume))
+    around = read_surroundings(obstacles) if obstacles else Surroundings()
+    return PoseRequirements(surroundings=around, collisions=not no_collisions)

@@ -11,13 +11,12 @@ folder first and enters it last, so that a folder that holds one is complete.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -30,7 +29,6 @@ from tau_dyn.files import build_write_error, compute_sha256, get_owner_name, rem
 from tau_dyn.version import __version__
 
 _LIBRARIES = ("pin", "numpy", "scipy", "cvxpy", "clarabel", "pandas", "pyarrow", "xacro")
-_FILE_KIND = Callable[[str], Path]
 
 
 @dataclass
@@ -171,31 +169,29 @@ def _settle(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def build_out_argument(file_kind: _FILE_KIND, metavar: str) -> Callable[[str], Path | RunFolder]:
-    """Return how `--out` is read: a run folder, or what the command takes for a file of its own.
+def read_destination(text: str, own: str) -> Path | RunFolder:
+    """Return what `--out` names: a run folder, or the command's own file.
 
     Args:
-        file_kind: Reads the name of the command's own file.
-        metavar: `DIR` of a command that fills a folder, `FOLDER/` of one that has no file of its own, else that file's.
+        text: As given.
+        own: `DIR` of a command that fills a folder, `FOLDER/` of one that has no file of its own, else that file's usual name.
+
+    Raises:
+        ValueError: A file is named where a folder is written.
     """
-
-    def read(text: str) -> Path | RunFolder:
-        path = Path(text)
-        slash = text.endswith(("/", os.sep))
-        if metavar == "FOLDER/" and path.suffix and not (slash or path.is_dir()):
-            raise argparse.ArgumentTypeError(f"'{text}' names a file; a folder is written here, such as {path.stem}/")
-        if metavar in ("DIR", "FOLDER/") or slash or path.is_dir() or not (path.suffix or path.exists()):
-            return RunFolder(path, beside=metavar == "DIR")
-        return file_kind(text)
-
-    read.__name__ = getattr(file_kind, "__name__", "file")
-    return read
+    path = Path(text)
+    slash = text.endswith(("/", os.sep))
+    if own == "FOLDER/" and path.suffix and not (slash or path.is_dir()):
+        raise ValueError(f"names a file; a folder is written here, such as {path.stem}/")
+    if own in ("DIR", "FOLDER/") or slash or path.is_dir() or not (path.suffix or path.exists()):
+        return RunFolder(path, beside=own == "DIR")
+    return path
 
 
-def collect_configuration(args: Any) -> dict[str, Any]:
+def collect_configuration(values: dict[str, Any]) -> dict[str, Any]:
     """Return every option of a call with its value, defaults included; what only says where results go is left out."""
-    aside = ("command", "out", "json", "report", "quiet", "own_file")
-    return {name: _plain(value) for name, value in sorted(vars(args).items()) if name not in aside}
+    aside = ("out", "json", "report", "quiet")
+    return {name: _plain(value) for name, value in sorted(values.items()) if name not in aside}
 
 
 def list_versions() -> dict[str, str]:

@@ -1,60 +1,66 @@
-"""Measured poses from images of a chessboard plate on the robot, taken by one camera or two; lenses are found along."""
+"""`tau-dyn see`."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Any
 
-from tau_dyn.cli.common import Outcome, add_common, show_progress
-from tau_dyn.cli.kinds import positive, read_csv_file_name
+from cyclopts import Group, Parameter
 
-HELP = "measured poses from images of a pattern plate"
+from tau_dyn.cli.arguments import Output, Positive, Strings, build_destination, describe_destination
+from tau_dyn.cli.execute import Outcome, show_progress
 
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("images", metavar="IMAGES", nargs="+", help="images of the (first) camera, or folders of them")
-    parser.add_argument(
-        "--pattern", metavar="9x6", required=True, help="inner corners of the chessboard, columns x rows"
-    )
-    parser.add_argument(
-        "--square", metavar="M", type=positive, required=True, help="side of a square [m]; it gives the scale"
-    )
-    parser.add_argument("--second", metavar="IMAGES", nargs="+", help="images of a second camera at the same moments")
-    parser.add_argument(
-        "--positions",
-        metavar="Q.csv",
-        type=Path,
-        help="robot positions q_J, with a column image (file names) or in the images' order",
-    )
-    lens = parser.add_argument_group("cameras")
-    lens.add_argument(
-        "--extra",
-        metavar="IMAGES",
-        nargs="+",
-        help="more images of the (first) camera, such as with the plate held by hand, to find its lens",
-    )
-    lens.add_argument("--second-extra", metavar="IMAGES", nargs="+", help="the same for the second camera")
-    lens.add_argument(
-        "--lens",
-        metavar="MODEL",
-        default="brown",
-        help="brown (default: k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none",
-    )
-    lens.add_argument(
-        "--cameras", metavar="CAMERAS.yaml", type=Path, help="cameras known from before, with their uncertainty"
-    )
-    lens.add_argument("--save-cameras", metavar="CAMERAS.yaml", type=Path, help="write the cameras found here")
-    parser.add_argument(
-        "--out", metavar="POSES.csv", type=read_csv_file_name, help="write the poses here, as calibrate reads them"
-    )
-    add_common(parser)
+_CAMERAS = Group("Cameras")
 
 
-def run(args: argparse.Namespace) -> Outcome:
-    """Measure poses."""
-    with show_progress(args.quiet) as step:
+def see(
+    images: Annotated[tuple[str, ...], Parameter(help="images of the (first) camera, or folders of them")],
+    /,
+    *,
+    pattern: Annotated[str, Parameter(metavar="9x6", help="inner corners of the chessboard, columns x rows")],
+    square: Annotated[Positive, Parameter(metavar="M", help="side of a square [m]; it gives the scale")],
+    second: Annotated[Strings, Parameter(metavar="IMAGES", help="images of a second camera at the same moments")] = (),
+    positions: Annotated[
+        Path | None,
+        Parameter(
+            metavar="Q.csv", help="robot positions q_J, with a column image (file names) or in the images' order"
+        ),
+    ] = None,
+    extra: Annotated[
+        Strings,
+        Parameter(
+            group=_CAMERAS,
+            metavar="IMAGES",
+            help="more images of the (first) camera, such as with the plate held by hand, to find its lens",
+        ),
+    ] = (),
+    second_extra: Annotated[
+        Strings, Parameter(group=_CAMERAS, metavar="IMAGES", help="the same for the second camera")
+    ] = (),
+    lens: Annotated[
+        str,
+        Parameter(
+            group=_CAMERAS,
+            metavar="MODEL",
+            help="brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none",
+        ),
+    ] = "brown",
+    cameras: Annotated[
+        Path | None,
+        Parameter(group=_CAMERAS, metavar="CAMERAS.yaml", help="cameras known from before, with their uncertainty"),
+    ] = None,
+    save_cameras: Annotated[
+        Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml", help="write the cameras found here")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        build_destination("POSES.csv", csv=True),
+        describe_destination("write the poses here, as calibrate reads them"),
+    ] = None,
+    output: Output = Output(),
+) -> Outcome:
+    """Measured poses from images of a chessboard plate on the robot, taken by one camera or two; lenses are found along."""
+    with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.vision import (
             format_cameras_text,
@@ -65,28 +71,29 @@ def run(args: argparse.Namespace) -> Outcome:
         )
 
         table = measure_poses_from_images(
-            args.images,
-            parse_pattern(args.pattern, args.square),
-            second=args.second,
-            cameras=read_cameras(args.cameras) if args.cameras else None,
-            extra=args.extra,
-            second_extra=args.second_extra,
-            positions=read_positions(args.positions) if args.positions else None,
-            lens=args.lens,
+            list(images),
+            parse_pattern(pattern, square),
+            second=list(second) or None,
+            cameras=read_cameras(cameras) if cameras else None,
+            extra=list(extra) or None,
+            second_extra=list(second_extra) or None,
+            positions=read_positions(positions) if positions else None,
+            lens=lens,
             progress=step,
         )
-    files: dict[Path, str | Callable[[Path], None]] = {args.out: table.to_csv()} if args.out else {}
-    files |= {args.save_cameras: format_cameras_text(table.cameras)} if args.save_cameras else {}
+    files: dict[Path, Any] = {out: table.to_csv()} if out else {}
+    files |= {save_cameras: format_cameras_text(table.cameras)} if save_cameras else {}
     return Outcome(
         result=table.to_dict(),
         warnings=table.warnings,
-        inputs=[*table.inputs, *(path for path in (args.positions, args.cameras) if path)],
-        show=lambda console: _show(console, table, args),
+        inputs=[*table.inputs, *(path for path in (positions, cameras) if path)],
+        show=lambda console, written: _show(console, table, written),
         files=files,
+        named={"poses": out, "cameras": save_cameras},
     )
 
 
-def _show(console, table, args: argparse.Namespace) -> None:
+def _show(console, table, written: dict[str, str]) -> None:
     import numpy as np
 
     total = len(table.inputs)
@@ -110,6 +117,5 @@ def _show(console, table, args: argparse.Namespace) -> None:
             f"{table.rms[c]:.3f} px rms",
             markup=False,
         )
-    for what, path in (("poses", args.out), ("cameras", args.save_cameras), ("result", args.json)):
-        if path:
-            console.print(f"{what}: {path}", markup=False)
+    for what, path in written.items():
+        console.print(f"{what}: {path}", markup=False)

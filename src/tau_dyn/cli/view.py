@@ -1,87 +1,97 @@
-"""The robot in the browser: sliders for its actuated joints, playback of a log, results where they live."""
+"""`tau-dyn view`."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from tau_dyn.cli.common import Outcome, add_common, add_robot, get_robot_file, load_robot_from, show_progress
-from tau_dyn.cli.kinds import port, positive
+from cyclopts import Parameter
+
+from tau_dyn.cli.arguments import PORT, FolderOutput, Paths, Positive, RobotName, RobotOptions
+from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
-HELP = "the robot in the browser, with a log to play and results where they live"
 _HERE = ("127.0.0.1", "localhost", "::1")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_robot(parser)
-    parser.add_argument("log", metavar="LOG", type=Path, nargs="?", help="a log to play")
-    parser.add_argument(
-        "--simulated", metavar="LOG", type=Path, help="the same motion simulated, as a ghost (default: its references)"
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """What the window shows beside the robot, and where it opens."""
+
+    simulated: Annotated[
+        Path | None,
+        Parameter(metavar="LOG", help="the same motion simulated, as a ghost (default: its references)"),
+    ] = None
+    columns: Annotated[Path | None, Parameter(metavar="MAP.yaml", help="column map of a foreign log")] = None
+    result: Annotated[
+        Paths,
+        Parameter(
+            metavar="FILE.json",
+            help="results to show: --json of diagnose, workspace, accuracy, calibrate, modes, identify",
+        ),
+    ] = ()
+    compute: Annotated[bool, Parameter(help="work out what a result lacks: points of a workspace, nominal errors")] = (
+        False
     )
-    parser.add_argument("--columns", metavar="MAP.yaml", type=Path, help="column map of a foreign log")
-    parser.add_argument(
-        "--result",
-        metavar="FILE.json",
-        type=Path,
-        nargs="+",
-        action="extend",
-        default=[],
-        help="results to show: --json of diagnose, workspace, accuracy, calibrate, modes, identify",
-    )
-    parser.add_argument(
-        "--compute", action="store_true", help="work out what a result lacks: points of a workspace, nominal errors"
-    )
-    parser.add_argument(
-        "--cloud", metavar="FILE.csv", type=Path, help="points x y z to show, such as workspace --out writes"
-    )
-    parser.add_argument("--host", default=_HERE[0], help="address (default 127.0.0.1: this computer only)")
-    parser.add_argument("--port", type=port, default=8080, help="port (default 8080, or the next free one)")
-    parser.add_argument("--no-shadows", action="store_true", help="draw no shadows; faster without a graphics card")
-    parser.add_argument("--for", dest="seconds", metavar="SECONDS", type=positive, help="close after this long")
-    add_common(parser)
+    cloud: Annotated[
+        Path | None,
+        Parameter(metavar="FILE.csv", help="points x y z to show, such as workspace --out writes"),
+    ] = None
+    host: Annotated[str, Parameter(metavar="ADDRESS", help="address; 127.0.0.1: this computer only")] = _HERE[0]
+    port: Annotated[int, Parameter(validator=PORT, help="port, or the next free one")] = 8080
+    no_shadows: Annotated[bool, Parameter(help="draw no shadows; faster without a graphics card")] = False
 
 
-def run(args: argparse.Namespace) -> Outcome:
-    """Show the robot until interrupted."""
-    with show_progress(args.quiet) as step:
-        viewer = open_window(args, step)
-    if args.host not in _HERE:
-        print(f"warning: everybody who reaches {args.host} can look and move the sliders", file=sys.stderr)
-    if not args.quiet:
+def view(
+    robot: RobotName,
+    log: Annotated[Path | None, Parameter(help="a log to play")] = None,
+    /,
+    *,
+    contents: Contents = Contents(),
+    seconds: Annotated[
+        Positive | None, Parameter(name="--for", metavar="SECONDS", help="close after this long")
+    ] = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: FolderOutput = FolderOutput(),
+) -> Outcome:
+    """The robot in the browser: sliders for its actuated joints, playback of a log, results where they live."""
+    with show_progress(output.quiet) as step:
+        viewer = open_window(robot, log, contents, robot_options, step)
+    if contents.host not in _HERE:
+        print(f"warning: everybody who reaches {contents.host} can look and move the sliders", file=sys.stderr)
+    if not output.quiet:
         print(f"{viewer.robot.name} at {viewer.url}   (Ctrl+C ends it)", flush=True)
-    viewer.wait(args.seconds)
-    given = [p for p in (args.log, args.simulated, *args.result, args.cloud) if p is not None]
-    return Outcome(result={"url": viewer.url}, warnings=viewer.robot.warnings, inputs=[*get_robot_file(args), *given])
+    viewer.wait(seconds)
+    given = [p for p in (log, contents.simulated, *contents.result, contents.cloud) if p is not None]
+    return Outcome(
+        result={"url": viewer.url},
+        warnings=viewer.robot.warnings,
+        inputs=[*robot_options.list_files(robot), *given],
+    )
 
 
-def open_window(args: argparse.Namespace, step: Callable[[str], None]):
+def open_window(robot: str, log: Path | None, contents: Contents, options: RobotOptions, step: Callable[[str], None]):
     """Return the window with all that the arguments name in it; nothing is opened before all of it is read."""
-    from tau_dyn.view import Viewer, read_cloud, read_result
+    from tau_dyn.log import read_log
+    from tau_dyn.view import Viewer, build_playback, read_cloud, read_result
 
-    if args.simulated and not args.log:
+    if contents.simulated and not log:
         raise InputError("bad_option", "--simulated is the ghost of a log; name the log too")
     step("loading")
-    robot = load_robot_from(args)
-    playback = _playback(args, robot)
+    machine = options.load(robot)
+    playback = None
+    if log is not None:
+        ghost = None if contents.simulated is None else read_log(contents.simulated)
+        playback = build_playback(read_log(log, columns=contents.columns), machine, ghost)
     step("reading results")
-    contents = [c for path in args.result for c in read_result(path, robot, compute=args.compute)]
-    contents += [] if args.cloud is None else [read_cloud(args.cloud)]
-    viewer = Viewer(robot, host=args.host, port=args.port, shadows=not args.no_shadows)
+    shown = [c for path in contents.result for c in read_result(path, machine, compute=contents.compute)]
+    shown += [] if contents.cloud is None else [read_cloud(contents.cloud)]
+    viewer = Viewer(machine, host=contents.host, port=contents.port, shadows=not contents.no_shadows)
     if playback is not None:
         viewer.play(playback)
-    viewer.add(contents)
+    viewer.add(shown)
     return viewer
-
-
-def _playback(args: argparse.Namespace, robot):
-    from tau_dyn.log import read_log
-    from tau_dyn.view import build_playback
-
-    if args.log is None:
-        return None
-    simulated = None if args.simulated is None else read_log(args.simulated)
-    return build_playback(read_log(args.log, columns=args.columns), robot, simulated)

@@ -1,163 +1,157 @@
-"""Where a robot's tool can be, why not elsewhere, and how stiff, fast and far from singular it is there."""
+"""`tau-dyn workspace`."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
-from tau_dyn.cli.common import (
-    Outcome,
-    add_common,
-    add_robot,
-    format_command_line,
-    get_robot_file,
-    list_written_files,
-    load_robot_from,
-    show_progress,
+from cyclopts import Group, Parameter
+
+from tau_dyn.cli.arguments import (
+    FINITE,
+    POSITIVE_LARGE,
+    NotNegative,
+    Output,
+    Place,
+    Positive,
+    RobotName,
+    RobotOptions,
+    Strings,
+    build_destination,
+    describe_destination,
 )
-from tau_dyn.cli.kinds import not_negative, positive, positive_large, read_csv_file_name
+from tau_dyn.cli.execute import Outcome, show_progress
 from tau_dyn.exceptions import InputError
 
-HELP = "where the tool can be, and how well it works there"
+_PLACES = Group("What is looked at")
+_DEMANDS = Group("What a pose must satisfy")
+_SPRINGS = Group("What gives way")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    add_robot(parser)
-    look = parser.add_argument_group("what is looked at")
-    look.add_argument(
-        "--resolution", metavar="M", type=positive, help="finest grid [m]; default a 60th of the workspace"
-    )
-    look.add_argument(
-        "--orientation", metavar=("ROLL", "PITCH", "YAW"), nargs=3, type=float, help="turn of the tool from home [deg]"
-    )
-    look.add_argument(
-        "--section",
-        metavar="AXIS=M",
-        action="append",
-        default=[],
-        help="plane to judge and draw; default: through home",
-    )
-    look.add_argument(
-        "--map",
-        metavar="NAME",
-        nargs="+",
-        action="extend",
-        default=[],
-        help="condition, manipulability, singularity, stiffness, speed, force: what sections and --out hold (default: all)",
-    )
-    look.add_argument(
-        "--tilt", metavar=("X", "Y", "Z"), nargs=3, type=float, help="place whose tilt is asked; default home"
-    )
-    demand = parser.add_argument_group("what a pose must satisfy")
-    demand.add_argument(
-        "--obstacles", metavar="FILE.yaml", type=Path, help="obstacles, safety zones, limits of the tool"
-    )
-    demand.add_argument(
-        "--tool-limit", metavar="AXIS=LO:HI", action="append", default=[], help="limits of the tool [m]"
-    )
-    demand.add_argument(
-        "--ball-angle", metavar="DEG", type=positive, help="of all ball joints; default the file's, else 45"
-    )
-    demand.add_argument(
-        "--clearance", metavar="M", type=not_negative, default=0.0, help="between the robot's own parts"
-    )
-    demand.add_argument("--no-collisions", action="store_true", help="let the robot pass through itself")
-    demand.add_argument(
-        "--condition", metavar="N", type=positive, default=1000.0, help="largest condition number (1000)"
-    )
-    demand.add_argument(
-        "--border", metavar="M", type=not_negative, default=0.0, help="distance to keep from the border"
-    )
-    spring = parser.add_argument_group("what gives way")
-    spring.add_argument("--rod-stiffness", metavar="N/M", type=positive_large, help="of each rod with its joints")
-    spring.add_argument(
-        "--actuator-stiffness",
-        metavar="[JOINT=]VALUE",
-        nargs="+",
-        action="extend",
-        default=[],
-        help="N/m or N m/rad; default rigid",
-    )
-    parser.add_argument(
-        "--out", metavar="POINTS.csv", type=read_csv_file_name, help="write the judged points with their reasons here"
-    )
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> Outcome:
-    """Find the workspace."""
-    with show_progress(args.quiet) as step:
+def workspace(
+    robot: RobotName,
+    /,
+    *,
+    resolution: Annotated[
+        Positive | None,
+        Parameter(group=_PLACES, metavar="M", help="finest grid [m]; default a 60th of the workspace"),
+    ] = None,
+    orientation: Annotated[
+        tuple[float, float, float] | None,
+        Parameter(group=_PLACES, validator=FINITE, metavar="ROLL PITCH YAW", help="turn of the tool from home [deg]"),
+    ] = None,
+    section: Annotated[
+        tuple[str, ...],
+        Parameter(group=_PLACES, metavar="AXIS=M", help="plane to judge and draw; default: through home"),
+    ] = (),
+    map: Annotated[
+        Strings,
+        Parameter(
+            group=_PLACES,
+            metavar="NAME",
+            help="condition, manipulability, singularity, stiffness, speed, force: what sections and --out hold (default: all)",
+        ),
+    ] = (),
+    tilt: Annotated[Place | None, Parameter(group=_PLACES, help="place [m] whose tilt is asked; default home")] = None,
+    obstacles: Annotated[
+        Path | None,
+        Parameter(group=_DEMANDS, metavar="FILE.yaml", help="obstacles, safety zones, limits of the tool"),
+    ] = None,
+    tool_limit: Annotated[
+        tuple[str, ...], Parameter(group=_DEMANDS, metavar="AXIS=LO:HI", help="limits of the tool [m]")
+    ] = (),
+    ball_angle: Annotated[
+        Positive | None,
+        Parameter(group=_DEMANDS, metavar="DEG", help="of all ball joints; default the file's, else 45"),
+    ] = None,
+    clearance: Annotated[
+        NotNegative, Parameter(group=_DEMANDS, metavar="M", help="between the robot's own parts")
+    ] = 0.0,
+    no_collisions: Annotated[bool, Parameter(group=_DEMANDS, help="let the robot pass through itself")] = False,
+    condition: Annotated[Positive, Parameter(group=_DEMANDS, metavar="N", help="largest condition number")] = 1000.0,
+    border: Annotated[
+        NotNegative, Parameter(group=_DEMANDS, metavar="M", help="distance to keep from the border")
+    ] = 0.0,
+    rod_stiffness: Annotated[
+        float | None,
+        Parameter(group=_SPRINGS, validator=POSITIVE_LARGE, metavar="N/M", help="of each rod with its joints"),
+    ] = None,
+    actuator_stiffness: Annotated[
+        Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE", help="N/m or N m/rad; default rigid")
+    ] = (),
+    out: Annotated[
+        Path | None,
+        build_destination("POINTS.csv", csv=True),
+        describe_destination("write the judged points with their reasons here"),
+    ] = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Where a robot's tool can be, why not elsewhere, and how stiff, fast and far from singular it is there."""
+    with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.kinematics.workspace import study_workspace
+        import numpy as np
 
-        robot = load_robot_from(args)
+        from tau_dyn.kinematics import Surroundings, add_limits, read_surroundings
+        from tau_dyn.kinematics.workspace import PoseRequirements, build_points_table, study_workspace
+
+        machine = robot_options.load(robot)
+        around = read_surroundings(obstacles) if obstacles else Surroundings()
+        demands = PoseRequirements(
+            ball_angle=None if ball_angle is None else float(np.deg2rad(ball_angle)),
+            surroundings=add_limits(around, list(tool_limit)),
+            collisions=not no_collisions,
+            clearance=clearance,
+            condition=condition,
+            border=border,
+        )
         found = study_workspace(
-            robot,
-            demands=_demands(args),
-            resolution=args.resolution,
-            turn_deg=args.orientation,
-            sections=args.section,
-            maps=args.map,
-            tilt_at=args.tilt,
-            rod_stiffness=args.rod_stiffness,
-            actuator_stiffness=_stiffnesses(args.actuator_stiffness),
-            seed=args.seed,
+            machine,
+            demands=demands,
+            resolution=resolution,
+            turn_deg=orientation,
+            sections=list(section),
+            maps=list(map),
+            tilt_at=tilt,
+            rod_stiffness=rod_stiffness,
+            actuator_stiffness=_read_stiffnesses(actuator_stiffness),
+            seed=output.seed,
             progress=step,
         )
+
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_workspace
+
+        print_workspace(console, found, written)
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_workspace_page
+
+        return build_workspace_page(found, command_line=command_line)
+
+    def save(path: Path) -> None:
+        build_points_table(found).to_csv(path, index=False, float_format="%.9g")
+
     return Outcome(
         result=found.to_dict(),
-        warnings=[*robot.warnings, *found.warnings],
-        inputs=[*get_robot_file(args), *([args.obstacles] if args.obstacles else [])],
-        show=lambda console: _show(console, found, args),
-        files={args.out: lambda path: _save(path, found)} if args.out else {},
-        report=lambda: _page(found),
+        warnings=[*machine.warnings, *found.warnings],
+        inputs=[*robot_options.list_files(robot), *([obstacles] if obstacles else [])],
+        show=show,
+        files={out: save} if out else {},
+        named={"points": out},
+        report=report,
     )
 
 
-def _demands(args: argparse.Namespace):
-    import numpy as np
-
-    from tau_dyn.kinematics import Surroundings, add_limits, read_surroundings
-    from tau_dyn.kinematics.workspace import PoseRequirements
-
-    around = read_surroundings(args.obstacles) if args.obstacles else Surroundings()
-    return PoseRequirements(
-        ball_angle=None if args.ball_angle is None else float(np.deg2rad(args.ball_angle)),
-        surroundings=add_limits(around, args.tool_limit),
-        collisions=not args.no_collisions,
-        clearance=args.clearance,
-        condition=args.condition,
-        border=args.border,
-    )
-
-
-def _stiffnesses(given: list[str]) -> dict[str, float]:
+def _read_stiffnesses(given: tuple[str, ...]) -> dict[str, float]:
     found = {}
     for text in given:
         name, _, number = text.rpartition("=")
         try:
-            found[name] = positive_large(number)
-        except argparse.ArgumentTypeError as fault:
+            found[name] = float(number)
+            POSITIVE_LARGE(None, found[name])
+        except ValueError as fault:
             raise InputError(
                 "bad_option", f"--actuator-stiffness {text}: write a number above zero, or JOINT=number"
             ) from fault
     return found
-
-
-def _save(path: Path, found) -> None:
-    from tau_dyn.kinematics.workspace import build_points_table
-
-    build_points_table(found).to_csv(path, index=False, float_format="%.9g")
-
-
-def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_workspace
-
-    print_workspace(console, found, list_written_files(args, points=args.out))
-
-
-def _page(found) -> str:
-    from tau_dyn.report import build_workspace_page
-
-    return build_workspace_page(found, command_line=format_command_line())

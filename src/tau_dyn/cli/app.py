@@ -1,0 +1,291 @@
+"""The command line's application: which commands there are, how words become a call, how a slip is answered.
+
+Each command is a function whose signature is its command line (cyclopts). A slip ends in one sentence that says what would be
+right, with status 2, like every other fault.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, NoReturn, get_type_hints
+
+from cyclopts import (
+    App,
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    Parameter,
+    UnknownOptionError,
+    ValidationError,
+)
+from cyclopts.argument import Argument
+from cyclopts.exceptions import ConsumeMultipleError, RepeatArgumentError, UnknownCommandError, UnusedCliTokensError
+
+from tau_dyn.cli import (
+    accuracy,
+    calibrate,
+    demo,
+    diagnose,
+    excite,
+    export,
+    identify,
+    kinematics,
+    listings,
+    logs,
+    modes,
+    plan_motion,
+    plan_poses,
+    see,
+    view,
+    workspace,
+)
+from tau_dyn.cli.arguments import Kind
+from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.run_folder import RunFolder
+from tau_dyn.exceptions import InputError, suggest_nearest
+from tau_dyn.version import __version__
+
+COMMANDS: dict[str, Callable[..., Outcome]] = {
+    "demo": demo.demo,
+    "check": logs.check,
+    "simulate": logs.simulate,
+    "excite": excite.excite,
+    "identify": identify.identify,
+    "diagnose": diagnose.diagnose,
+    "modes": modes.modes,
+    "see": see.see,
+    "calibrate": calibrate.calibrate,
+    "plan-poses": plan_poses.plan_poses,
+    "plan-motion": plan_motion.plan_motion,
+    "feedforward export": export.export_feedforward,
+    "export": export.export,
+    "compare": listings.compare,
+    "view": view.view,
+    "fk": kinematics.fk,
+    "ik": kinematics.ik,
+    "accuracy": accuracy.accuracy,
+    "workspace": workspace.workspace,
+    "robots": listings.robots,
+    "causes": listings.causes,
+}
+"""Words that call a command -> its function."""
+
+_OWN_FILES = {"export": export.name_export, "feedforward export": export.name_feedforward}
+"""Commands whose own file in a run folder is named after their arguments."""
+
+_SHELLS = ("bash", "zsh", "fish")
+
+
+@dataclass(frozen=True)
+class Call:
+    """A command with its arguments.
+
+    Attributes:
+        command: Its first word, as results name it.
+        function: What it calls.
+        bound: With which arguments.
+    """
+
+    command: str
+    function: Callable[..., Any]
+    bound: inspect.BoundArguments
+
+    def run(self) -> Any:
+        """Call the function."""
+        return self.function(*self.bound.args, **self.bound.kwargs)
+
+    def values(self) -> dict[str, Any]:
+        """Return every argument by name, those of shared options beside the others, defaults included."""
+        complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
+        complete.apply_defaults()
+        return dict(_flatten(complete.arguments))
+
+    def replace(self, **values: Any) -> Call:
+        """Return the call with other values of some arguments."""
+        complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
+        complete.apply_defaults()
+        for name, value in complete.arguments.items():
+            if name in values:
+                complete.arguments[name] = values[name]
+            elif is_dataclass(value) and not isinstance(value, type):
+                own = {f.name: values[f.name] for f in fields(value) if f.name in values}
+                complete.arguments[name] = replace(value, **own) if own else value
+        return Call(self.command, self.function, complete)
+
+
+def name_own_file(call: Call) -> str:
+    """Return the usual name of the command's own file in a run folder; empty where it has none."""
+    words = next((words for words, function in COMMANDS.items() if function is call.function), "")
+    if words in _OWN_FILES:
+        return _OWN_FILES[words](call.values())
+    hint = get_type_hints(call.function, include_extras=True).get("out")
+    named = [m.metavar for m in getattr(hint, "__metadata__", ()) if isinstance(m, Parameter) and m.metavar]
+    return named[0].lower() if named and Path(named[0]).suffix else ""
+
+
+def _flatten(arguments: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in arguments.items():
+        if is_dataclass(value) and not isinstance(value, type) and hasattr(type(value), "__cyclopts__"):
+            yield from _flatten({f.name: getattr(value, f.name) for f in fields(value)})
+        else:
+            yield name, value
+
+
+def build_app() -> App:
+    """Return the application with all commands."""
+    app = App(
+        name="tau-dyn",
+        help="Identify robot dynamics from torque logs, closed loops included.",
+        version=f"tau-dyn {__version__}",
+        default_parameter=Parameter(negative="", show_default=_describe_default),
+        help_format="plaintext",
+        result_action="return_value",
+    )
+    feedforward = App(name="feedforward", help="tau_ff(q, v, a) for a controller, in C or Python")
+    app.command(feedforward, sort_key=list(COMMANDS).index("feedforward export"))
+    for words, function in COMMANDS.items():
+        owner, name = (feedforward, "export") if words.startswith("feedforward") else (app, words)
+        owner.command(function, name=name, sort_key=list(COMMANDS).index(words))
+    app.command(print_completion, name="completion")
+    return app
+
+
+def print_completion(shell: str, /) -> str:
+    """Print the shell's completion of this program: `tau-dyn completion bash > FILE`, then source it.
+
+    Args:
+        shell: bash, zsh or fish.
+    """
+    if shell not in _SHELLS:
+        raise InputError("bad_option", f"there is no completion for {shell}; there are {', '.join(_SHELLS)}")
+    return build_app().generate_completion(shell=shell)  # pyright: ignore[reportArgumentType]
+
+
+def _describe_default(default: Any) -> Any:
+    """Return what help shows of a default; None where there is nothing to say."""
+    if isinstance(default, RunFolder):
+        return default.path
+    return None if default in (None, (), "", False) else default
+
+
+def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
+    """Return the call that words make.
+
+    Raises:
+        InputError: They make none.
+    """
+    app = app or build_app()
+    words = list(argv) if argv is not None else None
+    try:
+        function, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
+    except CycloptsError as fault:
+        _refuse(app, fault)
+    if function.__name__ == "help_print" and not _asks_for_help(words):
+        chain = [str(word) for word in bound.arguments.get("tokens", ())]
+        known = [name for name in COMMANDS if name.startswith(" ".join(chain))]
+        example = known[0].removeprefix(" ".join(chain)).strip() if chain else "demo"
+        raise InputError(
+            "bad_option", f"{' '.join(['tau-dyn', *chain])}: name a command, such as {example}; see tau-dyn --help"
+        )
+    command = next((words for words, f in COMMANDS.items() if f is function), "")
+    return Call(command.split(" ")[0], function, bound)
+
+
+def _asks_for_help(words: list[str] | None) -> bool:
+    import sys
+
+    return bool({"--help", "-h"} & set(sys.argv[1:] if words is None else words))
+
+
+def _refuse(app: App, fault: CycloptsError) -> NoReturn:
+    """Raise the sentence that says what would be right."""
+    chain = list(fault.command_chain or ())
+    program = " ".join(["tau-dyn", *chain])
+    raise InputError("bad_option", f"{program}: {_describe(app, fault, chain)}; see {program} --help") from None
+
+
+def _describe(app: App, fault: CycloptsError, chain: list[str]) -> str:
+    """Return a fault of the command line as a person would say it."""
+    argument = fault.argument
+    if isinstance(fault, UnknownCommandError):
+        word = next(iter(fault.unused_tokens or [""]))
+        known = list(
+            dict.fromkeys(name.split(" ")[len(chain)] for name in COMMANDS if name.startswith(" ".join(chain)))
+        )
+        return f"there is no command '{word}'{suggest_nearest(word, known)}; there are {', '.join(known)}"
+    if isinstance(fault, UnknownOptionError):
+        word = (fault.token.keyword or fault.token.value).partition("=")[0]
+        known = [name for item in fault.argument_collection for name in item.names]
+        return f"there is no {word} here{suggest_nearest(word, known)}"
+    if isinstance(fault, UnusedCliTokensError):
+        return f"there is no place for {next(iter(fault.unused_tokens or ['']))!r} here"
+    if argument is None:
+        return str(fault)
+    name = get_label(argument)
+    if isinstance(fault, RepeatArgumentError):
+        return f"{name} is given twice"
+    if isinstance(fault, MissingArgumentError | ConsumeMultipleError):
+        return _describe_missing(app, fault, chain, name)
+    if isinstance(fault, CoercionError | ValidationError):
+        return f"{name} {_describe_value(fault, argument)}"
+    return str(fault)
+
+
+def _describe_value(fault: CoercionError | ValidationError, argument: Argument) -> str:
+    """Return what is wrong with a value, and what to write."""
+    token = fault.token if isinstance(fault, CoercionError) else None
+    text = repr(token.value if token else next((t.value for t in argument.tokens), ""))
+    if isinstance(fault, ValidationError):
+        worst = _find_refused(argument)
+        return f"{worst or text}: {fault.exception_message}"
+    if choices := argument.get_choices():
+        return f"{text} is none of them; there are {', '.join(choices)}"
+    kind = next((v for v in argument.parameter.validator if isinstance(v, Kind)), None)
+    if kind is not None:
+        return f"{text}: write {kind.words}"
+    if fault.target_type in (int, float):
+        return f"{text}: write {'a whole number' if fault.target_type is int else 'a number'}"
+    return f"{text} {fault.msg}" if fault.msg else f"{text}: write another value"
+
+
+def _find_refused(argument: Argument) -> str:
+    """Return the first word that a kind of numbers refuses."""
+    for kind in (v for v in argument.parameter.validator if isinstance(v, Kind)):
+        for token in argument.tokens:
+            try:
+                kind(None, float(token.value))
+            except ValueError:
+                return repr(token.value)
+    return ""
+
+
+def _describe_missing(app: App, fault: CycloptsError, chain: list[str], name: str) -> str:
+    """Return what an option needs after it, or which arguments a command cannot do without."""
+    argument = fault.argument
+    assert argument is not None  # the caller has looked
+    if argument.tokens or getattr(fault, "keyword", None) or isinstance(fault, ConsumeMultipleError):
+        several, _ = argument.token_count()
+        needed = "a value" if several == 1 else f"{several} values"
+        needed = "one value or more" if isinstance(fault, ConsumeMultipleError) else needed
+        return f"{name} needs {needed} after it"
+    needed = [get_label(a) for a in app[tuple(chain)].assemble_argument_collection() if a.required and a.show]
+    missing = needed[needed.index(name) :] if name in needed else [name]
+    return f"{' and '.join(', '.join(missing).rsplit(', ', 1))} {'are' if len(missing) > 1 else 'is'} missing"
+
+
+def get_label(argument: Argument) -> str:
+    """Return an argument's name on the command line: an option, or a place in capitals."""
+    return next((n for n in argument.names if n.startswith("-")), argument.name.upper().lstrip("-"))
+
+
+def list_options(app: App, command: str) -> dict[str, Argument]:
+    """Return a command's arguments by their labels."""
+    return {get_label(a): a for a in app[tuple(command.split(" "))].assemble_argument_collection() if a.show}
+
+
+def is_path(argument: Argument) -> bool:
+    """Tell whether an argument names files."""
+    return "Path" in str(argument.hint) or argument.hint is Path

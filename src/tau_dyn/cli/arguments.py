@@ -1,0 +1,338 @@
+"""Arguments that several commands take: kinds of numbers and files, the robot, fitting a model to logs, outputs.
+
+A command is a function; its signature is its command line. What stands here are annotations of single parameters and frozen
+dataclasses of options that a command takes together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter, Token
+
+from tau_dyn.cli.run_folder import RunFolder, read_destination
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_bytes
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tau_dyn.log import Log, Recording
+    from tau_dyn.robot import Robot
+
+SEVERAL = (1, None)
+"""An option that takes one value or more after it, and may be repeated."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What numbers an argument takes, in words; a validator for cyclopts.
+
+    Attributes:
+        words: What to write.
+        holds: Whether a number is one of these.
+    """
+
+    words: str
+    holds: Callable[[float], bool]
+
+    def __call__(self, _: Any, value: Any) -> None:
+        """Refuse other numbers, single or several.
+
+        Raises:
+            ValueError: A number is of another kind.
+        """
+        for x in value if isinstance(value, tuple | list) else (value,):
+            if x is not None and not isinstance(x, str) and not self.holds(x):
+                raise ValueError(f"write {self.words}")
+
+
+FINITE = Kind("a finite number", isfinite)
+POSITIVE = Kind("a number above zero, below 1e9", lambda x: 0 < x < 1e9)
+POSITIVE_LARGE = Kind("a number above zero, below 1e15", lambda x: 0 < x < 1e15)  # a stiffness
+NOT_NEGATIVE = Kind("zero or a number above it", lambda x: 0 <= x < 1e9)
+WHOLE = Kind("a whole number from zero up", lambda x: x >= 0)
+POSITIVE_WHOLE = Kind("a whole number above zero", lambda x: 0 < x < 1_000_000)
+PORT = Kind("a port between 1 and 65535", lambda x: 0 < x < 65536)
+
+
+def build_whole_kind(low: int, high: int) -> Kind:
+    """Return the kind of whole numbers from a lowest to a highest."""
+    return Kind(f"a whole number from {low} to {high}", lambda x: low <= x <= high)
+
+
+Positive = Annotated[float, Parameter(validator=POSITIVE)]
+NotNegative = Annotated[float, Parameter(validator=NOT_NEGATIVE)]
+Whole = Annotated[int, Parameter(validator=WHOLE)]
+Positives = Annotated[tuple[float, ...], Parameter(validator=POSITIVE, consume_multiple=SEVERAL)]
+NotNegatives = Annotated[tuple[float, ...], Parameter(validator=NOT_NEGATIVE, consume_multiple=SEVERAL)]
+Finites = Annotated[tuple[float, ...], Parameter(validator=FINITE, consume_multiple=SEVERAL)]
+Place = Annotated[tuple[float, float, float], Parameter(validator=FINITE, metavar="X Y Z")]
+Strings = Annotated[tuple[str, ...], Parameter(consume_multiple=SEVERAL)]
+Paths = Annotated[tuple[Path, ...], Parameter(consume_multiple=SEVERAL)]
+
+
+def require_csv_name(_: Any, path: Any) -> None:
+    """Refuse the name of a file to write that is no CSV; a validator for cyclopts.
+
+    Raises:
+        ValueError: It ends otherwise.
+    """
+    if isinstance(path, Path) and path.suffix.lower() != ".csv":
+        raise ValueError("must end in .csv, which is what is written")
+
+
+def build_destination(own: str, *, csv: bool = False) -> Parameter:
+    """Return how `--out` is read: as the command's own file, or as a run folder that takes it with result and report.
+
+    Args:
+        own: The file's usual name in capitals, `DIR` of a command that fills a folder, `FOLDER/` of one without an own file.
+        csv: Whether the file must be a CSV.
+    """
+
+    def convert(_: Any, tokens: Sequence[Token]) -> Path | RunFolder:
+        found = read_destination(tokens[0].value, own)
+        if csv:
+            require_csv_name(None, found)
+        return found
+
+    return Parameter(name="--out", converter=convert, n_tokens=1, metavar=own)
+
+
+_TO_FOLDER = "; FOLDER/ takes it with result, report and run.json"
+TABLE_OUT = Annotated[
+    Path | None,
+    build_destination("POSES.csv", csv=True),
+    Parameter(help=f"write q_<joint>, x_tool .. qw_tool, reason here{_TO_FOLDER}"),
+]
+
+
+def describe_destination(text: str) -> Parameter:
+    """Return the help of `--out` for a command's own file."""
+    return Parameter(help=f"{text}{_TO_FOLDER}")
+
+
+_OUTPUT = Group("Output", sort_key=90)
+_ROBOT = Group("Robot", sort_key=80)
+
+
+@Parameter(name="*", group=_OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """What every command takes."""
+
+    json: Annotated[Path | None, Parameter(metavar="FILE", help="write the result here")] = None
+    report: Annotated[Path | None, Parameter(metavar="FILE.html", help="write one self-contained page here")] = None
+    seed: Annotated[Whole, Parameter(help="seed of everything random")] = 0
+    quiet: Annotated[bool, Parameter(help="no progress, no result on the screen; warnings stay")] = False
+
+
+@Parameter(name="*", group=_OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class FolderOutput(Output):
+    """What commands take that have no file of their own."""
+
+    out: Annotated[
+        Path | None,
+        build_destination("FOLDER/"),
+        Parameter(help="result, report and run.json (what went in, options, versions) go here"),
+    ] = None
+
+
+_A_XACRO = "(a xacro is code: it evaluates Python)"
+RobotName = Annotated[
+    str, Parameter(help=f"a .urdf or .urdf.xacro file, or a short name that `tau-dyn robots` lists {_A_XACRO}")
+]
+
+
+def describe_robot_or_model(brings: str) -> Parameter:
+    """Return the help of ROBOT where a model file is taken as well; `brings` says what it brings."""
+    return Parameter(
+        help=f"a .urdf or .urdf.xacro file, a short name that `tau-dyn robots` lists {_A_XACRO}, "
+        f"or a model file MODEL.yaml of identify or diagnose, {brings}"
+    )
+
+
+@Parameter(name="*", group=_ROBOT)
+@dataclass(frozen=True, kw_only=True)
+class RobotOptions:
+    """How a robot is loaded."""
+
+    set: Annotated[
+        tuple[str, ...],
+        Parameter(metavar="NAME=VALUE", help="xacro argument or dimension, such as prototype=d1, or a .yaml of them"),
+    ] = ()
+    actuated: Annotated[
+        Strings, Parameter(metavar="JOINT", help="actuated joints, if not those with a transmission")
+    ] = ()
+    tool: Annotated[
+        str | None,
+        Parameter(metavar="FRAME", help="tool frame, if not tool, tool0, tcp, ee_link or the tree's only leaf"),
+    ] = None
+    no_xacro: Annotated[
+        bool,
+        Parameter(
+            help="accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too"
+        ),
+    ] = False
+
+    def load(self, robot: str | Path) -> Robot:
+        """Load a robot: a robot file, a robot of ours, or a calibration's `--out`.
+
+        Raises:
+            InputError: Options that belong elsewhere, or a file that holds no robot.
+        """
+        from tau_dyn.robot import load_robot
+
+        given = read_arguments(self.set)
+        for name, instead in _ELSEWHERE.items():
+            if name in given:
+                raise InputError("bad_option", f"--set {name}=...: {instead}")
+        if is_model_file(robot):
+            return self._load_calibrated(Path(robot), given)
+        return load_robot(str(robot), actuated=self.actuated or None, tool=self.tool, xacro=not self.no_xacro, **given)
+
+    def _load_calibrated(self, path: Path, given: dict[str, str]) -> Robot:
+        from tau_dyn.files import read_yaml
+
+        content = read_yaml(path)
+        if not isinstance(content, dict) or "tau_dyn_calibration" not in content:
+            raise InputError(
+                "file_format",
+                f"{path}: a robot file ends in .urdf or .urdf.xacro, a calibration's begins with tau_dyn_calibration; "
+                "is it a model file? Then give the robot's file first",
+            )
+        if given or self.actuated or self.tool:
+            raise InputError("bad_option", f"{path}: a calibrated robot has its arguments, joints and tool already")
+        from tau_dyn.calibrate import load_calibration
+
+        return load_calibration(path).build_robot(str(path))
+
+    def list_files(self, robot: str | Path) -> list[Path]:
+        """Return the robot's or the model's file and files of dimensions, for the list of inputs."""
+        from tau_dyn.robot import find_robot
+
+        dimensions = [Path(text) for text in self.set if "=" not in text]
+        return [Path(robot) if is_model_file(robot) else find_robot(str(robot)), *dimensions]
+
+
+_ELSEWHERE = {
+    "actuated": "actuated joints are named with --actuated JOINT ...",
+    "xacro": "--no-xacro refuses every xacro",
+    "tool": "the tool frame is named with --tool FRAME",
+}
+"""What is no xacro argument, and the option that it is."""
+
+
+def read_arguments(texts: Sequence[str]) -> dict[str, str]:
+    """Return xacro arguments and dimensions of `--set`; NAME=VALUE counts before a file."""
+    from tau_dyn.robot import read_dimensions_file
+
+    from_files, given = {}, {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals and is_model_file(text):
+            from_files |= read_dimensions_file(text)
+        elif not equals or not name:
+            raise InputError(
+                "bad_option", f"--set {text}: write NAME=VALUE, such as prototype=d1, or name a .yaml of dimensions"
+            )
+        else:
+            given[name] = value
+    return from_files | given
+
+
+def is_model_file(path: str | Path) -> bool:
+    """Tell whether a path names a model file of ours rather than a robot."""
+    return Path(path).suffix.lower() in (".yaml", ".yml")
+
+
+ColumnMapFile = Annotated[Path | None, Parameter(metavar="MAP.yaml", help="how to read foreign column names and units")]
+_CHOICES = Group("Parameters, by name or pattern")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class FittingOptions:
+    """What `identify` and `diagnose` take for a model that is fitted to logs."""
+
+    columns: ColumnMapFile = None
+    fix: Annotated[
+        tuple[str, ...],
+        Parameter(
+            group=_CHOICES,
+            metavar="NAME[=VALUE[+-SIGMA]]",
+            help="hold the nominal value, set a value, or give a value measured beforehand with its standard error",
+        ),
+    ] = ()
+    free: Annotated[
+        tuple[str, ...],
+        Parameter(group=_CHOICES, metavar="NAME", help="estimate what is fixed by default, such as *.armature"),
+    ] = ()
+    bound: Annotated[
+        tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME=LO:HI", help="constrain the estimate")
+    ] = ()
+    exclude: Annotated[
+        tuple[str, ...], Parameter(metavar="COLUMN", help="leave out samples where this column is not zero")
+    ] = ()
+
+    def open_logs(self, paths: Sequence[str]) -> list[Log | Recording]:
+        """Return logs; large ones stay on disk."""
+        from tau_dyn.log import open_log
+
+        return [open_log(path, self.columns) for path in paths]
+
+    def read_logs(self, paths: Sequence[str]) -> list[Log]:
+        """Return logs in memory.
+
+        Raises:
+            InputError: One is too large.
+        """
+        from tau_dyn.log import Log
+
+        opened = self.open_logs(paths)
+        for log in opened:
+            if not isinstance(log, Log):
+                raise InputError(
+                    "file_too_large",
+                    f"{log.name} has {log.n_samples} samples, too many for this command; give an excerpt "
+                    "(identify takes it whole)",
+                )
+        return [log for log in opened if isinstance(log, Log)]
+
+    def collect(self, model: str, seed: int) -> dict[str, Any]:
+        """Return what `identify` and `diagnose` take by name, besides the logs."""
+        from tau_dyn.identify import Choices
+
+        choices = Choices(self.fix, self.free, self.bound)
+        return {"model": model, "choices": choices, "exclude": self.exclude, "seed": seed}
+
+    def list_inputs(self, model: str, paths: Sequence[str], logs: Sequence[Log | Recording]) -> list[Any]:
+        """Return the files that went in beside the robot's, logs with the hash that their reader knows."""
+        read = [(str(path), log.sha256) for path, log in zip(paths, logs, strict=True)]
+        return [*read, *(p for p in (self.columns, Path(model)) if p is not None and p.is_file())]
+
+
+Logs = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="LOG",
+        help="CSV, Parquet, MCAP, a ROS bag or .mat with t, q_JOINT, tau_JOINT; or a folder of Parquet files; each log is "
+        "processed separately",
+    ),
+]
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Read a table's columns by name."""
+    from tau_dyn.log import parse_delimited
+
+    try:
+        data = read_bytes(path)
+    except OSError as fault:
+        raise InputError("cannot_read", f"{path}: cannot be read ({fault.strerror})") from fault
+    return parse_delimited(str(path), data)[0]

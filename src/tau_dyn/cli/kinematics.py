@@ -1,0 +1,120 @@
+"""`tau-dyn fk` and `tau-dyn ik`: numbers on the command line or tables of poses, and one table out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from tau_dyn.cli.arguments import FINITE, TABLE_OUT, Finites, Output, Place, RobotName, RobotOptions, read_columns
+from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.exceptions import InputError
+
+
+def fk(
+    robot: RobotName,
+    /,
+    *,
+    q: Annotated[Finites, Parameter(metavar="VALUE", help="actuated positions [m or rad], in their order")] = (),
+    all: Annotated[
+        bool,
+        Parameter(
+            help="every assembly mode found, with the count: proved in closed form or by a certificate, else found from many "
+            "starts"
+        ),
+    ] = False,
+    poses: Annotated[
+        Path | None, Parameter(metavar="POSES.csv", help="a table of positions q_<joint>, one a row")
+    ] = None,
+    out: TABLE_OUT = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Where actuated positions put the tool."""
+    if bool(q) == (poses is not None):
+        raise InputError("bad_option", "give --q VALUE ... or --poses POSES.csv")
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.kinematics import build_forward_table, read_positions
+
+        machine = robot_options.load(robot)
+        if poses is None and len(q) != machine.na:
+            named = ", ".join(machine.actuated)
+            raise InputError("bad_option", f"--q: one value for each actuated joint ({named}), not {len(q)}")
+        positions = np.array([q]) if poses is None else read_positions(read_columns(poses), machine, str(poses))
+        step("closing the rods")
+        table = build_forward_table(machine, positions, all_modes=all, progress=step)
+    return _build_outcome(table, robot_options.list_files(robot), poses, out)
+
+
+def ik(
+    robot: RobotName,
+    /,
+    *,
+    position: Annotated[Place | None, Parameter(help="of the tool [m]")] = None,
+    quaternion: Annotated[
+        tuple[float, float, float, float] | None,
+        Parameter(validator=FINITE, metavar="X Y Z W", help="of the tool; by default home's"),
+    ] = None,
+    all: Annotated[
+        bool,
+        Parameter(
+            help="all configurations, also outside joint limits; the count is proved in closed form or by elimination, or only "
+            "found"
+        ),
+    ] = False,
+    poses: Annotated[
+        Path | None,
+        Parameter(
+            metavar="POSES.csv",
+            help="a table of poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool], one a row",
+        ),
+    ] = None,
+    out: TABLE_OUT = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Which actuated positions put the tool at a pose."""
+    if (position is None) == (poses is None):
+        raise InputError("bad_option", "give --position X Y Z or --poses POSES.csv")
+    if quaternion is not None and position is None:
+        raise InputError("bad_option", "--quaternion goes with --position; a table has its own columns qx_tool ..")
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.kinematics import build_inverse_table, place_home_orientation, read_poses
+        from tau_dyn.mechanism import convert_from_quaternions
+
+        machine = robot_options.load(robot)
+        if poses is not None:
+            wanted = read_poses(read_columns(poses), machine, str(poses))
+        elif quaternion is not None:
+            wanted = convert_from_quaternions(np.array([position]), np.array([quaternion]))
+        else:
+            wanted = place_home_orientation(machine, np.array([position]))
+        step("solving")
+        table = build_inverse_table(machine, wanted, all_configurations=all)
+    return _build_outcome(table, robot_options.list_files(robot), poses, out)
+
+
+def _build_outcome(table, robot_files: list[Path], poses: Path | None, out: Path | None) -> Outcome:
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_poses
+
+        print_poses(console, table, written)
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_kinematics_page
+
+        return build_kinematics_page(table, command_line=command_line)
+
+    return Outcome(
+        result=table.to_dict(),
+        warnings=[*table.robot.warnings, *table.warnings],
+        inputs=[*robot_files, *([poses] if poses else [])],
+        show=show,
+        files={out: table.to_csv()} if out else {},
+        named={"table": out},
+        report=report,
+    )

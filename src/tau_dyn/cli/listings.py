@@ -1,0 +1,160 @@
+"""`tau-dyn robots`, `causes` and `compare`: what there is, and what changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from tau_dyn.cli.arguments import FolderOutput, RobotOptions, read_arguments
+from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.exceptions import InputError, UnknownName
+
+
+def robots(
+    robot: Annotated[str | None, Parameter(help="list what --set takes for it, with values")] = None,
+    /,
+    *,
+    set: Annotated[
+        tuple[str, ...], Parameter(metavar="NAME=VALUE", help="with other values, such as prototype=d1")
+    ] = (),
+    no_xacro: Annotated[bool, Parameter(help="refuse xacro files, for they run code")] = False,
+    output: FolderOutput = FolderOutput(),
+) -> Outcome:
+    """The robots that a command takes by name, and what `--set` takes for one of them."""
+    if robot:
+        return _list_dimensions(robot, set, no_xacro)
+    if set:
+        raise InputError("bad_option", "--set goes with a ROBOT whose arguments and dimensions are listed")
+    from tau_dyn.robot import describe_robot, list_robots, list_stock_robots
+
+    stock = list_stock_robots()
+    rows = [
+        {"name": name, "file": str(path), "from": "example-robot-data" if name in stock else "tau_dyn",
+         "about": describe_robot(path)}
+        for name, path in list_robots().items()
+    ]  # fmt: skip
+    return Outcome(result={"robots": rows}, show=lambda console, written: _show_robots(console, rows))
+
+
+def _list_dimensions(robot: str, given: tuple[str, ...], no_xacro: bool) -> Outcome:
+    """List arguments and dimensions of one robot."""
+    from tau_dyn.robot import find_robot, list_dimensions
+
+    found = list_dimensions(find_robot(robot), read_arguments(given), evaluate=not no_xacro)
+    rows = [{"name": name, "value": value} for name, value in found.items()]
+    return Outcome(
+        result={"robot": robot, "dimensions": rows},
+        inputs=RobotOptions(set=given).list_files(robot),
+        show=lambda console, written: _show_dimensions(console, rows),
+    )
+
+
+def _show_dimensions(console, rows: list[dict[str, str]]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table("--set name", "value", box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(Text(row["name"]), Text(row["value"]))
+    console.print(table if rows else Text("no xacro arguments and no tables of dimensions"))
+
+
+def _show_robots(console, rows: list[dict[str, str]]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table("name", "about", box=None, pad_edge=False)
+    for row in rows:
+        if row["from"] == "tau_dyn":
+            table.add_row(Text(row["name"]), Text(row["about"]))
+    console.print(table)
+    others = sorted({row["from"] for row in rows} - {"tau_dyn"})
+    for package in others:
+        names = ", ".join(row["name"] for row in rows if row["from"] == package)
+        console.print(Text(f"\n{package}: {names}"))
+
+
+def causes(
+    cause: Annotated[str | None, Parameter(help="one cause in full, such as stribeck")] = None,
+    /,
+    *,
+    output: FolderOutput = FolderOutput(),
+) -> Outcome:
+    """The causes that `diagnose` and `calibrate` can name, with the law of each and the motion that reveals it."""
+    rows = _list_causes()
+    if cause is not None:
+        known = dict.fromkeys(row["cause"] for row in rows)
+        if cause not in known:
+            raise UnknownName("cause", cause, known)
+        rows = [row for row in rows if row["cause"] == cause]
+    return Outcome(
+        result={"causes": rows}, show=lambda console, written: _show_causes(console, rows, whole=cause is not None)
+    )
+
+
+def _list_causes() -> list[dict[str, str]]:
+    """Return one row a cause and a measurement that shows it."""
+    from tau_dyn.calibrate import CAUSE_EQUATIONS
+    from tau_dyn.diagnose import PARAMETER_CAUSES
+    from tau_dyn.effects import EFFECTS, describe_ranges
+
+    rows = [
+        {"cause": name, "named_by": "diagnose", "equation": effect.equation, "range": describe_ranges(effect.plausible),
+         "revealed_by": effect.reveals}
+        for name, effect in EFFECTS.items()
+        if effect.cause
+    ]  # fmt: skip
+    empty = {"range": "", "revealed_by": ""}
+    rows += [{"cause": n, "named_by": "diagnose", "equation": x, **empty} for n, x in PARAMETER_CAUSES.items()]
+    return rows + [{"cause": n, "named_by": "calibrate", "equation": x, **empty} for n, x in CAUSE_EQUATIONS.items()]
+
+
+def _show_causes(console, rows: list[dict[str, str]], *, whole: bool) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    if whole:
+        for row in rows:
+            for key, value in row.items():
+                if value:
+                    console.print(Text(f"{key.replace('_', ' ') + ':':<13} {value}"))
+        return
+    table = Table("cause", "named by", "law", box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(Text(row["cause"]), Text(row["named_by"]), Text(row["equation"]))
+    console.print(table)
+
+
+Side = Annotated[
+    Path,
+    Parameter(help="a run folder (--out FOLDER/), the --json result of a command, or a model file (.yaml)"),
+]
+
+
+def compare(a: Side, b: Side, /, *, output: FolderOutput = FolderOutput()) -> Outcome:
+    """What changed between two runs, results or models in parameters, errors and findings, by more than chance."""
+    with show_progress(output.quiet) as step:
+        step("comparing")
+        from tau_dyn.compare import compare as compare_sides, read_side
+
+        found = compare_sides(read_side(a), read_side(b))
+
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_comparison
+
+        print_comparison(console, found)
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_comparison_page
+
+        return build_comparison_page(found, command_line=command_line)
+
+    return Outcome(
+        result=found.to_dict(),
+        warnings=found.warnings,
+        inputs=[found.a.path, found.b.path],
+        show=show,
+        report=report,
+    )

@@ -1,0 +1,281 @@
+"""`tau-dyn check` and `tau-dyn simulate`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Group, Parameter, validators
+
+from tau_dyn.cli.arguments import (
+    FINITE,
+    ColumnMapFile,
+    FolderOutput,
+    NotNegative,
+    Output,
+    Positive,
+    Positives,
+    RobotOptions,
+    build_destination,
+    describe_destination,
+    describe_robot_or_model,
+    is_model_file,
+)
+from tau_dyn.cli.execute import Outcome, show_progress
+from tau_dyn.coded_warning import UNCODED, get_code
+from tau_dyn.exceptions import InputError
+
+
+def check(
+    log: Annotated[str, Parameter(help="CSV, Parquet, MCAP, a ROS bag or .mat")],
+    robot: Annotated[str | None, Parameter(help="the robot it is of; tells units and limits")] = None,
+    /,
+    *,
+    columns: ColumnMapFile = None,
+    robot_options: RobotOptions = RobotOptions(),
+    output: FolderOutput = FolderOutput(),
+) -> Outcome:
+    """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation; problems and fixes."""
+    with show_progress(output.quiet) as step:
+        step("reading")
+        from tau_dyn.log import check_log, read_log
+
+        machine = robot_options.load(robot) if robot else None
+        read = read_log(log, columns)
+        checked = check_log(read, machine)
+        if machine is not None:
+            from tau_dyn.identify import check_against_robot
+
+            step("holding the log against the robot file")
+            checked = checked.with_faults(check_against_robot(machine, [read]))
+
+    def show(console, written: dict[str, str]) -> None:
+        from tau_dyn.report import print_check
+
+        print_check(console, read, checked)
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import check_page
+
+        return check_page(read, checked, robot=machine, command_line=command_line)
+
+    return Outcome(
+        result=checked.to_dict(),
+        warnings=[*read.warnings, *(w for w in checked.warnings if get_code(w) != UNCODED)],
+        inputs=[
+            (log, read.sha256),
+            *([columns] if columns else []),
+            *(robot_options.list_files(robot) if robot else []),
+        ],
+        show=show,
+        report=report,
+    )
+
+
+_TRUTH = Group("What is true beside ROBOT", validator=validators.MutuallyExclusive())
+_SENSORS = Group("Controller and sensors")
+_VIBRATION = Group("Vibration (robot files with springs, such as gantry_tau --set arms=complete --set flexible=true)")
+
+
+@Parameter(name="*", group=_SENSORS)
+@dataclass(frozen=True, kw_only=True)
+class SensorOptions:
+    """The simulated controller's and sensors' options."""
+
+    rate: Annotated[Positive | None, Parameter(metavar="HZ", help="control rate (default 1000)")] = None
+    log_rate: Annotated[
+        Positive | None, Parameter(metavar="HZ", help="log rate, the control rate over a whole number")
+    ] = None
+    force_noise: Annotated[NotNegative, Parameter(metavar="N", help="standard deviation [N or N m]")] = 5.0
+    force_colour: Annotated[
+        float, Parameter(metavar="PHI", validator=FINITE, help="AR(1) coefficient of the force noise")
+    ] = 0.0
+    encoder_noise: Annotated[NotNegative, Parameter(metavar="M", help="[m or rad]")] = 5e-6
+    encoder_resolution: Annotated[NotNegative, Parameter(metavar="M", help="[m or rad] (default none)")] = 0.0
+    tool_noise: Annotated[NotNegative, Parameter(metavar="M", help="tool position noise [m]")] = 0.0
+
+
+@Parameter(name="*", group=_VIBRATION)
+@dataclass(frozen=True, kw_only=True)
+class VibrationOptions:
+    """A vibration log instead of a motion."""
+
+    vibration: Annotated[
+        Literal["prbs", "push-x", "push-y", "push-z", "push-xyz"] | None,
+        Parameter(
+            help="instead of a motion, near home: prbs, binary references at 250 Hz; or pushes on the tool at 1 kHz, -xyz in turn"
+        ),
+    ] = None
+    amplitude: Annotated[
+        Positive | None,
+        Parameter(metavar="A", help="of the references [m or rad] (default 1e-3), of a push [N s] (2)"),
+    ] = None
+    frame: Annotated[str, Parameter(metavar="NAME", help="frame or link whose position is logged")] = "tool"
+    push_at: Annotated[
+        str | None, Parameter(metavar="NAME", help="frame or link that is pushed (default that of --frame)")
+    ] = None
+    drive_lag: Annotated[
+        Positives,
+        Parameter(
+            metavar="S", help="time constant of the drives, one or one a joint [s] (default: they follow at once)"
+        ),
+    ] = ()
+    drive_delay: Annotated[NotNegative, Parameter(metavar="S", help="delay of the drives [s]")] = 0.0
+    acceleration_noise: Annotated[NotNegative, Parameter(metavar="A", help="[m/s^2]")] = 0.07
+
+
+def simulate(
+    robot: Annotated[str, describe_robot_or_model("which carries its robot, its effects and their values")],
+    /,
+    *,
+    motion: Annotated[
+        str,
+        Parameter(metavar="M", help="fourier, slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT"),
+    ] = "fourier",
+    duration: Annotated[Positive, Parameter(metavar="S", help="length of a named motion [s]")] = 60.0,
+    out: Annotated[Path, build_destination("LOG.csv", csv=True), describe_destination("write the log here")],
+    effects: Annotated[
+        Path | None,
+        Parameter(group=_TRUTH, metavar="E.yaml", help="effects and parameter values of the true robot"),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        Parameter(group=_TRUTH, metavar="FILE", help="put the effects and values of this model file on ROBOT"),
+    ] = None,
+    sensors: SensorOptions = SensorOptions(),
+    vibration: VibrationOptions = VibrationOptions(),
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """A log from the model, its controller and its sensors; `check`, `identify` and the rest read it like a recorded one."""
+    if vibration.vibration:
+        for option, given in (("--effects", effects), ("--model", model), ("--log-rate", sensors.log_rate)):
+            if given:
+                raise InputError("bad_option", f"{option} does not go with --vibration")
+        return _simulate_vibration(robot, robot_options, duration, sensors, vibration, out, output)
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.simulate import Sensors, Trajectory, build_named_motion, simulate as simulate_model
+
+        true = _build_true_model(robot, robot_options, effects, model)
+        if Path(motion).suffix:
+            path = Trajectory.from_csv(motion, true.robot.actuated)
+        else:
+            path = build_named_motion(motion, true, duration, output.seed)
+        built = Sensors(
+            encoder_noise=sensors.encoder_noise,
+            encoder_resolution=sensors.encoder_resolution,
+            force_noise=sensors.force_noise,
+            force_ar=(sensors.force_colour,) if sensors.force_colour else (),
+            tool_noise=sensors.tool_noise,
+            log_rate_hz=sensors.log_rate,
+        )
+        log = simulate_model(
+            true,
+            path,
+            sensors=built,
+            seed=output.seed,
+            rate_hz=sensors.rate or 1000.0,
+            name=out.name,
+            progress=lambda share: step(f"simulating {100 * share:.0f} %"),
+        )
+    said = f"{log.duration:.4g} s of {true.robot.name} at {log.rate_hz:g} Hz -> {out}"
+
+    def report(command_line: str) -> str:
+        from tau_dyn.report import build_simulation_page
+
+        made = {"motion": motion, "seed": str(output.seed)}
+        return build_simulation_page(log, true, sensors=built, command_line=command_line, **made)
+
+    return Outcome(
+        result={"n_samples": log.n_samples, "duration_s": log.duration, "rate_hz": log.rate_hz, "out": str(out)},
+        warnings=[*true.robot.warnings, *log.warnings],
+        inputs=[
+            *robot_options.list_files(robot),
+            *(p for p in (effects, model, Path(motion)) if p is not None and p.is_file()),
+        ],
+        show=lambda console, written: console.print(said, markup=False),
+        files={out: log.to_csv},
+        report=report,
+    )
+
+
+def _build_true_model(robot: str, options: RobotOptions, effects: Path | None, model: Path | None):
+    """Return what is simulated: a model file's robot as it is, or ROBOT with hidden effects, a model's values, or nominal."""
+    from tau_dyn.identify import build_model
+    from tau_dyn.model import Model
+    from tau_dyn.simulate import read_effects_file
+
+    if is_model_file(robot):
+        named = {"--set": options.set, "--actuated": options.actuated, "--effects": effects, "--model": model}
+        given = [name for name, value in named.items() if value]
+        if given:
+            raise InputError(
+                "bad_option",
+                f"{robot} is a model file, which carries its own robot, effects and values; leave {given[0]} out, or "
+                f"name the robot and give the file with --model",
+            )
+        return Model.load(robot)
+    machine = options.load(robot)
+    if effects:
+        return read_effects_file(effects, machine)
+    return build_model(machine, model) if model else Model.of(machine)
+
+
+def _simulate_vibration(
+    robot: str,
+    options: RobotOptions,
+    duration: float,
+    sensors: SensorOptions,
+    test: VibrationOptions,
+    out: Path,
+    output: Output,
+) -> Outcome:
+    """Simulate a vibration test."""
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.mechanism import FlexibleModel
+        from tau_dyn.simulate import VibrationSensors, push_log, simulate_binary_log
+
+        machine = options.load(robot)
+        near = FlexibleModel(machine).at(tool=test.frame, pushed=test.push_at)
+        step("simulating")
+        built = VibrationSensors(sensors.encoder_noise, sensors.tool_noise, test.acceleration_noise)
+        shared = {
+            "duration": duration, "drives": _build_drives(near, test), "sensors": built, "seed": output.seed, "name": out.name,
+        }  # fmt: skip
+        if test.vibration == "prbs":
+            amplitude, rate = test.amplitude or 1e-3, sensors.rate or 250.0
+            log = simulate_binary_log(near, rate_hz=rate, amplitude=amplitude, **shared)
+        else:
+            directions = str(test.vibration).removeprefix("push-")
+            shared["repeat"] = max(len(directions), round(duration / 5))
+            log = push_log(near, directions, rate_hz=sensors.rate or 1000.0, impulse=test.amplitude or 2.0, **shared)
+    frequencies = near.natural_frequencies()
+    lowest = ", ".join(f"{f:.4g}" for f in frequencies[:4])
+    said = f"{log.duration:.4g} s of {machine.name} near home at {log.rate_hz:g} Hz, lowest resonances {lowest} Hz -> {out}"
+    return Outcome(
+        result={
+            "n_samples": log.n_samples,
+            "duration_s": log.duration,
+            "rate_hz": log.rate_hz,
+            "out": str(out),
+            "natural_frequencies_hz": frequencies,
+        },
+        warnings=[*machine.warnings, *log.warnings],
+        inputs=options.list_files(robot),
+        show=lambda console, written: console.print(said, markup=False),
+        files={out: log.to_csv},
+    )
+
+
+def _build_drives(near, test: VibrationOptions):
+    from tau_dyn.mechanism import PositionDrives
+
+    if not test.drive_lag:
+        if test.drive_delay:
+            raise InputError("bad_option", "--drive-delay needs --drive-lag")
+        return None
+    lags = test.drive_lag * near.na if len(test.drive_lag) == 1 else test.drive_lag
+    return PositionDrives(tuple(lags), test.drive_delay)
