@@ -87,7 +87,7 @@ def test_same_seed_same_files(written: Path, tmp_path: Path) -> None:
         (["--safety-angle", "60"], "ball joints"),
         (["--rapid", "no/folder/p.mod"], "does not exist"),
         (["--out", "p.txt"], ".csv"),
-        (["--camera", "a.yaml", "--tracker", "b.yaml"], "not allowed with"),
+        (["--camera", "a.yaml", "--tracker", "b.yaml"], "do not go together"),
         (["--report", "p.html"], "has no report"),
     ],
 )

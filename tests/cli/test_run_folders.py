@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 
 import pytest
+from tau_dyn.cli.common import Outcome
 
 from tau_dyn.cli import build_parser, execute, main
-from tau_dyn.cli.common import Outcome
 from tau_dyn.cli.run_folder import RunFolder
 from tau_dyn.exceptions import CannotAnswer
 

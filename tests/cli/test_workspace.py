@@ -84,7 +84,7 @@ def test_same_seed_same_answer(written: Path, tmp_path: Path) -> None:
         (["--tool-limit", "x=90:91"], "tool limit: x"),
         (["--ball-angle", "300"], "between 0 and 180"),
         (["--condition", "0.5"], "must be 1 or more"),
-        (["--orientation", "nan", "0", "0"], "three finite numbers"),
+        (["--orientation", "nan", "0", "0"], "write a finite number"),
         (["--actuator-stiffness", "cart9=1e6"], "cart9"),
         (["--actuator-stiffness", "soft"], "JOINT=number"),
         (["--obstacles", "nowhere.yaml"], "no such file"),

@@ -117,8 +117,9 @@ def test_a_file_recorded_anew_is_read_anew(tmp_path, large) -> None:
 
 def test_an_input_that_changes_meanwhile_is_said(tmp_path, monkeypatch, capsys) -> None:
     """Somebody edits the column map while the command runs: the result says that its hash is of the new one."""
-    from tau_dyn.cli import main, view
     from tau_dyn.cli.check import run
+
+    from tau_dyn.cli import main, view
 
     (tmp_path / "log.csv").write_text(text(500).replace("q_axis", "pos"))
     map_ = tmp_path / "map.yaml"

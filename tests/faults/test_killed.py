@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tau_dyn.cli.common import Outcome
 
 from tau_dyn import files
 from tau_dyn.cli import execute
-from tau_dyn.cli.common import Outcome
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically
 from tau_dyn.log import Log

@@ -236,8 +236,9 @@ def test_sizes_without_end_are_refused_before_they_are_read(tmp_path: Path) -> N
 
 def _readers() -> dict[str, Callable[[Path], object]]:
     """Return the readers that once opened whatever stood at a path."""
-    from tau_dyn.calibrate.poses import read_progress
     from tau_dyn.cli.pose_tables import read_columns
+
+    from tau_dyn.calibrate.poses import read_progress
     from tau_dyn.compare import read_side
     from tau_dyn.view import read_cloud, read_result
     from tau_dyn.vision.images import read_image

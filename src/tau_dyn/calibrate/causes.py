@@ -30,7 +30,7 @@ from tau_dyn.calibrate.pose_set import PoseSet
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.parameters import Parameter
 
-EQUATIONS = {
+CAUSE_EQUATIONS = {
     "rod_length": "|A - B| = L + dL",
     "joint_placement": "A or B displaced by a constant in its link's frame",
     "guideway_nonparallel": "A = A_0 + q v_i, v_i different for each guideway",
@@ -133,7 +133,7 @@ def as_finding(moved: MovedFrame) -> CalibrationFinding:
     """Return a move before the held-out poses as a finding; suspected where device and target are not told apart."""
     cause = f"{moved.owner}_moved"
     status = "suspected" if moved.other else "confirmed"
-    return CalibrationFinding(cause, (), status, moved.gain, (), EQUATIONS[cause], moved.move)
+    return CalibrationFinding(cause, (), status, moved.gain, (), CAUSE_EQUATIONS[cause], moved.move)
 
 
 def find_causes(
@@ -155,7 +155,7 @@ def find_causes(
             agrees = gain.p_value < _LEVEL and gain.ci95[0] > 0
         names, status = _parameters(cause, joints, chosen.fit), "confirmed" if agrees else "suspected"
         alike = _list_alike(family, cause, joints)
-        findings.append(CalibrationFinding(cause, joints, status, gain, names, EQUATIONS[cause], (), alike))
+        findings.append(CalibrationFinding(cause, joints, status, gain, names, CAUSE_EQUATIONS[cause], (), alike))
     return tuple(sorted(findings, key=lambda f: -f.gain.percent))
 
 

@@ -7,6 +7,8 @@ right, with status 2, like every other fault.
 from __future__ import annotations
 
 import inspect
+import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
@@ -22,7 +24,7 @@ from cyclopts import (
     ValidationError,
 )
 from cyclopts.argument import Argument
-from cyclopts.exceptions import ConsumeMultipleError, RepeatArgumentError, UnknownCommandError, UnusedCliTokensError
+from cyclopts.exceptions import ConsumeMultipleError, UnknownCommandError, UnusedCliTokensError
 
 from tau_dyn.cli import (
     accuracy,
@@ -140,12 +142,16 @@ def build_app() -> App:
         name="tau-dyn",
         help="Identify robot dynamics from torque logs, closed loops included.",
         version=f"tau-dyn {__version__}",
-        default_parameter=Parameter(negative="", show_default=_describe_default),
+        default_parameter=Parameter(negative="", show_default=_describe_default, allow_repeating=True),
         help_format="plaintext",
         result_action="return_value",
     )
-    feedforward = App(name="feedforward", help="tau_ff(q, v, a) for a controller, in C or Python")
-    app.command(feedforward, sort_key=list(COMMANDS).index("feedforward export"))
+    feedforward = App(
+        name="feedforward",
+        help="tau_ff(q, v, a) for a controller, in C or Python",
+        sort_key=list(COMMANDS).index("feedforward export"),
+    )
+    app.command(feedforward)
     for words, function in COMMANDS.items():
         owner, name = (feedforward, "export") if words.startswith("feedforward") else (app, words)
         owner.command(function, name=name, sort_key=list(COMMANDS).index(words))
@@ -178,12 +184,12 @@ def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
         InputError: They make none.
     """
     app = app or build_app()
-    words = list(argv) if argv is not None else None
+    words = list(sys.argv[1:] if argv is None else argv)
     try:
         function, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
     except CycloptsError as fault:
         _refuse(app, fault)
-    if function.__name__ == "help_print" and not _asks_for_help(words):
+    if function.__name__ == "help_print" and not {"--help", "-h"} & set(words):
         chain = [str(word) for word in bound.arguments.get("tokens", ())]
         known = [name for name in COMMANDS if name.startswith(" ".join(chain))]
         example = known[0].removeprefix(" ".join(chain)).strip() if chain else "demo"
@@ -192,12 +198,6 @@ def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
         )
     command = next((words for words, f in COMMANDS.items() if f is function), "")
     return Call(command.split(" ")[0], function, bound)
-
-
-def _asks_for_help(words: list[str] | None) -> bool:
-    import sys
-
-    return bool({"--help", "-h"} & set(sys.argv[1:] if words is None else words))
 
 
 def _refuse(app: App, fault: CycloptsError) -> NoReturn:
@@ -222,14 +222,18 @@ def _describe(app: App, fault: CycloptsError, chain: list[str]) -> str:
         return f"there is no {word} here{suggest_nearest(word, known)}"
     if isinstance(fault, UnusedCliTokensError):
         return f"there is no place for {next(iter(fault.unused_tokens or ['']))!r} here"
+    if isinstance(fault, ValidationError) and fault.group is not None:
+        return f"{' and '.join(re.findall(r'--[a-z-]+', fault.exception_message))} do not go together; give one of them"
     if argument is None:
         return str(fault)
     name = get_label(argument)
-    if isinstance(fault, RepeatArgumentError):
-        return f"{name} is given twice"
     if isinstance(fault, MissingArgumentError | ConsumeMultipleError):
         return _describe_missing(app, fault, chain, name)
     if isinstance(fault, CoercionError | ValidationError):
+        choices = argument.get_choices() if isinstance(fault, CoercionError) else None
+        if choices and fault.token is not None:
+            near = suggest_nearest(fault.token.value, choices)
+            return f"there is no {name} '{fault.token.value}'{near}; there are {', '.join(choices)}"
         return f"{name} {_describe_value(fault, argument)}"
     return str(fault)
 
@@ -241,14 +245,12 @@ def _describe_value(fault: CoercionError | ValidationError, argument: Argument) 
     if isinstance(fault, ValidationError):
         worst = _find_refused(argument)
         return f"{worst or text}: {fault.exception_message}"
-    if choices := argument.get_choices():
-        return f"{text} is none of them; there are {', '.join(choices)}"
     kind = next((v for v in argument.parameter.validator if isinstance(v, Kind)), None)
     if kind is not None:
         return f"{text}: write {kind.words}"
     if fault.target_type in (int, float):
         return f"{text}: write {'a whole number' if fault.target_type is int else 'a number'}"
-    return f"{text} {fault.msg}" if fault.msg else f"{text}: write another value"
+    return f"{text}: {fault.msg}" if fault.msg else f"{text}: write another value"
 
 
 def _find_refused(argument: Argument) -> str:
@@ -271,9 +273,15 @@ def _describe_missing(app: App, fault: CycloptsError, chain: list[str], name: st
         needed = "a value" if several == 1 else f"{several} values"
         needed = "one value or more" if isinstance(fault, ConsumeMultipleError) else needed
         return f"{name} needs {needed} after it"
-    needed = [get_label(a) for a in app[tuple(chain)].assemble_argument_collection() if a.required and a.show]
+    needed = [get_label(a) for a in _get_command(app, chain).assemble_argument_collection() if a.required and a.show]
     missing = needed[needed.index(name) :] if name in needed else [name]
     return f"{' and '.join(', '.join(missing).rsplit(', ', 1))} {'are' if len(missing) > 1 else 'is'} missing"
+
+
+def _get_command(app: App, chain: Sequence[str]) -> App:
+    for word in chain:
+        app = app[word]
+    return app
 
 
 def get_label(argument: Argument) -> str:
@@ -283,7 +291,7 @@ def get_label(argument: Argument) -> str:
 
 def list_options(app: App, command: str) -> dict[str, Argument]:
     """Return a command's arguments by their labels."""
-    return {get_label(a): a for a in app[tuple(command.split(" "))].assemble_argument_collection() if a.show}
+    return {get_label(a): a for a in _get_command(app, command.split(" ")).assemble_argument_collection() if a.show}
 
 
 def is_path(argument: Argument) -> bool:
