@@ -1,19 +1,25 @@
-"""Which commands are there, and what does each option do? Writes `docs/reference/commands.md` from the parsers.
+"""Which commands are there, and what does each option do? Writes `docs/reference/commands.md` from their signatures.
 
     python experiments/commands_page.py
 
-A test compares the page with the parsers, so the two cannot drift apart.
+A test compares the page with the signatures, so the two cannot drift apart.
 """
 
 from __future__ import annotations
 
-import argparse
+import inspect
 import re
 import textwrap
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from tau_dyn.cli import build_parser
+from cyclopts import App
+from cyclopts.argument import Argument
+
+from tau_dyn.cli import COMMANDS, build_app
+from tau_dyn.cli.app import list_options
 from tau_dyn.files import write_whole
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "commands.md"
@@ -29,76 +35,70 @@ This page is written by `experiments/commands_page.py`.
 MIN_COMMANDS = 5  # an argument of so many commands, with the same help, stands once
 WIDTH = 112  # characters of a line, as wide as the site shows without scrolling
 NAME_WIDTH = 28  # of the column of names
-_SHARED = "output"
-_HIDDEN = (argparse._HelpAction, argparse._VersionAction)
+_SHARED = "Output"
 
 
 def page() -> str:
     """Return the page."""
-    commands = _subparsers(build_parser())
-    parsers = [p for parser, _ in commands.values() for p, _ in (_subparsers(parser) or {"": (parser, "")}).values()]
-    lines = [_entry(a) for parser in parsers for _, rows in _groups(parser, without=_SHARED) for a in rows]
+    app = build_app()
+    groups = {words: list_groups(app, words) for words in COMMANDS}
+    lines = [
+        format_entry(*row) for of in groups.values() for title, rows in of.items() if title != _SHARED for row in rows
+    ]
     common = {line for line, n in Counter(lines).items() if n >= MIN_COMMANDS}
-    parts = [f"| command | |\n|---|---|\n{_index(commands)}"]
-    parts += [_section(name, parser, common) for name, (parser, _) in commands.items()]
+    parts = [f"| command | |\n|---|---|\n{format_index()}"]
+    parts += [format_section(words, groups[words], common) for words in COMMANDS]
     shared = "\n".join(line for line in dict.fromkeys(lines) if line in common)
     parts.append(f"## Options of several commands\n\n```text\n{shared}\n```")
-    first = next(iter(commands.values()))[0]
-    parts.append("## Options of every command\n\n" + _block("", _groups(first, only=_SHARED)))
+    first = next(iter(groups.values()))
+    parts.append("## Options of every command\n\n" + format_block("", {"": first[_SHARED]}))
     return INTRODUCTION + "\n\n".join(parts) + "\n"
 
 
-def _index(commands: dict[str, tuple[argparse.ArgumentParser, str]]) -> str:
-    return "\n".join(f"| [`{name}`](#{name}) | {_cell(text)} |" for name, (_, text) in commands.items())
-
-
-def _subparsers(parser: argparse.ArgumentParser) -> dict[str, tuple[argparse.ArgumentParser, str]]:
-    """Return a parser's commands with their one-line helps."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            helps = {choice.dest: choice.help or "" for choice in action._choices_actions}
-            return {name: (sub, helps.get(name, "")) for name, sub in action.choices.items()}
-    return {}
-
-
-def _section(name: str, parser: argparse.ArgumentParser, common: set[str]) -> str:
-    inner = _subparsers(parser)
-    texts = [f"## {name}", _prose(parser.description or "")]
-    for sub, (within, _) in (inner or {"": (parser, "")}).items():
-        full = f"{name} {sub}".strip()
-        texts.append(_block(_usage(full, within), _groups(within, without=_SHARED), common))
-    return "\n\n".join(texts)
-
-
-def _usage(name: str, parser: argparse.ArgumentParser) -> str:
-    """Return what a call needs at least."""
-    needed = [a for a in parser._actions if a.required or (not a.option_strings and a.nargs != "?")]
-    options = [f"{a.option_strings[-1]} {_value(a)}".strip() for a in needed if a.option_strings]
-    places = [_value(a) for a in parser._actions if not a.option_strings and not isinstance(a, _HIDDEN)]
-    return " ".join(["tau-dyn", name, *places, *options, "[options]"])
-
-
-def _groups(
-    parser: argparse.ArgumentParser, only: str = "", without: str = ""
-) -> list[tuple[str, list[argparse.Action]]]:
-    """Return the argument groups that hold anything, with their titles."""
-    found = []
-    for group in parser._action_groups:
-        rows = [a for a in group._group_actions if not isinstance(a, _HIDDEN) and a.help != argparse.SUPPRESS]
-        title = group.title or ""
-        if rows and (not only or title == only) and title != (without or None):
-            found.append(("" if title in ("options", "positional arguments", _SHARED) else title, rows))
+def list_groups(app: App, words: str) -> dict[str, list[tuple[str, Argument]]]:
+    """Return a command's arguments with their labels by the title of their group, files and options last."""
+    found: dict[str, list[tuple[str, Argument]]] = {"": []}
+    for label, argument in list_options(app, words).items():
+        title = next((g.name for g in argument.parameter.group or () if g.name not in ("Parameters", "Arguments")), "")
+        found.setdefault(title if title == _SHARED or not argument.required else "", []).append((label, argument))
+    found[_SHARED] = [row for row in found.get(_SHARED, []) if row[0] != "--out"]
     return found
 
 
-def _block(
-    usage: str, groups: list[tuple[str, list[argparse.Action]]], common: set[str] | frozenset[str] = frozenset()
+def format_index() -> str:
+    """Return the table of commands."""
+    return "\n".join(
+        f"| [`{words.split()[0]}`](#{words.split()[0]}) | {_cell(_summary(f))} |" for words, f in COMMANDS.items()
+    )
+
+
+def _summary(function: Callable[..., Any]) -> str:
+    return (function.__doc__ or "").split("\n\n")[0].rstrip(".")
+
+
+def format_section(words: str, groups: dict[str, list[tuple[str, Argument]]], common: set[str]) -> str:
+    """Return what a command does, its usage and its arguments."""
+    text = inspect.cleandoc(COMMANDS[words].__doc__ or "")
+    within = {title: rows for title, rows in groups.items() if title != _SHARED}
+    return "\n\n".join([f"## {words.split()[0]}", _prose(text), format_block(_usage(words, within), within, common)])
+
+
+def _usage(words: str, groups: dict[str, list[tuple[str, Argument]]]) -> str:
+    """Return what a call needs at least."""
+    rows = [row for of in groups.values() for row in of]
+    places = [_place(label, a) for label, a in rows if not label.startswith("-")]
+    options = [f"{label} {_value(a)}".strip() for label, a in rows if label.startswith("-") and a.required]
+    return " ".join(["tau-dyn", words, *places, *options, "[options]"])
+
+
+def format_block(
+    usage: str, groups: dict[str, list[tuple[str, Argument]]], common: set[str] | frozenset[str] = frozenset()
 ) -> str:
     """Return usage and arguments as a block; of those in `common` only the names."""
     parts, elsewhere = [usage] if usage else [], []
-    for title, actions in groups:
-        lines = [line for a in actions if (line := _entry(a)) not in common]
-        elsewhere += [a.option_strings[-1] for a in actions if a.option_strings and _entry(a) in common]
+    for title, rows in groups.items():
+        lines = [line for row in rows if (line := format_entry(*row)) not in common]
+        elsewhere += [label for label, a in rows if label.startswith("-") and format_entry(label, a) in common]
         if lines:
             parts.append("\n".join([f"{title}:"] * bool(title) + lines))
     if elsewhere:
@@ -106,31 +106,37 @@ def _block(
     return "```text\n" + "\n\n".join(parts) + "\n```"
 
 
-def _entry(action: argparse.Action) -> str:
+def format_entry(label: str, argument: Argument) -> str:
     """Return an argument with its help, wrapped."""
-    name = " ".join([*action.option_strings[-1:], _value(action)]).strip()
-    help_lines = textwrap.wrap(" ".join(_help(action).split()), WIDTH - NAME_WIDTH - 2, break_long_words=False)
+    name = f"{label} {_value(argument)}".strip() if label.startswith("-") else _place(label, argument)
+    text = argument.parameter.help or ""
+    default = argument.field_info.default
+    if (
+        argument.show_default
+        and isinstance(default, str | int | float)
+        and not isinstance(default, bool)
+        and default != ""
+    ):
+        text += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
+    help_lines = textwrap.wrap(" ".join(text.split()), WIDTH - NAME_WIDTH - 2, break_long_words=False)
     indent = "\n" + " " * (NAME_WIDTH + 2)
     first = f"  {name:{NAME_WIDTH - 1}} " if len(name) < NAME_WIDTH else f"  {name}{indent}"
     return (first + indent.join(help_lines)).rstrip()
 
 
-def _value(action: argparse.Action) -> str:
-    """Return the placeholder for what an argument takes."""
-    if action.nargs == 0:
+def _place(label: str, argument: Argument) -> str:
+    several = " ..." if argument.token_count()[1] else ""
+    return f"{label}{several}" if argument.required else f"[{label}{several}]"
+
+
+def _value(argument: Argument) -> str:
+    """Return the placeholder for what an option takes."""
+    if argument.hint is bool:
         return ""
-    word = action.metavar if isinstance(action.metavar, str) else None
-    one = word or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
-    if action.nargs in ("+", "*"):
-        return f"{one} ..." if action.nargs == "+" else f"[{one} ...]"
-    if action.nargs == "?":
-        return f"[{one}]"
-    return " ".join([one] * action.nargs) if isinstance(action.nargs, int) else one
-
-
-def _help(action: argparse.Action) -> str:
-    shown = vars(action) | {"prog": "tau-dyn"}
-    return (action.help or "") % {k: v for k, v in shown.items() if v is not None and v is not argparse.SUPPRESS}
+    choices = argument.get_choices()
+    word = argument.parameter.metavar or ("|".join(choices) if choices else argument.name.lstrip("-").upper())
+    several = argument.token_count()[1] and argument.parameter.consume_multiple
+    return f"{word} ..." if several else word
 
 
 def _prose(text: str) -> str:

@@ -31,7 +31,7 @@ def test_an_unknown_name_is_an_attribute_error():
         tau_dyn.identfy  # noqa: B018
 
 
-@pytest.mark.parametrize("code", ["import tau_dyn", "import tau_dyn.cli as c; c.build_parser()"])
+@pytest.mark.parametrize("code", ["import tau_dyn", "import tau_dyn.cli as c; c.build_app()"])
 def test_importing_loads_nothing_heavy(code):
     """Neither the package nor the commands' help load Pinocchio, SciPy, pandas or cvxpy: those take seconds."""
     heavy = ("pinocchio", "scipy", "pandas", "cvxpy", "pyarrow", "jinja2")

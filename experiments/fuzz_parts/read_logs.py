@@ -127,6 +127,7 @@ def _view_log(path: Path) -> None:
 def _pose_table(path: Path) -> None:
     """Read what `fk` asks for, then what `ik` does."""
     from tau_dyn.cli.pose_tables import read_columns
+
     from tau_dyn.kinematics import read_poses, read_positions
 
     table = read_columns(path)

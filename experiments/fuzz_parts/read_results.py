@@ -10,7 +10,7 @@ from fuzz_parts.reader import JOURNAL, JSON, YAML, Reader, axis, of, pendulum
 
 
 def _compared(path: Path) -> None:
-    from tau_dyn.cli.common import format_json
+    from tau_dyn.cli.execute import format_json
     from tau_dyn.compare import compare, read_side
     from tau_dyn.report import build_comparison_page
 

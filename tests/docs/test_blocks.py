@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from page_blocks import ROOT, all_pages, blocks, commands
 
-from tau_dyn.cli import build_parser
+from tau_dyn.cli import build_app, parse
 
 PAGES = [str(path.relative_to(ROOT)) for path in all_pages()]
 _PLACEHOLDER = re.compile(r"[\[\]|]|\.\.\.|(?<![\w./-])[A-Z]{1,7}(?![\w.])")  # a line that shows a form, not a call
@@ -42,10 +42,10 @@ def test_python_compiles(name):
 @pytest.mark.parametrize("name", PAGES)
 def test_commands_parse(name):
     """Every command that a page gives has arguments that exist."""
-    parser = build_parser()
+    app = build_app()
     for line in calls((ROOT / name).read_text(encoding="utf-8")):
         try:
-            parser.parse_args(shlex.split(line)[1:])
+            parse(shlex.split(line)[1:], app)
         except Exception as fault:
             pytest.fail(f"{name}: {line}\n{fault}")
 

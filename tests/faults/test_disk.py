@@ -8,12 +8,14 @@ import sys
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from raising import raises_code
 
-from tau_dyn.cli import build_parser, main
+from tau_dyn.cli import COMMANDS, build_app, main
+from tau_dyn.cli.app import is_path, list_options
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically, write_whole
 from tau_dyn.log import Log, copies, log_opening, open_log
@@ -145,21 +147,19 @@ def test_a_very_long_name_is_written(tmp_path) -> None:
 
 def test_no_output_overwrites_an_input(tmp_path, capsys) -> None:
     """For every command and every argument that names a file to read: naming it as an output as well is refused."""
-    parser = build_parser()
-    commands = next(a.choices for a in parser._actions if a.dest == "command")
-    assert commands is not None
-    tried = 0
-    for name, command in commands.items():
-        written = {"json", "report", "out", "propose", "save_cameras", "rapid", "resume"}
-        for action in command._actions:
-            reads = getattr(action.type, "__name__", "") == "Path" or action.dest in ("logs", "robot", "a", "b")
-            if not reads or action.dest in written or "--json" not in command._option_string_actions:
+    app, tried = build_app(), 0
+    written = {"--json", "--report", "--out", "--propose", "--save-cameras", "--rapid", "--resume", "--corrected"}
+    for command in COMMANDS:
+        options = list_options(app, command)
+        for label, argument in options.items():
+            reads = is_path(argument) or label in ("LOG", "ROBOT", "A", "B")
+            if not reads or label in written:
                 continue
             path = tmp_path / "input.csv"
             path.write_text("q_axis: precious\n")
-            argv = [name, *_needed(command, action.dest, path), "--json", str(path)]
-            if action.option_strings:
-                argv += [action.option_strings[0], str(path)]
+            argv = [*command.split(), *_list_needed(options, label, path), "--json", str(path)]
+            if label.startswith("-"):
+                argv += [label, str(path)]
             status = main(argv)
             said = capsys.readouterr().err
             assert status == 2 and "would be overwritten" in said, f"{' '.join(argv)}: {said}"
@@ -168,21 +168,16 @@ def test_no_output_overwrites_an_input(tmp_path, capsys) -> None:
     assert tried > 20
 
 
-def _needed(command, dest: str, path: Path) -> list[str]:
+def _list_needed(options: dict[str, Any], label: str, path: Path) -> list[str]:
     """Return the arguments that a command cannot do without, one of them naming the file."""
     found = []
-    for action in command._actions:
-        plain = {"pattern": "8x6", "square": "0.04"}.get(action.dest, "linear_axis")
-        value = str(path) if action.dest == dest else next(iter(action.choices or [plain]))
-        if (
-            not action.option_strings
-            and action.nargs not in ("?", "*")
-            or action.dest == dest
-            and not action.option_strings
-        ):
-            found.append(str(value))
-        elif action.required and action.dest != dest:
-            found += [action.option_strings[0], str(value)]
+    for name, argument in options.items():
+        plain = {"--pattern": "8x6", "--square": "0.04", "--out": "made.csv"}.get(name, "linear_axis")
+        value = str(path) if name == label else next(iter(argument.get_choices() or [plain]))
+        if not name.startswith("-") and (argument.required or name == label):
+            found.append(value)
+        elif name.startswith("-") and argument.required and name != label:
+            found += [name, value]
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import wraps
 from pathlib import Path
 
 import numpy as np
@@ -117,19 +118,20 @@ def test_a_file_recorded_anew_is_read_anew(tmp_path, large) -> None:
 
 def test_an_input_that_changes_meanwhile_is_said(tmp_path, monkeypatch, capsys) -> None:
     """Somebody edits the column map while the command runs: the result says that its hash is of the new one."""
-    from tau_dyn.cli.check import run
+    from tau_dyn.cli import COMMANDS, main
 
-    from tau_dyn.cli import main, view
+    check = COMMANDS["check"]
 
     (tmp_path / "log.csv").write_text(text(500).replace("q_axis", "pos"))
     map_ = tmp_path / "map.yaml"
     map_.write_text("t: t\nq_axis: pos\ntau_axis: tau_axis\n")
 
-    def edited(args):
-        outcome = run(args)
+    @wraps(check)
+    def edited(*places, **options):
+        outcome = check(*places, **options)
         map_.write_text("t: t\nq_axis: tau_axis\ntau_axis: tau_axis\n")
         return outcome
 
-    monkeypatch.setattr("tau_dyn.cli.check.run", edited)
-    assert view is not None and main(["check", str(tmp_path / "log.csv"), "--columns", str(map_), "--quiet"]) == 0
+    monkeypatch.setitem(COMMANDS, "check", edited)
+    assert main(["check", str(tmp_path / "log.csv"), "--columns", str(map_), "--quiet"]) == 0
     assert "map.yaml changed while it was used" in capsys.readouterr().err

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tau_dyn.cli.common import Outcome
 
 from tau_dyn import files
-from tau_dyn.cli import execute
+from tau_dyn.cli import execute, parse
+from tau_dyn.cli.execute import Outcome
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import write_atomically
 from tau_dyn.log import Log
@@ -27,13 +27,14 @@ NAMES = ("model.yaml", "log.csv", "report.html", "result.json")
 def command(folder: Path, model: Model) -> int:
     """Write four outputs as every command does: a model, a log, a page and a result."""
     log = Log(np.arange(300.0), {"q_axis": np.sin(np.arange(300.0))})
-    args = argparse.Namespace(json=folder / "result.json", report=folder / "report.html", seed=0, quiet=True)
+    words = ["identify", "linear_axis", "log.csv", "--quiet", "--json", folder / "result.json"]
+    call = parse([*map(str, words), "--report", str(folder / "report.html")])
     outcome = Outcome(
         result={"numbers": list(range(800))},
         files={folder / "model.yaml": model.save, folder / "log.csv": log.to_csv},
-        report=lambda: "<p>" + 4000 * "x" + "</p>",
+        report=lambda command_line: "<p>" + 4000 * "x" + "</p>",
     )
-    return execute("identify", lambda _: outcome, args)
+    return execute(replace(call, function=lambda *_, **__: outcome))
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import wraps
 from pathlib import Path
 
 import pytest
@@ -83,19 +84,19 @@ def test_what_comes_along_with_an_output_is_not_overwritten(tmp_path: Path, caps
 
 def test_a_folder_taken_meanwhile_is_kept(tmp_path: Path, monkeypatch, capsys) -> None:
     """Two commands into one new folder: the one that ends last finds the other's run there, and leaves it."""
-    from tau_dyn.cli import fk
+    from tau_dyn.cli import COMMANDS
 
-    run, folder = fk.run, f"{tmp_path / 'run'}/"
+    fk, folder = COMMANDS["fk"], f"{tmp_path / 'run'}/"
 
-    def slow(args):
-        monkeypatch.setattr(fk, "run", run)
+    @wraps(fk)
+    def slow(*places, **options):
         assert main(["check", str(log), "linear_axis", "--out", folder, "--quiet"]) == 0
-        return run(args)
+        return fk(*places, **options)
 
     log = tmp_path / "log.csv"
     assert main(["simulate", "linear_axis", "--duration", "4", "--rate", "200", "--out", str(log), "--quiet"]) == 0
     capsys.readouterr()
-    monkeypatch.setattr(fk, "run", slow)
+    monkeypatch.setitem(COMMANDS, "fk", slow)
     assert "holds a run of tau-dyn check" in refused(capsys, [*FK, "--out", folder])
     assert json.loads((tmp_path / "run" / "run.json").read_text())["command"] == "check"
 

@@ -1,8 +1,7 @@
-"""Whatever stands on the command line, it is parsed or refused in one sentence; argparse never leaves by itself."""
+"""Whatever stands on the command line, it is parsed or refused in one sentence; nothing else leaves."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -13,11 +12,11 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from fuzz_parts.hostile import NUMBERS, WORDS
 
-from tau_dyn.cli import COMMANDS, build_parser
+from tau_dyn.cli import COMMANDS, build_app, parse
+from tau_dyn.cli.app import list_options
 from tau_dyn.exceptions import InputError
 
-PARSER = build_parser()
-PARSERS = next(a for a in PARSER._actions if isinstance(a, argparse._SubParsersAction)).choices
+APP = build_app()
 LEAVING = {"-h", "--help", "--version"}
 WORD = st.sampled_from([*NUMBERS, *WORDS, "linear_axis", "-", "--", "--json", "a=b", "a=1:2"]) | st.text(max_size=6)
 
@@ -25,7 +24,7 @@ WORD = st.sampled_from([*NUMBERS, *WORDS, "linear_axis", "-", "--", "--json", "a
 @pytest.mark.parametrize("command", COMMANDS)
 def test_any_words_are_parsed_or_refused(command: str) -> None:
     """Any option of the command with any words after it, and any words where files stand."""
-    options = ["--quiet", *(w for a in PARSERS[command]._actions for w in a.option_strings if w not in LEAVING)]
+    options = ["--quiet", *(w for w in list_options(APP, command) if w.startswith("-"))]
 
     @settings(derandomize=True, database=None, deadline=None, max_examples=20, suppress_health_check=list(HealthCheck))
     @given(st.lists(st.sampled_from(options) | WORD, max_size=8).filter(lambda words: not LEAVING & set(words)))
@@ -33,7 +32,7 @@ def test_any_words_are_parsed_or_refused(command: str) -> None:
         if any(w.startswith("-") and any(o.startswith(w.partition("=")[0]) for o in LEAVING) for w in words):
             return
         try:
-            PARSER.parse_args([command, *words])
+            parse([*command.split(), *words], APP)
         except InputError as fault:
             assert 0 < len(str(fault)) <= 1000
 

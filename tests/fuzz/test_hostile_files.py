@@ -18,7 +18,8 @@ import yaml
 from raising import raises_code
 
 from tau_dyn import files
-from tau_dyn.cli import COMMANDS, build_parser, main
+from tau_dyn.cli import COMMANDS, build_app, main
+from tau_dyn.cli.app import list_options
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes, read_yaml
 from tau_dyn.log import ColumnMap, read_log
@@ -147,9 +148,9 @@ def test_no_xacro_refuses_by_name_and_by_namespace(tmp_path: Path, write) -> Non
 
 def test_every_command_that_takes_a_robot_takes_no_xacro() -> None:
     """A command whose robot is loaded without the option would leave a gap."""
-    subparsers = next(a for a in build_parser()._actions if isinstance(a.choices, dict)).choices
+    app = build_app()
     for name in COMMANDS:
-        options = {word for action in subparsers[name]._actions for word in action.option_strings}
+        options = list_options(app, name)
         assert ("--set" in options) == ("--no-xacro" in options), name
 
 
@@ -236,9 +237,8 @@ def test_sizes_without_end_are_refused_before_they_are_read(tmp_path: Path) -> N
 
 def _readers() -> dict[str, Callable[[Path], object]]:
     """Return the readers that once opened whatever stood at a path."""
-    from tau_dyn.cli.pose_tables import read_columns
-
     from tau_dyn.calibrate.poses import read_progress
+    from tau_dyn.cli.arguments import read_columns
     from tau_dyn.compare import read_side
     from tau_dyn.view import read_cloud, read_result
     from tau_dyn.vision.images import read_image

@@ -15,8 +15,8 @@ from scipy.io import loadmat
 
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import DAMPING, HZ, in_loop, log_of, pulses, recorded, structure
-from tau_dyn.cli.common import format_json
 
+from tau_dyn.cli.execute import format_json
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.modes import Modes, find_modes

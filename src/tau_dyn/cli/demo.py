@@ -78,7 +78,9 @@ def demo(
     ] = None,
     /,
     *,
-    out: Annotated[Path, build_destination("DIR"), Parameter(help="folder")] = _FOLDER,
+    out: Annotated[
+        Path, build_destination("DIR"), Parameter(help="folder (default tau_dyn_demo)", show_default=False)
+    ] = _FOLDER,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:

@@ -92,7 +92,7 @@ class SensorOptions:
         float, Parameter(metavar="PHI", validator=FINITE, help="AR(1) coefficient of the force noise")
     ] = 0.0
     encoder_noise: Annotated[NotNegative, Parameter(metavar="M", help="[m or rad]")] = 5e-6
-    encoder_resolution: Annotated[NotNegative, Parameter(metavar="M", help="[m or rad] (default none)")] = 0.0
+    encoder_resolution: Annotated[NotNegative, Parameter(metavar="M", help="[m or rad]; 0: none")] = 0.0
     tool_noise: Annotated[NotNegative, Parameter(metavar="M", help="tool position noise [m]")] = 0.0
 
 
