@@ -78,7 +78,7 @@ def _summary(function: Callable[..., Any]) -> str:
 
 def format_section(words: str, groups: dict[str, list[tuple[str, Argument]]], common: set[str]) -> str:
     """Return what a command does, its usage and its arguments."""
-    text = inspect.cleandoc(COMMANDS[words].__doc__ or "")
+    text = inspect.cleandoc(COMMANDS[words].__doc__ or "").split("\n\nArgs:")[0]
     within = {title: rows for title, rows in groups.items() if title != _SHARED}
     return "\n\n".join([f"## {words.split()[0]}", _prose(text), format_block(_usage(words, within), within, common)])
 

@@ -21,77 +21,50 @@ _METHODS = Group("How")
 @Parameter(name="*", group=_PLACES)
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Where the accuracy is asked for."""
+    """Where the accuracy is asked for.
 
-    section: Annotated[
-        str | None,
-        Parameter(
-            metavar="AXIS=VALUE",
-            help="cut through the workspace, such as x=1.75; default at home; of one or two actuators their whole motion",
-        ),
-    ] = None
-    range: Annotated[Strings, Parameter(metavar="AXIS=LOW:HIGH", help="part of the section")] = ()
-    grid: Annotated[
-        int | None,
-        Parameter(
-            metavar="N",
-            validator=build_whole_kind(2, 201),
-            help="points along the section's longer side (31; 11 for slow ones)",
-        ),
-    ] = None
-    no_limits: Annotated[bool, Parameter(help="ignore the actuators' position limits")] = False
-    poses: Annotated[Path | None, Parameter(metavar="POSES.csv", help="poses (q_J) instead of a section")] = None
+    Attributes:
+        section: Cut through the workspace, such as x=1.75; default at home; of one or two actuators their whole motion
+        range: Part of the section
+        grid: Points along the section's longer side (31; 11 for slow ones)
+        no_limits: Ignore the actuators' position limits
+        poses: Poses (q_J) instead of a section
+    """
+
+    section: Annotated[str | None, Parameter(metavar="AXIS=VALUE")] = None
+    range: Annotated[Strings, Parameter(metavar="AXIS=LOW:HIGH")] = ()
+    grid: Annotated[int | None, Parameter(metavar="N", validator=build_whole_kind(2, 201))] = None
+    no_limits: bool = False
+    poses: Annotated[Path | None, Parameter(metavar="POSES.csv")] = None
 
 
 def accuracy(
     robot: RobotName,
     /,
     *,
-    actuator_error: Annotated[
-        Strings,
-        Parameter(
-            group=_ERRORS,
-            metavar="SIZE",
-            help="bound on the actuators' errors in m (rad for turning joints): 50e-6 for all, JOINT=50e-6 in all directions, "
-            "JOINT=50e-6:20e-6 along and across its guideway",
-        ),
-    ] = (),
-    errors: Annotated[
-        Path | None,
-        Parameter(group=_ERRORS, metavar="FILE.yaml", help="errors of actuators, rods and rod joints"),
-    ] = None,
-    measured: Annotated[
-        Strings,
-        Parameter(
-            group=_ERRORS,
-            metavar="[JOINT=]FILE.csv",
-            help="measured points: of one cart (q_J and x_tool..; name the joint where the file has several), to check and take "
-            "its errors from; of the plate (all q_J and qx_tool..), to check its orientation; a joint's second file is another "
-            "load",
-        ),
-    ] = (),
+    actuator_error: Annotated[Strings, Parameter(group=_ERRORS, metavar="SIZE")] = (),
+    errors: Annotated[Path | None, Parameter(group=_ERRORS, metavar="FILE.yaml")] = None,
+    measured: Annotated[Strings, Parameter(group=_ERRORS, metavar="[JOINT=]FILE.csv")] = (),
     places: PlaceOptions = PlaceOptions(),
-    method: Annotated[
-        Strings,
-        Parameter(
-            group=_METHODS,
-            metavar="METHOD",
-            help="linear, parallelepiped, ellipsoid, exact, certified, montecarlo or all (default)",
-        ),
-    ] = (),
+    method: Annotated[Strings, Parameter(group=_METHODS, metavar="METHOD")] = (),
     samples: Annotated[
-        int | None,
-        Parameter(
-            group=_METHODS,
-            metavar="N",
-            validator=build_whole_kind(1, 100_000),
-            help="random draws a pose (300; 50 for slow robots)",
-        ),
+        int | None, Parameter(group=_METHODS, metavar="N", validator=build_whole_kind(1, 100000))
     ] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """How far the tool may be from where it should be: stated or measured errors of actuators and rods, over a section."""
+    """How far the tool may be from where it should be: stated or measured errors of actuators and rods, over a section.
+
+    Args:
+        actuator_error: Bound on the actuators' errors in m (rad for turning joints): 50e-6 for all, JOINT=50e-6 in all
+            directions, JOINT=50e-6:20e-6 along and across its guideway
+        errors: Errors of actuators, rods and rod joints
+        measured: Measured points: of one cart (q_J and x_tool..; name the joint where the file has several), to check and
+            take its errors from; of the plate (all q_J and qx_tool..), to check its orientation; a joint's second file is
+            another load
+        method: linear, parallelepiped, ellipsoid, exact, certified, montecarlo or all (default)
+        samples: Random draws a pose (300; 50 for slow robots)
+    """
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.kinematics.accuracy import AccuracyResult

@@ -25,6 +25,8 @@ from cyclopts import (
 )
 from cyclopts.argument import Argument
 from cyclopts.exceptions import ConsumeMultipleError, UnknownCommandError, UnusedCliTokensError
+from cyclopts.help import DefaultFormatter
+from rich.text import Text
 
 from tau_dyn.cli import (
     accuracy,
@@ -136,6 +138,18 @@ def _flatten(arguments: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
+class _HelpFormatter(DefaultFormatter):
+    """Help whose descriptions are filled to the screen's width, wherever their docstring breaks lines."""
+
+    def __call__(self, console: Any, options: Any, panel: Any) -> None:
+        """Show a panel of help."""
+        for entry in panel.entries:
+            text = getattr(entry.description, "primary_renderable", None)
+            if isinstance(text, Text):
+                entry.description.primary_renderable = Text(" ".join(text.plain.split()))
+        super().__call__(console, options, panel)
+
+
 def build_app() -> App:
     """Return the application with all commands."""
     app = App(
@@ -144,11 +158,12 @@ def build_app() -> App:
         version=f"tau-dyn {__version__}",
         default_parameter=Parameter(negative="", show_default=_describe_default, allow_repeating=True),
         help_format="plaintext",
+        help_formatter=_HelpFormatter(),
         result_action="return_value",
     )
     feedforward = App(
         name="feedforward",
-        help="tau_ff(q, v, a) for a controller, in C or Python",
+        help="Tau_ff(q, v, a) for a controller, in C or Python",
         sort_key=list(COMMANDS).index("feedforward export"),
     )
     app.command(feedforward)
@@ -291,7 +306,11 @@ def get_label(argument: Argument) -> str:
 
 def list_options(app: App, command: str) -> dict[str, Argument]:
     """Return a command's arguments by their labels."""
-    return {get_label(a): a for a in _get_command(app, command.split(" ")).assemble_argument_collection() if a.show}
+    return {
+        get_label(a): a
+        for a in _get_command(app, command.split(" ")).assemble_argument_collection(parse_docstring=True)
+        if a.show
+    }
 
 
 def is_path(argument: Argument) -> bool:

@@ -107,7 +107,7 @@ _TO_FOLDER = "; FOLDER/ takes it with result, report and run.json"
 TABLE_OUT = Annotated[
     Path | None,
     build_destination("POSES.csv", csv=True),
-    Parameter(help=f"write q_<joint>, x_tool .. qw_tool, reason here{_TO_FOLDER}"),
+    Parameter(help=f"Write q_<joint>, x_tool .. qw_tool, reason here{_TO_FOLDER}"),
 ]
 
 
@@ -123,36 +123,43 @@ _ROBOT = Group("Robot", sort_key=80)
 @Parameter(name="*", group=_OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """What every command takes."""
+    """What every command takes.
 
-    json: Annotated[Path | None, Parameter(metavar="FILE", help="write the result here")] = None
-    report: Annotated[Path | None, Parameter(metavar="FILE.html", help="write one self-contained page here")] = None
-    seed: Annotated[Whole, Parameter(help="seed of everything random")] = 0
-    quiet: Annotated[bool, Parameter(help="no progress, no result on the screen; warnings stay")] = False
+    Attributes:
+        json: Write the result here
+        report: Write one self-contained page here
+        seed: Seed of everything random
+        quiet: No progress, no result on the screen; warnings stay
+    """
+
+    json: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    report: Annotated[Path | None, Parameter(metavar="FILE.html")] = None
+    seed: Whole = 0
+    quiet: bool = False
 
 
 @Parameter(name="*", group=_OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class FolderOutput(Output):
-    """What commands take that have no file of their own."""
+    """What commands take that have no file of their own.
 
-    out: Annotated[
-        Path | None,
-        build_destination("FOLDER/"),
-        Parameter(help="result, report and run.json (what went in, options, versions) go here"),
-    ] = None
+    Attributes:
+        out: result, report and run.json (what went in, options, versions) go here
+    """
+
+    out: Annotated[Path | None, build_destination("FOLDER/")] = None
 
 
 _A_XACRO = "(a xacro is code: it evaluates Python)"
 RobotName = Annotated[
-    str, Parameter(help=f"a .urdf or .urdf.xacro file, or a short name that `tau-dyn robots` lists {_A_XACRO}")
+    str, Parameter(help=f"A .urdf or .urdf.xacro file, or a short name that `tau-dyn robots` lists {_A_XACRO}")
 ]
 
 
 def describe_robot_or_model(brings: str) -> Parameter:
     """Return the help of ROBOT where a model file is taken as well; `brings` says what it brings."""
     return Parameter(
-        help=f"a .urdf or .urdf.xacro file, a short name that `tau-dyn robots` lists {_A_XACRO}, "
+        help=f"A .urdf or .urdf.xacro file, a short name that `tau-dyn robots` lists {_A_XACRO}, "
         f"or a model file MODEL.yaml of identify or diagnose, {brings}"
     )
 
@@ -160,25 +167,19 @@ def describe_robot_or_model(brings: str) -> Parameter:
 @Parameter(name="*", group=_ROBOT)
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
-    """How a robot is loaded."""
+    """How a robot is loaded.
 
-    set: Annotated[
-        tuple[str, ...],
-        Parameter(metavar="NAME=VALUE", help="xacro argument or dimension, such as prototype=d1, or a .yaml of them"),
-    ] = ()
-    actuated: Annotated[
-        Strings, Parameter(metavar="JOINT", help="actuated joints, if not those with a transmission")
-    ] = ()
-    tool: Annotated[
-        str | None,
-        Parameter(metavar="FRAME", help="tool frame, if not tool, tool0, tcp, ee_link or the tree's only leaf"),
-    ] = None
-    no_xacro: Annotated[
-        bool,
-        Parameter(
-            help="accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too"
-        ),
-    ] = False
+    Attributes:
+        set: Xacro argument or dimension, such as prototype=d1, or a .yaml of them
+        actuated: Actuated joints, if not those with a transmission
+        tool: Tool frame, if not tool, tool0, tcp, ee_link or the tree's only leaf
+        no_xacro: Accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too
+    """
+
+    set: Annotated[tuple[str, ...], Parameter(metavar="NAME=VALUE")] = ()
+    actuated: Annotated[Strings, Parameter(metavar="JOINT")] = ()
+    tool: Annotated[str | None, Parameter(metavar="FRAME")] = None
+    no_xacro: bool = False
 
     def load(self, robot: str | Path) -> Robot:
         """Load a robot: a robot file, a robot of ours, or a calibration's `--out`.
@@ -251,34 +252,27 @@ def is_model_file(path: str | Path) -> bool:
     return Path(path).suffix.lower() in (".yaml", ".yml")
 
 
-ColumnMapFile = Annotated[Path | None, Parameter(metavar="MAP.yaml", help="how to read foreign column names and units")]
+ColumnMapFile = Annotated[Path | None, Parameter(metavar="MAP.yaml", help="How to read foreign column names and units")]
 _CHOICES = Group("Parameters, by name or pattern")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class FittingOptions:
-    """What `identify` and `diagnose` take for a model that is fitted to logs."""
+    """What `identify` and `diagnose` take for a model that is fitted to logs.
+
+    Attributes:
+        fix: Hold the nominal value, set a value, or give a value measured beforehand with its standard error
+        free: Estimate what is fixed by default, such as *.armature
+        bound: Constrain the estimate
+        exclude: Leave out samples where this column is not zero
+    """
 
     columns: ColumnMapFile = None
-    fix: Annotated[
-        tuple[str, ...],
-        Parameter(
-            group=_CHOICES,
-            metavar="NAME[=VALUE[+-SIGMA]]",
-            help="hold the nominal value, set a value, or give a value measured beforehand with its standard error",
-        ),
-    ] = ()
-    free: Annotated[
-        tuple[str, ...],
-        Parameter(group=_CHOICES, metavar="NAME", help="estimate what is fixed by default, such as *.armature"),
-    ] = ()
-    bound: Annotated[
-        tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME=LO:HI", help="constrain the estimate")
-    ] = ()
-    exclude: Annotated[
-        tuple[str, ...], Parameter(metavar="COLUMN", help="leave out samples where this column is not zero")
-    ] = ()
+    fix: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME[=VALUE[+-SIGMA]]")] = ()
+    free: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME")] = ()
+    bound: Annotated[tuple[str, ...], Parameter(group=_CHOICES, metavar="NAME=LO:HI")] = ()
+    exclude: Annotated[tuple[str, ...], Parameter(metavar="COLUMN")] = ()
 
     def open_logs(self, paths: Sequence[str]) -> list[Log | Recording]:
         """Return logs; large ones stay on disk."""

@@ -33,80 +33,47 @@ Sigmas = Annotated[tuple[float, ...], Parameter(consume_multiple=SEVERAL, metava
 
 def calibrate(
     robot: RobotName,
-    poses: Annotated[
-        Path,
-        Parameter(
-            name="POSES.csv",
-            help="q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame",
-        ),
-    ],
+    poses: Annotated[Path, Parameter(name="POSES.csv")],
     /,
     *,
-    holdout: Annotated[
-        Paths,
-        Parameter(
-            metavar="POSES.csv",
-            help="poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)",
-        ),
-    ] = (),
+    holdout: Annotated[Paths, Parameter(metavar="POSES.csv")] = (),
     columns: ColumnMapFile = None,
-    model: Annotated[
-        str,
-        Parameter(
-            metavar="NAME",
-            help="auto; frames, ideal, nonparallel, complete or paths, as the robot offers them; with +periodic, +piecewise, "
-            "+compliant, +backlash, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each perhaps with "
-            "joints: nonparallel+periodic:cart2",
-        ),
-    ] = "auto",
-    residual: Annotated[Literal["forward", "closure", "inverse"], Parameter(help="residual to minimise")] = "forward",
-    robust: Annotated[
-        Literal["none", "huber", "biweight"], Parameter(help="weights (gross outliers are left out in any case)")
-    ] = "none",
-    known: Annotated[
-        Frames,
-        Parameter(
-            help="frames that are known: the device measures in the robot's base frame, the target is the tool frame"
-        ),
-    ] = (),
-    fix: Annotated[Strings, Parameter(metavar="NAME", help="parameters that stay nominal")] = (),
-    free: Annotated[Strings, Parameter(metavar="NAME", help="parameters freed on top of the model's")] = (),
-    accuracy: Annotated[
-        Sigmas,
-        Parameter(
-            help="standard error of a measured coordinate [m], and perhaps of an orientation [rad]; held-out errors are judged "
-            "by it (default: columns x_tool_stderr .., or repeated poses)"
-        ),
-    ] = (),
-    prior: Annotated[
-        Sigmas,
-        Parameter(
-            help="how exactly the robot is built to its file: standard deviation of lengths [m], and perhaps of angles [rad] "
-            "(default 0.01 0.01)"
-        ),
-    ] = (),
-    correct: Annotated[
-        Path | None,
-        Parameter(
-            metavar="Q.csv",
-            help="joint positions q_J that a controller computed with the robot file; needs --corrected",
-        ),
-    ] = None,
-    corrected: Annotated[
-        Path | None,
-        Parameter(
-            metavar="Q.csv",
-            validator=require_csv_name,
-            help="write the positions at which the calibrated robot is where --correct meant it to be",
-        ),
-    ] = None,
+    model: Annotated[str, Parameter(metavar="NAME")] = "auto",
+    residual: Literal["forward", "closure", "inverse"] = "forward",
+    robust: Literal["none", "huber", "biweight"] = "none",
+    known: Frames = (),
+    fix: Annotated[Strings, Parameter(metavar="NAME")] = (),
+    free: Annotated[Strings, Parameter(metavar="NAME")] = (),
+    accuracy: Sigmas = (),
+    prior: Sigmas = (),
+    correct: Annotated[Path | None, Parameter(metavar="Q.csv")] = None,
+    corrected: Annotated[Path | None, Parameter(metavar="Q.csv", validator=require_csv_name)] = None,
     out: Annotated[
-        Path | None, build_destination("MODEL.yaml"), describe_destination("write the calibrated robot here")
+        Path | None, build_destination("MODEL.yaml"), describe_destination("Write the calibrated robot here")
     ] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """From measured poses to a geometry with uncertainty: the model they bear, what each step gained, what no pose can tell."""
+    """From measured poses to a geometry with uncertainty: the model they bear, what each step gained, what no pose can tell.
+
+    Args:
+        poses: Q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame
+        holdout: Poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)
+        model: auto; frames, ideal, nonparallel, complete or paths, as the robot offers them; with +periodic, +piecewise,
+            +compliant, +backlash, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each perhaps
+            with joints: nonparallel+periodic:cart2
+        residual: Residual to minimise
+        robust: Weights (gross outliers are left out in any case)
+        known: Frames that are known: the device measures in the robot's base frame, the target is the tool frame
+        fix: Parameters that stay nominal
+        free: Parameters freed on top of the model's
+        accuracy: Standard error of a measured coordinate [m], and perhaps of an orientation [rad]; held-out errors are
+            judged by it (default: columns x_tool_stderr .., or repeated poses)
+        prior: How exactly the robot is built to its file: standard deviation of lengths [m], and perhaps of angles [rad]
+            (default 0.01 0.01)
+        correct: Joint positions q_J that a controller computed with the robot file; needs --corrected
+        corrected: Write the positions at which the calibrated robot is where --correct meant it to be
+    """
     if (correct is None) != (corrected is None):
         raise InputError(
             "bad_option", "--correct Q.csv and --corrected Q.csv go together: positions to read and to write"

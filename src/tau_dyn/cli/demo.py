@@ -73,14 +73,10 @@ class Made:
 
 
 def demo(
-    robot: Annotated[
-        str | None, Parameter(help="the file of a serial arm, such as a UR5's (default: a Gantry-Tau)")
-    ] = None,
+    robot: str | None = None,
     /,
     *,
-    out: Annotated[
-        Path, build_destination("DIR"), Parameter(help="folder (default tau_dyn_demo)", show_default=False)
-    ] = _FOLDER,
+    out: Annotated[Path, build_destination("DIR"), Parameter(show_default=False)] = _FOLDER,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
@@ -89,6 +85,10 @@ def demo(
     Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
     Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared
     drives, a payload of 2 kg at its flange and Stribeck friction in one joint.
+
+    Args:
+        robot: The file of a serial arm, such as a UR5's (default: a Gantry-Tau)
+        out: Folder (default tau_dyn_demo)
     """
     with show_progress(output.quiet) as step:
         step("loading")

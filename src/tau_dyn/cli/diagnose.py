@@ -27,46 +27,18 @@ def diagnose(
     logs: Logs,
     /,
     *,
-    holdout: Annotated[
-        Strings,
-        Parameter(
-            metavar="LOG",
-            help="logs kept from the search: one half confirms a cause, the other measures its gain (without any, blocks of "
-            "the logs do, 60/20/20)",
-        ),
-    ] = (),
-    model: Annotated[
-        str,
-        Parameter(
-            metavar="MODEL",
-            help="what the simulation has already: rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg), "
-            "or a model file; its parameters are refitted",
-        ),
-    ] = "asymmetric",
+    holdout: Annotated[Strings, Parameter(metavar="LOG")] = (),
+    model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
     fitting: FittingOptions = FittingOptions(),
     out: Annotated[
         Path | None,
         build_destination("MODEL.yaml"),
         describe_destination(
-            "write the model extended by the confirmed causes here; simulate, identify and the feedforward read it"
+            "Write the model extended by the confirmed causes here; simulate, identify and the feedforward read it"
         ),
     ] = None,
-    propose: Annotated[
-        Path | None,
-        Parameter(
-            metavar="MOTION.csv",
-            validator=require_csv_name,
-            help="write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what "
-            "these logs could not",
-        ),
-    ] = None,
-    controller: Annotated[
-        Path | None,
-        Parameter(
-            metavar="LAW.yaml",
-            help="the rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after",
-        ),
-    ] = None,
+    propose: Annotated[Path | None, Parameter(metavar="MOTION.csv", validator=require_csv_name)] = None,
+    controller: Annotated[Path | None, Parameter(metavar="LAW.yaml")] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
@@ -75,6 +47,15 @@ def diagnose(
     The model is fitted first; what it misses is searched for causes, confirmed on a second part of the data, and the gain is
     measured on a third. Where the data cannot tell, the answer says which experiment would, and the exit status is 3; so it is
     where a motion is asked for and none would tell.
+
+    Args:
+        holdout: Logs kept from the search: one half confirms a cause, the other measures its gain (without any, blocks of
+            the logs do, 60/20/20)
+        model: What the simulation has already: rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg), or
+            a model file; its parameters are refitted
+        propose: Write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what
+            these logs could not
+        controller: The rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after
     """
     with show_progress(output.quiet) as step:
         step("loading")

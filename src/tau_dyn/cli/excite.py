@@ -28,6 +28,7 @@ from tau_dyn.exceptions import InputError
 _DESIGN = Group("Design (--method optimal)")
 _NOISE = Group("Noise, for the predicted standard errors")
 _LIMIT = "one or one a joint"
+_Box = tuple[float, float, float, float, float, float]
 
 
 def excite(
@@ -35,42 +36,21 @@ def excite(
     /,
     *,
     out: Annotated[
-        Path, build_destination("MOTION.csv", csv=True), describe_destination("write t, q_ref, v_ref, a_ref here")
+        Path, build_destination("MOTION.csv", csv=True), describe_destination("Write t, q_ref, v_ref, a_ref here")
     ],
-    duration: Annotated[Positive, Parameter(metavar="S", help="length [s]")] = 30.0,
-    trials: Annotated[Whole, Parameter(metavar="N", help="random motions to start or choose from")] = 20,
-    model: Annotated[
-        str,
-        Parameter(metavar="MODEL", help="what shall be identified: rigid, symmetric, asymmetric or a model file"),
-    ] = "asymmetric",
-    method: Annotated[
-        Literal["optimal", "random"],
-        Parameter(help="search for the best motion, or keep the best conditioned of random ones"),
-    ] = "optimal",
-    criterion: Annotated[
-        Literal["worst", "d", "condition"] | None,
-        Parameter(
-            group=_DESIGN,
-            help="worst: the largest relative standard error (default); d: the volume of the confidence ellipsoid; condition: of "
-            "the regressor",
-        ),
-    ] = None,
-    fastest: Annotated[
-        Positive | None,
-        Parameter(group=_DESIGN, metavar="HZ", help="highest frequency of the periodic part (default 2)"),
-    ] = None,
-    strokes: Annotated[
-        NotNegative | None,
-        Parameter(
-            group=_DESIGN, metavar="SHARE", help="share of the time for strokes at constant speeds (default 0.2)"
-        ),
-    ] = None,
+    duration: Annotated[Positive, Parameter(metavar="S")] = 30.0,
+    trials: Annotated[Whole, Parameter(metavar="N")] = 20,
+    model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
+    method: Literal["optimal", "random"] = "optimal",
+    criterion: Annotated[Literal["worst", "d", "condition"] | None, Parameter(group=_DESIGN)] = None,
+    fastest: Annotated[Positive | None, Parameter(group=_DESIGN, metavar="HZ")] = None,
+    strokes: Annotated[NotNegative | None, Parameter(group=_DESIGN, metavar="SHARE")] = None,
     speed: Annotated[
         Positives | None,
         Parameter(
             group=_DESIGN,
             metavar="V",
-            help=f"highest speed, {_LIMIT} [m/s or rad/s] (default 90 % of the limit, at most 1 m/s or 2 rad/s)",
+            help=f"Highest speed, {_LIMIT} [m/s or rad/s] (default 90 % of the limit, at most 1 m/s or 2 rad/s)",
         ),
     ] = None,
     acceleration: Annotated[
@@ -78,37 +58,38 @@ def excite(
         Parameter(
             group=_DESIGN,
             metavar="A",
-            help=f"highest acceleration, {_LIMIT} (default 6 times the highest speed a second)",
+            help=f"Highest acceleration, {_LIMIT} (default 6 times the highest speed a second)",
         ),
     ] = None,
-    box: Annotated[
-        tuple[float, float, float, float, float, float] | None,
-        Parameter(
-            group=_DESIGN,
-            metavar="X Y Z X Y Z",
-            help="box [m] that the tool stays in: its lowest and its highest corner",
-        ),
-    ] = None,
-    condition: Annotated[
-        Positive | None, Parameter(group=_DESIGN, metavar="C", help="largest conditioning of the loops")
-    ] = None,
-    time: Annotated[
-        Positive | None, Parameter(group=_DESIGN, metavar="S", help="longest time for the search (default 90 s)")
-    ] = None,
-    force_noise: Annotated[
-        Positives | None, Parameter(group=_NOISE, metavar="N", help="standard deviation [N or N m]")
-    ] = None,
-    encoder_noise: Annotated[
-        NotNegatives | None, Parameter(group=_NOISE, metavar="M", help="standard deviation [m or rad]")
-    ] = None,
-    noise_from: Annotated[
-        Path | None, Parameter(group=_NOISE, metavar="LOG", help="take both from what a model leaves of this log")
-    ] = None,
-    rate: Annotated[Positive, Parameter(group=_NOISE, metavar="HZ", help="rate of the log to come")] = 1000.0,
+    box: Annotated[_Box | None, Parameter(group=_DESIGN, metavar="X Y Z X Y Z")] = None,
+    condition: Annotated[Positive | None, Parameter(group=_DESIGN, metavar="C")] = None,
+    time: Annotated[Positive | None, Parameter(group=_DESIGN, metavar="S")] = None,
+    force_noise: Annotated[Positives | None, Parameter(group=_NOISE, metavar="N")] = None,
+    encoder_noise: Annotated[NotNegatives | None, Parameter(group=_NOISE, metavar="M")] = None,
+    noise_from: Annotated[Path | None, Parameter(group=_NOISE, metavar="LOG")] = None,
+    rate: Annotated[Positive, Parameter(group=_NOISE, metavar="HZ")] = 1000.0,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """An exciting motion within the robot's limits, designed for the most information, with the standard errors it will give."""
+    """An exciting motion within the robot's limits, designed for the most information, with the standard errors it will give.
+
+    Args:
+        duration: Length [s]
+        trials: Random motions to start or choose from
+        model: What shall be identified: rigid, symmetric, asymmetric or a model file
+        method: Search for the best motion, or keep the best conditioned of random ones
+        criterion: worst: the largest relative standard error (default); d: the volume of the confidence ellipsoid;
+            condition: of the regressor
+        fastest: Highest frequency of the periodic part (default 2)
+        strokes: Share of the time for strokes at constant speeds (default 0.2)
+        box: Box [m] that the tool stays in: its lowest and its highest corner
+        condition: Largest conditioning of the loops
+        time: Longest time for the search (default 90 s)
+        force_noise: Standard deviation [N or N m]
+        encoder_noise: Standard deviation [m or rad]
+        noise_from: Take both from what a model leaves of this log
+        rate: Rate of the log to come
+    """
     design = {
         "fastest": fastest, "strokes": strokes, "speed": speed, "acceleration": acceleration, "box": box,
         "condition": condition, "time": time, "criterion": criterion,

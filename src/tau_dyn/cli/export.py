@@ -45,38 +45,33 @@ class Made:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """What single formats take."""
+    """What single formats take.
 
-    name: Annotated[
-        str | None,
-        Parameter(group=_CODE, metavar="NAME", help="with which all functions begin (default: the robot's name)"),
-    ] = None
-    motion: Annotated[
-        Path | None, Parameter(group=_SENT, metavar="MOTION.csv", help="t, q_ref_J (or q_J) of each joint")
-    ] = None
-    correction: Annotated[
-        Path | None, Parameter(group=_SENT, metavar="FILE.csv", help="add this learned correction to the motion")
-    ] = None
-    period: Annotated[Positive, Parameter(group=_SENT, metavar="S", help="the controller's sample period")] = 0.004
-    resample: Annotated[bool, Parameter(group=_SENT, help="interpolate a motion that has another sample period")] = (
-        False
-    )
-    speed: Annotated[
-        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [per s]")
-    ] = None
-    acceleration: Annotated[
-        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [per s^2]")
-    ] = None
-    force: Annotated[
-        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [N or N m]")
-    ] = None
-    largest_correction: Annotated[
-        Positives | None, Parameter(group=_SENT, metavar="X", help="limit, one or one a joint [m or rad]")
-    ] = None
-    by: Annotated[Literal["joints", "tool"], Parameter(group=_SENT, help="rapid: MoveAbsJ or MoveL")] = "joints"
-    tolerance: Annotated[Positive, Parameter(group=_SENT, metavar="X", help="rapid: of straight moves [m or rad]")] = (
-        1e-4
-    )
+    Attributes:
+        name: With which all functions begin (default: the robot's name)
+        motion: t, q_ref_J (or q_J) of each joint
+        correction: Add this learned correction to the motion
+        period: The controller's sample period
+        resample: Interpolate a motion that has another sample period
+        speed: limit, one or one a joint [per s]
+        acceleration: limit, one or one a joint [per s^2]
+        force: limit, one or one a joint [N or N m]
+        largest_correction: limit, one or one a joint [m or rad]
+        by: rapid: MoveAbsJ or MoveL
+        tolerance: rapid: of straight moves [m or rad]
+    """
+
+    name: Annotated[str | None, Parameter(group=_CODE, metavar="NAME")] = None
+    motion: Annotated[Path | None, Parameter(group=_SENT, metavar="MOTION.csv")] = None
+    correction: Annotated[Path | None, Parameter(group=_SENT, metavar="FILE.csv")] = None
+    period: Annotated[Positive, Parameter(group=_SENT, metavar="S")] = 0.004
+    resample: Annotated[bool, Parameter(group=_SENT)] = False
+    speed: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    acceleration: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    force: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    largest_correction: Annotated[Positives | None, Parameter(group=_SENT, metavar="X")] = None
+    by: Annotated[Literal["joints", "tool"], Parameter(group=_SENT)] = "joints"
+    tolerance: Annotated[Positive, Parameter(group=_SENT, metavar="X")] = 1e-4
 
 
 @dataclass(frozen=True)
@@ -99,26 +94,25 @@ class _Request:
 
 
 def export(
-    model: Annotated[
-        Path,
-        Parameter(
-            name="MODEL.yaml|ROBOT",
-            help="a model file of identify or diagnose; for fmu, c, reference and rapid also a robot (file or short name)",
-        ),
-    ],
+    model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
-    to: Annotated[Literal["urdf", "mjcf", "fmu", "c", "reference", "rapid"], Parameter(help="format")],
+    to: Literal["urdf", "mjcf", "fmu", "c", "reference", "rapid"],
     out: Annotated[
         Path | None,
         build_destination("FILE"),
-        describe_destination("by default beside the model, or here for a robot"),
+        describe_destination("By default beside the model, or here for a robot"),
     ] = None,
     options: ExportOptions = ExportOptions(),
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """A robot or its identified model for another program: URDF, MJCF, FMU, C kinematics, controller references, RAPID."""
+    """A robot or its identified model for another program: URDF, MJCF, FMU, C kinematics, controller references, RAPID.
+
+    Args:
+        model: A model file of identify or diagnose; for fmu, c, reference and rapid also a robot (file or short name)
+        to: Format
+    """
     chosen = FORMATS[to]
     path = out or _name_beside(model, options.motion, chosen.ending)
     if path.suffix != chosen.ending:
@@ -296,24 +290,27 @@ _ENDINGS = {"c": ".c", "python": ".py"}
 
 
 def export_feedforward(
-    model: Annotated[Path, Parameter(name="MODEL.yaml", help="a model file of identify or diagnose")],
+    model: Annotated[Path, Parameter(name="MODEL.yaml")],
     /,
     *,
-    to: Annotated[Literal["c", "python"], Parameter(help="language")],
+    to: Literal["c", "python"],
     out: Annotated[Path, build_destination("FILE"), describe_destination("FILE.c (with FILE.h beside it) or FILE.py")],
-    name: Annotated[str, Parameter(metavar="NAME", help="of the function")] = "tau_ff",
-    width: Annotated[
-        Positives,
-        Parameter(
-            metavar="V",
-            help="speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s]",
-        ),
-    ] = (0.01,),
-    shape: Annotated[Literal["ramp", "tanh"], Parameter(help="of the smoothed sign")] = "ramp",
-    steady: Annotated[bool, Parameter(help="leave out effects that need a history, and say which")] = False,
+    name: Annotated[str, Parameter(metavar="NAME")] = "tau_ff",
+    width: Annotated[Positives, Parameter(metavar="V")] = (0.01,),
+    shape: Literal["ramp", "tanh"] = "ramp",
+    steady: bool = False,
     output: Output = Output(),
 ) -> Outcome:
-    """A model's feedforward tau_ff(q, v, a) written out for a controller: dependency-free C, or Python with NumPy alone."""
+    """A model's feedforward tau_ff(q, v, a) written out for a controller: dependency-free C, or Python with NumPy alone.
+
+    Args:
+        model: A model file of identify or diagnose
+        to: Language
+        name: Of the function
+        width: Speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s]
+        shape: Of the smoothed sign
+        steady: Leave out effects that need a history, and say which
+    """
     ending = _ENDINGS[to]
     if out.suffix != ending:
         raise InputError("cannot_write", f"{out}: what --to {to} writes ends in {ending}")

@@ -28,40 +28,30 @@ def identify(
     logs: Logs,
     /,
     *,
-    holdout: Annotated[Strings, Parameter(metavar="LOG", help="held-out logs, for evaluation only")] = (),
-    model: Annotated[
-        str,
-        Parameter(
-            metavar="MODEL",
-            help="friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg); or a model "
-            "file, which gives start values and effects",
-        ),
-    ] = "asymmetric",
+    holdout: Annotated[Strings, Parameter(metavar="LOG")] = (),
+    model: Annotated[str, Parameter(metavar="MODEL")] = "asymmetric",
     fitting: FittingOptions = FittingOptions(),
     out: Annotated[
-        Path | None, build_destination("MODEL.yaml"), describe_destination("write the identified model here")
+        Path | None, build_destination("MODEL.yaml"), describe_destination("Write the identified model here")
     ] = None,
-    estimator: Annotated[
-        Literal["auto", "wls", "ml", "iv", "robust"],
-        Parameter(
-            help="wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder noise; "
-            "iv: ml with instrumental variables from q_ref_J, for encoder noise that the controller feeds back; robust: ml with "
-            "outlier weights; auto: iv or ml if the residual is consistent with noise, else wls"
-        ),
-    ] = "auto",
-    jobs: Annotated[Whole, Parameter(group=_BLOCKS, metavar="N", help="threads (default: one a core)")] = 0,
-    cluster: Annotated[
-        str | None,
-        Parameter(
-            group=_BLOCKS,
-            metavar="tcp://HOST:PORT",
-            help="a Dask scheduler whose workers see the same files; 'local' starts one here with N processes",
-        ),
-    ] = None,
+    estimator: Literal["auto", "wls", "ml", "iv", "robust"] = "auto",
+    jobs: Annotated[Whole, Parameter(group=_BLOCKS, metavar="N")] = 0,
+    cluster: Annotated[str | None, Parameter(group=_BLOCKS, metavar="tcp://HOST:PORT")] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Masses and friction from torque logs, with standard errors; evaluated on data that the fit did not use."""
+    """Masses and friction from torque logs, with standard errors; evaluated on data that the fit did not use.
+
+    Args:
+        holdout: Held-out logs, for evaluation only
+        model: Friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg); or a model
+            file, which gives start values and effects
+        estimator: wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder
+            noise; iv: ml with instrumental variables from q_ref_J, for encoder noise that the controller feeds back;
+            robust: ml with outlier weights; auto: iv or ml if the residual is consistent with noise, else wls
+        jobs: Threads (default: one a core)
+        cluster: A Dask scheduler whose workers see the same files; 'local' starts one here with N processes
+    """
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.identify import BlockExecutor, identify as identify_robot

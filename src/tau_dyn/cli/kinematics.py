@@ -17,22 +17,21 @@ def fk(
     robot: RobotName,
     /,
     *,
-    q: Annotated[Finites, Parameter(metavar="VALUE", help="actuated positions [m or rad], in their order")] = (),
-    all: Annotated[
-        bool,
-        Parameter(
-            help="every assembly mode found, with the count: proved in closed form or by a certificate, else found from many "
-            "starts"
-        ),
-    ] = False,
-    poses: Annotated[
-        Path | None, Parameter(metavar="POSES.csv", help="a table of positions q_<joint>, one a row")
-    ] = None,
+    q: Annotated[Finites, Parameter(metavar="VALUE")] = (),
+    all: bool = False,
+    poses: Annotated[Path | None, Parameter(metavar="POSES.csv")] = None,
     out: TABLE_OUT = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Where actuated positions put the tool."""
+    """Where actuated positions put the tool.
+
+    Args:
+        q: Actuated positions [m or rad], in their order
+        all: Every assembly mode found, with the count: proved in closed form or by a certificate, else found from many
+            starts
+        poses: A table of positions q_<joint>, one a row
+    """
     if bool(q) == (poses is not None):
         raise InputError("bad_option", "give --q VALUE ... or --poses POSES.csv")
     with show_progress(output.quiet) as step:
@@ -53,30 +52,25 @@ def ik(
     robot: RobotName,
     /,
     *,
-    position: Annotated[Place | None, Parameter(help="of the tool [m]")] = None,
+    position: Place | None = None,
     quaternion: Annotated[
-        tuple[float, float, float, float] | None,
-        Parameter(validator=FINITE, metavar="X Y Z W", help="of the tool; by default home's"),
+        tuple[float, float, float, float] | None, Parameter(validator=FINITE, metavar="X Y Z W")
     ] = None,
-    all: Annotated[
-        bool,
-        Parameter(
-            help="all configurations, also outside joint limits; the count is proved in closed form or by elimination, or only "
-            "found"
-        ),
-    ] = False,
-    poses: Annotated[
-        Path | None,
-        Parameter(
-            metavar="POSES.csv",
-            help="a table of poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool], one a row",
-        ),
-    ] = None,
+    all: bool = False,
+    poses: Annotated[Path | None, Parameter(metavar="POSES.csv")] = None,
     out: TABLE_OUT = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Which actuated positions put the tool at a pose."""
+    """Which actuated positions put the tool at a pose.
+
+    Args:
+        position: Of the tool [m]
+        quaternion: Of the tool; by default home's
+        all: All configurations, also outside joint limits; the count is proved in closed form or by elimination, or only
+            found
+        poses: A table of poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool], one a row
+    """
     if (position is None) == (poses is None):
         raise InputError("bad_option", "give --position X Y Z or --poses POSES.csv")
     if quaternion is not None and position is None:

@@ -13,16 +13,20 @@ from tau_dyn.exceptions import InputError, UnknownName
 
 
 def robots(
-    robot: Annotated[str | None, Parameter(help="list what --set takes for it, with values")] = None,
+    robot: str | None = None,
     /,
     *,
-    set: Annotated[
-        tuple[str, ...], Parameter(metavar="NAME=VALUE", help="with other values, such as prototype=d1")
-    ] = (),
-    no_xacro: Annotated[bool, Parameter(help="refuse xacro files, for they run code")] = False,
+    set: Annotated[tuple[str, ...], Parameter(metavar="NAME=VALUE")] = (),
+    no_xacro: bool = False,
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """The robots that a command takes by name, and what `--set` takes for one of them."""
+    """The robots that a command takes by name, and what `--set` takes for one of them.
+
+    Args:
+        robot: List what --set takes for it, with values
+        set: With other values, such as prototype=d1
+        no_xacro: Refuse xacro files, for they run code
+    """
     if robot:
         return _list_dimensions(robot, set, no_xacro)
     if set:
@@ -77,12 +81,16 @@ def _show_robots(console, rows: list[dict[str, str]]) -> None:
 
 
 def causes(
-    cause: Annotated[str | None, Parameter(help="one cause in full, such as stribeck")] = None,
+    cause: str | None = None,
     /,
     *,
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """The causes that `diagnose` and `calibrate` can name, with the law of each and the motion that reveals it."""
+    """The causes that `diagnose` and `calibrate` can name, with the law of each and the motion that reveals it.
+
+    Args:
+        cause: One cause in full, such as stribeck
+    """
     rows = _list_causes()
     if cause is not None:
         known = dict.fromkeys(row["cause"] for row in rows)
@@ -129,7 +137,7 @@ def _show_causes(console, rows: list[dict[str, str]], *, whole: bool) -> None:
 
 Side = Annotated[
     Path,
-    Parameter(help="a run folder (--out FOLDER/), the --json result of a command, or a model file (.yaml)"),
+    Parameter(help="A run folder (--out FOLDER/), the --json result of a command, or a model file (.yaml)"),
 ]
 
 

@@ -28,15 +28,20 @@ from tau_dyn.exceptions import InputError
 
 
 def check(
-    log: Annotated[str, Parameter(help="CSV, Parquet, MCAP, a ROS bag or .mat")],
-    robot: Annotated[str | None, Parameter(help="the robot it is of; tells units and limits")] = None,
+    log: str,
+    robot: str | None = None,
     /,
     *,
     columns: ColumnMapFile = None,
     robot_options: RobotOptions = RobotOptions(),
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation; problems and fixes."""
+    """Check whether a log is usable: sampling, gaps, quantisation, saturation, excitation; problems and fixes.
+
+    Args:
+        log: CSV, Parquet, MCAP, a ROS bag or .mat
+        robot: The robot it is of; tells units and limits
+    """
     with show_progress(output.quiet) as step:
         step("reading")
         from tau_dyn.log import check_log, read_log
@@ -81,74 +86,74 @@ _VIBRATION = Group("Vibration (robot files with springs, such as gantry_tau --se
 @Parameter(name="*", group=_SENSORS)
 @dataclass(frozen=True, kw_only=True)
 class SensorOptions:
-    """The simulated controller's and sensors' options."""
+    """The simulated controller's and sensors' options.
 
-    rate: Annotated[Positive | None, Parameter(metavar="HZ", help="control rate (default 1000)")] = None
-    log_rate: Annotated[
-        Positive | None, Parameter(metavar="HZ", help="log rate, the control rate over a whole number")
-    ] = None
-    force_noise: Annotated[NotNegative, Parameter(metavar="N", help="standard deviation [N or N m]")] = 5.0
-    force_colour: Annotated[
-        float, Parameter(metavar="PHI", validator=FINITE, help="AR(1) coefficient of the force noise")
-    ] = 0.0
-    encoder_noise: Annotated[NotNegative, Parameter(metavar="M", help="[m or rad]")] = 5e-6
-    encoder_resolution: Annotated[NotNegative, Parameter(metavar="M", help="[m or rad]; 0: none")] = 0.0
-    tool_noise: Annotated[NotNegative, Parameter(metavar="M", help="tool position noise [m]")] = 0.0
+    Attributes:
+        rate: Control rate (default 1000)
+        log_rate: Log rate, the control rate over a whole number
+        force_noise: Standard deviation [N or N m]
+        force_colour: AR(1) coefficient of the force noise
+        encoder_noise: [m or rad]
+        encoder_resolution: [m or rad]; 0: none
+        tool_noise: Tool position noise [m]
+    """
+
+    rate: Annotated[Positive | None, Parameter(metavar="HZ")] = None
+    log_rate: Annotated[Positive | None, Parameter(metavar="HZ")] = None
+    force_noise: Annotated[NotNegative, Parameter(metavar="N")] = 5.0
+    force_colour: Annotated[float, Parameter(metavar="PHI", validator=FINITE)] = 0.0
+    encoder_noise: Annotated[NotNegative, Parameter(metavar="M")] = 5e-6
+    encoder_resolution: Annotated[NotNegative, Parameter(metavar="M")] = 0.0
+    tool_noise: Annotated[NotNegative, Parameter(metavar="M")] = 0.0
 
 
 @Parameter(name="*", group=_VIBRATION)
 @dataclass(frozen=True, kw_only=True)
 class VibrationOptions:
-    """A vibration log instead of a motion."""
+    """A vibration log instead of a motion.
 
-    vibration: Annotated[
-        Literal["prbs", "push-x", "push-y", "push-z", "push-xyz"] | None,
-        Parameter(
-            help="instead of a motion, near home: prbs, binary references at 250 Hz; or pushes on the tool at 1 kHz, -xyz in turn"
-        ),
-    ] = None
-    amplitude: Annotated[
-        Positive | None,
-        Parameter(metavar="A", help="of the references [m or rad] (default 1e-3), of a push [N s] (2)"),
-    ] = None
-    frame: Annotated[str, Parameter(metavar="NAME", help="frame or link whose position is logged")] = "tool"
-    push_at: Annotated[
-        str | None, Parameter(metavar="NAME", help="frame or link that is pushed (default that of --frame)")
-    ] = None
-    drive_lag: Annotated[
-        Positives,
-        Parameter(
-            metavar="S", help="time constant of the drives, one or one a joint [s] (default: they follow at once)"
-        ),
-    ] = ()
-    drive_delay: Annotated[NotNegative, Parameter(metavar="S", help="delay of the drives [s]")] = 0.0
-    acceleration_noise: Annotated[NotNegative, Parameter(metavar="A", help="[m/s^2]")] = 0.07
+    Attributes:
+        vibration: Instead of a motion, near home: prbs, binary references at 250 Hz; or pushes on the tool at 1 kHz, -xyz
+            in turn
+        amplitude: Of the references [m or rad] (default 1e-3), of a push [N s] (2)
+        frame: Frame or link whose position is logged
+        push_at: Frame or link that is pushed (default that of --frame)
+        drive_lag: Time constant of the drives, one or one a joint [s] (default: they follow at once)
+        drive_delay: Delay of the drives [s]
+        acceleration_noise: [m/s^2]
+    """
+
+    vibration: Literal["prbs", "push-x", "push-y", "push-z", "push-xyz"] | None = None
+    amplitude: Annotated[Positive | None, Parameter(metavar="A")] = None
+    frame: Annotated[str, Parameter(metavar="NAME")] = "tool"
+    push_at: Annotated[str | None, Parameter(metavar="NAME")] = None
+    drive_lag: Annotated[Positives, Parameter(metavar="S")] = ()
+    drive_delay: Annotated[NotNegative, Parameter(metavar="S")] = 0.0
+    acceleration_noise: Annotated[NotNegative, Parameter(metavar="A")] = 0.07
 
 
 def simulate(
     robot: Annotated[str, describe_robot_or_model("which carries its robot, its effects and their values")],
     /,
     *,
-    motion: Annotated[
-        str,
-        Parameter(metavar="M", help="fourier, slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT"),
-    ] = "fourier",
-    duration: Annotated[Positive, Parameter(metavar="S", help="length of a named motion [s]")] = 60.0,
-    out: Annotated[Path, build_destination("LOG.csv", csv=True), describe_destination("write the log here")],
-    effects: Annotated[
-        Path | None,
-        Parameter(group=_TRUTH, metavar="E.yaml", help="effects and parameter values of the true robot"),
-    ] = None,
-    model: Annotated[
-        Path | None,
-        Parameter(group=_TRUTH, metavar="FILE", help="put the effects and values of this model file on ROBOT"),
-    ] = None,
+    motion: Annotated[str, Parameter(metavar="M")] = "fourier",
+    duration: Annotated[Positive, Parameter(metavar="S")] = 60.0,
+    out: Annotated[Path, build_destination("LOG.csv", csv=True), describe_destination("Write the log here")],
+    effects: Annotated[Path | None, Parameter(group=_TRUTH, metavar="E.yaml")] = None,
+    model: Annotated[Path | None, Parameter(group=_TRUTH, metavar="FILE")] = None,
     sensors: SensorOptions = SensorOptions(),
     vibration: VibrationOptions = VibrationOptions(),
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """A log from the model, its controller and its sensors; `check`, `identify` and the rest read it like a recorded one."""
+    """A log from the model, its controller and its sensors; `check`, `identify` and the rest read it like a recorded one.
+
+    Args:
+        motion: fourier, slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT
+        duration: Length of a named motion [s]
+        effects: Effects and parameter values of the true robot
+        model: Put the effects and values of this model file on ROBOT
+    """
     if vibration.vibration:
         for option, given in (("--effects", effects), ("--model", model), ("--log-rate", sensors.log_rate)):
             if given:

@@ -22,74 +22,43 @@ _COLUMNS = Group("Columns, by name")
 
 
 def modes(
-    logs: Annotated[
-        tuple[str, ...],
-        Parameter(name="LOG", help="CSV, Parquet, MCAP, a ROS bag or .mat with t and any columns; never joined"),
-    ],
+    logs: Annotated[tuple[str, ...], Parameter(name="LOG")],
     /,
     *,
-    inputs: Annotated[
-        Strings,
-        Parameter(
-            group=_COLUMNS,
-            metavar="COLUMN",
-            help="what excites; without any, operational modal analysis of the outputs",
-        ),
-    ] = (),
-    outputs: Annotated[
-        Strings,
-        Parameter(
-            group=_COLUMNS,
-            metavar="COLUMN",
-            help="what responds; as many as inputs and in their order, they are taken as measured where the forces act",
-        ),
-    ] = (),
-    reference: Annotated[
-        Strings,
-        Parameter(
-            group=_COLUMNS,
-            metavar="COLUMN",
-            help="what a feedback loop was asked to follow, where one was closed",
-        ),
-    ] = (),
-    holdout: Annotated[
-        Strings,
-        Parameter(metavar="LOG", help="held-out logs, for evaluation only (without any, the last 30 % of each log)"),
-    ] = (),
+    inputs: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
+    outputs: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
+    reference: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
+    holdout: Annotated[Strings, Parameter(metavar="LOG")] = (),
     columns: ColumnMapFile = None,
-    method: Annotated[
-        str,
-        Parameter(metavar="METHOD", help="auto, n4sid, pbsid (valid under feedback), arx or era (impulse tests)"),
-    ] = "auto",
-    order: Annotated[str, Parameter(metavar="N", help="number of states; auto chooses")] = "auto",
-    delay: Annotated[str, Parameter(metavar="N", help="delay of the inputs in samples")] = "auto",
-    sensor: Annotated[
-        Literal["displacement", "velocity", "acceleration"],
-        Parameter(help="what the outputs are, for mass, damping and stiffness"),
-    ] = "displacement",
-    collocated: Annotated[
-        Strings,
-        Parameter(
-            metavar="INPUT:OUTPUT",
-            help="pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in "
-            "their order, where as many)",
-        ),
-    ] = (),
-    robot: Annotated[
-        str | None,
-        Parameter(
-            metavar="ROBOT",
-            help="draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own "
-            "modes",
-        ),
-    ] = None,
+    method: Annotated[str, Parameter(metavar="METHOD")] = "auto",
+    order: Annotated[str, Parameter(metavar="N")] = "auto",
+    delay: Annotated[str, Parameter(metavar="N")] = "auto",
+    sensor: Literal["displacement", "velocity", "acceleration"] = "displacement",
+    collocated: Annotated[Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
+    robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
     out: Annotated[
-        Path | None, build_destination("MODEL.yaml"), describe_destination("write the black-box model here")
+        Path | None, build_destination("MODEL.yaml"), describe_destination("Write the black-box model here")
     ] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Resonances from vibration logs, with uncertainty; a black-box model; M, D and K where the data hold them."""
+    """Resonances from vibration logs, with uncertainty; a black-box model; M, D and K where the data hold them.
+
+    Args:
+        logs: CSV, Parquet, MCAP, a ROS bag or .mat with t and any columns; never joined
+        inputs: What excites; without any, operational modal analysis of the outputs
+        outputs: What responds; as many as inputs and in their order, they are taken as measured where the forces act
+        reference: What a feedback loop was asked to follow, where one was closed
+        holdout: Held-out logs, for evaluation only (without any, the last 30 % of each log)
+        method: auto, n4sid, pbsid (valid under feedback), arx or era (impulse tests)
+        order: Number of states; auto chooses
+        delay: Delay of the inputs in samples
+        sensor: What the outputs are, for mass, damping and stiffness
+        collocated: Pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in
+            their order, where as many)
+        robot: Draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own
+            modes
+    """
     options = {
         "--out": out,
         "--holdout": holdout,

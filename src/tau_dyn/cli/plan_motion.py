@@ -34,25 +34,22 @@ _LIMITS = Group("Limits, one or one a joint")
 @Parameter(name="*", group=_ENDS)
 @dataclass(frozen=True, kw_only=True)
 class Ends:
-    """Where a motion starts and ends, and along which path."""
+    """Where a motion starts and ends, and along which path.
 
-    start: Annotated[Place | None, Parameter(name="--from", help="tool position at the start [m]")] = None
-    end: Annotated[Place | None, Parameter(name="--to", help="tool position at the end [m]")] = None
-    start_joints: Annotated[
-        Finites,
-        Parameter(name="--from-joints", metavar="Q", help="actuated positions instead of --from [m or rad]"),
-    ] = ()
-    end_joints: Annotated[
-        Finites, Parameter(name="--to-joints", metavar="Q", help="actuated positions instead of --to [m or rad]")
-    ] = ()
-    path: Annotated[
-        str | None,
-        Parameter(
-            metavar="line|POINTS.csv",
-            help="line: the tool goes straight; a table with x_tool, y_tool, z_tool: a spline through these points (default: "
-            "free)",
-        ),
-    ] = None
+    Attributes:
+        start: Tool position at the start [m]
+        end: Tool position at the end [m]
+        start_joints: Actuated positions instead of --from [m or rad]
+        end_joints: Actuated positions instead of --to [m or rad]
+        path: line: the tool goes straight; a table with x_tool, y_tool, z_tool: a spline through these points (default:
+            free)
+    """
+
+    start: Annotated[Place | None, Parameter(name="--from")] = None
+    end: Annotated[Place | None, Parameter(name="--to")] = None
+    start_joints: Annotated[Finites, Parameter(name="--from-joints", metavar="Q")] = ()
+    end_joints: Annotated[Finites, Parameter(name="--to-joints", metavar="Q")] = ()
+    path: Annotated[str | None, Parameter(metavar="line|POINTS.csv")] = None
 
     def choose(self):
         """Return start, end and whether they are actuated positions.
@@ -95,26 +92,23 @@ class Ends:
 @Parameter(name="*", group=_LIMITS)
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a motion may not exceed."""
+    """What a motion may not exceed.
 
-    force_limit: Annotated[
-        Positives | None,
-        Parameter(metavar="L", help="largest force [N or N m] (default the robot file's)"),
-    ] = None
-    speed_limit: Annotated[
-        Positives | None,
-        Parameter(metavar="L", help="largest speed [m/s or rad/s] (default the robot file's)"),
-    ] = None
-    acceleration_limit: Annotated[
-        Positives | None, Parameter(metavar="L", help="largest acceleration [m/s^2 or rad/s^2] (default none)")
-    ] = None
-    jerk_limit: Annotated[
-        Positives | None, Parameter(metavar="L", help="largest jerk [m/s^3 or rad/s^3] (default none)")
-    ] = None
-    margin: Annotated[
-        NotNegative, Parameter(metavar="SHARE", help="share of the forces that is kept for the feedback")
-    ] = 0.0
-    condition: Annotated[Positive | None, Parameter(metavar="C", help="largest conditioning of the loops")] = None
+    Attributes:
+        force_limit: Largest force [N or N m] (default the robot file's)
+        speed_limit: Largest speed [m/s or rad/s] (default the robot file's)
+        acceleration_limit: Largest acceleration [m/s^2 or rad/s^2] (default none)
+        jerk_limit: Largest jerk [m/s^3 or rad/s^3] (default none)
+        margin: Share of the forces that is kept for the feedback
+        condition: Largest conditioning of the loops
+    """
+
+    force_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
+    speed_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
+    acceleration_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
+    jerk_limit: Annotated[Positives | None, Parameter(metavar="L")] = None
+    margin: Annotated[NotNegative, Parameter(metavar="SHARE")] = 0.0
+    condition: Annotated[Positive | None, Parameter(metavar="C")] = None
 
 
 def plan_motion(
@@ -123,22 +117,22 @@ def plan_motion(
     *,
     ends: Ends = Ends(),
     limits: Limits = Limits(),
-    energy_weight: Annotated[
-        NotNegative,
-        Parameter(
-            metavar="W",
-            help="minimise T + W times the integral of squared forces [s per N^2 s] (0: the shortest time)",
-        ),
-    ] = 0.0,
-    rate: Annotated[Positive, Parameter(metavar="HZ", help="of the motion")] = 1000.0,
-    nodes: Annotated[Whole, Parameter(metavar="N", help="intervals of linear acceleration")] = 80,
+    energy_weight: Annotated[NotNegative, Parameter(metavar="W")] = 0.0,
+    rate: Annotated[Positive, Parameter(metavar="HZ")] = 1000.0,
+    nodes: Annotated[Whole, Parameter(metavar="N")] = 80,
     out: Annotated[
-        Path, build_destination("MOTION.csv", csv=True), describe_destination("write t, q_ref, v_ref, a_ref here")
+        Path, build_destination("MOTION.csv", csv=True), describe_destination("Write t, q_ref, v_ref, a_ref here")
     ],
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """The fastest motion between two places that the drives can follow, or one with less effort; free or along a path."""
+    """The fastest motion between two places that the drives can follow, or one with less effort; free or along a path.
+
+    Args:
+        energy_weight: Minimise T + W times the integral of squared forces [s per N^2 s] (0: the shortest time)
+        rate: Of the motion
+        nodes: Intervals of linear acceleration
+    """
     start, end, joints = ends.choose()
     with show_progress(output.quiet) as step:
         step("loading")

@@ -46,68 +46,49 @@ def plan_poses(
     robot: RobotName,
     /,
     *,
-    n: Annotated[
-        int | str,
-        Parameter(
-            converter=_read_count,
-            n_tokens=1,
-            metavar="N|auto",
-            help="how many; auto: until more hardly help",
-        ),
-    ] = "auto",
-    model: Annotated[
-        str | None,
-        Parameter(
-            metavar="NAME", help="what is to be calibrated, as `calibrate --model` names it (default: all dimensions)"
-        ),
-    ] = None,
-    criterion: Annotated[
-        Literal["tool", "worst", "determinant", "condition", "smallest", "amplification"],
-        Parameter(help="what makes poses good (tool: the tool's predicted variance over the workspace)"),
-    ] = "tool",
-    accuracy: Annotated[
-        Positive | None,
-        Parameter(metavar="M", help="accuracy asked for, rms over the workspace [m]; refuses where it is not met"),
-    ] = None,
-    known: Annotated[Frames, Parameter(help="frames that are known")] = (),
-    weighted: Annotated[bool, Parameter(help="the fit will weigh each pose by the device's covariance there")] = False,
-    camera: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml", help="camera and pattern")] = None,
-    tracker: Annotated[
-        Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml", help="laser tracker and reflector")
-    ] = None,
-    obstacles: Annotated[
-        Path | None,
-        Parameter(group=_DEMANDS, metavar="FILE.yaml", help="obstacles, safety zones, limits of the tool"),
-    ] = None,
-    no_collisions: Annotated[bool, Parameter(group=_DEMANDS, help="let the robot pass through itself")] = False,
-    safety: Annotated[
-        NotNegative, Parameter(group=_DEMANDS, metavar="M", help="from obstacles and the workspace's border [m]")
-    ] = 0.05,
-    safety_angle: Annotated[
-        NotNegative, Parameter(group=_DEMANDS, metavar="DEG", help="from the ball joints' limits")
-    ] = 5.0,
-    candidates: Annotated[
-        int,
-        Parameter(group=_DEMANDS, metavar="N", validator=POSITIVE_WHOLE, help="about how many poses to choose from"),
-    ] = 1000,
+    n: Annotated[int | str, Parameter(converter=_read_count, n_tokens=1, metavar="N|auto")] = "auto",
+    model: Annotated[str | None, Parameter(metavar="NAME")] = None,
+    criterion: Literal["tool", "worst", "determinant", "condition", "smallest", "amplification"] = "tool",
+    accuracy: Annotated[Positive | None, Parameter(metavar="M")] = None,
+    known: Frames = (),
+    weighted: bool = False,
+    camera: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml")] = None,
+    tracker: Annotated[Path | None, Parameter(group=_DEVICE, metavar="FILE.yaml")] = None,
+    obstacles: Annotated[Path | None, Parameter(group=_DEMANDS, metavar="FILE.yaml")] = None,
+    no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
+    safety: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.05,
+    safety_angle: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="DEG")] = 5.0,
+    candidates: Annotated[int, Parameter(group=_DEMANDS, metavar="N", validator=POSITIVE_WHOLE)] = 1000,
     out: Annotated[
         Path | None,
         build_destination("POSES.csv", csv=True),
-        describe_destination("write the places in driving order here: pose, q_J"),
+        describe_destination("Write the places in driving order here: pose, q_J"),
     ] = None,
-    rapid: Annotated[Path | None, Parameter(metavar="FILE.mod", help="write a RAPID module here")] = None,
-    resume: Annotated[
-        Path | None,
-        Parameter(
-            metavar="FILE.json",
-            help="progress file: written if it does not exist; otherwise nothing is chosen anew and --out and --rapid get what "
-            "is left of it",
-        ),
-    ] = None,
+    rapid: Annotated[Path | None, Parameter(metavar="FILE.mod")] = None,
+    resume: Annotated[Path | None, Parameter(metavar="FILE.json")] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Which poses to measure for a calibration, how accurate it will be, and in which order to drive to them."""
+    """Which poses to measure for a calibration, how accurate it will be, and in which order to drive to them.
+
+    Args:
+        n: How many; auto: until more hardly help
+        model: What is to be calibrated, as `calibrate --model` names it (default: all dimensions)
+        criterion: What makes poses good (tool: the tool's predicted variance over the workspace)
+        accuracy: Accuracy asked for, rms over the workspace [m]; refuses where it is not met
+        known: Frames that are known
+        weighted: The fit will weigh each pose by the device's covariance there
+        camera: Camera and pattern
+        tracker: Laser tracker and reflector
+        obstacles: obstacles, safety zones, limits of the tool
+        no_collisions: Let the robot pass through itself
+        safety: From obstacles and the workspace's border [m]
+        safety_angle: From the ball joints' limits
+        candidates: About how many poses to choose from
+        rapid: Write a RAPID module here
+        resume: Progress file: written if it does not exist; otherwise nothing is chosen anew and --out and --rapid get what
+            is left of it
+    """
     demands = _build_demands(obstacles, no_collisions)
     if resume is not None and resume.exists():
         return _go_on(robot, robot_options, resume, demands, out, rapid)

@@ -14,52 +14,39 @@ _CAMERAS = Group("Cameras")
 
 
 def see(
-    images: Annotated[tuple[str, ...], Parameter(help="images of the (first) camera, or folders of them")],
+    images: tuple[str, ...],
     /,
     *,
-    pattern: Annotated[str, Parameter(metavar="9x6", help="inner corners of the chessboard, columns x rows")],
-    square: Annotated[Positive, Parameter(metavar="M", help="side of a square [m]; it gives the scale")],
-    second: Annotated[Strings, Parameter(metavar="IMAGES", help="images of a second camera at the same moments")] = (),
-    positions: Annotated[
-        Path | None,
-        Parameter(
-            metavar="Q.csv", help="robot positions q_J, with a column image (file names) or in the images' order"
-        ),
-    ] = None,
-    extra: Annotated[
-        Strings,
-        Parameter(
-            group=_CAMERAS,
-            metavar="IMAGES",
-            help="more images of the (first) camera, such as with the plate held by hand, to find its lens",
-        ),
-    ] = (),
-    second_extra: Annotated[
-        Strings, Parameter(group=_CAMERAS, metavar="IMAGES", help="the same for the second camera")
-    ] = (),
-    lens: Annotated[
-        str,
-        Parameter(
-            group=_CAMERAS,
-            metavar="MODEL",
-            help="brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none",
-        ),
-    ] = "brown",
-    cameras: Annotated[
-        Path | None,
-        Parameter(group=_CAMERAS, metavar="CAMERAS.yaml", help="cameras known from before, with their uncertainty"),
-    ] = None,
-    save_cameras: Annotated[
-        Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml", help="write the cameras found here")
-    ] = None,
+    pattern: Annotated[str, Parameter(metavar="9x6")],
+    square: Annotated[Positive, Parameter(metavar="M")],
+    second: Annotated[Strings, Parameter(metavar="IMAGES")] = (),
+    positions: Annotated[Path | None, Parameter(metavar="Q.csv")] = None,
+    extra: Annotated[Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
+    second_extra: Annotated[Strings, Parameter(group=_CAMERAS, metavar="IMAGES")] = (),
+    lens: Annotated[str, Parameter(group=_CAMERAS, metavar="MODEL")] = "brown",
+    cameras: Annotated[Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml")] = None,
+    save_cameras: Annotated[Path | None, Parameter(group=_CAMERAS, metavar="CAMERAS.yaml")] = None,
     out: Annotated[
         Path | None,
         build_destination("POSES.csv", csv=True),
-        describe_destination("write the poses here, as calibrate reads them"),
+        describe_destination("Write the poses here, as calibrate reads them"),
     ] = None,
     output: Output = Output(),
 ) -> Outcome:
-    """Measured poses from images of a chessboard plate on the robot, taken by one camera or two; lenses are found along."""
+    """Measured poses from images of a chessboard plate on the robot, taken by one camera or two; lenses are found along.
+
+    Args:
+        images: Images of the (first) camera, or folders of them
+        pattern: Inner corners of the chessboard, columns x rows
+        square: Side of a square [m]; it gives the scale
+        second: Images of a second camera at the same moments
+        positions: Robot positions q_J, with a column image (file names) or in the images' order
+        extra: More images of the (first) camera, such as with the plate held by hand, to find its lens
+        second_extra: The same for the second camera
+        lens: Brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none
+        cameras: Cameras known from before, with their uncertainty
+        save_cameras: Write the cameras found here
+    """
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.vision import (

@@ -20,45 +20,45 @@ _HERE = ("127.0.0.1", "localhost", "::1")
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What the window shows beside the robot, and where it opens."""
+    """What the window shows beside the robot, and where it opens.
 
-    simulated: Annotated[
-        Path | None,
-        Parameter(metavar="LOG", help="the same motion simulated, as a ghost (default: its references)"),
-    ] = None
-    columns: Annotated[Path | None, Parameter(metavar="MAP.yaml", help="column map of a foreign log")] = None
-    result: Annotated[
-        Paths,
-        Parameter(
-            metavar="FILE.json",
-            help="results to show: --json of diagnose, workspace, accuracy, calibrate, modes, identify",
-        ),
-    ] = ()
-    compute: Annotated[bool, Parameter(help="work out what a result lacks: points of a workspace, nominal errors")] = (
-        False
-    )
-    cloud: Annotated[
-        Path | None,
-        Parameter(metavar="FILE.csv", help="points x y z to show, such as workspace --out writes"),
-    ] = None
-    host: Annotated[str, Parameter(metavar="ADDRESS", help="address; 127.0.0.1: this computer only")] = _HERE[0]
-    port: Annotated[int, Parameter(validator=PORT, help="port, or the next free one")] = 8080
-    no_shadows: Annotated[bool, Parameter(help="draw no shadows; faster without a graphics card")] = False
+    Attributes:
+        simulated: The same motion simulated, as a ghost (default: its references)
+        columns: Column map of a foreign log
+        result: Results to show: --json of diagnose, workspace, accuracy, calibrate, modes, identify
+        compute: Work out what a result lacks: points of a workspace, nominal errors
+        cloud: Points x y z to show, such as workspace --out writes
+        host: address; 127.0.0.1: this computer only
+        port: port, or the next free one
+        no_shadows: Draw no shadows; faster without a graphics card
+    """
+
+    simulated: Annotated[Path | None, Parameter(metavar="LOG")] = None
+    columns: Annotated[Path | None, Parameter(metavar="MAP.yaml")] = None
+    result: Annotated[Paths, Parameter(metavar="FILE.json")] = ()
+    compute: bool = False
+    cloud: Annotated[Path | None, Parameter(metavar="FILE.csv")] = None
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = _HERE[0]
+    port: Annotated[int, Parameter(validator=PORT)] = 8080
+    no_shadows: bool = False
 
 
 def view(
     robot: RobotName,
-    log: Annotated[Path | None, Parameter(help="a log to play")] = None,
+    log: Path | None = None,
     /,
     *,
     contents: Contents = Contents(),
-    seconds: Annotated[
-        Positive | None, Parameter(name="--for", metavar="SECONDS", help="close after this long")
-    ] = None,
+    seconds: Annotated[Positive | None, Parameter(name="--for", metavar="SECONDS")] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """The robot in the browser: sliders for its actuated joints, playback of a log, results where they live."""
+    """The robot in the browser: sliders for its actuated joints, playback of a log, results where they live.
+
+    Args:
+        log: A log to play
+        seconds: Close after this long
+    """
     with show_progress(output.quiet) as step:
         viewer = open_window(robot, log, contents, robot_options, step)
     if contents.host not in _HERE:

@@ -32,62 +32,48 @@ def workspace(
     robot: RobotName,
     /,
     *,
-    resolution: Annotated[
-        Positive | None,
-        Parameter(group=_PLACES, metavar="M", help="finest grid [m]; default a 60th of the workspace"),
-    ] = None,
+    resolution: Annotated[Positive | None, Parameter(group=_PLACES, metavar="M")] = None,
     orientation: Annotated[
-        tuple[float, float, float] | None,
-        Parameter(group=_PLACES, validator=FINITE, metavar="ROLL PITCH YAW", help="turn of the tool from home [deg]"),
+        tuple[float, float, float] | None, Parameter(group=_PLACES, validator=FINITE, metavar="ROLL PITCH YAW")
     ] = None,
-    section: Annotated[
-        tuple[str, ...],
-        Parameter(group=_PLACES, metavar="AXIS=M", help="plane to judge and draw; default: through home"),
-    ] = (),
-    map: Annotated[
-        Strings,
-        Parameter(
-            group=_PLACES,
-            metavar="NAME",
-            help="condition, manipulability, singularity, stiffness, speed, force: what sections and --out hold (default: all)",
-        ),
-    ] = (),
-    tilt: Annotated[Place | None, Parameter(group=_PLACES, help="place [m] whose tilt is asked; default home")] = None,
-    obstacles: Annotated[
-        Path | None,
-        Parameter(group=_DEMANDS, metavar="FILE.yaml", help="obstacles, safety zones, limits of the tool"),
-    ] = None,
-    tool_limit: Annotated[
-        tuple[str, ...], Parameter(group=_DEMANDS, metavar="AXIS=LO:HI", help="limits of the tool [m]")
-    ] = (),
-    ball_angle: Annotated[
-        Positive | None,
-        Parameter(group=_DEMANDS, metavar="DEG", help="of all ball joints; default the file's, else 45"),
-    ] = None,
-    clearance: Annotated[
-        NotNegative, Parameter(group=_DEMANDS, metavar="M", help="between the robot's own parts")
-    ] = 0.0,
-    no_collisions: Annotated[bool, Parameter(group=_DEMANDS, help="let the robot pass through itself")] = False,
-    condition: Annotated[Positive, Parameter(group=_DEMANDS, metavar="N", help="largest condition number")] = 1000.0,
-    border: Annotated[
-        NotNegative, Parameter(group=_DEMANDS, metavar="M", help="distance to keep from the border")
-    ] = 0.0,
-    rod_stiffness: Annotated[
-        float | None,
-        Parameter(group=_SPRINGS, validator=POSITIVE_LARGE, metavar="N/M", help="of each rod with its joints"),
-    ] = None,
-    actuator_stiffness: Annotated[
-        Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE", help="N/m or N m/rad; default rigid")
-    ] = (),
+    section: Annotated[tuple[str, ...], Parameter(group=_PLACES, metavar="AXIS=M")] = (),
+    map: Annotated[Strings, Parameter(group=_PLACES, metavar="NAME")] = (),
+    tilt: Annotated[Place | None, Parameter(group=_PLACES)] = None,
+    obstacles: Annotated[Path | None, Parameter(group=_DEMANDS, metavar="FILE.yaml")] = None,
+    tool_limit: Annotated[tuple[str, ...], Parameter(group=_DEMANDS, metavar="AXIS=LO:HI")] = (),
+    ball_angle: Annotated[Positive | None, Parameter(group=_DEMANDS, metavar="DEG")] = None,
+    clearance: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
+    no_collisions: Annotated[bool, Parameter(group=_DEMANDS)] = False,
+    condition: Annotated[Positive, Parameter(group=_DEMANDS, metavar="N")] = 1000.0,
+    border: Annotated[NotNegative, Parameter(group=_DEMANDS, metavar="M")] = 0.0,
+    rod_stiffness: Annotated[float | None, Parameter(group=_SPRINGS, validator=POSITIVE_LARGE, metavar="N/M")] = None,
+    actuator_stiffness: Annotated[Strings, Parameter(group=_SPRINGS, metavar="[JOINT=]VALUE")] = (),
     out: Annotated[
         Path | None,
         build_destination("POINTS.csv", csv=True),
-        describe_destination("write the judged points with their reasons here"),
+        describe_destination("Write the judged points with their reasons here"),
     ] = None,
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Where a robot's tool can be, why not elsewhere, and how stiff, fast and far from singular it is there."""
+    """Where a robot's tool can be, why not elsewhere, and how stiff, fast and far from singular it is there.
+
+    Args:
+        resolution: Finest grid [m]; default a 60th of the workspace
+        orientation: Turn of the tool from home [deg]
+        section: Plane to judge and draw; default: through home
+        map: condition, manipulability, singularity, stiffness, speed, force: what sections and --out hold (default: all)
+        tilt: Place [m] whose tilt is asked; default home
+        obstacles: obstacles, safety zones, limits of the tool
+        tool_limit: Limits of the tool [m]
+        ball_angle: Of all ball joints; default the file's, else 45
+        clearance: Between the robot's own parts
+        no_collisions: Let the robot pass through itself
+        condition: Largest condition number
+        border: Distance to keep from the border
+        rod_stiffness: Of each rod with its joints
+        actuator_stiffness: N/m or N m/rad; default rigid
+    """
     with show_progress(output.quiet) as step:
         step("loading")
         import numpy as np
