@@ -126,8 +126,7 @@ def _view_log(path: Path) -> None:
 
 def _pose_table(path: Path) -> None:
     """Read what `fk` asks for, then what `ik` does."""
-    from tau_dyn.cli.pose_tables import read_columns
-
+    from tau_dyn.cli.arguments import read_columns
     from tau_dyn.kinematics import read_poses, read_positions
 
     table = read_columns(path)
@@ -137,23 +136,19 @@ def _pose_table(path: Path) -> None:
 
 def _path_points(path: Path) -> None:
     """Read the points of a path, and lay the spline through them, as `plan-motion --path` does."""
-    from argparse import Namespace
-
-    from tau_dyn.cli import plan_motion
+    from tau_dyn.cli.plan_motion import Ends
     from tau_dyn.control.motion import MotionLimits
     from tau_dyn.control.motion.path import build_tool_path
 
-    points = plan_motion._path(Namespace(path=str(path)))
+    points = Ends(path=str(path)).read_path()
     build_tool_path(axis(), np.array([-0.3]), np.array([0.3]), points, MotionLimits.of(axis()))
 
 
 def _guideway(path: Path) -> None:
     """Read the measured points of a cart twice: its guideway, and what a load moves."""
-    from argparse import Namespace
+    from tau_dyn.cli.accuracy import read_measured_files
 
-    from tau_dyn.cli import accuracy
-
-    accuracy._measured(Namespace(measured=[str(path), f"axis={path}"]), axis().robot)
+    read_measured_files((str(path), f"axis={path}"), axis().robot)
 
 
 def _recording(path: Path) -> None:

@@ -72,7 +72,7 @@ def accuracy(
 
         machine = robot_options.load(robot)
         rods = get_rods(machine)
-        read, files = _read_measured(measured, machine)
+        read, files = read_measured_files(measured, machine)
         bounds, from_measured = _collect_errors(errors, actuator_error, machine, rods, read)
         if bounds is None:
             found = AccuracyResult(machine, None, None, None, (), read)
@@ -105,7 +105,7 @@ def accuracy(
     )
 
 
-def _read_measured(given: tuple[str, ...], robot):
+def read_measured_files(given: tuple[str, ...], robot):
     """Return the checks of measured points, and the files."""
     from tau_dyn.kinematics.accuracy import Measured
     from tau_dyn.kinematics.assumptions import check_orientation, check_parallelism, fit_guideway, load_shift

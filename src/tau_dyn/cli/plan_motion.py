@@ -91,7 +91,7 @@ class Ends:
 
 @Parameter(name="*", group=_LIMITS)
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class LimitOptions:
     """What a motion may not exceed.
 
     Attributes:
@@ -116,7 +116,7 @@ def plan_motion(
     /,
     *,
     ends: Ends = Ends(),
-    limits: Limits = Limits(),
+    limits: LimitOptions = LimitOptions(),
     energy_weight: Annotated[NotNegative, Parameter(metavar="W")] = 0.0,
     rate: Annotated[Positive, Parameter(metavar="HZ")] = 1000.0,
     nodes: Annotated[Whole, Parameter(metavar="N")] = 80,

@@ -28,9 +28,7 @@ from scipy.linalg import eig
 _ANGLES = 2 * np.pi / 3 * np.arange(3)  # [rad] where functions of harmonics -1, 0, 1 are sampled
 _ORDER = [2, 0, 1]  # of the discrete Fourier transform, so that harmonics run from -1 to 1
 _RANK = 1e-7  # singular values below this, relative to the largest, are those of axes that are special up to a file's digits
-_REGULAR = (
-    1e6  # smallest singular value at a random w, relative to the largest, by the coefficients' error; less is singular
-)
+_REGULAR = 1e6  # smallest singular value at a random w by the coefficients' error; less is singular
 _NULL, _NOT_NULL = 1e-7, 1e-5  # singular values, relative to the largest, of solutions and of none; between: doubt
 _EXACT = 1e-12  # error of the coefficients up to which eigenvalues prove anything
 _SHARP = 1e4  # times the coefficients' error: what lets products be told from noise to 1e-4
@@ -38,7 +36,9 @@ _BAND = 1e-4  # of log |w|: what is nearer to the circle must be explained; roun
 _TOGETHER = 1e-6  # eigenvalues nearer to each other are looked at together
 _ROUNDING = 1e-13  # of the polynomial relative to its size, from which an eigenvalue's error follows
 _SPREAD = 1e8  # condition number above which directions of a null space are not told apart
-_SAME = 1e-5  # error of the products of a null space relative to their size, by which they may miss being such
+_PRODUCT_TOLERANCE = (
+    1e-5  # error of the products of a null space relative to their size, by which they may miss being such
+)
 _POINT = 1e-9  # [m] lengths of an arm whose axes all meet
 _OPEN = 1e-2  # of a loop relative to the arm's size: what candidates of real solutions do not leave open
 _ONE_EQUATION = 1e-4  # singular value relative to the largest; less, and an equation's rounding is too much to use it
@@ -206,7 +206,7 @@ def _solve_products(P: np.ndarray, multiplicity: int, error: float) -> tuple[lis
         if np.linalg.cond(under) > _SPREAD:
             return [], "solutions of one angle are not told apart"
         scaled = np.linalg.lstsq(under, over, rcond=None)[0]
-        if n > 1 and np.abs(under @ scaled - over).max() > _SAME:
+        if n > 1 and np.abs(under @ scaled - over).max() > _PRODUCT_TOLERANCE:
             doubt = doubt or "an eigenvalue's null space is not made of solutions"
         whole += share * scaled
     _, vectors = np.linalg.eig(whole)

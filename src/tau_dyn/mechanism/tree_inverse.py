@@ -21,9 +21,7 @@ _MAX_STARTS = 1500  # starts until every solution was met often enough; bounds t
 _MIN_TIMES_MET = 10  # times that each solution is met before the search ends; with 3 a quarter of UR5 poses lack one
 _STARTS_LOOPS = 2  # closing loops from far away takes its time
 _MOVED = 1e-2  # [rad] by how much Newton's method may move what an elimination gives
-_SINGULAR = (
-    1e-6  # singular value of the Jacobian relative to the largest; less, and Newton's method may have met a continuum
-)
+_SINGULAR = 1e-6  # singular value of the Jacobian relative to the largest; less, and there may be a continuum
 _ELIMINATED = "by elimination to an eigenvalue problem"
 _EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
 _MODE = 1e-6  # [m or 1] by how much forward kinematics may lead elsewhere
