@@ -1,10 +1,14 @@
-"""The package is as docs/explanation/architecture.md says: every package is in its table and imports only packages above it."""
+"""The package is as docs/explanation/architecture.md says: imports run one way, through public faces, folders stay readable."""
 
 import ast
 import re
+import sys
 from pathlib import Path
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "experiments"))
+import house
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tau_dyn"
@@ -42,3 +46,26 @@ def test_a_room_imports_only_rooms_above_it(room):
     files = [SOURCE / f"{room}.py"] if (SOURCE / f"{room}.py").exists() else (SOURCE / room).rglob("*.py")
     odd = {str(path.relative_to(SOURCE)): sorted(imported(path) - above) for path in files}
     assert not {path: names for path, names in odd.items() if names}
+
+
+MODULES = house.read_modules()
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    """Circles inside a package count too, also those that only functions or type checkers close."""
+    assert house.list_circles(MODULES) == []
+
+
+def test_packages_are_entered_through_their_face():
+    """A package's modules are its own affair; what others may use stands in its stub."""
+    assert house.list_deep_imports(MODULES) == []
+
+
+def test_no_folder_holds_more_files_than_a_person_overlooks():
+    """More than 25 files mean that a room is missing, or that files are fragments."""
+    assert house.measure()["large_folders"] == {}
+
+
+def test_nobody_asks_what_kind_a_mechanism_is():
+    """Robots differ behind the protocol of mechanisms; a branch on their kind elsewhere is a design fault."""
+    assert house.list_mechanism_branches(MODULES) == []
