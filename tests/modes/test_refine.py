@@ -8,8 +8,8 @@ from raising import raises_code
 from scipy.signal import lfilter
 
 from tau_dyn.modes import Record, StateSpace, refine
+from tau_dyn.modes.arx import compute_spectrum, fit_autoregression
 from tau_dyn.modes.basis import build_columns, compute_derivative_maps
-from tau_dyn.modes.error_covariance import compute_spectrum, fit_autoregression
 from tau_dyn.modes.innovation import build_innovation_model, build_predictor
 from tau_dyn.modes.modal import compute_frequency_and_damping, find_resonances
 from tau_dyn.modes.modal_form import (

@@ -4,7 +4,6 @@ from .actuators import Actuator as Actuator
 from .checks import CorrelationTest as CorrelationTest
 from .figure import Skeleton as Skeleton
 from .find import find_modes as find_modes
-from .fit_quality import Trace as Trace
 from .methods import stabilise_poles as stabilise_poles
 from .modal import Z95 as Z95, Mode as Mode
 from .model_file import (
@@ -27,7 +26,7 @@ from .residuals import (
     compute_log_det_loss as compute_log_det_loss,
     count_free_parameters as count_free_parameters,
 )
-from .result import Modes as Modes
+from .result import Modes as Modes, Trace as Trace
 from .stabilisation import StabilityPoint as StabilityPoint
 from .state_space import StateSpace as StateSpace
 from .subspace import compress_subspace_data as compress_subspace_data

@@ -15,6 +15,7 @@ from tau_dyn.modes.hankel import HankelFactor, compress, reorder_lower_factor, s
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
 
+MAX_AR_ORDER = 40  # of the autoregression of residuals; BIC chooses below it
 MAX_LAGS = 60  # longest memory of a predictor; information criteria stay below it on all but lightly damped modes
 
 
@@ -84,3 +85,29 @@ def select_length(factor: HankelFactor, penalty: float = 2.0, least: int = 1) ->
         loss = np.linalg.slogdet(rest @ rest.T + 1e-300 * np.eye(p))[1]
         scores.append(factor.n_columns * loss + penalty * k * w * p)
     return least + int(np.argmin(scores))
+
+
+def fit_autoregression(errors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients (order, p, p) and innovations' covariance of a vector autoregression; order 0 for white errors.
+
+    The order is Bayes' choice: it takes white noise for white.
+    """
+    p = errors[0].shape[1]
+    records = [Record(np.zeros((len(e), 0)), e, 1.0, (), ()) for e in errors]
+    longest = int(np.clip(max(map(len, errors)) // (20 * p), 1, MAX_AR_ORDER))
+    factor = compress(records, longest + 1)
+    order = select_length(factor, penalty=np.log(factor.n_columns), least=0)
+    if order == 0:
+        return np.zeros((0, p, p)), np.eye(p)
+    lags, _, noise = fit_predictor(factor, order, False)
+    return lags, noise
+
+
+def compute_spectrum(coefficients: np.ndarray, noise: np.ndarray, n: int) -> np.ndarray:
+    """Return the spectral density (n // 2 + 1, p, p) of an autoregression on an FFT's grid of n."""
+    p = len(noise)
+    polynomial = np.zeros((n, p, p))
+    polynomial[0] = np.eye(p)
+    polynomial[1 : len(coefficients) + 1] = -coefficients
+    transfer = np.linalg.inv(np.fft.rfft(polynomial, axis=0))
+    return transfer @ noise @ transfer.conj().transpose(0, 2, 1)

@@ -12,7 +12,7 @@ that the model lacks; negative lags show inputs that answer to past residuals, w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,28 @@ LAGS = 25
 """Lags of the correlation tests, as usual in the field."""
 PASS = 0.01
 """A curve passes where chance alone would look worse more often than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitQuality:
+    """How well the model follows some records.
+
+    Attributes:
+        percent: Fit of a free simulation per output (p,), initial state estimated.
+        ahead: The same of predictions so many samples ahead, by number of samples; one and ten, where noise was modelled.
+        n_samples: Samples looked at.
+        rms: Root mean square of what the simulation misses, per output (p,).
+    """
+
+    percent: np.ndarray
+    ahead: Mapping[int, np.ndarray]
+    n_samples: int
+    rms: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Mean over the outputs [%]."""
+        return float(np.mean(self.percent))
 
 
 @dataclass(frozen=True, eq=False)

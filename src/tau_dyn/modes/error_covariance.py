@@ -13,14 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tau_dyn.modes.arx import fit_predictor, select_length
+from tau_dyn.modes.arx import compute_spectrum, fit_autoregression
 from tau_dyn.modes.basis import DerivativeMaps, build_columns, compute_derivative_maps
 from tau_dyn.modes.gauss_newton import FitPoint, assemble_normal_equations
-from tau_dyn.modes.hankel import compress
 from tau_dyn.modes.modal_form import build_layout
 from tau_dyn.modes.record import Record
 
-MAX_AR_ORDER = 40  # of the autoregression of residuals; BIC chooses below it
 FREQUENCIES = 512  # treated at once; bounds the memory
 CHUNK = 16384  # errors further apart than a chunk count as independent
 
@@ -54,32 +52,6 @@ def compute_residuals(point: FitPoint, records: Sequence[Record]) -> tuple[np.nd
     for record, x0 in zip(records, point.x0, strict=True):
         out.append(np.vstack([record.y[c.part] - c.predicted for c in build_columns(point.form, x0, record)]))
     return tuple(out)
-
-
-def fit_autoregression(errors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coefficients (order, p, p) and innovations' covariance of a vector autoregression; order 0 for white errors.
-
-    The order is Bayes' choice: it takes white noise for white.
-    """
-    p = errors[0].shape[1]
-    records = [Record(np.zeros((len(e), 0)), e, 1.0, (), ()) for e in errors]
-    longest = int(np.clip(max(map(len, errors)) // (20 * p), 1, MAX_AR_ORDER))
-    factor = compress(records, longest + 1)
-    order = select_length(factor, penalty=np.log(factor.n_columns), least=0)
-    if order == 0:
-        return np.zeros((0, p, p)), np.eye(p)
-    lags, _, noise = fit_predictor(factor, order, False)
-    return lags, noise
-
-
-def compute_spectrum(coefficients: np.ndarray, noise: np.ndarray, n: int) -> np.ndarray:
-    """Return the spectral density (n // 2 + 1, p, p) of an autoregression on an FFT's grid of n."""
-    p = len(noise)
-    polynomial = np.zeros((n, p, p))
-    polynomial[0] = np.eye(p)
-    polynomial[1 : len(coefficients) + 1] = -coefficients
-    transfer = np.linalg.inv(np.fft.rfft(polynomial, axis=0))
-    return transfer @ noise @ transfer.conj().transpose(0, 2, 1)
 
 
 def _middle(

@@ -20,14 +20,14 @@ from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_d
 from tau_dyn.modes.era import decompose_pulse_tests
 from tau_dyn.modes.feedback_test import Feedback, detect_feedback
 from tau_dyn.modes.methods import METHODS, build_initial_estimator, estimate_first_poles
+from tau_dyn.modes.modal import widen_modes
 from tau_dyn.modes.model_validation import validate_model
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
 from tau_dyn.modes.preparation import PreparedRecords, prepare_records
-from tau_dyn.modes.refinement import RefinedModel, refine
+from tau_dyn.modes.refinement import RefinedModel, refine, refine_predictor
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 from tau_dyn.modes.response_onset import find_response_onset
 from tau_dyn.modes.result import Modes
-from tau_dyn.modes.widen import refine_predictor, widen_modes
 
 MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
 PULSE_GAIN = 0.1

@@ -2,32 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-
-
-@dataclass(frozen=True, eq=False)
-class FitQuality:
-    """How well the model follows some records.
-
-    Attributes:
-        percent: Fit of a free simulation per output (p,), initial state estimated.
-        ahead: The same of predictions so many samples ahead, by number of samples; one and ten, where noise was modelled.
-        n_samples: Samples looked at.
-        rms: Root mean square of what the simulation misses, per output (p,).
-    """
-
-    percent: np.ndarray
-    ahead: Mapping[int, np.ndarray]
-    n_samples: int
-    rms: np.ndarray
-
-    @property
-    def mean(self) -> float:
-        """Mean over the outputs [%]."""
-        return float(np.mean(self.percent))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,25 +38,4 @@ class ImpulseResponses:
     measured: np.ndarray
     model: np.ndarray
     how: str
-    held_out: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """One record, measured and simulated.
-
-    Attributes:
-        log: The log's name.
-        t: (N,) [s] from the record's start.
-        u: (N, m).
-        measured: (N, p).
-        simulated: (N, p).
-        held_out: Whether the model was not fitted to it.
-    """
-
-    log: str
-    t: np.ndarray
-    u: np.ndarray
-    measured: np.ndarray
-    simulated: np.ndarray
     held_out: bool

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tau_dyn.exceptions import TauDynError
-from tau_dyn.modes.checks import CorrelationTest, check_independence, check_whiteness, fit_of
+from tau_dyn.modes.checks import CorrelationTest, FitQuality, check_independence, check_whiteness, fit_of
 from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.feedback_test import Feedback
-from tau_dyn.modes.fit_quality import FitQuality, Response, Trace
+from tau_dyn.modes.fit_quality import Response
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.noise import NoiseModel, fit_noise_model
-from tau_dyn.modes.nonlinearity import Nonlinearity, detect_nonlinearity
+from tau_dyn.modes.nonlinearity import detect_nonlinearity
 from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.poles import list_poles, list_zeros
 from tau_dyn.modes.preparation import PreparedRecords
@@ -21,7 +21,7 @@ from tau_dyn.modes.pulses import compute_impulse_responses
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.refinement import RefinedModel
 from tau_dyn.modes.residuals import compute_residuals
-from tau_dyn.modes.result import Modes
+from tau_dyn.modes.result import Modes, Nonlinearity, Trace
 from tau_dyn.modes.result_warnings import add_warnings
 from tau_dyn.modes.simulate import delay_inputs, predict, simulate
 from tau_dyn.modes.spectra import EmpiricalResponse, estimate_empirical_response

@@ -12,15 +12,14 @@ of e whether it matters. References: Billings & Voon 1986; Söderström & Stoica
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
 from scipy.signal import lfilter
 from scipy.stats import f as fisher
 
-from tau_dyn.modes.error_covariance import fit_autoregression
+from tau_dyn.modes.arx import fit_autoregression
+from tau_dyn.modes.result import Nonlinearity
 
 POWERS = (2, 3)
 SIGNIFICANCE_LEVEL = 1e-3  # of a nonlinearity that is not there; one set in a thousand
@@ -30,29 +29,6 @@ INPUT_LAGS = 30  # lags of B
 RESPONSE_LAGS = 2  # lags of C
 POWER_LAGS = 5  # lags of T
 MAX_SAMPLES = 10_000  # samples looked at
-
-
-@dataclass(frozen=True)
-class Nonlinearity:
-    """Whether a structure responds nonlinearly.
-
-    Attributes:
-        suspected: Whether a power is significant and explains enough.
-        p_value: How often a linear structure would look more nonlinear, over all outputs and powers.
-        share: Share of the residual's variance that the power explains.
-        output: The output concerned.
-        power: 2 where the response depends on its sign, 3 where on its size.
-    """
-
-    suspected: bool
-    p_value: float
-    share: float
-    output: str
-    power: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it for the JSON result."""
-        return asdict(self)
 
 
 def detect_nonlinearity(

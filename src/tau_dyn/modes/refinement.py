@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import qr
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.modes.covariance_propagation import propagate_covariance
@@ -28,6 +29,9 @@ from tau_dyn.modes.response import ResponseEstimate
 from tau_dyn.modes.state_space import StateSpace
 
 KINDS = (SIMULATED, PREDICTED)
+MAX_PREDICTOR_OUTPUTS = 6
+"""Outputs of a predictor, whose inputs they are too: its free numbers grow with their square."""
+PREDICTOR_ROUNDS = 15  # steps of its refinement, which begins near its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,3 +175,21 @@ def _prediction_errors(start: StateSpace, records: list[Record], direct: bool) -
 def _at(model: StateSpace, records: Sequence[Record]) -> FitPoint:
     form = mirror_unstable_poles(build_modal_form(model))
     return evaluate(form, np.zeros((len(records), len(form.poles)), dtype=complex), records)
+
+
+def refine_predictor(refined: RefinedModel, records: Sequence[Record]) -> RefinedModel:
+    """Return the model that minimises one-step prediction errors, which holds under feedback; of the outputs that show the modes.
+
+    Args:
+        refined: Where to start.
+        records: Training records.
+    """
+    sizes = np.std(np.vstack(refined.residuals), axis=0)
+    seen = np.array([m.shape / sizes for m in refined.modes]).reshape(-1, len(sizes))
+    pivots = np.asarray(qr(np.vstack([seen.real, seen.imag]), mode="r", pivoting=True)[-1])
+    some = sorted(int(o) for o in pivots[:MAX_PREDICTOR_OUTPUTS])
+    whole = refined.model
+    noise = None if whole.noise is None else whole.noise[np.ix_(some, some)]
+    model = replace(whole, C=whole.C[some], D=whole.D[some], K=whole.K[:, some], noise=noise)
+    fewer = [replace(r, y=r.y[:, some], outputs=tuple(r.outputs[o] for o in some)) for r in records]
+    return refine(model, fewer, kind=PREDICTED, maximum_rounds=PREDICTOR_ROUNDS)

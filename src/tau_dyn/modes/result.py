@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from tau_dyn.modes.checks import CorrelationTest
+from tau_dyn.modes.checks import CorrelationTest, FitQuality
 from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.feedback_test import Feedback
-from tau_dyn.modes.fit_quality import FitQuality, ImpulseResponses, Response, Trace
+from tau_dyn.modes.fit_quality import ImpulseResponses, Response
 from tau_dyn.modes.mechanical import Mechanical
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.model_file import ModelFile
-from tau_dyn.modes.nonlinearity import Nonlinearity
 from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.poles import Pole
 from tau_dyn.modes.spectra import EmpiricalResponse
@@ -23,6 +22,50 @@ from tau_dyn.modes.stabilisation import StabilityPoint
 from tau_dyn.modes.state_space import StateSpace
 from tau_dyn.shown import Shown
 from tau_dyn.version import __version__
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One record, measured and simulated.
+
+    Attributes:
+        log: The log's name.
+        t: (N,) [s] from the record's start.
+        u: (N, m).
+        measured: (N, p).
+        simulated: (N, p).
+        held_out: Whether the model was not fitted to it.
+    """
+
+    log: str
+    t: np.ndarray
+    u: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class Nonlinearity:
+    """Whether a structure responds nonlinearly.
+
+    Attributes:
+        suspected: Whether a power is significant and explains enough.
+        p_value: How often a linear structure would look more nonlinear, over all outputs and powers.
+        share: Share of the residual's variance that the power explains.
+        output: The output concerned.
+        power: 2 where the response depends on its sign, 3 where on its size.
+    """
+
+    suspected: bool
+    p_value: float
+    share: float
+    output: str
+    power: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for the JSON result."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
