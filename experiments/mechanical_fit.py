@@ -25,7 +25,7 @@ from scipy.linalg import eigh
 from tau_dyn.modes import Record, RefinedModel, compress_subspace_data, refine
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.second_order import SecondOrder, pack
-from tau_dyn.modes.simulate import simulate
+from tau_dyn.modes.state_space import simulate
 from tau_dyn.modes.thesis_route import PRINTED, judge_character, solve_unconstrained
 
 DT = 0.004  # [s], the thesis' 250 Hz

@@ -17,10 +17,10 @@ import pandas as pd
 
 from tau_dyn.log import Log
 from tau_dyn.modes import find_modes, save_state_space
-from tau_dyn.modes.arx import arx
-from tau_dyn.modes.checks import fit_percent
+from tau_dyn.modes.hankel import arx
 from tau_dyn.modes.record import build_records
-from tau_dyn.modes.simulate import simulate
+from tau_dyn.modes.residuals import fit_percent
+from tau_dyn.modes.state_space import simulate
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(os.environ.get("TAU_DYN_DATA", HERE.parents[1] / "shared" / "data"))

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import recorded, response, structure
 
-from tau_dyn.modes.checks import Z99, check_independence, check_whiteness, fit_percent
+from tau_dyn.modes.residuals import Z99, check_independence, check_whiteness, fit_percent
 
 
 def test_fit_is_that_of_the_contract(rng):

@@ -1,6 +1,6 @@
 """Methods tried side by side: what each finds, whether a loop was closed, and which one the data bear out.
 
-The open-loop method (`n4sid`) is tried first, and its residuals tell whether the inputs follow them (`acausality.py`). Where
+The open-loop method (`n4sid`) is tried first, and its residuals tell whether the inputs follow them (`feedback.py`). Where
 that, an older trace of feedback (`feedback.py`) or a named reference says so, `pbsid` is tried too. Under feedback the error
 of a simulation favours the open-loop method, which fits the disturbance too; so `pbsid` may lose a little, but not much: a
 model that cannot simulate is no answer, whatever the reason for trying it.
@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tau_dyn.modes.acausality import Acausality, find_acausality
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback_test import Feedback
+from tau_dyn.modes.feedback import Acausality, Feedback, find_acausality
 from tau_dyn.modes.order import OrderChoice, select_parts
-from tau_dyn.modes.preparation import PreparedRecords
+from tau_dyn.modes.record import PreparedRecords
 from tau_dyn.modes.residuals import SIMULATED, compute_residuals
-from tau_dyn.modes.simulate import delay_inputs
+from tau_dyn.modes.state_space import delay_inputs
 
 ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""

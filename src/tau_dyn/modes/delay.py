@@ -1,15 +1,8 @@
-r"""By how many whole samples the inputs act late.
+"""When pulse tests are answered first: no delay can be longer, whatever a model says.
 
-A delay that a model does not know costs it one state for each sample and input; a delay too long makes it miss the
-response's first samples. So for every delay and several orders n the poles are taken from a first model, the rest is
-fitted by linear least squares,
-
-    y_t = sum_k Re( R_k xi_{k,t} ) [+ D u_{t-d}] + free decay,   xi_{k,t+1} = lambda_k xi_{k,t} + u_{t-d},
-
-with and without D, and the pair (d, n) with the best BIC is taken. Delays that come close are compared by refined models,
-because the error of a first model's poles can hide what one sample makes. A sampled strictly proper plant has delay 0: sampling's
-own sample is part of the model; where outputs answer within the sample (accelerometers), D tells, and refinement
-decides. All inputs get the same delay.
+Before a pulse the structure at most rings on, y_t = C A^t x_0. That is fitted to the samples of rest and followed into
+the pulse; the first sample at which an output leaves it by more than noise and rounding is the answer. A model that
+lacks modes would trade them for a delay; this bound has none to lack.
 """
 
 from __future__ import annotations
@@ -22,7 +15,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tau_dyn.exceptions import CannotAnswer, TauDynError
-from tau_dyn.modes.methods import InitialModels
+from tau_dyn.modes.methods import EraFactors, InitialModels
 from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
@@ -235,3 +228,46 @@ def _refined(records: Sequence[Record], first: InitialModels, delay: int, order:
     p, m = model.D.shape
     k = count_free_parameters(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
     return compute_aic_bic(compute_log_det_loss(errors), sum(len(e) for e in errors), k)[1]
+
+
+ONSET_ORDER = 12
+"""States that ring on, at most."""
+MIN_ONSET_SNR = 8.0
+"""Times the noise before the pulse that an answer differs from ringing on."""
+OF_PEAK = 2e-4
+"""Part of the output's peak that it must reach at least."""
+STARTED = 0.005
+"""Part of the peak of the force at which the pulse has begun."""
+
+
+def find_response_onset(records: Sequence[Record], decays: EraFactors, most: int) -> int:
+    """Return how many samples after a pulse's first one an output moves; `most` where none does earlier.
+
+    Args:
+        records: Pulses with some samples of rest before them.
+        decays: Their decays, for how the structure rings on.
+        most: Samples to look at.
+    """
+    found = [_answer(r, decays, most) for r in records]
+    return min([k for k in found if k is not None], default=most)
+
+
+def _answer(record: Record, decays: EraFactors, most: int) -> int | None:
+    size = np.abs(record.u / np.maximum(np.abs(record.u).max(axis=0), 1e-300)).max(axis=1)
+    hit = int(np.argmax(size))
+    noise = np.quantile(size[: max(hit - 5, 1)], 0.9)
+    start = int(np.flatnonzero(size > max(STARTED, 4 * noise))[0])
+    order = min(ONSET_ORDER, start * record.y.shape[1] // 3)
+    if start < 10 or order < 1:
+        return None
+    A, C = decays.dynamics(order)
+    y = record.y[: start + most] / decays.scales.y
+    gamma = np.array([C @ np.linalg.matrix_power(A, t) for t in range(len(y))])
+    x0 = np.linalg.lstsq(gamma[:start].reshape(-1, order), y[:start].ravel(), rcond=1e-8)[0]
+    off = np.abs(y - gamma @ x0)
+    limit = np.maximum(
+        MIN_ONSET_SNR * np.sqrt(np.mean(off[:start] ** 2, axis=0)),
+        OF_PEAK * np.abs(record.y).max(axis=0) / decays.scales.y,
+    )
+    moved = np.flatnonzero((off[start:] > limit).any(axis=1))
+    return int(moved[0]) if len(moved) else None

@@ -1,6 +1,6 @@
 """Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
 
-The steps, each in its own file: `preparation.py` (what is used), `feedback.py` (which methods are valid), `delay.py`,
+The steps, each in its own file: `record.py` (what is used), `feedback.py` (which methods are valid), `delay.py`,
 `order.py`, `methods.py` (a first model), `refine.py` (the most likely one), `judge.py` (fit, tests, spectra). Each
 leaves a sentence in `why`.
 """
@@ -16,18 +16,16 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes.contest import MethodCandidate, choose_error_kind, settle
-from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay
-from tau_dyn.modes.era import decompose_pulse_tests
-from tau_dyn.modes.feedback_test import Feedback, detect_feedback
-from tau_dyn.modes.methods import METHODS, build_initial_estimator, estimate_first_poles
+from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay, find_response_onset
+from tau_dyn.modes.feedback import Feedback, detect_feedback
+from tau_dyn.modes.methods import METHODS, build_initial_estimator, decompose_pulse_tests, estimate_first_poles
 from tau_dyn.modes.modal import widen_modes
-from tau_dyn.modes.model_validation import validate_model
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
-from tau_dyn.modes.preparation import PreparedRecords, prepare_records
+from tau_dyn.modes.record import PreparedRecords, prepare_records
 from tau_dyn.modes.refinement import RefinedModel, refine, refine_predictor
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
-from tau_dyn.modes.response_onset import find_response_onset
 from tau_dyn.modes.result import Modes
+from tau_dyn.modes.validation import validate_model
 
 MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
 PULSE_GAIN = 0.1

@@ -1,23 +1,20 @@
-r"""Resonances of a model: undamped natural frequency |s| / 2 pi and damping ratio -Re s / |s|, with standard errors.
+"""The stabilisation diagram: the modes of models of many orders, with standard errors.
 
-s = log(lambda) / dt; standard errors by the delta method from the covariance of Re and Im of lambda.
-
-The covariance of an estimate assumes that its model holds the truth. Where another defensible model of the same data (a
-neighbouring order that simulates as well; the other method where feedback cannot be excluded) puts a mode elsewhere by d,
-
-    s^2 = s_0^2 + max(0, d^2 - 4 |s_1^2 - s_0^2|)
-
-with s_1 the other's standard error: if both models hold the truth, the difference has the variance s_1^2 - s_0^2 (Hausman
-1978), and nothing is added in 95 % of cases. What lies beyond is model error and counts in full.
+A resonance of the structure appears at nearly the same frequency and damping in every model that is large enough;
+what noise makes of spare states wanders. A mode is `stable` where the model before it had one within their joint
+uncertainty (and at least 1 % in frequency and 20 % in damping, as is usual), `frequency` where only the frequency
+agrees, and `new` where nothing does (van der Auweraer & Peeters 2004). Unlike the usual diagram this one shows how
+well each point is known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigvals
 
 from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form
 from tau_dyn.modes.state_space import StateSpace
@@ -154,3 +151,140 @@ def _excess(a: Mode, b: Mode) -> np.ndarray:
     s = np.array([[m.frequency_stderr, m.damping_stderr] for m in (a, b)])
     s = np.nan_to_num(s)
     return np.maximum(d**2 - 4 * np.maximum(np.abs(s[1] ** 2 - s[0] ** 2), 0.1 * np.max(s, axis=0) ** 2), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Pole:
+    """One pole, or one of a conjugate pair.
+
+    Attributes:
+        s: In the s plane, Im >= 0 [rad/s].
+        covariance: Of real and imaginary part (2, 2); None where it is not known.
+    """
+
+    s: complex
+    covariance: np.ndarray | None = None
+
+    @property
+    def oscillates(self) -> bool:
+        """Whether it is one of a pair."""
+        return self.s.imag > 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for the JSON result."""
+        covariance = None if self.covariance is None else self.covariance.tolist()
+        return {"re": self.s.real, "im": self.s.imag, "covariance": covariance}
+
+
+def list_poles(model: StateSpace, modes: tuple[Mode, ...]) -> tuple[Pole, ...]:
+    """Return the poles with Im >= 0, slowest first; those of a mode with standard errors carry a covariance."""
+    z = model.poles().astype(complex)
+    s = np.log(np.where(z == 0, 1e-300, z)) / model.dt
+    s = s[s.imag >= -1e-9 * np.abs(s)]
+    s = np.where(np.abs(s.imag) <= 1e-9 * np.abs(s), s.real + 0j, s)
+    return tuple(Pole(complex(x), _locate_covariance(complex(x), modes)) for x in s[np.argsort(np.abs(s))])
+
+
+def _locate_covariance(s: complex, modes: tuple[Mode, ...]) -> np.ndarray | None:
+    near = [m for m in modes if abs(2 * np.pi * m.frequency_hz - abs(s)) < 1e-6 * abs(s) and s.imag > 0]
+    near = [m for m in near if abs(m.damping_ratio + s.real / abs(s)) < 1e-6 and np.isfinite(m.frequency_stderr)]
+    if not near:
+        return None
+    mode = near[0]
+    w, zeta = 2 * np.pi * mode.frequency_hz, mode.damping_ratio
+    root = np.sqrt(max(1 - zeta**2, 1e-12))
+    jacobian = np.array([[-2 * np.pi * zeta, -w], [2 * np.pi * root, -w * zeta / root]])
+    sf, sz = mode.frequency_stderr, mode.damping_stderr
+    mixed = mode.correlation * sf * sz
+    return jacobian @ np.array([[sf**2, mixed], [mixed, sz**2]]) @ jacobian.T
+
+
+def list_zeros(model: StateSpace) -> np.ndarray:
+    """Return the finite transmission zeros in the s plane [rad/s], Im >= 0; empty unless outputs and inputs are as many.
+
+    Zeros far beyond the Nyquist frequency are those that sampling adds, and are left out.
+    """
+    n, (p, m) = model.order, model.D.shape
+    if p != m or n == 0:
+        return np.zeros(0, complex)
+    scale_y, scale_u = (np.linalg.norm(x, axis=a, keepdims=True) for x, a in ((model.C, 1), (model.B, 0)))
+    C, B = model.C / np.maximum(scale_y, 1e-300), model.B / np.maximum(scale_u, 1e-300)
+    D = model.D / np.maximum(scale_y, 1e-300) / np.maximum(scale_u, 1e-300)
+    pencil, shift = np.block([[model.A, B], [C, D]]), np.zeros((n + p, n + p))
+    shift[:n, :n] = np.eye(n)
+    z = np.asarray(eigvals(pencil, shift))
+    z = z[np.isfinite(z) & (np.abs(z) > 0.05) & (np.abs(z) < 4)]
+    s = np.log(z) / model.dt
+    s = s[(s.imag >= -1e-9 * np.abs(s)) & (np.abs(s.imag) < 0.98 * np.pi / model.dt)]
+    return s[np.argsort(np.abs(s))]
+
+
+# relative difference of a stable mode's frequency from order to order (Peeters & De Roeck 1999)
+FREQUENCY_TOLERANCE = 0.01
+DAMPING_TOLERANCE = 0.20  # relative difference of a stable mode's damping from order to order (Peeters & De Roeck 1999)
+SIGMAS = 2.0  # joint standard errors within which two orders' modes agree
+OVERDAMPED = 0.7
+"""Modes with more damping ring less than one period; the diagram leaves them out."""
+
+
+@dataclass(frozen=True)
+class StabilityPoint:
+    """One mode of one order.
+
+    Attributes:
+        order: Number of states of its model.
+        frequency_hz: Undamped natural frequency [Hz].
+        damping_ratio: Damping over critical damping.
+        frequency_stderr: Standard error [Hz]; nan where unknown.
+        damping_stderr: Standard error; nan where unknown.
+        kind: `stable`, `frequency` or `new`.
+    """
+
+    order: int
+    frequency_hz: float
+    damping_ratio: float
+    frequency_stderr: float
+    damping_stderr: float
+    kind: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for the JSON result."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+def build_stabilisation_diagram(modes: Mapping[int, Sequence[Mode]]) -> tuple[StabilityPoint, ...]:
+    """Return the diagram.
+
+    Args:
+        modes: Modes by order of their model.
+    """
+    points: list[StabilityPoint] = []
+    before: Sequence[Mode] = ()
+    for order in sorted(modes):
+        here = [m for m in modes[order] if m.damping_ratio < OVERDAMPED]
+        points += [
+            StabilityPoint(
+                order, m.frequency_hz, m.damping_ratio, m.frequency_stderr, m.damping_stderr, _kind(m, before)
+            )
+            for m in here
+        ]
+        before = here
+    return tuple(points)
+
+
+def _kind(mode: Mode, before: Sequence[Mode]) -> str:
+    close = [m for m in before if _near(mode.frequency_hz, mode.frequency_stderr, m.frequency_hz, m.frequency_stderr)]
+    if not close:
+        return "new"
+    return "stable" if any(_damped_alike(mode, m) for m in close) else "frequency"
+
+
+def _near(f: float, sf: float, g: float, sg: float) -> bool:
+    joint = SIGMAS * float(np.nan_to_num(np.hypot(sf, sg)))
+    return abs(f - g) <= max(FREQUENCY_TOLERANCE * g, min(joint, 0.05 * g))
+
+
+def _damped_alike(a: Mode, b: Mode) -> bool:
+    joint = SIGMAS * float(np.nan_to_num(np.hypot(a.damping_stderr, b.damping_stderr)))
+    gap = abs(a.damping_ratio - b.damping_ratio)
+    return gap <= max(DAMPING_TOLERANCE * abs(b.damping_ratio), min(joint, 0.5 * abs(b.damping_ratio)))

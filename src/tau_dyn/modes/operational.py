@@ -20,10 +20,9 @@ import numpy as np
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
-from tau_dyn.modes.modal import Mode, compute_frequency_and_damping
-from tau_dyn.modes.operational_result import OperationalModes
+from tau_dyn.modes.modal import FREQUENCY_TOLERANCE, Mode, build_stabilisation_diagram, compute_frequency_and_damping
 from tau_dyn.modes.record import Record, build_records
-from tau_dyn.modes.stabilisation import FREQUENCY_TOLERANCE, build_stabilisation_diagram
+from tau_dyn.modes.result import OperationalModes
 
 MAX_HANKEL_ROWS = 240
 """Rows of the block-Hankel matrix: enough for the highest order, and cheap to decompose thirty times."""

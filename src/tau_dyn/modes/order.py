@@ -20,18 +20,19 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
-from tau_dyn.modes.checks import check_whiteness, fit_of
 from tau_dyn.modes.methods import Start
 from tau_dyn.modes.modal import Mode, find_resonances
 from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import (
     SIMULATED,
+    check_whiteness,
     compare_errors_paired,
     compute_aic_bic,
     compute_log_det_loss,
     compute_residuals,
     count_free_parameters,
+    fit_of,
     measure_spread,
 )
 from tau_dyn.modes.state_space import StateSpace

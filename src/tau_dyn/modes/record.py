@@ -1,17 +1,20 @@
-"""What a vibration test recorded: inputs and outputs on one even clock.
+"""What went in: records from logs, pulses recognised, the operating point taken off, a part held out; the rest is refused.
 
-A `Record` is one unbroken stretch of one log; records are never joined across their ends. Inputs and outputs are plain columns
-of the log, in the log's own units.
+A linear model speaks of deviations. Their origin is the mean of the training part of each record (the same for its
+held-out part), a held-out log's own mean, and of an impulse test the level to which it decays. Held out are the last
+30 % of every record, the last 30 % of the pulses where there are several, or logs that are given; they serve for
+judging and for nothing else.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, describe_missing_column, resample_segments
 
 
@@ -157,3 +160,252 @@ def build_records(
         )
         for piece in resample_segments(log)
     ]
+
+
+TRAIN_SHARE = 0.7  # of each record; the rest is held out
+STEADY_STATE_SHARE = 0.2
+"""Last share of an impulse record whose mean is the level that it decays to."""
+PULSE_SHARE = 0.03
+"""Inputs that are away from rest for a smaller share of the time than this are pulses."""
+PULSE_LEAD = 30
+"""Samples of rest kept before a pulse: more than any delay that is tried."""
+PULSE_ROOM = 100
+"""Samples that a pulse's response needs, at least."""
+SAMPLES_PER_CHANNEL = 40
+"""Training samples for each input and output, at least; with fewer there is nothing to choose from."""
+PULSES = 10_000
+"""Samples of all pulses together that are fitted to: the ends of long decays say little more."""
+MAX_REST_SAMPLES = 20_000  # samples in which rest is looked for at a record's begin
+STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRecords:
+    """Records ready for identification.
+
+    Attributes:
+        train: To fit on.
+        holdout: To judge on; empty where nothing could be kept.
+        kind: `driven`, or `impulse` where each record is a short pulse and its decay.
+        how_held: What was held out, in words.
+        warnings: Sentences.
+        whole: What the final model is fitted to: all data, but for logs that were given to judge on; empty means `train`.
+    """
+
+    train: tuple[Record, ...]
+    holdout: tuple[Record, ...]
+    kind: str
+    how_held: str
+    warnings: tuple[str, ...] = ()
+    whole: tuple[Record, ...] = ()
+
+    @property
+    def n_train(self) -> int:
+        """Samples to fit on."""
+        return sum(r.n_samples for r in self.train)
+
+
+def prepare_records(
+    logs: Sequence[Log],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    holdout: Sequence[Log] = (),
+    references: Sequence[str] = (),
+) -> PreparedRecords:
+    """Return training and held-out records.
+
+    Args:
+        logs: Logs to fit on.
+        inputs: Columns that excite.
+        outputs: Columns that respond.
+        holdout: Logs to judge on.
+        references: Columns that a feedback loop was asked to follow.
+
+    Raises:
+        InputError: Columns are missing, constant, equal or hold no numbers, or the logs' steps differ.
+        CannotAnswer: The logs are too short.
+    """
+    _refuse_names(inputs, outputs, references)
+    train = [r for log in logs for r in _records(log, inputs, outputs, references)]
+    held = [r for log in holdout for r in _records(log, inputs, outputs, references)]
+    _refuse_steps([*train, *held])
+    _refuse_short(train, len(inputs) + len(outputs))
+    warnings = [*_warnings([*logs, *holdout]), *_both(logs, holdout)]
+    if all(_is_pulses(r) for r in train):
+        return _pulses(train, held, warnings)
+    if held:
+        kept = tuple(_centred(r, r) for r in held)
+        return PreparedRecords(tuple(_centred(r, r) for r in train), kept, "driven", "the logs given", tuple(warnings))
+    pairs = [_cut(r) for r in train]
+    kept = tuple(_centred(b, a) for a, b in pairs if b.n_samples)
+    parts = tuple(_centred(a, a) for a, _ in pairs)
+    whole = tuple(_centred(r, a) for r, (a, _) in zip(train, pairs, strict=True))
+    return PreparedRecords(parts, kept, "driven", "the last 30 %", tuple(warnings), whole)
+
+
+def cut_pulses(record: Record) -> list[Record]:
+    """Return a record of pulses cut before each of them, from rest on."""
+    away = np.flatnonzero(_away(record))
+    first = away[np.flatnonzero(np.diff(away, prepend=-record.n_samples) > PULSE_ROOM // 2)]
+    edges = [*(max(0, int(k) - PULSE_LEAD) for k in first), record.n_samples]
+    spans = [(a, b) for a, b in pairwise(edges) if b - a >= PULSE_ROOM]
+    return [record.window(slice(a, b)) for a, b in spans]
+
+
+def _away(record: Record) -> np.ndarray:
+    """Return where an input is away from rest (N,) bool: by a twentieth of its peak, and more than its noise."""
+    off = np.abs(record.u - np.median(record.u, axis=0))
+    noise = 1.4826 * np.median(off, axis=0)
+    return np.any(off > np.maximum(0.05 * off.max(axis=0), 6 * noise), axis=1)
+
+
+def _is_pulses(record: Record) -> bool:
+    return (
+        record.n_samples >= 2 * PULSE_ROOM and bool(np.mean(_away(record)) < PULSE_SHARE) and bool(cut_pulses(record))
+    )
+
+
+def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> PreparedRecords:
+    pulses = [_settled(p) for r in train for p in cut_pulses(r)]
+    kept = [_settled(p) for r in held for p in (cut_pulses(r) if _is_pulses(r) else [r])]
+    how, everything = "the logs given", pulses
+    if not kept and len(pulses) > 1:
+        n = max(1, round((1 - TRAIN_SHARE) * len(pulses)))
+        if _spans_inputs(pulses[:-n]):
+            pulses, kept, how = pulses[:-n], pulses[-n:], f"the last {n} of {len(pulses)} pulses"
+    if not kept:
+        how = "nothing"
+        warnings = [
+            *warnings,
+            "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice",
+        ]
+    parts, whole = (tuple(truncate_records(some, PULSES, 5 * PULSE_ROOM)) for some in (pulses, everything))
+    return PreparedRecords(parts, tuple(kept), "impulse", how, tuple(warnings), whole)
+
+
+def _spans_inputs(pulses: list[Record]) -> bool:
+    """Tell whether every input is hit on its own somewhere among the pulses."""
+    peaks = np.array([np.abs(p.u).max(axis=0) for p in pulses])
+    strongest = peaks.max(axis=0)
+    return bool(np.all(strongest > 0)) and np.linalg.matrix_rank(peaks / strongest, tol=0.05) == peaks.shape[1]
+
+
+def _records(log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str]) -> list[Record]:
+    for name in (*inputs, *outputs, *references):
+        column = log.channels.get(name)
+        if column is not None and not np.all(np.isfinite(column)):
+            first = int(np.flatnonzero(~np.isfinite(column))[0])
+            n = int(np.sum(~np.isfinite(column)))
+            raise InputError(
+                "bad_sample",
+                f"{log.name}: column '{name}' holds no number in {n} sample(s), first at t = {log.t[first]:.6g} s; "
+                "mend them, or cut the log there",
+            )
+    records = build_records(log, inputs, outputs, references)
+    for i, one in enumerate(inputs):
+        for j, other in enumerate(outputs):
+            if all(_alike(r.u[:, i], r.y[:, j]) for r in records):
+                raise InputError(
+                    "mismatch",
+                    f"{log.name}: output '{other}' is input '{one}' again, but for scale; name the measured response",
+                )
+    return records
+
+
+def _alike(a: np.ndarray, b: np.ndarray) -> bool:
+    a, b = a - a.mean(), b - b.mean()
+    return bool(abs(a @ b) ** 2 > (1 - 1e-12) * (a @ a) * (b @ b))
+
+
+def _refuse_names(inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str]) -> None:
+    if not outputs:
+        raise InputError("bad_option", "no outputs are named; name the columns that respond with --outputs")
+    if not inputs:
+        raise InputError(
+            "bad_option",
+            "no inputs are named; resonances are identified from what excites the structure and what responds. "
+            "Name the columns that excite with --inputs; responses alone go to find_operational_modes",
+        )
+    twice = [n for n in references if n in (*inputs, *outputs)]
+    if twice:
+        raise InputError(
+            "duplicate_name",
+            f"column '{twice[0]}' is a reference and also an input or output; a reference is what the loop was asked for",
+        )
+
+
+def _refuse_steps(records: Sequence[Record]) -> None:
+    if not records:
+        raise InputError("too_little_data", "every stretch between gaps is shorter than 10 samples; no record is left")
+    dt = records[0].dt
+    for r in records:
+        if abs(r.dt / dt - 1) > STEP_TOLERANCE:
+            raise InputError(
+                "time_stamps",
+                f"{r.name} is sampled at {1 / r.dt:.6g} Hz and {records[0].name} at {1 / dt:.6g} Hz; "
+                "one model needs one sampling rate",
+            )
+
+
+def _refuse_short(records: Sequence[Record], channels: int) -> None:
+    n, needed = sum(r.n_samples for r in records), int(SAMPLES_PER_CHANNEL * channels / TRAIN_SHARE)
+    if n < needed:
+        raise CannotAnswer(
+            "too_little_data",
+            f"{n} samples are too few for {channels} channels",
+            f"record at least {needed} samples, better ten times as many",
+        )
+
+
+def _warnings(logs: Sequence[Log]) -> list[str]:
+    pieces = [piece for log in logs for piece in resample_segments(log)]
+    return list(dict.fromkeys(w for p in pieces for w in p.warnings))
+
+
+def _both(logs: Sequence[Log], holdout: Sequence[Log]) -> list[str]:
+    known = {log.sha256 for log in logs if log.sha256}
+    same = [log.name for log in holdout if log.sha256 in known or any(log is other for other in logs)]
+    return [f"{name} is both trained on and held out; its errors are not held-out errors" for name in same]
+
+
+def _cut(record: Record) -> tuple[Record, Record]:
+    cut = round(TRAIN_SHARE * record.n_samples)
+    return record.window(slice(0, cut)), record.window(slice(cut, None))
+
+
+def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Return inputs (m,) and outputs (p,) at rest: the inputs' mean, and the outputs that go with it.
+
+    Means of both do not belong together, because outputs still ring at a record's ends; what that leaves would be taken
+    for a slow pole. A long ARX model with a constant gives the outputs at rest: y_t = c + sum A_k y_{t-k} + sum B_k u_{t-k}.
+    """
+    u, y = record.u[:MAX_REST_SAMPLES], record.y[:MAX_REST_SAMPLES]
+    mean_u, mean_y, spread = record.u.mean(axis=0), record.y.mean(axis=0), record.y.std(axis=0)
+    (n, m), p = u.shape, y.shape[1]
+    lags = min(20, n // (20 * (m + p)))
+    if lags < 2:
+        return mean_u, mean_y
+    du, dy = u - mean_u, (y - mean_y) / spread
+    past = [dy[lags - k : n - k] for k in range(1, lags + 1)] + [du[lags - k : n - k] for k in range(lags + 1)]
+    theta = np.linalg.lstsq(np.hstack([np.ones((n - lags, 1)), *past]), dy[lags:], rcond=1e-9)[0]
+    stiff = np.eye(p) - theta[1 : 1 + lags * p].reshape(lags, p, p).sum(axis=0).T
+    if np.linalg.cond(stiff) > 1e6:
+        return mean_u, mean_y
+    rest = np.linalg.solve(stiff, theta[0])
+    return mean_u, mean_y + np.where(np.abs(rest) < 1, rest, 0.0) * spread
+
+
+def _centred(record: Record, origin: Record) -> Record:
+    """Return a record as deviations from another's operating point."""
+    u, y = estimate_operating_point(origin)
+    reference = record.reference
+    if reference is not None and origin.reference is not None:
+        reference = reference - origin.reference.mean(axis=0)
+    return replace(record, u=record.u - u, y=record.y - y, reference=reference)
+
+
+def _settled(record: Record) -> Record:
+    """Return a pulse and its decay as deviations from rest."""
+    tail = record.y[-max(10, int(STEADY_STATE_SHARE * record.n_samples)) :]
+    return replace(record, u=record.u - np.median(record.u, axis=0), y=record.y - tail.mean(axis=0))
