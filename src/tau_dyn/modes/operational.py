@@ -21,7 +21,7 @@ from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
 from tau_dyn.modes.modal import FREQUENCY_TOLERANCE, Mode, build_stabilisation_diagram, compute_frequency_and_damping
-from tau_dyn.modes.record import Record, build_records
+from tau_dyn.modes.record import Record, build_records, read_whole_number
 from tau_dyn.modes.result import OperationalModes
 
 MAX_HANKEL_ROWS = 240
@@ -72,7 +72,9 @@ def find_operational_modes(
             "a longer log, of some thousand periods of the slowest mode",
         )
     blocks, scale = _correlate_blocks(records, 2 * rows)
-    highest = _highest(order, (rows - 1) * p)
+    carried = (rows - 1) * p
+    asked = read_whole_number("order", order, 2, carried, f"states from 2 to {carried}")
+    highest = min(MAX_ORDER, carried) if asked is None else asked
     found = _find_modes_by_order(blocks, range(2, highest + 1, 2), records[0].dt, scale)
     modes = _select_stable_modes(found)
     if not modes:
@@ -84,19 +86,6 @@ def find_operational_modes(
     warnings = _warn(modes, n * records[0].dt / len(blocks))
     diagram = build_stabilisation_diagram(found)
     return OperationalModes(tuple(outputs), records[0].dt, highest, modes, diagram, n, warnings, seed)
-
-
-def _highest(order: str | int, carried: int) -> int:
-    """Return the highest order of model to look at."""
-    if order == "auto":
-        return min(MAX_ORDER, carried)
-    try:
-        value = int(order)
-    except ValueError:
-        value = 0
-    if not 2 <= value <= carried:
-        raise InputError("bad_option", f"--order {order}: write auto, or a number of states from 2 to {carried}")
-    return value
 
 
 def _correlate_blocks(records: Sequence[Record], lags: int) -> tuple[np.ndarray, np.ndarray]:

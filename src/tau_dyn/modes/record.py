@@ -409,3 +409,20 @@ def _settled(record: Record) -> Record:
     """Return a pulse and its decay as deviations from rest."""
     tail = record.y[-max(10, int(STEADY_STATE_SHARE * record.n_samples)) :]
     return replace(record, u=record.u - np.median(record.u, axis=0), y=record.y - tail.mean(axis=0))
+
+
+def read_whole_number(option: str, value: str | int, least: int, most: int, what: str) -> int | None:
+    """Return the number that an option asks for, None for `auto`.
+
+    Raises:
+        InputError: It is no whole number between `least` and `most`.
+    """
+    if value == "auto":
+        return None
+    try:
+        number = int(value)
+    except ValueError:
+        number = least - 1
+    if not least <= number <= most:
+        raise InputError("bad_option", f"--{option} {value}: write auto, or a number of {what}")
+    return number

@@ -42,6 +42,11 @@ def compute_covariance(errors: Sequence[np.ndarray]) -> np.ndarray:
     return np.sum([e.T @ e for e in errors], axis=0) / sum(len(e) for e in errors)
 
 
+def compute_mean_squares(errors: Sequence[np.ndarray]) -> np.ndarray:
+    """Return each column's mean square over all records (p,)."""
+    return np.sum([np.sum(e**2, axis=0) for e in errors], axis=0) / sum(len(e) for e in errors)
+
+
 def compute_log_det_loss(errors: Sequence[np.ndarray]) -> float:
     """Return log det of the errors' covariance; infinite where a simulation ran away."""
     sigma = compute_covariance(errors)

@@ -26,6 +26,7 @@ from tau_dyn.modes.residuals import (
     NoiseModel,
     check_independence,
     check_whiteness,
+    compute_mean_squares,
     compute_residuals,
     fit_noise_model,
     fit_of,
@@ -279,8 +280,7 @@ def _fit(model: StateSpace, noise: NoiseModel, records: Sequence[Record]) -> Fit
         k: fit_of(measured, [y - noise.ahead(e, k) for y, e in zip(measured, errors, strict=True)])
         for k in PREDICTION_HORIZONS
     }
-    rms = np.sqrt(np.sum([np.sum(e**2, axis=0) for e in errors], axis=0) / sum(len(e) for e in errors))
-    return FitQuality(percent, ahead, sum(len(e) for e in errors), rms)
+    return FitQuality(percent, ahead, sum(len(e) for e in errors), np.sqrt(compute_mean_squares(errors)))
 
 
 def compute_prediction_errors(
