@@ -1,8 +1,13 @@
-"""Output-error fit of a delayed first-order actuator, with standard errors that allow for coloured noise.
+"""Controlled actuators as first-order systems with a dead time, from step responses, with standard errors.
 
-Gain, offset and what is left of an earlier motion enter linearly and are solved for exactly (variable projection, Golub &
-Pereyra 1973); the time constant and the delay are searched. The response has a kink where the delay passes a sample, so the
-search goes from one sample's width to the next, as long as the error falls.
+    tau y' + y = gain * r(t - delay)
+
+The reference r is held over each sample, so sampling is exact for any delay, whole samples or not. The thesis writes the same
+as `G(q) = q^-d b / (1 - a q^-1)`, (6.11): `d` counts the sample that the hold itself takes, so `delay = (d - 1) dt` there.
+
+Fit of the output error, whose noise may be coloured: gain, offset and what is left of an earlier motion enter linearly and are
+solved for exactly (variable projection, Golub & Pereyra 1973); the time constant and the delay are searched. The response has a
+kink where the delay passes a sample, so the search goes from one sample's width to the next, as long as the error falls.
 """
 
 from __future__ import annotations

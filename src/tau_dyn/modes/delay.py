@@ -1,8 +1,19 @@
-"""When pulse tests are answered first: no delay can be longer, whatever a model says.
+"""By how many whole samples the inputs act late.
 
-Before a pulse the structure at most rings on, y_t = C A^t x_0. That is fitted to the samples of rest and followed into
-the pulse; the first sample at which an output leaves it by more than noise and rounding is the answer. A model that
-lacks modes would trade them for a delay; this bound has none to lack.
+A delay that a model does not know costs it one state for each sample and input; a delay too long makes it miss the response's
+first samples. So for every delay and several orders n the poles are taken from a first model, the rest is fitted by linear
+least squares,
+
+    y_t = sum_k Re( R_k xi_{k,t} ) [+ D u_{t-d}] + free decay,   xi_{k,t+1} = lambda_k xi_{k,t} + u_{t-d},
+
+with and without D, and the pair (d, n) with the best BIC is taken. Delays that come close are compared by refined models,
+because the error of a first model's poles can hide what one sample makes. A sampled strictly proper plant has delay 0:
+sampling's own sample is part of the model; where outputs answer within the sample (accelerometers), D tells, and refinement
+decides. All inputs get the same delay.
+
+Pulse tests bound it from above. Before a pulse the structure at most rings on, y_t = C A^t x_0; that is fitted to the samples
+of rest and followed into the pulse, and the first sample at which an output leaves it by more than noise and rounding is the
+answer. A model that lacks modes would trade them for a delay; this bound has none to lack.
 """
 
 from __future__ import annotations

@@ -1,6 +1,10 @@
-"""Levenberg-Marquardt steps downhill until they are small against the standard errors.
+"""Levenberg-Marquardt steps downhill, in coordinates that stay well-conditioned wherever poles go.
 
-Reference: Ljung 1999, 10.2; Nocedal & Wright 2006, 10.3.
+Modal coordinates give the exact derivative cheaply, but degenerate where two poles meet, as real ones do on their way to
+becoming a pair. The same tangent vector, written as a change (dA, dB, dC) of a balanced realisation and freed of what only
+changes the states' coordinates, does not: steps are measured and made there, until they are small against the standard errors.
+Initial states count as further columns of B. References: McKelvey, Helmersson, Ribarits 2004 (data driven local coordinates);
+Ljung 1999, 10.2; Nocedal & Wright 2006, 10.3.
 """
 
 from __future__ import annotations

@@ -1,14 +1,27 @@
-"""Do the inputs answer to what the model leaves of the outputs: the two-sided correlation test for feedback.
+"""Do the inputs answer to the outputs: a loop was closed, and methods for open loop would be biased. Two tests tell.
 
-With e = y - G u of a causal model, whitened in the band that the input excites, by a filter A(f) = W(f) / |U(f)| without phase,
+Innovations `e` of a high-order ARX model are what cannot be foreseen in the outputs. In open loop they tell nothing about the
+inputs to come; in a closed one the controller answers to them. So each input is predicted from its own past, with and without
+past innovations (Granger 1969; Caines & Chan 1975):
+
+    u_t = sum a_k u_{t-k} + sum b_k e_{t-k},  k = 1 .. L          all b = 0 in open loop
+
+The ARX model may look at a few inputs to come as well: a path sampled behind anti-alias filters is two-sided, because the force
+between samples shows in those before and after, and a causal model would leave those inputs in e, more so the more outputs
+there are and the less noise. A controller's answer lasts longer than these few samples (Sims 1972). An F-test says whether the
+b help, their share of the input's movement whether it matters: innovations that make up a thousandth of the input bias nothing
+that anyone could see. An input that repeats itself exactly answers to nobody's noise. A purely proportional controller that
+acts within the same sample on white noise leaves no trace here; where a loop is known, name its reference.
+
+The second test looks at what a causal model leaves, e = y - G u, whitened in the band that the input excites, by a filter A(f)
+= W(f) / |U(f)| without phase,
 
     r_k = mean_t (A e)_t (A u)_{t+k},        cross-spectrum  (E/U)(f) W(f)^2
 
-What the model misses of the path from u to y shows at lags k <= 0 and, through the short kernel of W^2, at a few positive
-ones: a band-limited path looks acausal there although no loop is closed. Disturbances that come back through a controller
-show beyond, at k > 0: the input follows what is left. r at lags far away on both sides is chance alone and gives the
-false-alarm rate, whatever the colours. References: Sims 1972 (future inputs foretell nothing in open loop); Söderström &
-Stoica 1989, 11.2 (correlation of residuals with inputs, both signs of the lag).
+What the model misses of the path from u to y shows at lags k <= 0 and, through the short kernel of W^2, at a few positive ones.
+Disturbances that come back through a controller show beyond, at k > 0: the input follows what is left. r at lags far away on
+both sides is chance alone and gives the false-alarm rate, whatever the colours. References: Sims 1972; Söderström & Stoica
+1989, 11.2.
 """
 
 from __future__ import annotations

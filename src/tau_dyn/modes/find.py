@@ -1,10 +1,10 @@
 r"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
 
 The way, from top to bottom: records are prepared (`record.py`); a method is tried, for which a delay (`delay.py`) and an order
-(`order.py`) are chosen from first models (`methods.py`); its residuals tell whether a loop was closed (`feedback.py`), and where
-that, an older trace of feedback or a named reference says so, `pbsid`, which bears feedback, is tried too; the winner is refined
-(`refinement.py`), fitted to all data, its standard errors widened for what other models say, and judged (`validation.py`). Each
-step leaves a sentence in `why`.
+(`order.py`) are chosen from first models (`methods.py`); its residuals tell whether a loop was closed (`feedback.py`), and
+where that, an older trace of feedback or a named reference says so, `pbsid`, which bears feedback, is tried too; the winner is
+refined (`refinement.py`), fitted to all data, its standard errors widened for what other models say, and judged
+(`validation.py`). Each step leaves a sentence in `why`.
 
 Under feedback the error of a simulation favours the open-loop method, which fits the disturbance too; so `pbsid` may lose a
 little, but not much: a model that cannot simulate is no answer, whatever the reason for trying it.

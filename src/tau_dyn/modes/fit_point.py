@@ -1,6 +1,12 @@
-"""Given A and C, the rest is linear: B, D and the records' initial states by least squares on the simulated output.
+"""How a modal form fits records: outputs, loss, gradient and Gauss-Newton matrix in one pass over the samples.
 
-Reference: Ljung 1999, (10.128); Verhaegen & Verdult 2007, 9.2.4.
+For every mode i and input j the filtered input x_ij(t+1) = lambda_i x_ij(t) + u_j(t), the free response f_i(t) = lambda_i^t and
+the sensitivity s_i(t+1) = lambda_i s_i(t) + xi_i(t) = d xi_i(t+1) / d lambda_i. The output of the model and its derivative with
+respect to every parameter are linear in these few columns, for all outputs at once.
+
+The loss is the concentrated likelihood of output errors that are white in time, log det S with S their covariance between
+outputs; its Gauss-Newton matrix is sum_t J_t' S^-1 J_t. Given A and C, the rest (B, D, initial states) is linear and found in
+one step. References: Ljung 1999, 7.4, 10.2, (10.128); McKelvey, Helmersson, Ribarits 2004; Verhaegen & Verdult 2007, 9.2.4.
 """
 
 from __future__ import annotations

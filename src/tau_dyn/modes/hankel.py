@@ -1,7 +1,17 @@
-"""ARX models as state space: y_t = sum_k A_k y_{t-k} + sum_k B_k u_{t-d-k} + e_t by linear least squares.
+"""Block-Hankel data compressed to a square factor, and the autoregressions that follow from it.
 
-Of high order, an ARX model describes any linear system under any disturbance, also under feedback, at the price of many
-parameters; reduce it afterwards. References: Ljung 1999, 4.2, 10.1; Ljung & Wahlberg 1992 on high orders.
+With z_t = (u_t, y_t) and `rows` block rows, column t of the data matrix Z is (z_t, ..., z_{t+rows-1}). Least squares on rows of
+Z are those on rows of any L with L L' = Z Z'. The Gram matrix Z Z' has a displacement structure,
+
+    G_{i+1,j+1} = G_{i,j} - z_i z_j' + z_{M+i} z_{M+j}'      (M columns),
+
+so that one block row, a correlation, gives all of it: O(N log N) for the samples, whatever the number of rows. Forming it
+squares the condition number; where that costs too many digits, a QR factorisation in chunks replaces it.
+
+ARX models, y_t = sum_k A_k y_{t-k} + sum_k B_k u_{t-d-k} + e_t, are linear least squares on these data. Of high order, one
+describes any linear system under any disturbance, also under feedback, at the price of many parameters; reduce it afterwards.
+References: Mastronardi, Kressner, Sima, Van Dooren, Van Huffel 2001 (fast subspace identification by displacement structure);
+Golub & Van Loan 2013, 5.3; Ljung 1999, 4.2, 10.1; Ljung & Wahlberg 1992 on high orders.
 """
 
 from __future__ import annotations

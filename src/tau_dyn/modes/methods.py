@@ -1,8 +1,14 @@
 """From records to a first model of any order, by the method asked for; every method guards against instability.
 
-`n4sid` is the canonical variate analysis of `subspace.py`, `pbsid` bears feedback, `arx` reduces a long ARX model,
-`era` takes impulse tests. Refinement starts here and mends what these leave; which method suits the data is decided
-in `find.py`.
+`n4sid` is the canonical variate analysis of `subspace.py`, `pbsid` bears feedback, `arx` reduces a long ARX model, `era` takes
+pulse tests. Refinement starts here and mends what these leave; which method suits the data is decided in `find.py`.
+
+Eigensystem realisation (Juang & Pappa 1985): the block-Hankel matrix of Markov parameters is Gamma times the controllability
+matrix; its singular vectors give A, B, C. A pulse test is the same with unknown initial states in place of inputs: once the
+pulse is over, every record is a free decay. Block rows need not be neighbours, H_ij = h[i s + j], as long as the shifted matrix
+moves by one sample; so a few rows span the slowest mode. Models are reduced by balanced truncation, unstable ones by realising
+their impulse response (Moore 1981; Laub, Heath, Paige, Ward 1987; the error is at most twice the sum of the dropped Hankel
+singular values).
 """
 
 from __future__ import annotations

@@ -1,4 +1,13 @@
-"""How sure a model's frequency response is: first-order propagation from the covariance of its modal form."""
+"""A model as a sum of modes: the coordinates in which it is refined and its uncertainty stated.
+
+    y_t = sum_i Re(c_i xi_i,t) + D u_t,   xi_i,t+1 = lambda_i xi_i,t + b_i u_t,
+
+one complex state for each complex pair (a real 2x2 block), one real state for each real pole (1x1). In every mode the
+largest entry of c_i is 1, which fixes the free factor between b_i and c_i. The free numbers are, in this order for mode
+after mode, Re and Im of lambda, of c (without the fixed entry) and of b; then D row by row. Imaginary parts of real
+modes are left out. Their covariance goes to the frequency response by first-order propagation. Reference: McKelvey & Helmersson
+2004 on why any other freedom must be taken out.
+"""
 
 from __future__ import annotations
 

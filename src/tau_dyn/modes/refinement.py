@@ -1,9 +1,18 @@
 """Refinement of a model to the most likely one, in modal coordinates, with the covariance of the outcome.
 
-Output errors: y = G u + v; v may be coloured, the estimate stays consistent and its covariance accounts for it.
-Prediction errors: the innovation form; its predictor is an output-error model with inputs (u, y) and the poles of A - K
-C, which is refined in its own modal coordinates. Every record has its own initial state, estimated along. References:
-Ljung 1999, 7.2-7.5, 10.2.
+Output errors: y = G u + v; v may be coloured, the estimate stays consistent and its covariance accounts for it,
+
+    cov = H^-1 (sum_{t,s} J_t' W R_{t-s} W J_s) H^-1,    H = sum_t J_t' W J_t,
+
+with R the autocovariance of the errors, from a vector autoregression fitted to the residuals; with white residuals it is H^-1.
+The double sum is taken in the frequency domain, chunk by chunk. Prediction errors: the innovation form, whose one-step
+predictor is an output-error model with inputs (u, y),
+
+    x+ = (A - K C) x + [B - K D, K] (u, y),    yhat = C x + [D, 0] (u, y),
+
+refined in its own modal coordinates. Every record has its own initial state, estimated along. Another modal form of the same
+model (other units; the model of a predictor) gets its covariance by central differences. References: Ljung 1999, (4.91)-(4.95),
+7.2-7.5, 9.4, 10.2; Söderström & Stoica 1989, (7.59).
 """
 
 from __future__ import annotations

@@ -1,13 +1,18 @@
-"""Is the model good enough: fit of a free simulation, whiteness of what is left, and its correlation with the inputs.
+"""What a model leaves of records: how likely that makes it, how well it fits, and whether what is left is noise.
 
+    loss = log det (1/N) sum e_t e_t',     BIC = N loss + k log N,   AIC = N loss + 2 k
     fit = 100 (1 - |y - y_hat| / |y - mean(y)|)                                     per output
     r_e(k) = corr(e_t, e_{t-k}),      99 % band  +- 2.58 / sqrt(N)
     r_eu(k) = corr(e_t, u_{t-k}),     99 % band  +- 2.58 sqrt(P_0 / N),  P_j = sum_k r_e(k) r_u(k + j)
+    v_t = sum_{k=1}^{L} F_k v_{t-k} + e_t
 
-`e` are one-step prediction errors where whiteness is asked for. The correlation with the inputs is tested on whatever
-the model leaves, coloured or not: `P` is what the colours of both do to it (Ljung 1999, 16.6). A whole curve is
-judged by one number, `N r' P^-1 r`, chi-squared with as many degrees of freedom as lags. Lags from 0 up show dynamics
-that the model lacks; negative lags show inputs that answer to past residuals, which is feedback.
+`e` is the error of a free simulation, or of a prediction one step ahead where a loop was closed or whiteness is asked for; `k`
+counts free numbers. With coloured noise the criteria of a simulation reward too many states: they assume that `e` is white. The
+correlation with the inputs is tested on whatever the model leaves, coloured or not: `P` is what the colours of both do to it. A
+whole curve is judged by one number, `N r' P^-1 r`, chi-squared with as many degrees of freedom as lags. Lags from 0 up show
+dynamics that the model lacks; negative lags show inputs that answer to past residuals, which is feedback. The last line is the
+memory of what a simulation leaves, `v`, for predictions a few steps ahead; L is BIC's choice, and 0 says that `v` has no memory
+(its long-memory counterpart is the innovation form in `refinement.py`). Reference: Ljung 1999, 16.4, 16.6.
 """
 
 from __future__ import annotations

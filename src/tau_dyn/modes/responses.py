@@ -1,12 +1,15 @@
-"""What a unit pulse does, in the data and in the model, so that both can be laid over each other.
+"""The responses that the data show, in frequency and in time, and the model's beside them.
 
-A driven record is divided by its inputs in the frequency domain, with a floor where they hold little power:
+    H(f) = S_yu S_uu^-1,      coherence(f) = S_yu S_uu^-1 S_uy / S_yy,      h = F^-1 [ Y U^H (U U^H + floor)^-1 ]
 
-    h = F^-1 [ Y U^H (U U^H + floor)^-1 ]
+Spectra are averaged over windowed stretches. With several inputs the coherence is the multiple one: the share of an output's
+power that all inputs explain together. Under feedback `S_yu` mixes plant and controller; with the loop's reference r known, `H
+= S_yr S_ur^-1` does not (Pintelon & Schoukens 2012, 2.6). Of pulse tests, whose response dies within the record, each record is
+one stretch and no window is needed. Noise in the inputs pulls H towards zero.
 
-The model's simulation of the same inputs goes through the same division, so that the floor, the inputs' band and the
-record's ends do the same to both and only the difference between data and model is left to see. Pulse tests need none
-of that: the record is the answer.
+For the response to a unit pulse h, a driven record is divided by its inputs in the frequency domain, with a floor where they
+hold little power. The model's simulation of the same inputs goes through the same division, so that the floor, the inputs' band
+and the record's ends do the same to both and only the difference between data and model is left to see.
 """
 
 from __future__ import annotations

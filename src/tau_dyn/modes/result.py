@@ -1,4 +1,4 @@
-"""What `find_operational_modes` found: modes without a scale, and the diagram that they were taken from."""
+"""What `find_modes` and `find_operational_modes` found: a model, modes with uncertainty, and everything that says how far to trust them."""
 
 from __future__ import annotations
 

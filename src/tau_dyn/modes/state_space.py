@@ -1,4 +1,12 @@
-"""A black-box model as a file: what the observers, learning filters and other programs read back."""
+"""A sampled linear model in innovation form: what it says of records, its Gramians, and its file.
+
+    x_{k+1} = A x_k + B u_{k-d} + K e_k,   y_k = C x_k + D u_{k-d} + e_k
+
+`d` whole samples of delay act on every input before the model sees it. Matrix entries depend on the choice of states; poles,
+Markov parameters and responses do not, and only they are to be compared. Simulations take the complex Schur form A = Q T Q':
+one first-order filter for each state, last state first, which costs n filters whatever the poles and needs no eigenvectors.
+References: Ljung 1999, 3.2 (k-step prediction), 4.3; Moore 1981 (Gramians).
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,19 @@
-"""Predictor-based subspace identification: consistent under feedback.
+"""Subspace identification: states from the past, for open loop by projections and under feedback by a predictor.
 
-The one-step predictor from past inputs and outputs (a long ARX model) needs no independence of input and disturbance.
-Its coefficients C Atilde^{l-1} [B, K] fill Gamma-tilde K-tilde, whose product with the past is the state, up to a
-choice of coordinates. Reference: Chiuso 2007; van der Veen, van Wingerden, Bergamasco, Lovera, Verhaegen 2013
-(PBSIDopt).
+With past and future block rows U_p, Y_p, U_f, Y_f and the data compressed to L, ordered [U_f; U_p; Y_p; Y_f],
+
+    Y_f given the past, orthogonal to U_f:  L32 Q2;      the rest: L33 Q3,
+
+the singular vectors of W L32 span W Gamma with Gamma the extended observability matrix. The weighting W is (L32 L32' + L33
+L33')^-1/2 for CVA and the identity for MOESP; N4SID takes the oblique projection L32 L22^-1 [L21 L22]. B and D follow from the
+records, given A and C.
+
+PBSID: the one-step predictor from past inputs and outputs (a long ARX model) needs no independence of input and disturbance, so
+it is consistent under feedback. Its coefficients C Atilde^{l-1} [B, K] fill Gamma-tilde K-tilde, whose product with the past is
+the state, up to a choice of coordinates. With the state a known function of the past, the matrices and the innovations'
+covariance follow from two regressions: y on (x, u), then x one sample later on (x, u, e). References: Van Overschee & De Moor
+1996, tables 4.7, 4.8; Verhaegen & Verdult 2007, 9.5-9.6; Larimore 1990; Chiuso 2007; van der Veen, van Wingerden, Bergamasco,
+Lovera, Verhaegen 2013 (PBSIDopt, (21)-(24)).
 """
 
 from __future__ import annotations

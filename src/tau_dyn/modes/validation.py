@@ -1,4 +1,14 @@
-"""A refined model judged: fit on held-out data, tests of what is left, spectra, uncertainty, mass-damping-stiffness, doubts."""
+"""A refined model judged: fit on held-out data, tests of what is left, spectra, uncertainty, mass-damping-stiffness, doubts.
+
+The test for nonlinear stiffness, damping or friction: with e the residual of a simulation, y the simulated output and u the
+inputs,
+
+    A(q) e_t = B(q) u_t + C(q) y_t + T(q) y_t^k + w_t,      k = 2, 3,      e.g. Duffing:  e = -G k3 y^3 + v
+
+has T = 0 where the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B take up
+colour and linear dynamics that the model lacks. An F-test says whether T differs from zero, the variance of `T / A y^k` over
+that of e whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3 (nested model structures).
+"""
 
 from __future__ import annotations
 

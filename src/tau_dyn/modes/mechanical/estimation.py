@@ -1,10 +1,13 @@
-"""Maximum likelihood of M, D and K, given a response and the covariance of its error.
+"""M, D and K from a response: a conic program, then maximum likelihood, all in scaled units, where M, D, K are of order one.
 
+    minimise sum_k || W_k ((K + s_k D + s_k^2 M) H_k - B) ||^2   subject to   M > 0,  K > 0,  D >= 0,  all symmetric
     minimise || T (H(M, D, K) - H_model) ||^2,   M = L_M L_M',  D = L_D L_D',  K = L_K L_K'
 
-`T` whitens: it holds the model's parameter covariance as the response sees it, so the answer loses nothing of what the
-parameters know (Stoica & Soderstrom 1989, indirect identification). Cholesky factors keep the matrices definite at every step;
-standard errors are those of the entries themselves. All in scaled units.
+The program has Sanathanan and Koerner's weights `W_k = (K + s_k D + s_k^2 M)^{-1} / ||H_k||` of the round before, which turn
+the equation's error into the response's relative error. In the likelihood, `T` whitens: it holds the model's parameter
+covariance as the response sees it, so the answer loses nothing of what the parameters know (Stoica & Soderstrom 1989, indirect
+identification). Cholesky factors keep the matrices definite at every step; standard errors are those of the entries themselves.
+References: Sanathanan & Koerner 1963; Boyd & Vandenberghe 2004, 4.6.
 """
 
 from __future__ import annotations

@@ -1,7 +1,14 @@
-"""The two fits of M, D and K: a whole structure by maximum likelihood, and a stand-in with fewer degrees of freedom than modes.
+"""The two fits of M, D and K, and whether they mean something.
 
-Both work in scaled units and start from the conic program. The whole one is weighed by the covariance of the model's parameters.
-The stand-in cannot be right everywhere: it spreads its relative error evenly over its band, with the static end counted more.
+A whole structure is fitted by maximum likelihood, weighed by the covariance of the model's parameters; a stand-in with fewer
+degrees of freedom than modes cannot be right everywhere: it spreads its relative error evenly over its band, with the static
+end counted more. Both work in scaled units and start from the conic program.
+
+A feasible program is not an identified matrix. `identified` takes as many modes as named degrees of freedom, a misfit that
+chance explains (`SIGNIFICANCE_LEVEL`) and that is small at every mode, and enough information to tell M and K: the standard
+error of `E` in `M = L (I + E) L'` below `MAX_RELATIVE_STDERR` in every direction. Where fewer are sensed than there are modes,
+the same matrices are at most `condensed`: a stand-in on the band where it fits. A mode that the data do not show cannot be
+counted by any of this.
 """
 
 from __future__ import annotations

@@ -1,11 +1,14 @@
-"""The thesis' route to M, D, K, without constraints, for comparison with ours; and what its printed matrices say.
+"""M, D and K from a black-box model: `(M s^2 + D s + K) X(s) = B U(s)`, and whether they mean anything.
 
-A model of 2p states and p outputs is brought to the states (x, x'), where its lower rows are `-M^-1 K` and `-M^-1 D` and its
-input rows `M^-1 B`. Nothing makes M, D, K symmetric or definite. Reference: thesis 6.3, after Cescon et al. 2009.
+The route: the model's response in continuous time -> a conic program -> maximum likelihood with the model's own covariance -> a
+verdict. Forces and displacements keep the user's units, so M, D, K are in force per acceleration, velocity and displacement.
+References: thesis 6.3 (its form (6.14), fitted there without constraints); De Angelis, Lus, Betti & Longman 2002.
 
+The thesis' own route, for comparison: a model of 2p states and p outputs is brought to the states (x, x'), where its lower rows
+are `-M^-1 K` and `-M^-1 D` and its input rows `M^-1 B` (after Cescon et al. 2009). Nothing makes M, D, K symmetric or definite.
 Of the printed matrices: K, called positive definite there, has the eigenvalues -1588 +- 2500i. The 13.8 and 103.3 Hz of (6.15)
 are `sqrt|lambda|` with D left out, and lambda is positive: those roots grow or decay and do not oscillate. With D, two of the
-four poles are unstable. (6.14) is printed uninverted: `X(s) = (M s^2 + D s + K) B U(s)`, not `(M s^2 + D s + K)^-1 B U(s)`.
+four poles are unstable.
 """
 
 from __future__ import annotations

@@ -1,8 +1,15 @@
-"""What a sampled model says of the structure behind it: poles and residues in continuous time, with their uncertainty.
+"""A mass-damper-spring structure, which of it is pushed and watched, and what a sampled model says of the one behind it.
 
-The inputs are held over a step, so each mode of `x_{k+1} = z x_k + b u_k` is `x' = lambda x + b lambda / (z - 1) u` with
-`lambda = log(z) / dt`, exactly. Uncertainty travels as a factor `F` with `F F'` the covariance of the response at chosen points;
-nothing depends on which parameters the model was written in.
+    M q'' + D q' + K q = f,      X(s) = (M s^2 + D s + K)^{-1} B U(s)
+
+(thesis (6.14), which is printed uninverted). Every output names a degree of freedom. An input collocated with an output pushes
+the same one; any other input pushes one of its own, which no sensor watches. Modes are known at all of them once one pair is
+collocated, because the residue of mode i is `psi_sensed psi_driven'` with one and the same `psi`.
+
+A model's inputs are held over a step, so each mode of `x_{k+1} = z x_k + b u_k` is `x' = lambda x + b lambda / (z - 1) u` with
+`lambda = log(z) / dt`, exactly. Uncertainty travels as a factor `F` with `F F'` the covariance of the response at chosen
+points; nothing depends on which parameters the model was written in. References: De Angelis, Lus, Betti & Longman 2002; Ewins
+2000, 2.8.
 """
 
 from __future__ import annotations
