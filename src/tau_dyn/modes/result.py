@@ -1,4 +1,4 @@
-"""What `find_modes` and `find_operational_modes` found: a model, modes with uncertainty, and everything that says how far to trust them."""
+"""What `find_modes` and `find_operational_modes` found: models, modes with uncertainty, and what says how far to trust them."""
 
 from __future__ import annotations
 
