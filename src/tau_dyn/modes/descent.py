@@ -16,13 +16,101 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgWarning, qr
 
+from tau_dyn.estimate import DescentRules, descend
 from tau_dyn.modes.fit_point import FitPoint, NormalEquations, assemble_normal_equations, evaluate
 from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form_with_coordinates, free_numbers
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace, compute_gramians, compute_root
 
+RULES = DescentRules(
+    small_step=0.02,  # mean step of a parameter over its standard error
+    small_gain=0.05,  # of log-likelihood
+    patience=2,
+    damping=1e-12,  # of the largest curvature
+    first_damping=1e-300,  # it may shrink as long as steps succeed
+    growth=20.0,
+    max_trials=12,
+)
+MIN_UNIT_CIRCLE_DISTANCE = 1e-8  # of a pole to the unit circle
 MIN_RELATIVE_CURVATURE = 1e-15  # of the largest curvature: directions below it are not moved along
 _ROUNDING = 1e-14  # of a Gramian's largest eigenvalue
+
+
+@dataclass(frozen=True, eq=False)
+class DescentResult:
+    """Where the descent ended.
+
+    Attributes:
+        point: The best point.
+        rounds: Accepted steps, without the last small one.
+        converged: Whether the steps had become small, or no step led further down.
+    """
+
+    point: FitPoint
+    rounds: int
+    converged: bool
+
+
+def minimise(
+    point: FitPoint,
+    records: Sequence[Record],
+    direct: np.ndarray,
+    maximum_rounds: int,
+    allowed: Callable[[ModalForm], bool] = lambda form: True,
+) -> DescentResult:
+    """Walk down from a point.
+
+    Args:
+        point: Where to start.
+        records: Aligned and scaled.
+        direct: Which entries of D are free (p, m).
+        maximum_rounds: Most accepted steps.
+        allowed: Says whether a model may be visited at all.
+    """
+    model = balance_model(append_initial_states(point))
+    start = _Visit(model, evaluate(*split_initial_states(model, direct.shape[1]), records))
+    end = descend(_Descending(records, direct, allowed), start, replace(RULES, max_steps=maximum_rounds))
+    assert end.state.point is not None
+    return DescentResult(end.state.point, end.steps - (end.reason == "small_step"), end.converged)
+
+
+@dataclass(frozen=True, eq=False)
+class _Visit:
+    """A balanced realisation whose further inputs are initial states, and the point it is; None where it may not be visited."""
+
+    model: StateSpace
+    point: FitPoint | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Descending:
+    """The descent as a `LeastSquaresProblem`: its states are models, its steps are changes of their matrices."""
+
+    records: Sequence[Record]
+    direct: np.ndarray
+    allowed: Callable[[ModalForm], bool]
+
+    def linearise(self, state: _Visit) -> Tangent:
+        assert state.point is not None
+        normal = assemble_normal_equations(state.point, free_numbers(state.point.form, self.direct))
+        return compute_tangent(state.model, state.point, normal)
+
+    def move(self, state: _Visit, step: np.ndarray) -> _Visit:
+        assert state.point is not None
+        model = state.model
+        dA, dB, dC, dD = _unstacked(step, model)
+        model = replace(model, A=model.A + dA, B=model.B + dB, C=model.C + dC, D=model.D + dD)
+        model = balance_model(_kept_inside(model, state.point.form))
+        if not np.isfinite(model.A).all() or model.spectral_radius() >= 1:
+            return _Visit(model, None)
+        form, x0 = split_initial_states(model, self.direct.shape[1])
+        return _Visit(model, evaluate(form, x0, self.records) if self.allowed(form) else None)
+
+    def gain(self, state: _Visit, trial: _Visit) -> float:
+        """Return by how much the log-likelihood rises."""
+        if state.point is None or trial.point is None or not trial.point.loss < state.point.loss:
+            return -np.inf
+        return state.point.n_samples * (state.point.loss - trial.point.loss) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,25 +118,27 @@ class Tangent:
     """Normal equations at a point, in an orthonormal basis of the tangent space.
 
     Attributes:
-        model: The balanced realisation; its inputs are the model's, then one for each record's initial state.
-        n_inputs: Inputs of the model proper.
         values: Curvatures (d,), ascending.
         slopes: Descent in each of their directions (d,).
         directions: Each as a change of A, B, C, D, stacked row by row (n n + n m + p n + p m, d).
     """
 
-    model: StateSpace
-    n_inputs: int
     values: np.ndarray
     slopes: np.ndarray
     directions: np.ndarray
 
-    def step(self, damping: float) -> StateSpace:
-        """Return the model after a step; damping is a part of the largest curvature."""
-        top = self.values[-1]
-        size = np.where(self.values > MIN_RELATIVE_CURVATURE * top, self.slopes / (self.values + damping * top), 0.0)
-        dA, dB, dC, dD = _unstacked(self.directions @ size, self.model)
-        return replace(self.model, A=self.model.A + dA, B=self.model.B + dB, C=self.model.C + dC, D=self.model.D + dD)
+    def step(self, damping: float) -> tuple[np.ndarray, float]:
+        """Return a step, and the undamped one's size in standard errors, averaged over the free numbers; a last one is undamped.
+
+        Args:
+            damping: A part of the largest curvature.
+        """
+        top, values = self.values[-1], self.values
+        counts = values > 1e-14 * top
+        size = float(np.sqrt(np.mean(self.slopes[counts] ** 2 / values[counts])))
+        damping = damping if size >= RULES.small_step else 0.0
+        along = np.where(values > MIN_RELATIVE_CURVATURE * top, self.slopes / (values + damping * top), 0.0)
+        return self.directions @ along, size
 
 
 def compute_tangent(model: StateSpace, point: FitPoint, normal: NormalEquations) -> Tangent:
@@ -59,7 +149,6 @@ def compute_tangent(model: StateSpace, point: FitPoint, normal: NormalEquations)
         point: The point; its form is the modal form of `model`.
         normal: Its normal equations.
     """
-    m = point.form.D.shape[1]
     _, W = build_modal_form_with_coordinates(model)
     changes = _realised(point, normal, W, model)
     orbit = qr(_orbit(model), mode="economic")[0]
@@ -71,7 +160,7 @@ def compute_tangent(model: StateSpace, point: FitPoint, normal: NormalEquations)
     keep = S > 1e-11 * S[0]
     back = (Vt[keep].T / S[keep]) / length[:, None]
     values, vectors = np.linalg.eigh(back.T @ normal.H @ back)
-    return Tangent(model, m, values, vectors.T @ (back.T @ normal.g), U[:, keep] @ vectors)
+    return Tangent(values, vectors.T @ (back.T @ normal.g), U[:, keep] @ vectors)
 
 
 def append_initial_states(point: FitPoint) -> StateSpace:
@@ -109,48 +198,28 @@ def balance_model(model: StateSpace) -> StateSpace:
 def _realised(point: FitPoint, normal: NormalEquations, W: np.ndarray, model: StateSpace) -> np.ndarray:
     """The changes of A, B, C, D (rows) that a unit of every free number makes (columns)."""
     form, layout = point.form, build_layout(point.form)
-    (p, m), n_records = form.D.shape, len(point.x0)
+    (p, m), n_records, n = form.D.shape, len(point.x0), model.order
+    count = int(normal.free.sum())
+    place = np.where(
+        normal.free, np.cumsum(normal.free) - 1, count
+    )  # fixed numbers fall into a last row, left out in the end
+    dA, dB = np.zeros((count + 1, n, n)), np.zeros((count + 1, n, m + n_records))
+    dC, dD = np.zeros((count + 1, p, n)), np.zeros((count + 1, p, m + n_records))
+    outputs, inputs, records = np.arange(p), np.arange(m), np.arange(n_records)
     first = np.cumsum(np.r_[0, np.where(form.oscillates, 2, 1)])
-    n, wide = model.order, m + n_records
-    inverse, free = np.linalg.inv(W), np.flatnonzero(normal.free)
-    out = np.zeros((n * n + n * wide + p * n + p * wide, len(free)))
-    place = {int(index): column for column, index in enumerate(free)}
-
-    def put(
-        index: int, dA: np.ndarray | None = None, dB: np.ndarray | None = None, dC: np.ndarray | None = None
-    ) -> None:
-        if index in place:
-            parts = (
-                np.zeros((n, n)) if dA is None else inverse @ dA @ W,
-                np.zeros((n, wide)) if dB is None else inverse @ dB,
-                np.zeros((p, n)) if dC is None else dC @ W,
-            )
-            out[: n * n + n * wide + p * n, place[index]] = np.concatenate([part.ravel() for part in parts])
-
     for k, pair in enumerate(form.oscillates):
-        i = first[k]
-        for shift in (0, 1) if pair else (0,):
-            dA = np.zeros((n, n))
-            if not pair:
-                dA[i, i] = 1
-            elif shift == 0:
-                dA[i, i] = dA[i + 1, i + 1] = 1
-            else:
-                dA[i + 1, i], dA[i, i + 1] = 1, -1
-            put(layout.pole(k).start + shift, dA=dA)
-            for o in range(p):
-                put(layout.c(k).start + o + shift * p, dC=_unit((p, n), o, i + shift) * (-1 if shift else 1))
-            for j in range(m):
-                put(layout.b(k).start + j + shift * m, dB=_unit((n, wide), i + shift, j))
-            for r in range(n_records):
-                put(layout.size + 2 * (r * layout.n_modes + k) + shift, dB=_unit((n, wide), i + shift, m + r))
-    tail = n * n + n * wide + p * n
-    for o in range(p):
-        for j in range(m):
-            index = layout.D.start + o * m + j
-            if index in place:
-                out[tail + o * wide + j, place[index]] = 1
-    return out
+        i, pole = first[k], place[layout.pole(k)]
+        dA[pole[0], i, i] = 1
+        if pair:
+            dA[pole[0], i + 1, i + 1], dA[pole[1], i + 1, i], dA[pole[1], i, i + 1] = 1, 1, -1
+        for shift in range(1 + pair):
+            dC[place[layout.c(k)][shift * p + outputs], outputs, i + shift] = -1 if shift else 1
+            dB[place[layout.b(k)][shift * m + inputs], i + shift, inputs] = 1
+            dB[place[layout.size + 2 * (records * layout.n_modes + k) + shift], i + shift, m + records] = 1
+    dD[place[layout.D], np.repeat(outputs, m), np.tile(inputs, p)] = 1
+    inverse = np.linalg.inv(W)
+    parts = (inverse @ dA[:count] @ W, inverse @ dB[:count], dC[:count] @ W, dD[:count])
+    return np.concatenate([part.reshape(count, -1) for part in parts], axis=1).T
 
 
 def _orbit(model: StateSpace) -> np.ndarray:
@@ -166,93 +235,6 @@ def _unstacked(change: np.ndarray, model: StateSpace) -> list[np.ndarray]:
     shapes = [model.A.shape, model.B.shape, model.C.shape, model.D.shape]
     ends = np.cumsum([a * b for a, b in shapes])[:-1]
     return [part.reshape(shape) for part, shape in zip(np.split(change, ends), shapes, strict=True)]
-
-
-def _unit(shape: tuple[int, int], row: int, column: int) -> np.ndarray:
-    out = np.zeros(shape)
-    out[row, column] = 1.0
-    return out
-
-
-SMALL_STEP = 0.02  # mean step of a parameter over its standard error at which we stop
-SMALL_GAIN = 0.05  # log-likelihood gained by a round; two such in a row end the descent
-MIN_UNIT_CIRCLE_DISTANCE = 1e-8  # of a pole to the unit circle
-MAX_DAMPING_TRIALS = 12  # dampings tried before the point counts as a minimum
-
-
-@dataclass(frozen=True, eq=False)
-class DescentResult:
-    """Where the descent ended.
-
-    Attributes:
-        point: The best point.
-        rounds: Accepted steps.
-        converged: Whether the steps had become small, or no step led further down.
-    """
-
-    point: FitPoint
-    rounds: int
-    converged: bool
-
-
-def minimise(
-    point: FitPoint,
-    records: Sequence[Record],
-    direct: np.ndarray,
-    maximum_rounds: int,
-    allowed: Callable[[ModalForm], bool] = lambda form: True,
-) -> DescentResult:
-    """Walk down from a point.
-
-    Args:
-        point: Where to start.
-        records: Aligned and scaled.
-        direct: Which entries of D are free (p, m).
-        maximum_rounds: Most accepted steps.
-        allowed: Says whether a model may be visited at all.
-    """
-    damping, slow, easy = 1e-12, 0, False
-    model = balance_model(append_initial_states(point))
-    point = evaluate(*split_initial_states(model, direct.shape[1]), records)
-    for rounds in range(maximum_rounds):
-        normal = assemble_normal_equations(point, free_numbers(point.form, direct))
-        tangent = compute_tangent(model, point, normal)
-        if _mean_step(tangent) < SMALL_STEP:
-            return DescentResult(_tried(tangent.step(0.0), point, records, allowed) or point, rounds, True)
-        for attempt in range(MAX_DAMPING_TRIALS):
-            model = balance_model(_kept_inside(tangent.step(damping), point.form))
-            trial = _tried(model, point, records, allowed)
-            if trial is not None:
-                easy = attempt == 0
-                break
-            damping *= 20
-        else:
-            return DescentResult(point, rounds, True)
-        gain = point.n_samples * (point.loss - trial.loss) / 2
-        point, damping = trial, damping / 20 if easy else damping
-        slow = slow + 1 if gain < SMALL_GAIN else 0
-        if slow == 2:
-            return DescentResult(point, rounds + 1, True)
-    return DescentResult(point, maximum_rounds, False)
-
-
-def _tried(
-    model: StateSpace, point: FitPoint, records: Sequence[Record], allowed: Callable[[ModalForm], bool]
-) -> FitPoint | None:
-    """The point of a model, where it may be visited and is better than the last point."""
-    if not np.isfinite(model.A).all() or model.spectral_radius() >= 1:
-        return None
-    form, x0 = split_initial_states(model, point.form.D.shape[1])
-    if not allowed(form):
-        return None
-    trial = evaluate(form, x0, records)
-    return trial if trial.loss < point.loss else None
-
-
-def _mean_step(tangent: Tangent) -> float:
-    """Size of an undamped step in standard errors, averaged over the free numbers."""
-    counts = tangent.values > 1e-14 * tangent.values[-1]
-    return float(np.sqrt(np.mean(tangent.slopes[counts] ** 2 / tangent.values[counts])))
 
 
 def _kept_inside(model: StateSpace, old: ModalForm) -> StateSpace:
