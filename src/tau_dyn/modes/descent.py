@@ -208,15 +208,15 @@ def _realised(point: FitPoint, normal: NormalEquations, W: np.ndarray, model: St
     outputs, inputs, records = np.arange(p), np.arange(m), np.arange(n_records)
     first = np.cumsum(np.r_[0, np.where(form.oscillates, 2, 1)])
     for k, pair in enumerate(form.oscillates):
-        i, pole = first[k], place[layout.pole(k)]
+        i, pole = first[k], place[layout.pole[k]]
         dA[pole[0], i, i] = 1
         if pair:
             dA[pole[0], i + 1, i + 1], dA[pole[1], i + 1, i], dA[pole[1], i, i + 1] = 1, 1, -1
         for shift in range(1 + pair):
-            dC[place[layout.c(k)][shift * p + outputs], outputs, i + shift] = -1 if shift else 1
-            dB[place[layout.b(k)][shift * m + inputs], i + shift, inputs] = 1
+            dC[place[layout.c[k, shift]], outputs, i + shift] = -1 if shift else 1
+            dB[place[layout.b[k, shift]], i + shift, inputs] = 1
             dB[place[layout.size + 2 * (records * layout.n_modes + k) + shift], i + shift, m + records] = 1
-    dD[place[layout.D], np.repeat(outputs, m), np.tile(inputs, p)] = 1
+    dD[place[layout.D], outputs[:, None], inputs] = 1
     inverse = np.linalg.inv(W)
     parts = (inverse @ dA[:count] @ W, inverse @ dB[:count], dC[:count] @ W, dD[:count])
     return np.concatenate([part.reshape(count, -1) for part in parts], axis=1).T

@@ -105,19 +105,17 @@ def compute_derivative_maps(form: ModalForm, x0: np.ndarray) -> DerivativeMaps:
     half = k * (m + 2)
     shared, columns, factors = [], [], []
     own, own_map = np.zeros((p, 2 * k + m), dtype=int), np.zeros((2 * half + m, 2 * k + m))
-    outputs = np.arange(p)
     for i in range(k):
         first = i * (m + 2)
         state = np.r_[form.b[i], x0[i]]  # xi in terms of the columns of this mode
         for turn, shift in ((1.0, 0), (1j, 1)):
-            inputs = layout.b(i).start + np.arange(m) + shift * m
-            shared += [layout.pole(i).start + shift, *inputs, layout.size + 2 * i + shift]
+            shared += [layout.pole[i, shift], *layout.b[i, shift], layout.size + 2 * i + shift]
             columns += [first + m + 1, *(first + np.arange(m)), first + m]
             factors += [turn * form.c[:, i]] * (m + 2)
-            own[:, 2 * i + shift] = layout.c(i).start + shift * p + outputs
+            own[:, 2 * i + shift] = layout.c[i, shift]
             own_map[first : first + m + 1, 2 * i + shift] = (turn * state).real
             own_map[half + first : half + first + m + 1, 2 * i + shift] = -(turn * state).imag
-    own[:, 2 * k :] = layout.D.start + outputs[:, None] * m + np.arange(m)
+    own[:, 2 * k :] = layout.D
     own_map[2 * half :, 2 * k :] = np.eye(m)
     where, factor = np.array(columns, dtype=int), np.array(factors).reshape(-1, p).T
     size = layout.size + 2 * k
@@ -305,9 +303,7 @@ def solve_input_matrices(point: FitPoint, records: Sequence[Record], direct: np.
     """Return the point with its B, D and initial states, and nothing else, fitted anew."""
     layout = build_layout(point.form)
     free = free_numbers(point.form, np.asarray(direct))
-    for k in range(layout.n_modes):
-        free[layout.pole(k)] = False
-        free[layout.c(k)] = False
+    free[layout.pole], free[layout.c] = False, False
     weight = np.diag(1 / np.maximum(point.power, 1e-300))
     for _ in range(2):  # the problem is linear; the second pass weighs the outputs by their errors
         form, x0 = apply_step(point, assemble_normal_equations(point, free, weight).solve())

@@ -82,16 +82,10 @@ def find_resonances(model: StateSpace, covariance: np.ndarray | None = None) -> 
     """
     form = build_modal_form(model)
     found = []
-    for k in np.flatnonzero(form.oscillates):
-        spread = np.full((2, 2), np.nan) if covariance is None else compute_pole_covariance(form, covariance, int(k))
+    for k, where in zip(np.flatnonzero(form.oscillates), build_layout(form).pole[form.oscillates], strict=True):
+        spread = np.full((2, 2), np.nan) if covariance is None else covariance[np.ix_(where, where)]
         found.append(_mode(form, int(k), spread))
     return tuple(sorted(found, key=lambda mode: mode.frequency_hz))
-
-
-def compute_pole_covariance(form: ModalForm, covariance: np.ndarray, mode: int) -> np.ndarray:
-    """Return the covariance (2, 2) of Re and Im of a mode's pole."""
-    where = build_layout(form).pole(mode)
-    return covariance[where, where]
 
 
 def compute_frequency_and_damping(pole: complex, dt: float) -> np.ndarray:

@@ -99,93 +99,70 @@ def build_modal_form_with_coordinates(model: StateSpace) -> tuple[ModalForm, np.
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModalLayout:
-    """Where each free number of a modal form stands in the full vector.
+    """Where each number of a modal form stands in the full vector.
 
-    The full vector holds for every mode Re, Im of lambda; Re (p), Im (p) of c; Re (m), Im (m) of b; then D (p m).
+    The full vector holds for every mode Re, Im of lambda; Re (p), Im (p) of c; Re (m), Im (m) of b; then D row by row.
 
     Attributes:
-        n_modes: k.
-        n_outputs: p.
-        n_inputs: m.
+        modes: All numbers of each mode (k, 2 + 2 p + 2 m).
+        pole: Re, Im of lambda (k, 2).
+        c: Re, Im of the output shapes (k, 2, p).
+        b: Re, Im of the input shapes (k, 2, m).
+        D: (p, m).
     """
 
-    n_modes: int
-    n_outputs: int
-    n_inputs: int
-
-    @property
-    def width(self) -> int:
-        """Numbers of one mode."""
-        return 2 + 2 * self.n_outputs + 2 * self.n_inputs
+    modes: np.ndarray
+    pole: np.ndarray
+    c: np.ndarray
+    b: np.ndarray
+    D: np.ndarray
 
     @property
     def size(self) -> int:
         """Numbers in all."""
-        return self.n_modes * self.width + self.n_outputs * self.n_inputs
-
-    def pole(self, mode: int) -> slice:
-        """Re, Im of lambda."""
-        return slice(mode * self.width, mode * self.width + 2)
-
-    def c(self, mode: int) -> slice:
-        """Re (p), then Im (p) of c."""
-        first = mode * self.width + 2
-        return slice(first, first + 2 * self.n_outputs)
-
-    def b(self, mode: int) -> slice:
-        """Re (m), then Im (m) of b."""
-        first = mode * self.width + 2 + 2 * self.n_outputs
-        return slice(first, first + 2 * self.n_inputs)
+        return self.modes.size + self.D.size
 
     @property
-    def D(self) -> slice:
-        """D row by row."""
-        return slice(self.n_modes * self.width, self.size)
+    def n_modes(self) -> int:
+        """K."""
+        return len(self.modes)
 
 
 def build_layout(form: ModalForm) -> ModalLayout:
     """Return the layout of a modal form."""
-    return ModalLayout(len(form.poles), *form.D.shape)
+    k, (p, m) = len(form.poles), form.D.shape
+    modes = np.arange(k * (2 + 2 * p + 2 * m)).reshape(k, -1)
+    c, b = modes[:, 2 : 2 + 2 * p].reshape(k, 2, p), modes[:, 2 + 2 * p :].reshape(k, 2, m)
+    return ModalLayout(modes, modes[:, :2], c, b, modes.size + np.arange(p * m).reshape(p, m))
 
 
 def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:
     """Say which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
     layout = build_layout(form)
     free = np.ones(layout.size, dtype=bool)
-    p, m = form.D.shape
-    for k, (pair, pivot) in enumerate(zip(form.oscillates, form.pivots, strict=True)):
-        free[layout.pole(k)] = (True, pair)
-        free[layout.c(k)] = np.r_[np.ones(p, bool), np.full(p, pair)]
-        free[layout.b(k)] = np.r_[np.ones(m, bool), np.full(m, pair)]
-        free[layout.c(k).start + np.array([pivot, p + pivot])] = False
-    free[layout.D] = np.broadcast_to(direct, (p, m)).ravel()
+    for imaginary in (layout.pole[:, 1:], layout.c[:, 1], layout.b[:, 1]):
+        free[imaginary] = form.oscillates[:, None]
+    free[layout.c[np.arange(layout.n_modes), :, form.pivots]] = False
+    free[layout.D] = direct
     return free
 
 
 def step_form(form: ModalForm, step: np.ndarray) -> ModalForm:
     """Return the form moved by a full vector (size,)."""
     layout = build_layout(form)
-    p, m = form.D.shape
-    poles, c, b = form.poles.copy(), form.c.astype(complex), form.b.astype(complex)
-    for k in range(len(poles)):
-        dl, dc, db = step[layout.pole(k)], step[layout.c(k)], step[layout.b(k)]
-        poles[k] += complex(*dl)
-        c[:, k] += dc[:p] + 1j * dc[p:]
-        b[k] += db[:m] + 1j * db[m:]
-    return replace(form, poles=poles, c=c, b=b, D=form.D + step[layout.D].reshape(p, m))
+    poles, c, b = (step[where[:, 0]] + 1j * step[where[:, 1]] for where in (layout.pole, layout.c, layout.b))
+    return replace(form, poles=form.poles + poles, c=form.c + c.T, b=form.b + b, D=form.D + step[layout.D])
 
 
 def flatten_form(form: ModalForm) -> np.ndarray:
     """Return all numbers of a form (size,)."""
     layout = build_layout(form)
     out = np.empty(layout.size)
-    for k, pole in enumerate(form.poles):
-        out[layout.pole(k)] = pole.real, pole.imag
-        out[layout.c(k)] = np.r_[form.c[:, k].real, form.c[:, k].imag]
-        out[layout.b(k)] = np.r_[form.b[k].real, form.b[k].imag]
-    out[layout.D] = form.D.ravel()
+    for where, value in ((layout.pole, form.poles), (layout.c, form.c.T), (layout.b, form.b)):
+        out[where[:, 0]], out[where[:, 1]] = value.real, value.imag
+    out[layout.D] = form.D
     return out
 
 
@@ -213,10 +190,11 @@ class ResponseEstimate:
         if self.predictor:
             slopes = self._through_feedback(compute_response_slopes(form, frequency), frequency)
             return _propagate(slopes * scale[None, :, :, None] * late, self.covariance)
-        parts = []
+        parts, layout = [], build_layout(form)
         for o in range(len(form.D)):  # an output's response depends on its own entries of c and D only
             alone = replace(form, c=form.c[[o]], D=form.D[[o]])
-            at = _positions(form, o)
+            own = np.hstack([layout.pole, layout.c[:, :, o], layout.b.reshape(layout.n_modes, -1)])
+            at = np.concatenate([own.ravel(), layout.D[o]])
             slopes = compute_response_slopes(alone, frequency) * scale[None, [o], :, None] * late
             parts.append(_propagate(slopes, self.covariance[np.ix_(at, at)]))
         return np.concatenate(parts, axis=1)
@@ -238,51 +216,25 @@ def _propagate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return both @ covariance @ both.swapaxes(-1, -2)
 
 
-def _positions(form: ModalForm, output: int) -> np.ndarray:
-    """Return where the full vector of a form with one output alone stands in that of all."""
-    layout = build_layout(form)
-    p, m = form.D.shape
-    found = []
-    for k in range(len(form.poles)):
-        pole, c, b = layout.pole(k), layout.c(k), layout.b(k)
-        found += [*range(pole.start, pole.stop), c.start + output, c.start + p + output, *range(b.start, b.stop)]
-    return np.array([*found, *(layout.D.start + output * m + np.arange(m))], dtype=int)
-
-
 def compute_response_slopes(form: ModalForm, frequency: np.ndarray) -> np.ndarray:
     """Return the derivatives (F, p, m, size) of the response with respect to the full vector."""
     z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * form.dt)
-    layout = build_layout(form)
-    p, m = form.D.shape
+    layout, (p, m) = build_layout(form), form.D.shape
     out = np.zeros((len(z), p, m, layout.size), dtype=complex)
     for k, (pole, pair) in enumerate(zip(form.poles, form.oscillates, strict=True)):
-        one = _mode_slopes(z, pole, form.c[:, k], form.b[k])
+        ones = _mode_slopes(z, pole, form.c[:, k], form.b[k])
         # Re and Im of a number x act through x and its conjugate: G = (g(x) + g*(x*)) / 2 for a pair
-        other = _mode_slopes(z, np.conj(pole), form.c[:, k].conj(), form.b[k].conj()) if pair else one
-        half = 2 + 2 * p + 2 * m
-        first = layout.pole(k).start
-        real, imaginary = (one + other) / 2, 1j * (one - other) / 2
-        out[..., first : first + half] = _interleaved(real, imaginary, p, m)
-    for o in range(p):
-        for j in range(m):
-            out[:, o, j, layout.D.start + o * m + j] = 1.0
+        others = _mode_slopes(z, np.conj(pole), form.c[:, k].conj(), form.b[k].conj()) if pair else ones
+        for where, one, other in zip((layout.pole[k, :, None], layout.c[k], layout.b[k]), ones, others, strict=True):
+            out[..., where[0]], out[..., where[1]] = (one + other) / 2, 1j * (one - other) / 2
+    out[:, np.arange(p)[:, None], np.arange(m), layout.D] = 1.0
     return out * (z**-form.delay)[:, None, None, None]
 
 
-def _mode_slopes(z: np.ndarray, pole: complex, c: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Derivatives of c b / (z - pole) with respect to pole, c (p), b (m): (F, p, m, 1 + p + m)."""
-    p, m = len(c), len(b)
-    out = np.zeros((len(z), p, m, 1 + p + m), dtype=complex)
-    gain = 1 / (z - pole)
-    out[..., 0] = (gain**2)[:, None, None] * np.outer(c, b)
-    for o in range(p):
-        out[:, o, :, 1 + o] = gain[:, None] * b
-    for j in range(m):
-        out[:, :, j, 1 + p + j] = gain[:, None] * c
-    return out
-
-
-def _interleaved(real: np.ndarray, imaginary: np.ndarray, p: int, m: int) -> np.ndarray:
-    """Order the derivatives as the layout does: Re, Im of the pole; Re, Im of c; Re, Im of b."""
-    parts = (slice(0, 1), slice(1, 1 + p), slice(1 + p, 1 + p + m))
-    return np.concatenate([block[..., part] for part in parts for block in (real, imaginary)], axis=-1)
+def _mode_slopes(
+    z: np.ndarray, pole: complex, c: np.ndarray, b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Derivatives of c b / (z - pole) with respect to pole (F, p, m, 1), c (F, p, m, p), b (F, p, m, m)."""
+    gain = (1 / (z - pole))[:, None, None, None]
+    by_c, by_b = np.eye(len(c))[:, None] * b[:, None], c[:, None, None] * np.eye(len(b))
+    return gain**2 * np.outer(c, b)[:, :, None], gain * by_c, gain * by_b

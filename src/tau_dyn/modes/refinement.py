@@ -116,12 +116,10 @@ def _followed(form: ModalForm, reference: ModalForm) -> np.ndarray:
     ]
     c, b = form.c[:, order], form.b[order]
     factor = c[reference.pivots, np.arange(len(order))]
-    factor = np.where((factor == 0) | np.array(lost), 1.0, factor)
+    factor = np.where((factor == 0) | np.array(lost, bool), 1.0, factor)
     alike = replace(form, poles=form.poles[order], c=c / factor, b=b * factor[:, None], oscillates=reference.oscillates)
     out = flatten_form(alike)
-    width = build_layout(alike).width
-    for k in np.flatnonzero(lost):
-        out[k * width : (k + 1) * width] = np.nan
+    out[build_layout(alike).modes[np.array(lost, bool)]] = np.nan
     return out
 
 

@@ -64,41 +64,23 @@ def estimate_empirical_response(
         impulses: Whether each record holds one short pulse and its decay.
         resolve: Width of the narrowest resonance [Hz]; stretches are no longer than it takes to resolve it. 0 where unknown.
     """
-    references = [r.reference for r in records]
-    m = records[0].u.shape[1]
-    known = [x for x in references if x is not None]
-    if known and len(known) == len(records) and known[0].shape[1] == m and not impulses:
-        return _from_reference(records, known, resolve)
-    f, s, n = _spectra(
-        [np.column_stack([r.u, r.y]) for r in records], records[0].dt, _size(records, impulses, resolve), impulses
-    )
-    suu, syu, syy = s[:, :m, :m], s[:, m:, :m], s[:, m:, m:]
-    excited = _excited(suu)
-    response = _divide(syu, suu, excited)
-    explained = np.real(np.einsum("fij,fij->fi", response, syu.conj()))
-    power = np.real(np.einsum("fii->fi", syy))
-    coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
-    if n <= 2 * m:
-        coherence = np.full_like(coherence, np.nan)  # one stretch explains itself
-    how = "one Fourier transform a pulse" if impulses else f"{n} half-overlapping stretches, Hann window"
-    return EmpiricalResponse(f, response, np.clip(coherence, 0, 1), excited, n, how)
-
-
-def _from_reference(records: Sequence[Record], references: Sequence[np.ndarray], resolve: float) -> EmpiricalResponse:
-    m = records[0].u.shape[1]
-    f, s, n = _spectra(
-        [np.column_stack([x, r.u, r.y]) for x, r in zip(references, records, strict=True)],
-        records[0].dt,
-        _size(records, False, resolve),
-        False,
-    )
-    srr, sur, syr, syy = s[:, :m, :m], s[:, m : 2 * m, :m], s[:, 2 * m :, :m], s[:, 2 * m :, 2 * m :]
+    m, references = records[0].u.shape[1], [r.reference for r in records if r.reference is not None]
+    looped = len(references) == len(records) and references[0].shape[1] == m and not impulses
+    drives = references if looped else [r.u[:, :0] for r in records]  # without a reference the inputs drive themselves
+    columns = [np.column_stack([x, r.u, r.y]) for x, r in zip(drives, records, strict=True)]
+    f, s, n = _spectra(columns, records[0].dt, _size(records, impulses, resolve), impulses)
+    u, y = (slice(m, 2 * m), slice(2 * m, None)) if looped else (slice(0, m), slice(m, None))
+    drive = slice(0, m)
+    srr, sur, syr, syy = s[:, drive, drive], s[:, u, drive], s[:, y, drive], s[:, y, y]
     excited = _excited(srr)
     response = _divide(syr, sur, excited)
-    explained = np.real(np.einsum("fij,fij->fi", _divide(syr, srr, excited), syr.conj()))
+    explained = np.real(np.einsum("fij,fij->fi", _divide(syr, srr, excited) if looped else response, syr.conj()))
     power = np.real(np.einsum("fii->fi", syy))
     coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
-    how = f"{n} half-overlapping stretches, Hann window, through the reference"
+    if n <= 2 * m and not looped:
+        coherence = np.full_like(coherence, np.nan)  # one stretch explains itself
+    how = "one Fourier transform a pulse" if impulses else f"{n} half-overlapping stretches, Hann window"
+    how += ", through the reference" if looped else ""
     return EmpiricalResponse(f, response, np.clip(coherence, 0, 1), excited, n, how)
 
 
