@@ -227,21 +227,28 @@ def prepare_records(
         CannotAnswer: The logs are too short.
     """
     _refuse_names(inputs, outputs, references)
-    train = [r for log in logs for r in _records(log, inputs, outputs, references)]
-    held = [r for log in holdout for r in _records(log, inputs, outputs, references)]
-    _refuse_steps([*train, *held])
-    _refuse_short(train, len(inputs) + len(outputs))
-    warnings = [*_warnings([*logs, *holdout]), *_both(logs, holdout)]
+    train, held = ([r for log in some for r in _records(log, inputs, outputs, references)] for some in (logs, holdout))
+    _refuse_records(train, held, len(inputs) + len(outputs))
+    known = {log.sha256 for log in logs if log.sha256}
+    both = [log.name for log in holdout if log.sha256 in known or any(log is other for other in logs)]
+    pieces = [piece for log in (*logs, *holdout) for piece in resample_segments(log)]
+    warnings = (
+        *dict.fromkeys(w for piece in pieces for w in piece.warnings),
+        *(f"{name} is both trained on and held out; its errors are not held-out errors" for name in both),
+    )
     if all(_is_pulses(r) for r in train):
         return _pulses(train, held, warnings)
     if held:
-        kept = tuple(_centred(r, r) for r in held)
-        return PreparedRecords(tuple(_centred(r, r) for r in train), kept, "driven", "the logs given", tuple(warnings))
-    pairs = [_cut(r) for r in train]
-    kept = tuple(_centred(b, a) for a, b in pairs if b.n_samples)
-    parts = tuple(_centred(a, a) for a, _ in pairs)
-    whole = tuple(_centred(r, a) for r, (a, _) in zip(train, pairs, strict=True))
-    return PreparedRecords(parts, kept, "driven", "the last 30 %", tuple(warnings), whole)
+        parts, kept = (tuple(_centred(r, _origin(r)) for r in some) for some in (train, held))
+        return PreparedRecords(parts, kept, "driven", "the logs given", warnings)
+    cuts = [round(TRAIN_SHARE * r.n_samples) for r in train]
+    origins = [_origin(r.window(slice(0, cut))) for r, cut in zip(train, cuts, strict=True)]
+    whole = tuple(_centred(r, origin) for r, origin in zip(train, origins, strict=True))
+    parts, kept = (
+        tuple(r.window(slice(*span(cut))) for r, cut in zip(whole, cuts, strict=True))
+        for span in (lambda cut: (0, cut), lambda cut: (cut, None))
+    )
+    return PreparedRecords(parts, tuple(r for r in kept if r.n_samples), "driven", "the last 30 %", warnings, whole)
 
 
 def cut_pulses(record: Record) -> list[Record]:
@@ -266,7 +273,7 @@ def _is_pulses(record: Record) -> bool:
     )
 
 
-def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> PreparedRecords:
+def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) -> PreparedRecords:
     pulses = [_settled(p) for r in train for p in cut_pulses(r)]
     kept = [_settled(p) for r in held for p in (cut_pulses(r) if _is_pulses(r) else [r])]
     how, everything = "the logs given", pulses
@@ -276,12 +283,10 @@ def _pulses(train: list[Record], held: list[Record], warnings: list[str]) -> Pre
             pulses, kept, how = pulses[:-n], pulses[-n:], f"the last {n} of {len(pulses)} pulses"
     if not kept:
         how = "nothing"
-        warnings = [
-            *warnings,
-            "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice",
-        ]
+        few = "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice"
+        warnings = (*warnings, few)
     parts, whole = (tuple(truncate_records(some, PULSES, 5 * PULSE_ROOM)) for some in (pulses, everything))
-    return PreparedRecords(parts, tuple(kept), "impulse", how, tuple(warnings), whole)
+    return PreparedRecords(parts, tuple(kept), "impulse", how, warnings, whole)
 
 
 def _spans_inputs(pulses: list[Record]) -> bool:
@@ -335,43 +340,25 @@ def _refuse_names(inputs: Sequence[str], outputs: Sequence[str], references: Seq
         )
 
 
-def _refuse_steps(records: Sequence[Record]) -> None:
-    if not records:
+def _refuse_records(train: Sequence[Record], held: Sequence[Record], channels: int) -> None:
+    """Refuse records that differ in their rate, or are too short."""
+    if not (train or held):
         raise InputError("too_little_data", "every stretch between gaps is shorter than 10 samples; no record is left")
-    dt = records[0].dt
-    for r in records:
-        if abs(r.dt / dt - 1) > STEP_TOLERANCE:
+    first = [*train, *held][0]
+    for r in (*train, *held):
+        if abs(r.dt / first.dt - 1) > STEP_TOLERANCE:
             raise InputError(
                 "time_stamps",
-                f"{r.name} is sampled at {1 / r.dt:.6g} Hz and {records[0].name} at {1 / dt:.6g} Hz; "
+                f"{r.name} is sampled at {1 / r.dt:.6g} Hz and {first.name} at {1 / first.dt:.6g} Hz; "
                 "one model needs one sampling rate",
             )
-
-
-def _refuse_short(records: Sequence[Record], channels: int) -> None:
-    n, needed = sum(r.n_samples for r in records), int(SAMPLES_PER_CHANNEL * channels / TRAIN_SHARE)
+    n, needed = sum(r.n_samples for r in train), int(SAMPLES_PER_CHANNEL * channels / TRAIN_SHARE)
     if n < needed:
         raise CannotAnswer(
             "too_little_data",
             f"{n} samples are too few for {channels} channels",
             f"record at least {needed} samples, better ten times as many",
         )
-
-
-def _warnings(logs: Sequence[Log]) -> list[str]:
-    pieces = [piece for log in logs for piece in resample_segments(log)]
-    return list(dict.fromkeys(w for p in pieces for w in p.warnings))
-
-
-def _both(logs: Sequence[Log], holdout: Sequence[Log]) -> list[str]:
-    known = {log.sha256 for log in logs if log.sha256}
-    same = [log.name for log in holdout if log.sha256 in known or any(log is other for other in logs)]
-    return [f"{name} is both trained on and held out; its errors are not held-out errors" for name in same]
-
-
-def _cut(record: Record) -> tuple[Record, Record]:
-    cut = round(TRAIN_SHARE * record.n_samples)
-    return record.window(slice(0, cut)), record.window(slice(cut, None))
 
 
 def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
@@ -396,13 +383,19 @@ def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
     return mean_u, mean_y + np.where(np.abs(rest) < 1, rest, 0.0) * spread
 
 
+def _origin(record: Record) -> Record:
+    """Return a record's operating point as a record of one sample."""
+    u, y = estimate_operating_point(record)
+    reference = None if record.reference is None else record.reference.mean(axis=0)[None]
+    return replace(record, u=u[None], y=y[None], reference=reference)
+
+
 def _centred(record: Record, origin: Record) -> Record:
-    """Return a record as deviations from another's operating point."""
-    u, y = estimate_operating_point(origin)
+    """Return a record as deviations from an operating point."""
     reference = record.reference
     if reference is not None and origin.reference is not None:
-        reference = reference - origin.reference.mean(axis=0)
-    return replace(record, u=record.u - u, y=record.y - y, reference=reference)
+        reference = reference - origin.reference
+    return replace(record, u=record.u - origin.u, y=record.y - origin.y, reference=reference)
 
 
 def _settled(record: Record) -> Record:

@@ -12,7 +12,7 @@ that of e whether it matters. References: Billings & Voon 1986; Söderström & S
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from tau_dyn.modes.delay import DelayChoice
 from tau_dyn.modes.feedback import Feedback
 from tau_dyn.modes.hankel import fit_autoregression
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
-from tau_dyn.modes.modal import build_stabilisation_diagram, list_poles, list_zeros
+from tau_dyn.modes.modal import Mode, build_stabilisation_diagram, list_poles, list_zeros
 from tau_dyn.modes.order import OrderChoice
 from tau_dyn.modes.record import PreparedRecords, Record
 from tau_dyn.modes.refinement import RefinedModel
@@ -44,169 +44,6 @@ from tau_dyn.modes.residuals import (
 from tau_dyn.modes.responses import EmpiricalResponse, Response, compute_impulse_responses, estimate_empirical_response
 from tau_dyn.modes.result import Modes, Nonlinearity, Trace
 from tau_dyn.modes.state_space import StateSpace, delay_inputs, predict, simulate
-
-POOR_FIT = 50.0  # per cent of an output's standard deviation
-MAX_RELATIVE_DAMPING_STDERR = 0.3
-"""Standard error of a damping ratio over the ratio itself, beyond which it is hardly known."""
-MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more is overfitting or another machine
-MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
-
-
-def add_warnings(found: Modes) -> Modes:
-    """Return the result with its doubts among the warnings."""
-    parts = (_doubt_feedback, _doubt_order, _doubt_band, _doubt_modes, _doubt_fits, _doubt_linearity, _doubt_tests)
-    sentences = [sentence for part in parts for sentence in part(found)]
-    return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, *sentences))))
-
-
-def _doubt_feedback(found: Modes) -> list[str]:
-    if found.feedback.suspected and found.feedback.input:
-        said = f"{found.feedback.why}: a loop was closed; log its reference and name it with --reference"
-        return [CodedWarning("feedback_found", said)]
-    return []
-
-
-def _doubt_order(found: Modes) -> list[str]:
-    limit = found.order_choice.limit
-    if not limit:
-        return []
-    said = f"order {limit} is the highest that was looked at, and more states may help; try --order {2 * limit}"
-    return [CodedWarning("order_at_limit", said)]
-
-
-def _doubt_band(found: Modes) -> list[str]:
-    seen = found.empirical.frequency[found.empirical.excited]
-    if not len(seen):
-        return ["the inputs hold no power anywhere that could be resolved; the response is not to be trusted"]
-    out = [m.frequency_hz for m in found.modes if not 0.7 * seen.min() <= m.frequency_hz <= 1.3 * seen.max()]
-    text = ", ".join(f"{f:.3g} Hz" for f in out)
-    return [f"the inputs hold no power near {text}: do not take it for a resonance"] if out else []
-
-
-def _doubt_modes(found: Modes) -> list[str]:
-    vague = [
-        m
-        for m in found.modes
-        if np.isfinite(m.damping_stderr) and m.damping_stderr > MAX_RELATIVE_DAMPING_STDERR * abs(m.damping_ratio)
-    ]
-    text = ", ".join(f"{m.frequency_hz:.3g} Hz" for m in vague)
-    said = [f"the damping at {text} is known to worse than 30 %"] if vague else []
-    duration = max(t.t[-1] for t in found.traces) if found.traces else 0.0
-    if found.modes and duration * found.modes[0].frequency_hz < MIN_RECORD_PERIODS:
-        said.append(
-            f"the longest record holds fewer than {MIN_RECORD_PERIODS} periods of {found.modes[0].frequency_hz:.3g} Hz"
-        )
-    if not found.modes:
-        said.append("the model has no resonance: all its poles are real")
-    return said
-
-
-def _doubt_fits(found: Modes) -> list[str]:
-    said = []
-    poor = [n for n, v in zip(found.outputs, found.judged.percent, strict=True) if v < POOR_FIT]
-    if poor:
-        said.append(
-            f"the model follows {', '.join(poor)} to less than {POOR_FIT:.0f} %; noise, or a motion that is not linear"
-        )
-    if found.holdout is not None and found.train.mean - found.holdout.mean > MAX_FIT_DROP_PERCENT:
-        said.append(
-            f"the fit falls from {found.train.mean:.1f} to {found.holdout.mean:.1f} % on held-out data: "
-            "too many states, or the plant changed"
-        )
-    return said
-
-
-def _doubt_linearity(found: Modes) -> list[str]:
-    seen = found.nonlinearity
-    if seen is None or not seen.suspected:
-        return []
-    what = "size (stiffness, friction)" if seen.power == 3 else "sign (preload, play on one side)"
-    said = (
-        f"{seen.output} responds nonlinearly to its {what}: powers of the response explain {100 * seen.share:.0f} % of the "
-        f"residual (p = {seen.p_value:.1g}); modes hold for this level of force only"
-    )
-    return [CodedWarning("response_nonlinear", said)]
-
-
-def _doubt_tests(found: Modes) -> list[str]:
-    failed = [t for t in found.independence if not t.passed]
-    if not failed:
-        return []
-    worst = min(failed, key=lambda t: t.p_value)
-    what = f"what the model leaves of {worst.output} still answers to {worst.input}"
-    return [f"{what} (p = {worst.p_value:.1g}): dynamics are missing; try a higher order, or mind nonlinear friction"]
-
-
-POWERS = (2, 3)
-SIGNIFICANCE_LEVEL = 1e-3  # of a nonlinearity that is not there; one set in a thousand
-MIN_VARIANCE_SHARE = 0.1
-"""Share of the residual's variance that a power must explain to count: everything real is slightly nonlinear."""
-INPUT_LAGS = 30  # lags of B
-RESPONSE_LAGS = 2  # lags of C
-POWER_LAGS = 5  # lags of T
-MAX_NONLINEARITY_SAMPLES = 10_000  # samples looked at
-
-
-def detect_nonlinearity(
-    errors: Sequence[np.ndarray], simulated: Sequence[np.ndarray], u: Sequence[np.ndarray], outputs: Sequence[str]
-) -> Nonlinearity | None:
-    """Test the longest record; None where it is too short.
-
-    Args:
-        errors: Measured minus simulated outputs, one (N, p) a record.
-        simulated: Simulated outputs (N, p) of the same samples.
-        u: Inputs (N, m), as late as the model's delay makes them act.
-        outputs: Names of the outputs.
-    """
-    longest = int(np.argmax([len(e) for e in errors]))
-    e, y, inputs = (x[longest][:MAX_NONLINEARITY_SAMPLES] for x in (errors, simulated, u))
-    if len(e) < 20 * INPUT_LAGS * max(1, inputs.shape[1]):
-        return None
-    lagged = np.hstack([np.ones((len(y), 1)), _lagged(inputs, INPUT_LAGS)])
-    basis = np.asarray(qr(lagged, mode="economic")[0])
-    found: list[tuple[float, float, int, int]] = []
-    for i in range(len(outputs)):
-        size = y[:, i].std()
-        if size > 0 and e[:, i].std() > 0:
-            error = e[:, i] - e[:, i].mean()
-            found += [(*_test(error, y[:, i] / size, basis, power), i, power) for power in POWERS]
-    if not found:
-        return None
-    p, share, i, power = min(found)
-    p = min(1.0, p * len(found))
-    return Nonlinearity(p < SIGNIFICANCE_LEVEL and share > MIN_VARIANCE_SHARE, p, share, outputs[i], power)
-
-
-def _test(e: np.ndarray, y: np.ndarray, basis: np.ndarray, power: int) -> tuple[float, float]:
-    """Return the p-value of T and the share that it explains, for one output and power; `basis` spans the lags of u (N, q)."""
-    n = max(2, len(fit_autoregression([e[:, None]])[0]))
-    past = _lagged(np.r_[0.0, e[:-1]][:, None], n - 1)
-    linear = np.hstack([past, _lagged(y[:, None], RESPONSE_LAGS)])
-    whole = np.hstack([linear, _lagged(y[:, None] ** power, POWER_LAGS)])
-    before, missed_before = _regress(e, linear, basis, n)
-    after, missed = _regress(e, whole, basis, n)
-    free, extra = len(e) - basis.shape[1] - whole.shape[1], POWER_LAGS + 1
-    statistic = (before - after) / extra / max(after / free, 1e-300)
-    share = 1 - missed / min(missed_before, float(np.var(e)))
-    return float(fisher.sf(statistic, extra, free)), max(share, 0.0)
-
-
-def _regress(e: np.ndarray, columns: np.ndarray, basis: np.ndarray, n: int) -> tuple[float, float]:
-    """Return the sum of squares one step ahead, and the variance that simulating e leaves; the first n columns are its past."""
-    right = e - basis @ (basis.T @ e)
-    apart = columns - basis @ (basis.T @ columns)
-    theta = np.linalg.lstsq(apart, right, rcond=None)[0]
-    new = right - apart @ theta
-    drive = e - new - columns[:, :n] @ theta[:n]
-    with np.errstate(all="ignore"):  # an unstable autoregression runs away and explains nothing
-        missed = float(np.var(e - lfilter([1.0], np.r_[1.0, -theta[:n]], drive)))
-    return float(new @ new), missed if np.isfinite(missed) else float("inf")
-
-
-def _lagged(x: np.ndarray, lags: int) -> np.ndarray:
-    """Return columns (N, c) as they were 0 to `lags` samples before, side by side; zero before the record."""
-    return np.hstack([np.vstack([np.zeros((k, x.shape[1])), x[: len(x) - k]]) for k in range(lags + 1)])
-
 
 PREDICTION_HORIZONS = (1, 10)
 GRID = 400  # frequencies in a geometric row, beside those near resonances
@@ -279,7 +116,7 @@ def validate_model(
         why={},
         warnings=data.warnings,
     )
-    return add_warnings(found)
+    return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, *list_doubts(found)))))
 
 
 def _fit(model: StateSpace, noise: NoiseModel, records: Sequence[Record]) -> FitQuality:
@@ -357,3 +194,129 @@ def _grid(refined: RefinedModel, empirical: EmpiricalResponse) -> np.ndarray:
 def _traces(model: StateSpace, data: PreparedRecords) -> tuple[Trace, ...]:
     chosen = [*((r, True) for r in data.holdout), *((r, False) for r in data.train)][:TRACES]
     return tuple(Trace(r.name, np.arange(r.n_samples) * r.dt, r.u, r.y, simulate(model, r), held) for r, held in chosen)
+
+
+POOR_FIT = 50.0  # per cent of an output's standard deviation
+MAX_RELATIVE_DAMPING_STDERR = 0.3
+"""Standard error of a damping ratio over the ratio itself, beyond which it is hardly known."""
+MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more is overfitting or another machine
+MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
+
+
+def list_doubts(found: Modes) -> Iterator[str]:
+    """Yield what a careful colleague would mention about a result, a sentence each."""
+    if found.feedback.suspected and found.feedback.input:
+        said = f"{found.feedback.why}: a loop was closed; log its reference and name it with --reference"
+        yield CodedWarning("feedback_found", said)
+    limit = found.order_choice.limit
+    if limit:
+        said = f"order {limit} is the highest that was looked at, and more states may help; try --order {2 * limit}"
+        yield CodedWarning("order_at_limit", said)
+    seen = found.empirical.frequency[found.empirical.excited]
+    if not len(seen):
+        yield "the inputs hold no power anywhere that could be resolved; the response is not to be trusted"
+    elif out := [m for m in found.modes if not 0.7 * seen.min() <= m.frequency_hz <= 1.3 * seen.max()]:
+        yield f"the inputs hold no power near {_list_hz(out)}: do not take it for a resonance"
+    most = MAX_RELATIVE_DAMPING_STDERR
+    if vague := [m for m in found.modes if np.inf > m.damping_stderr > most * abs(m.damping_ratio)]:
+        yield f"the damping at {_list_hz(vague)} is known to worse than 30 %"
+    duration = max((t.t[-1] for t in found.traces), default=0.0)
+    if found.modes and duration * found.modes[0].frequency_hz < MIN_RECORD_PERIODS:
+        yield f"the longest record holds fewer than {MIN_RECORD_PERIODS} periods of {_list_hz(found.modes[:1])}"
+    if not found.modes:
+        yield "the model has no resonance: all its poles are real"
+    poor = [n for n, v in zip(found.outputs, found.judged.percent, strict=True) if v < POOR_FIT]
+    if poor:
+        yield f"the model follows {', '.join(poor)} to less than {POOR_FIT:.0f} %; noise, or a motion that is not linear"
+    if found.holdout is not None and found.train.mean - found.holdout.mean > MAX_FIT_DROP_PERCENT:
+        yield (
+            f"the fit falls from {found.train.mean:.1f} to {found.holdout.mean:.1f} % on held-out data: "
+            "too many states, or the plant changed"
+        )
+    power = found.nonlinearity
+    if power is not None and power.suspected:
+        what = "size (stiffness, friction)" if power.power == 3 else "sign (preload, play on one side)"
+        said = (
+            f"{power.output} responds nonlinearly to its {what}: powers of the response explain {100 * power.share:.0f} % of the "
+            f"residual (p = {power.p_value:.1g}); modes hold for this level of force only"
+        )
+        yield CodedWarning("response_nonlinear", said)
+    if failed := [t for t in found.independence if not t.passed]:
+        worst = min(failed, key=lambda t: t.p_value)
+        what = f"what the model leaves of {worst.output} still answers to {worst.input}"
+        yield f"{what} (p = {worst.p_value:.1g}): dynamics are missing; try a higher order, or mind nonlinear friction"
+
+
+def _list_hz(modes: Sequence[Mode]) -> str:
+    return ", ".join(f"{m.frequency_hz:.3g} Hz" for m in modes)
+
+
+POWERS = (2, 3)
+SIGNIFICANCE_LEVEL = 1e-3  # of a nonlinearity that is not there; one set in a thousand
+MIN_VARIANCE_SHARE = 0.1
+"""Share of the residual's variance that a power must explain to count: everything real is slightly nonlinear."""
+INPUT_LAGS = 30  # lags of B
+RESPONSE_LAGS = 2  # lags of C
+POWER_LAGS = 5  # lags of T
+MAX_NONLINEARITY_SAMPLES = 10_000  # samples looked at
+
+
+def detect_nonlinearity(
+    errors: Sequence[np.ndarray], simulated: Sequence[np.ndarray], u: Sequence[np.ndarray], outputs: Sequence[str]
+) -> Nonlinearity | None:
+    """Test the longest record; None where it is too short.
+
+    Args:
+        errors: Measured minus simulated outputs, one (N, p) a record.
+        simulated: Simulated outputs (N, p) of the same samples.
+        u: Inputs (N, m), as late as the model's delay makes them act.
+        outputs: Names of the outputs.
+    """
+    longest = int(np.argmax([len(e) for e in errors]))
+    e, y, inputs = (x[longest][:MAX_NONLINEARITY_SAMPLES] for x in (errors, simulated, u))
+    if len(e) < 20 * INPUT_LAGS * max(1, inputs.shape[1]):
+        return None
+    lagged = np.hstack([np.ones((len(y), 1)), _lagged(inputs, INPUT_LAGS)])
+    basis = np.asarray(qr(lagged, mode="economic")[0])
+    found: list[tuple[float, float, int, int]] = []
+    for i in range(len(outputs)):
+        size = y[:, i].std()
+        if size > 0 and e[:, i].std() > 0:
+            error = e[:, i] - e[:, i].mean()
+            found += [(*_test(error, y[:, i] / size, basis, power), i, power) for power in POWERS]
+    if not found:
+        return None
+    p, share, i, power = min(found)
+    p = min(1.0, p * len(found))
+    return Nonlinearity(p < SIGNIFICANCE_LEVEL and share > MIN_VARIANCE_SHARE, p, share, outputs[i], power)
+
+
+def _test(e: np.ndarray, y: np.ndarray, basis: np.ndarray, power: int) -> tuple[float, float]:
+    """Return the p-value of T and the share that it explains, for one output and power; `basis` spans the lags of u (N, q)."""
+    n = max(2, len(fit_autoregression([e[:, None]])[0]))
+    past = _lagged(np.r_[0.0, e[:-1]][:, None], n - 1)
+    linear = np.hstack([past, _lagged(y[:, None], RESPONSE_LAGS)])
+    whole = np.hstack([linear, _lagged(y[:, None] ** power, POWER_LAGS)])
+    before, missed_before = _regress(e, linear, basis, n)
+    after, missed = _regress(e, whole, basis, n)
+    free, extra = len(e) - basis.shape[1] - whole.shape[1], POWER_LAGS + 1
+    statistic = (before - after) / extra / max(after / free, 1e-300)
+    share = 1 - missed / min(missed_before, float(np.var(e)))
+    return float(fisher.sf(statistic, extra, free)), max(share, 0.0)
+
+
+def _regress(e: np.ndarray, columns: np.ndarray, basis: np.ndarray, n: int) -> tuple[float, float]:
+    """Return the sum of squares one step ahead, and the variance that simulating e leaves; the first n columns are its past."""
+    right = e - basis @ (basis.T @ e)
+    apart = columns - basis @ (basis.T @ columns)
+    theta = np.linalg.lstsq(apart, right, rcond=None)[0]
+    new = right - apart @ theta
+    drive = e - new - columns[:, :n] @ theta[:n]
+    with np.errstate(all="ignore"):  # an unstable autoregression runs away and explains nothing
+        missed = float(np.var(e - lfilter([1.0], np.r_[1.0, -theta[:n]], drive)))
+    return float(new @ new), missed if np.isfinite(missed) else float("inf")
+
+
+def _lagged(x: np.ndarray, lags: int) -> np.ndarray:
+    """Return columns (N, c) as they were 0 to `lags` samples before, side by side; zero before the record."""
+    return np.hstack([np.vstack([np.zeros((k, x.shape[1])), x[: len(x) - k]]) for k in range(lags + 1)])
