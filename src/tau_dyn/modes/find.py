@@ -24,8 +24,8 @@ from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_d
 from tau_dyn.modes.feedback import Acausality, Feedback, detect_feedback, find_acausality
 from tau_dyn.modes.methods import METHODS, build_initial_estimator, decompose_pulse_tests, estimate_first_poles
 from tau_dyn.modes.modal import widen_modes
-from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order, select_parts
-from tau_dyn.modes.record import PreparedRecords, prepare_records, read_whole_number
+from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order, read_whole_number, select_parts
+from tau_dyn.modes.record import PreparedRecords, prepare_records
 from tau_dyn.modes.refinement import RefinedModel, refine, refine_predictor
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED, compute_mean_squares, compute_residuals
 from tau_dyn.modes.result import Modes

@@ -21,7 +21,8 @@ from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
 from tau_dyn.modes.modal import FREQUENCY_TOLERANCE, Mode, build_stabilisation_diagram, compute_frequency_and_damping
-from tau_dyn.modes.record import Record, build_records, read_whole_number
+from tau_dyn.modes.order import read_whole_number
+from tau_dyn.modes.record import Record, build_records
 from tau_dyn.modes.result import OperationalModes
 
 MAX_HANKEL_ROWS = 240

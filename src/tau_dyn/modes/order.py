@@ -360,3 +360,20 @@ def _affordable(records: Sequence[Record], orders: Sequence[int], *, strict: boo
             "invalid_value", f"{n} samples cannot pay for order {min(orders)} with {m} inputs and {p} outputs"
         )
     return kept
+
+
+def read_whole_number(option: str, value: str | int, least: int, most: int, what: str) -> int | None:
+    """Return the number that an option asks for, None for `auto`.
+
+    Raises:
+        InputError: It is no whole number between `least` and `most`.
+    """
+    if value == "auto":
+        return None
+    try:
+        number = int(value)
+    except ValueError:
+        number = least - 1
+    if not least <= number <= most:
+        raise InputError("bad_option", f"--{option} {value}: write auto, or a number of {what}")
+    return number

@@ -148,33 +148,21 @@ def build_records(
     def stacked(piece: Log, columns: Iterable[str]) -> np.ndarray:
         return np.column_stack([np.zeros((piece.n_samples, 0)), *(piece.channels[name] for name in columns)])
 
-    return [
-        Record(
-            stacked(piece, inputs),
-            stacked(piece, outputs),
-            piece.dt,
-            tuple(inputs),
-            tuple(outputs),
-            piece.name,
-            stacked(piece, references) if references else None,
-        )
-        for piece in resample_segments(log)
-    ]
+    records = []
+    for piece in resample_segments(log):
+        u, y, asked = (stacked(piece, columns) for columns in (inputs, outputs, references))
+        reference = asked if references else None
+        records.append(Record(u, y, piece.dt, tuple(inputs), tuple(outputs), piece.name, reference))
+    return records
 
 
 TRAIN_SHARE = 0.7  # of each record; the rest is held out
-STEADY_STATE_SHARE = 0.2
-"""Last share of an impulse record whose mean is the level that it decays to."""
-PULSE_SHARE = 0.03
-"""Inputs that are away from rest for a smaller share of the time than this are pulses."""
-PULSE_LEAD = 30
-"""Samples of rest kept before a pulse: more than any delay that is tried."""
-PULSE_ROOM = 100
-"""Samples that a pulse's response needs, at least."""
-SAMPLES_PER_CHANNEL = 40
-"""Training samples for each input and output, at least; with fewer there is nothing to choose from."""
-PULSES = 10_000
-"""Samples of all pulses together that are fitted to: the ends of long decays say little more."""
+STEADY_STATE_SHARE = 0.2  # last share of a pulse's record, whose mean is the level that it decays to
+PULSE_SHARE = 0.03  # inputs that are away from rest for a smaller share of the time than this are pulses
+PULSE_LEAD = 30  # samples of rest kept before a pulse: more than any delay that is tried
+PULSE_ROOM = 100  # samples that a pulse's response needs, at least
+SAMPLES_PER_CHANNEL = 40  # training samples for each input and output; with fewer there is nothing to choose from
+PULSES = 10_000  # samples of all pulses together that are fitted to: the ends of long decays say little more
 MAX_REST_SAMPLES = 20_000  # samples in which rest is looked for at a record's begin
 STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
 
@@ -298,13 +286,11 @@ def _spans_inputs(pulses: list[Record]) -> bool:
 
 def _records(log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str]) -> list[Record]:
     for name in (*inputs, *outputs, *references):
-        column = log.channels.get(name)
-        if column is not None and not np.all(np.isfinite(column)):
-            first = int(np.flatnonzero(~np.isfinite(column))[0])
-            n = int(np.sum(~np.isfinite(column)))
+        bad = np.flatnonzero(~np.isfinite(log.channels.get(name, np.zeros(1))))
+        if len(bad):
             raise InputError(
                 "bad_sample",
-                f"{log.name}: column '{name}' holds no number in {n} sample(s), first at t = {log.t[first]:.6g} s; "
+                f"{log.name}: column '{name}' holds no number in {len(bad)} sample(s), first at t = {log.t[bad[0]]:.6g} s; "
                 "mend them, or cut the log there",
             )
     records = build_records(log, inputs, outputs, references)
@@ -402,20 +388,3 @@ def _settled(record: Record) -> Record:
     """Return a pulse and its decay as deviations from rest."""
     tail = record.y[-max(10, int(STEADY_STATE_SHARE * record.n_samples)) :]
     return replace(record, u=record.u - np.median(record.u, axis=0), y=record.y - tail.mean(axis=0))
-
-
-def read_whole_number(option: str, value: str | int, least: int, most: int, what: str) -> int | None:
-    """Return the number that an option asks for, None for `auto`.
-
-    Raises:
-        InputError: It is no whole number between `least` and `most`.
-    """
-    if value == "auto":
-        return None
-    try:
-        number = int(value)
-    except ValueError:
-        number = least - 1
-    if not least <= number <= most:
-        raise InputError("bad_option", f"--{option} {value}: write auto, or a number of {what}")
-    return number

@@ -225,18 +225,8 @@ class CorrelationTest:
         return name | {"p_value": self.p_value, "passed": self.passed, "share_outside_99_percent": self.outside}
 
 
-def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
-    """Return how much of each output's movement a simulation explains (p,) [%]; 100 is all, 0 nothing.
-
-    Args:
-        measured: (N, p).
-        simulated: (N, p).
-    """
-    return fit_of([measured], [simulated])
-
-
 def fit_of(measured: Sequence[np.ndarray], simulated: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the fit per output (p,) [%] over several records, each with its own mean."""
+    """Return how much of each output's movement simulations of records explain (p,) [%]; 100 is all, 0 nothing."""
     missed = np.sum([np.sum((y - s) ** 2, axis=0) for y, s in zip(measured, simulated, strict=True)], axis=0)
     moved = np.sum([np.sum((y - y.mean(axis=0)) ** 2, axis=0) for y in measured], axis=0)
     return 100 * (1 - np.sqrt(missed / np.where(moved > 0, moved, np.nan)))
