@@ -98,87 +98,81 @@ def choose_delay(
     """
     few = truncate_records(records, MAX_SAMPLES)
     most = min(most, min(r.n_samples for r in few) // 20)
-    found: dict[int, tuple[float, int]] = {}
-    firsts: dict[int, InitialModels] = {}
-    wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
-    while wanted:  # a coarse look first, then the neighbours of the best until it stays the best
-        tried.update(wanted)  # those that give no model, too, or they would be tried for ever
-        for d in wanted:
-            if progress is not None:
-                progress(f"delay {d}")
-            try:
-                firsts[d] = first(few, d)
-            except TauDynError:
-                continue
-            _scan(few, firsts[d], d, orders, most, found)
-        best = min(found, key=lambda d: found[d], default=0)
-        wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in tried and found]
+    found, firsts = _scan(few, first, orders, most, progress or (lambda step: None))
     if not found:
         raise CannotAnswer(
             "no_solution", "no model follows from these data", "a longer log, with more excitation against the noise"
         )
-    lowest = min(bic for bic, _ in found.values())
-    close = sorted((bic, d) for d, (bic, _) in found.items() if bic < lowest + CLOSE_BIC_DIFFERENCE)[:RIVALS]
-    refined = {}
-    if least_gain and found[best][1] >= found.get(0, (0.0, max(orders) + 1))[1]:
+
+    def refined(d: int, order: int) -> float:
+        return _refined(few, firsts[d], d, order, kind, most)
+
+    ranked = sorted((bic, d) for d, (bic, _) in found.items())
+    lowest, best = ranked[0]
+    gaps, order = {d: bic - lowest for bic, d in ranked}, found[best][1]
+    if least_gain and order >= found.get(0, (0.0, max(orders) + 1))[1]:
         n = sum(max(0, r.n_samples - most) for r in few) * few[0].y.shape[1]
-        room, order = -2 * n * float(np.log1p(-least_gain)), found[best][1]
-        after = _refined(few, firsts[best], best, order, kind, most)
-        for d in sorted(d for d, (bic, _) in found.items() if d < best and bic <= lowest + room):
-            if _refined(few, firsts[d], d, order, kind, most) <= after + room:
-                return _enough(found, d)
-    order = found[close[0][1]][1]
+        room, after = -2 * n * float(np.log1p(-least_gain)), refined(best, order)
+        for d in sorted(d for d, gap in gaps.items() if d < best and gap <= room):
+            if refined(d, order) <= after + room:
+                scan, sure = _summarise(d, found, gaps)
+                what = f"{_samples(d)} of delay are enough" if d else "no delay is needed"
+                why = f"{what}: a longer one would spare no states and lower the errors by little"
+                return DelayChoice(d, scan, sure, why)
+    close = [d for bic, d in ranked if bic < lowest + CLOSE_BIC_DIFFERENCE][:RIVALS]
     if len(close) > 1 and order <= MAX_REFINED_ORDER:
-        refined = {d: _refined(few, firsts[d], d, order, kind, most) for _, d in close}
-    return _chosen(found, {d: bic for d, bic in refined.items() if np.isfinite(bic)})
+        after = {d: bic for d in close if np.isfinite(bic := refined(d, order))}
+        if after:
+            best = min(after, key=lambda d: (after[d], d))
+            gaps |= {d: bic - after[best] for d, bic in after.items()}
+    scan, sure = _summarise(best, found, gaps)
+    what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
+    behind = f"the next is only {sure:.1f} behind in BIC"
+    how = "any other is out of the question" if sure > DECISIVE_BIC_DIFFERENCE else behind
+    return DelayChoice(best, scan, sure, f"{what}; {how}")
 
 
-def _enough(found: dict[int, tuple[float, int]], best: int) -> DelayChoice:
-    """Return a delay that is not the best by BIC, but enough."""
-    lowest = min(bic for bic, _ in found.values())
-    scan = tuple((d, found[d][1], found[d][0] - lowest) for d in sorted(found))
-    sure = min((gap for d, _, gap in scan if d != best), default=float("inf"))
-    what = f"{_samples(best)} of delay are enough" if best else "no delay is needed"
-    return DelayChoice(best, scan, sure, f"{what}: a longer one would spare no states and lower the errors by little")
+def _summarise(
+    best: int, found: dict[int, tuple[float, int]], gaps: dict[int, float]
+) -> tuple[tuple[tuple[int, int, float], ...], float]:
+    """Return the scan, and by how much the next best delay is behind."""
+    scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
+    return scan, min((gap for d, _, gap in scan if d != best), default=float("inf"))
 
 
 def _samples(delay: int) -> str:
     return f"{delay} sample{'' if delay == 1 else 's'}"
 
 
-def _chosen(found: dict[int, tuple[float, int]], refined: dict[int, float]) -> DelayChoice:
-    top = min((bic, d) for d, (bic, _) in found.items())
-    gaps = {d: bic - top[0] for d, (bic, _) in found.items()}
-    best = top[1]
-    if refined:
-        best = min(refined, key=lambda d: (refined[d], d))
-        gaps |= {d: bic - refined[best] for d, bic in refined.items()}
-    scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
-    sure = min((gap for d, _, gap in scan if d != best), default=float("inf"))
-    what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
-    how = (
-        "any other is out of the question"
-        if sure > DECISIVE_BIC_DIFFERENCE
-        else f"the next is only {sure:.1f} behind in BIC"
-    )
-    return DelayChoice(best, scan, sure, f"{what}; {how}")
-
-
 def _scan(
     records: Sequence[Record],
-    first: InitialModels,
-    delay: int,
+    first: Callable[[Sequence[Record], int], InitialModels],
     orders: Sequence[int],
-    skip: int,
-    found: dict[int, tuple[float, int]],
-) -> None:
-    for order in orders:
-        try:
-            bic = _linear_bic(first.poles(order), records, delay, skip)
-        except (TauDynError, np.linalg.LinAlgError):
-            continue
-        if np.isfinite(bic) and (delay not in found or bic < found[delay][0]):
-            found[delay] = (bic, order)
+    most: int,
+    say: Callable[[str], None],
+) -> tuple[dict[int, tuple[float, int]], dict[int, InitialModels]]:
+    """Return by delay the best BIC and its order, and the first models: a coarse look, then the neighbours of the best."""
+    found: dict[int, tuple[float, int]] = {}
+    firsts: dict[int, InitialModels] = {}
+    wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
+    while wanted:
+        tried.update(wanted)  # those that give no model, too, or they would be tried for ever
+        for d in wanted:
+            say(f"delay {d}")
+            try:
+                firsts[d] = first(records, d)
+            except TauDynError:
+                continue
+            for order in orders:
+                try:
+                    bic = _linear_bic(firsts[d].poles(order), records, d, most)
+                except (TauDynError, np.linalg.LinAlgError):
+                    continue
+                if np.isfinite(bic) and (d not in found or bic < found[d][0]):
+                    found[d] = (bic, order)
+        best = min(found, key=lambda d: found[d], default=0)
+        wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in tried and found]
+    return found, firsts
 
 
 def _linear_bic(values: np.ndarray, records: Sequence[Record], delay: int, skip: int) -> float:
