@@ -35,7 +35,7 @@ from scipy.linalg import qr, solve_triangular
 from scipy.signal import welch
 from scipy.stats import f as fisher, gamma
 
-from tau_dyn.modes.record import Record
+from tau_dyn.modes.record import Record, stack_lags
 
 LAGS = (10, 20, 60)
 """Lengths of the ARX model to choose from; many modes with little noise outlast the short ones."""
@@ -121,7 +121,7 @@ def _affordable(records: Sequence[Record], lags: int) -> bool:
 
 def _innovations(records: Sequence[Record], lags: int) -> list[np.ndarray]:
     """Return one-step errors of an ARX model that sees inputs to come (N - lags - LEADS, p), one array a record."""
-    rows = [np.hstack([_past(r.y[:-LEADS], lags), _past(r.u, lags + LEADS, 0)]) for r in records]
+    rows = [np.hstack([stack_lags(r.y[:-LEADS], lags), stack_lags(r.u, lags + LEADS, 0)]) for r in records]
     ys = [r.y[lags:-LEADS] for r in records]
     basis = _orthonormal(np.vstack(rows))
     left = np.vstack(ys)
@@ -134,8 +134,8 @@ def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int
     own, extra, target = [], [], []
     for r, e in zip(records, innovations, strict=True):
         start = r.n_samples - len(e) + lags  # first sample with `lags` innovations behind it
-        own.append(_past(r.u, lags)[start - lags :])
-        extra.append(_past(e, lags))
+        own.append(stack_lags(r.u, lags)[start - lags :])
+        extra.append(stack_lags(e, lags))
         target.append(r.u[start:, j])
     a, b, u = np.vstack(own), np.vstack(extra), np.concatenate(target)
     base = _orthonormal(a)
@@ -159,11 +159,6 @@ def _orthonormal(x: np.ndarray) -> np.ndarray:
     kept = x[:, pivot[:rank]]
     upper = np.linalg.qr(kept, mode="r")
     return solve_triangular(upper, kept.T, trans=1).T if rank else np.zeros((len(x), 0))
-
-
-def _past(x: np.ndarray, lags: int, first: int = 1) -> np.ndarray:
-    """Return x_{t-first}, .., x_{t-lags} side by side for t = lags .. N-1."""
-    return np.hstack([x[lags - k : len(x) - k] for k in range(first, lags + 1)])
 
 
 def _repeats(u: np.ndarray) -> bool:

@@ -98,6 +98,11 @@ def truncate_records(records: Sequence[Record], longest: int, least: int = 40) -
     return [r.window(slice(0, max(least, round(share * r.n_samples)))) for r in records]
 
 
+def stack_lags(x: np.ndarray, lags: int, first: int = 1) -> np.ndarray:
+    """Return x_{t-first}, .., x_{t-lags} (N - lags, .) side by side for t = lags .. N-1."""
+    return np.hstack([x[lags - k : len(x) - k] for k in range(first, lags + 1)])
+
+
 def check_alike(records: Sequence[Record]) -> None:
     """Refuse records that one model cannot explain together.
 
@@ -360,8 +365,8 @@ def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
     if lags < 2:
         return mean_u, mean_y
     du, dy = u - mean_u, (y - mean_y) / spread
-    past = [dy[lags - k : n - k] for k in range(1, lags + 1)] + [du[lags - k : n - k] for k in range(lags + 1)]
-    theta = np.linalg.lstsq(np.hstack([np.ones((n - lags, 1)), *past]), dy[lags:], rcond=1e-9)[0]
+    known = np.hstack([np.ones((n - lags, 1)), stack_lags(dy, lags), stack_lags(du, lags, 0)])
+    theta = np.linalg.lstsq(known, dy[lags:], rcond=1e-9)[0]
     stiff = np.eye(p) - theta[1 : 1 + lags * p].reshape(lags, p, p).sum(axis=0).T
     if np.linalg.cond(stiff) > 1e6:
         return mean_u, mean_y

@@ -141,7 +141,7 @@ def estimate_error_covariance(
     root = np.linalg.cholesky((weight + weight.T) / 2).T
     normal = assemble_normal_equations(point, free, weight)
     inverse = _inverse(normal.H)
-    errors = compute_residuals(point, records)
+    errors = compute_errors(point, records)
     coefficients, noise = fit_autoregression([e @ root.T for e in errors])
     n = normal.n_model
     if len(coefficients) == 0:
@@ -150,7 +150,7 @@ def estimate_error_covariance(
     return (inverse @ middle @ inverse)[:n, :n], errors
 
 
-def compute_residuals(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+def compute_errors(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
     """Return measured minus modelled outputs, record by record."""
     out = []
     for record, x0 in zip(records, point.x0, strict=True):
@@ -297,7 +297,7 @@ def refine(
     if covariance:
         found, errors = estimate_error_covariance(point, wide, numbers)
     else:
-        found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), compute_residuals(point, wide)
+        found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), compute_errors(point, wide)
     estimated = np.zeros((len(numbers), len(numbers)))
     estimated[np.ix_(numbers, numbers)] = found
 

@@ -28,7 +28,7 @@ from tau_dyn.modes.hankel import fit_autoregression
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.modal import Mode, build_stabilisation_diagram, list_poles, list_zeros
 from tau_dyn.modes.order import OrderChoice
-from tau_dyn.modes.record import PreparedRecords, Record
+from tau_dyn.modes.record import PreparedRecords, Record, stack_lags
 from tau_dyn.modes.refinement import RefinedModel
 from tau_dyn.modes.residuals import (
     CorrelationTest,
@@ -319,4 +319,4 @@ def _regress(e: np.ndarray, columns: np.ndarray, basis: np.ndarray, n: int) -> t
 
 def _lagged(x: np.ndarray, lags: int) -> np.ndarray:
     """Return columns (N, c) as they were 0 to `lags` samples before, side by side; zero before the record."""
-    return np.hstack([np.vstack([np.zeros((k, x.shape[1])), x[: len(x) - k]]) for k in range(lags + 1)])
+    return stack_lags(np.vstack([np.zeros((lags, x.shape[1])), x]), lags, 0)
