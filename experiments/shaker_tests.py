@@ -27,7 +27,7 @@ from tau_dyn.exceptions import TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes import StateSpace, find_modes
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback import detect_feedback
+from tau_dyn.modes.feedback_tests import detect_feedback
 from tau_dyn.modes.find import ACAUSALITY_SIGNIFICANCE_LEVEL, MethodCandidate, check_candidate, settle
 from tau_dyn.modes.methods import build_initial_estimator
 from tau_dyn.modes.order import OrderChoice, OrderTrial, select_parts

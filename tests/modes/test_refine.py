@@ -8,10 +8,10 @@ from raising import raises_code
 from scipy.signal import lfilter
 
 from tau_dyn.modes import Record, StateSpace, refine
-from tau_dyn.modes.descent import balance_model
 from tau_dyn.modes.fit_point import build_columns, compute_derivative_maps
 from tau_dyn.modes.hankel import compute_spectrum, fit_autoregression
 from tau_dyn.modes.modal import compute_frequency_and_damping, find_resonances
+from tau_dyn.modes.modal_descent import balance_model
 from tau_dyn.modes.modal_form import (
     build_layout,
     build_modal_form,

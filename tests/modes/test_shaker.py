@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.modes import Mode, Modes, find_modes
-from tau_dyn.modes.feedback import detect_feedback, find_acausality
+from tau_dyn.modes.feedback_tests import detect_feedback, find_acausality
 from tau_dyn.modes.methods import build_initial_estimator
 from tau_dyn.modes.modal import widen_modes
 from tau_dyn.modes.order import choose_order

@@ -1,7 +1,7 @@
 r"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
 
 The way, from top to bottom: records are prepared (`record.py`); a method is tried, for which a delay (`delay.py`) and an order
-(`order.py`) are chosen from first models (`methods.py`); its residuals tell whether a loop was closed (`feedback.py`), and
+(`order.py`) are chosen from first models (`methods.py`); its residuals tell whether a loop was closed (`feedback_tests.py`), and
 where that, an older trace of feedback or a named reference says so, `pbsid`, which bears feedback, is tried too; the winner is
 refined (`refinement.py`), fitted to all data, its standard errors widened for what other models say, and judged
 (`validation.py`). Each step leaves a sentence in `why`.
@@ -21,7 +21,7 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay, find_response_onset
-from tau_dyn.modes.feedback import Acausality, Feedback, detect_feedback, find_acausality
+from tau_dyn.modes.feedback_tests import Acausality, Feedback, detect_feedback, find_acausality
 from tau_dyn.modes.methods import METHODS, build_initial_estimator, decompose_pulse_tests, estimate_first_poles
 from tau_dyn.modes.modal import widen_modes
 from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order, read_whole_number, select_parts

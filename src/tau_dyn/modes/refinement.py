@@ -24,7 +24,6 @@ import numpy as np
 from scipy.linalg import qr
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.descent import minimise, normalise_shapes
 from tau_dyn.modes.fit_point import (
     DerivativeMaps,
     FitPoint,
@@ -37,6 +36,7 @@ from tau_dyn.modes.fit_point import (
 )
 from tau_dyn.modes.hankel import compute_spectrum, fit_autoregression
 from tau_dyn.modes.modal import Mode, find_resonances
+from tau_dyn.modes.modal_descent import minimise, normalise_shapes
 from tau_dyn.modes.modal_form import (
     ModalForm,
     ResponseEstimate,

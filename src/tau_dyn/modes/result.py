@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback import Feedback
+from tau_dyn.modes.feedback_tests import Feedback
 from tau_dyn.modes.mechanical import Mechanical
 from tau_dyn.modes.modal import Mode, Pole, StabilityPoint
 from tau_dyn.modes.order import OrderChoice

@@ -23,7 +23,7 @@ from scipy.stats import f as fisher
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback import Feedback
+from tau_dyn.modes.feedback_tests import Feedback
 from tau_dyn.modes.hankel import fit_autoregression
 from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
 from tau_dyn.modes.modal import Mode, build_stabilisation_diagram, list_poles, list_zeros
