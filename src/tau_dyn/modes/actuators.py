@@ -85,12 +85,9 @@ def _sampled(dt: float, time_constant: float, delay: float) -> tuple[int, float,
     return whole, float(1 - left), float(left - a), float(a)
 
 
-_MAX_START_DELAY_SAMPLES = 64
-"""Samples of delay up to which a start is looked for; the search itself may go on."""
-_STRIDE = 4
-"""Samples of delay between two starts."""
-_WIDTHS = 12
-"""Time constants that are tried, from half a sample to the length of the test."""
+_MAX_START_DELAY_SAMPLES = 64  # samples of delay up to which a start is looked for; the search itself may go on
+_STRIDE = 4  # samples of delay between two starts
+_WIDTHS = 12  # time constants that are tried, from half a sample to the length of the test
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,22 +31,16 @@ from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
 
-MAX_SAMPLES = 6_000
-"""Samples that the delays are compared on."""
-MAX_DELAY_SAMPLES = 20
-"""The longest delay that is tried."""
-ORDERS = (2, 4, 6, 8, 12, 20, 28)
-"""Orders tried for every delay: modes that all of them lack would look like a delay."""
+MAX_SAMPLES = 6_000  # samples that the delays are compared on
+MAX_DELAY_SAMPLES = 20  # the longest delay that is tried
+ORDERS = (2, 4, 6, 8, 12, 20, 28)  # orders tried for every delay: modes that all of them lack would look like a delay
 MAX_REFINED_ORDER = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
-COARSE = 4
-"""Step of the first look."""
-CLOSE_BIC_DIFFERENCE = 100.0
-"""BIC within which two delays are compared by refined models."""
+COARSE = 4  # step of the first look
+CLOSE_BIC_DIFFERENCE = 100.0  # BIC within which two delays are compared by refined models
 RIVALS = 3  # delays refined at most; a scan over first models tells the others apart
 MAX_ITERATIONS = 8  # Gauss-Newton steps for a rival; enough to rank it
-DECISIVE_BIC_DIFFERENCE = 10.0
-"""BIC beyond which a rival is out of the question (Kass & Raftery 1995)."""
+DECISIVE_BIC_DIFFERENCE = 10.0  # BIC beyond which a rival is out of the question (Kass & Raftery 1995)
 
 
 @dataclass(frozen=True)
@@ -235,14 +229,10 @@ def _refined(records: Sequence[Record], first: InitialModels, delay: int, order:
     return compute_aic_bic(compute_log_det_loss(errors), sum(len(e) for e in errors), k)[1]
 
 
-ONSET_ORDER = 12
-"""States that ring on, at most."""
-MIN_ONSET_SNR = 8.0
-"""Times the noise before the pulse that an answer differs from ringing on."""
-OF_PEAK = 2e-4
-"""Part of the output's peak that it must reach at least."""
-STARTED = 0.005
-"""Part of the peak of the force at which the pulse has begun."""
+ONSET_ORDER = 12  # states that ring on, at most
+MIN_ONSET_SNR = 8.0  # times the noise before the pulse that an answer differs from ringing on
+OF_PEAK = 2e-4  # part of the output's peak that it must reach at least
+STARTED = 0.005  # part of the peak of the force at which the pulse has begun
 
 
 def find_response_onset(records: Sequence[Record], decays: EraFactors, most: int) -> int:

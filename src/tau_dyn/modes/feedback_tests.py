@@ -37,18 +37,14 @@ from scipy.stats import f as fisher, gamma
 
 from tau_dyn.modes.record import Record, stack_lags
 
-LAGS = (10, 20, 60)
-"""Lengths of the ARX model to choose from; many modes with little noise outlast the short ones."""
+LAGS = (10, 20, 60)  # lengths of the ARX model to choose from; many modes with little noise outlast the short ones
 LEADS = 4
 """Inputs to come that the ARX model sees: the two-sided kernel of a path whose input ends at 0.2 to 0.9 of the Nyquist
 frequency has died away by then, down to noise of a thousandth."""
-MAX_SAMPLES = 10_000
-"""Samples looked at: more add power to see what would not matter."""
+MAX_SAMPLES = 10_000  # samples looked at: more add power to see what would not matter
 SIGNIFICANCE_LEVEL = 1e-3  # of feedback that is not there; one record in a thousand
-MIN_VARIANCE_SHARE = 1e-3
-"""Share of an input's variance that answers to innovations, from which on a loop counts."""
-NEW = 0.01
-"""The same as a share of what is new in the input."""
+MIN_VARIANCE_SHARE = 1e-3  # share of an input's variance that answers to innovations, from which on a loop counts
+NEW = 0.01  # the same as a share of what is new in the input
 # squared difference of an input from itself a period later, relative to its power, below which it counts as periodic
 REPEATS = 1e-4
 
@@ -179,14 +175,11 @@ SEGMENT = 128
 """Samples of a segment of the input's spectrum: short, so that the whitening filter is smooth and its kernel short."""
 EXCITED_SHARE = 0.05
 """Power density over its maximum from which on a band counts as excited (-13 dB): folded frequencies lie below."""
-TAPER_SHARE = 0.3
-"""Share of the excited band over which W falls to zero at its edges."""
+TAPER_SHARE = 0.3  # share of the excited band over which W falls to zero at its edges
 KERNEL_LEVEL = 1e-3
 """Height of the kernel of W^2 over its peak beyond which lags are free of the path from input to output."""
-SPANS = (30, 100, 300)
-"""Lags that are added up, in samples: controllers answer at once, structures ring on."""
-MAX_ACAUSALITY_SAMPLES = 60_000
-"""Samples looked at."""
+SPANS = (30, 100, 300)  # lags that are added up, in samples: controllers answer at once, structures ring on
+MAX_ACAUSALITY_SAMPLES = 60_000  # samples looked at
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,7 @@ from tau_dyn.modes.validation import validate_model
 
 MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
 MAX_REQUESTED_DELAY = 10_000  # samples
-PULSE_GAIN = 0.1
-"""Share by which a delay must lower what pulse tests leave, to be believed."""
+PULSE_GAIN = 0.1  # share by which a delay must lower what pulse tests leave, to be believed
 MAX_ROUNDS, FEW_ROUNDS = 40, 15
 """Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which can
 hold more modes than a model and then creep."""
@@ -43,8 +42,7 @@ NEIGHBOURS = 4
 """States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""
-POSSIBLE = 0.2
-"""p-value below which feedback cannot be excluded, and standard errors allow for it."""
+POSSIBLE = 0.2  # p-value below which feedback cannot be excluded, and standard errors allow for it
 WORST_RATIO = 1.15
 """Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
 a disturbance that comes back through the input. A judgement, not calibrated by a study."""

@@ -213,10 +213,8 @@ def reduce_order(model: StateSpace, order: int) -> StateSpace:
 
 
 METHODS = ("n4sid", "pbsid", "arx", "era")
-ARX_LAGS = 60
-"""Lags of the long ARX model, where the data can pay for them."""
-SLOWEST = 1 - 1e-6
-"""Largest magnitude of a pole that a first model may have."""
+ARX_LAGS = 60  # lags of the long ARX model, where the data can pay for them
+SLOWEST = 1 - 1e-6  # largest magnitude of a pole that a first model may have
 
 Start = Callable[[int], StateSpace]
 

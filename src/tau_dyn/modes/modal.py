@@ -31,8 +31,7 @@ from scipy.linalg import eigvals
 from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form
 from tau_dyn.modes.state_space import StateSpace
 
-MODE_EQUALITY_TOLERANCE = 0.05
-"""Relative difference in frequency up to which modes of two models are one and the same."""
+MODE_EQUALITY_TOLERANCE = 0.05  # relative difference in frequency up to which modes of two models are one and the same
 Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 
 
@@ -229,8 +228,7 @@ def list_zeros(model: StateSpace) -> np.ndarray:
 FREQUENCY_TOLERANCE = 0.01
 DAMPING_TOLERANCE = 0.20  # relative difference of a stable mode's damping from order to order (Peeters & De Roeck 1999)
 SIGMAS = 2.0  # joint standard errors within which two orders' modes agree
-OVERDAMPED = 0.7
-"""Modes with more damping ring less than one period; the diagram leaves them out."""
+OVERDAMPED = 0.7  # modes with more damping ring less than one period; the diagram leaves them out
 
 
 @dataclass(frozen=True)

@@ -167,8 +167,7 @@ def _stretched(links: Sequence[np.ndarray], held: np.ndarray, fixed: np.ndarray)
 
 
 _STEP = 1e-4  # [m or rad] of the largest spring: how far shapes are followed
-_MAX_LOG_FREQUENCY_RATIO = 0.7
-"""Logarithm of a ratio of frequencies from which on two modes are never the same."""
+_MAX_LOG_FREQUENCY_RATIO = 0.7  # logarithm of a ratio of frequencies from which on two modes are never the same
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,17 +29,12 @@ MAX_HANKEL_ROWS = 240
 """Rows of the block-Hankel matrix: enough for the highest order, and cheap to decompose thirty times."""
 MIN_BLOCK_ROWS, MAX_BLOCK_ROWS = 10, 50
 MAX_ORDER = 40  # states of the largest model
-N_BLOCKS = 30
-"""Blocks of the jackknife: a standard error is then known to 13 %."""
-MIN_BLOCK_PERIODS = 10
-"""Periods of a mode that a block must hold, so that blocks are independent."""
+N_BLOCKS = 30  # blocks of the jackknife: a standard error is then known to 13 %
+MIN_BLOCK_PERIODS = 10  # periods of a mode that a block must hold, so that blocks are independent
 MIN_MAC = 0.9  # modal assurance criterion above which two shapes are the same
-STABLE_SHARE = 0.7
-"""Share of orders, from its first on, in which a mode of the structure appears."""
-MAX_DAMPING = 0.2
-"""Damping ratio above which forces that are not white cannot be told from a mode."""
-MAX_FREQUENCY_STDERR = 0.02
-"""Relative standard error above which a frequency is not known."""
+STABLE_SHARE = 0.7  # share of orders, from its first on, in which a mode of the structure appears
+MAX_DAMPING = 0.2  # damping ratio above which forces that are not white cannot be told from a mode
+MAX_FREQUENCY_STDERR = 0.02  # relative standard error above which a frequency is not known
 MAX_DAMPING_STDERR = 0.3  # relative standard error above which a damping ratio is hardly known
 
 

@@ -38,29 +38,22 @@ from tau_dyn.modes.residuals import (
 from tau_dyn.modes.state_space import StateSpace
 
 SELECT_SHARE = 0.25  # of the training data on which orders are compared
-MAX_SAMPLES = 6_000
-"""Samples that the orders are compared on."""
-PULSE = 500
-"""Samples of each pulse that are kept in any case."""
-MAX_ORDER = 60
-"""Highest order that is looked at unless one is asked for: thirty modes in the band of one test."""
+MAX_SAMPLES = 6_000  # samples that the orders are compared on
+PULSE = 500  # samples of each pulse that are kept in any case
+MAX_ORDER = 60  # highest order that is looked at unless one is asked for: thirty modes in the band of one test
 MAX_PREDICTED_ORDER = 24
 """The same where one-step predictions are compared, whose first models cost a factorisation each."""
-SMALL = 8
-"""Up to this order all even ones below are refined, which costs little and fills the stabilisation diagram."""
-BEYOND = 4
-"""Orders that are refined above the leading one: a diagram needs them, a choice does not."""
+SMALL = 8  # up to this order all even ones below are refined, which costs little and fills the stabilisation diagram
+BEYOND = 4  # orders that are refined above the leading one: a diagram needs them, a choice does not
 MAX_REFINED_MODELS = 14
 """Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
 MANY_NUMBERS = 100
 """Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
 MAX_ITERATIONS = 4  # Gauss-Newton steps for a candidate order; enough to rank it
 TOLERANCE = 2.0  # standard errors of the paired difference within which the smaller order is as good
-PATIENCE = 16
-"""Orders without any gain after which the scan stops, once it has explained most of what moves."""
+PATIENCE = 16  # orders without any gain after which the scan stops, once it has explained most of what moves
 MIN_WHITE_P_VALUE = 0.001  # over all outputs, from which on what is left counts as white
-GOOD_FIT_PERCENT = 80.0
-"""Fit from which on patience counts: modes that come in late show only when most of them are in."""
+GOOD_FIT_PERCENT = 80.0  # fit from which on patience counts: modes that come in late show only when most of them are in
 
 
 @dataclass(frozen=True, eq=False)

@@ -209,8 +209,7 @@ def _inverse(H: np.ndarray) -> np.ndarray:
 
 
 KINDS = (SIMULATED, PREDICTED)
-MAX_PREDICTOR_OUTPUTS = 6
-"""Outputs of a predictor, whose inputs they are too: its free numbers grow with their square."""
+MAX_PREDICTOR_OUTPUTS = 6  # outputs of a predictor, whose inputs they are too: its free numbers grow with their square
 PREDICTOR_ROUNDS = 15  # steps of its refinement, which begins near its end
 
 

@@ -159,10 +159,8 @@ def fit_noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
 
 
 Z99 = float(norm.ppf(0.995))
-LAGS = 25
-"""Lags of the correlation tests, as usual in the field."""
-PASS = 0.01
-"""A curve passes where chance alone would look worse more often than this."""
+LAGS = 25  # lags of the correlation tests, as usual in the field
+PASS = 0.01  # a curve passes where chance alone would look worse more often than this
 
 
 @dataclass(frozen=True, eq=False)

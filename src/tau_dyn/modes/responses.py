@@ -29,8 +29,7 @@ from tau_dyn.modes.state_space import StateSpace, simulate
 STRETCHES = 5
 """Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
 MAX_WINDOW_SAMPLES = 32_768  # of a window; finer lines than its are not drawn
-RESOLUTION = 6.0
-"""Lines within the width of the narrowest resonance."""
+RESOLUTION = 6.0  # lines within the width of the narrowest resonance
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +164,9 @@ class ImpulseResponses:
     held_out: bool
 
 
-FLOOR = 1e-2
-"""Floor as a share of the inputs' mean power."""
-TIME_CONSTANTS = 2.5
-"""Of the slowest decaying mode, as many as are shown."""
-PERIODS = 12
-"""Of the lowest mode, as many as are shown at most."""
+FLOOR = 1e-2  # floor as a share of the inputs' mean power
+TIME_CONSTANTS = 2.5  # of the slowest decaying mode, as many as are shown
+PERIODS = 12  # of the lowest mode, as many as are shown at most
 MAX_SAMPLES = 200_000  # samples used; a response of some hundred lags is known by then
 
 

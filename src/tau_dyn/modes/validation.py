@@ -47,8 +47,7 @@ from tau_dyn.modes.state_space import StateSpace, delay_inputs, predict, simulat
 
 PREDICTION_HORIZONS = (1, 10)
 GRID = 400  # frequencies in a geometric row, beside those near resonances
-TRACES = 6
-"""Records kept for drawing."""
+TRACES = 6  # records kept for drawing
 
 
 def validate_model(

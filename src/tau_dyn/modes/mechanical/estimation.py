@@ -23,10 +23,8 @@ from scipy.optimize import least_squares
 from tau_dyn.modes.mechanical.structure import Places, SecondOrder, build_symmetric_basis, pack, unpack
 
 _MAX_ITERATIONS = 8  # convex programmes one after the other; each starts from the last one's weights
-_MARGIN = 1e-6
-"""Least eigenvalue of M and K, as a part of their largest, that counts as positive."""
-_MIN_EIGENVALUE = 1e-4
-"""Least eigenvalue that the program gives M and K, in scaled units."""
+_MARGIN = 1e-6  # least eigenvalue of M and K, as a part of their largest, that counts as positive
+_MIN_EIGENVALUE = 1e-4  # least eigenvalue that the program gives M and K, in scaled units
 
 
 def solve_conic(s: np.ndarray, H: np.ndarray, driven: tuple[int, ...]) -> SecondOrder:
@@ -114,8 +112,7 @@ def _problem(n: int) -> tuple[Any, list[Any], tuple[Any, Any]]:
     return cp.Problem(cp.Minimize(cp.sum_squares(R @ x - target)), constraints), parts, (R, target)
 
 
-_RANK = 1e-7
-"""Directions of the response's error smaller than this part of the largest are rounding, not knowledge."""
+_RANK = 1e-7  # directions of the response's error smaller than this part of the largest are rounding, not knowledge
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,7 @@ from tau_dyn.modes.mechanical.estimation import (
 )
 from tau_dyn.modes.mechanical.structure import STEP, Evidence, Places, SecondOrder
 
-MAX_RELATIVE_STDERR = 0.3
-"""Standard error of a relative change of M or K beyond which the matrix is not known."""
+MAX_RELATIVE_STDERR = 0.3  # standard error of a relative change of M or K beyond which the matrix is not known
 _SURE, _VAGUE = 3.0, 0.25
 """Standard errors within which a misfit at the modes may be chance, and the part of the response beyond which it may not."""
 SIGNIFICANCE_LEVEL = 1e-3
@@ -171,8 +170,7 @@ def measure_asymmetry(evidence: Evidence, places: Places) -> tuple[float, float]
 _LIFT = 0.05
 """The likelihood looks at the response off the imaginary axis by this part of the frequency: there a shift of a resonance by its
 standard error changes the response in proportion, however light the damping."""
-_STATIC = 4.0
-"""Weight of a stand-in's error below half the first resonance, against one above."""
+_STATIC = 4.0  # weight of a stand-in's error below half the first resonance, against one above
 
 
 @dataclass(frozen=True, eq=False)

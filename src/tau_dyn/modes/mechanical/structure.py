@@ -206,8 +206,7 @@ def find_places(p: int, m: int, collocated: Sequence[tuple[int, int]] | None) ->
     return Places(tuple(range(p)), tuple(at[j] if j in at else next(free) for j in range(m)))
 
 
-STEP = 1e-2
-"""Step of the central differences, in standard errors."""
+STEP = 1e-2  # step of the central differences, in standard errors
 
 
 class HasResiduals(Protocol):
