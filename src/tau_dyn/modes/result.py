@@ -19,6 +19,8 @@ from tau_dyn.modes.state_space import ModelFile, StateSpace
 from tau_dyn.shown import Shown
 from tau_dyn.version import __version__
 
+NOT_IDENTIFIED: dict[str, Any] = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
+
 
 @dataclass(frozen=True, eq=False)
 class Trace:
@@ -141,6 +143,9 @@ class Modes(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON result."""
+        mdk: dict[str, Any] = {"why": self.mechanical_why}
+        if self.mechanical is not None:
+            mdk = self.mechanical.to_dict() | {"units": "of the inputs per those of the outputs"}
         return {
             "order": self.order,
             "delay_samples": self.delay,
@@ -171,7 +176,7 @@ class Modes(Shown):
                 "input_correlation": [t.to_dict() for t in self.independence],
             },
             "nonlinearity": None if self.nonlinearity is None else self.nonlinearity.to_dict(),
-            "mdk": self._mdk(),
+            "mdk": NOT_IDENTIFIED | mdk,
             "feedback": self.feedback.to_dict(),
             "delay_scan": self.delay_choice.to_dict(),
             "order_scan": self.order_choice.to_dict(),
@@ -207,15 +212,6 @@ class Modes(Shown):
 
     def _per_output(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         return {name: float(v) for name, v in zip(self.outputs, values, strict=True)}
-
-    def _mdk(self) -> dict[str, Any]:
-        found = self.mechanical
-        empty = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
-        if found is None:
-            return empty | {"why": self.mechanical_why}
-        stderr = found.stderr
-        spread = None if stderr is None else {name: getattr(stderr, name) for name in "MDK"}
-        return empty | found.to_dict() | {"stderr": spread, "units": "of the inputs per those of the outputs"}
 
 
 REASON_WITHOUT_SCALE = (
@@ -261,11 +257,7 @@ class OperationalModes(Shown):
             "modes": [mode.to_dict(self.outputs) for mode in self.modes],
             "fit_percent": {"train": None, "holdout": None},
             "residual_tests": None,
-            "mdk": {
-                "status": "not_identifiable",
-                **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz")),
-                "why": REASON_WITHOUT_SCALE,
-            },
+            "mdk": NOT_IDENTIFIED | {"why": REASON_WITHOUT_SCALE},
             "stabilisation": [p.to_dict() for p in self.stabilisation],
             "n_samples": self.n_samples,
         }
