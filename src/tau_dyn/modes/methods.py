@@ -276,18 +276,15 @@ def estimate_first_poles(
         decays: For `era`, the decays as the longest delay leaves them: their poles are those of every delay.
     """
     if method == "era":
-        late = decays or decompose_pulse_tests(records, delay=delay)
         here = decompose_pulse_tests(records, delay=delay)
-        return InitialModels(lambda n: np.linalg.eigvals(late.dynamics(n)[0]), lambda n: stabilise_poles(here.model(n)))
-    aligned = [r.aligned(delay) for r in records]
-    factors = compress_subspace_data(records, delay=delay, horizon=min(horizon, choose_default_horizon(aligned)))
-    if method == "pbsid":
-        return InitialModels(
-            lambda n: np.linalg.eigvals(factors.dynamics(n)[0]), build_initial_estimator(method, records, delay=delay)
-        )
-    return InitialModels(
-        lambda n: np.linalg.eigvals(factors.dynamics(n)[0]), lambda n: stabilise_poles(factors.model(n))
-    )
+        dynamics, model = (decays or here).dynamics, lambda n: stabilise_poles(here.model(n))
+    else:
+        aligned = [r.aligned(delay) for r in records]
+        factors = compress_subspace_data(records, delay=delay, horizon=min(horizon, choose_default_horizon(aligned)))
+        dynamics, model = factors.dynamics, lambda n: stabilise_poles(factors.model(n))
+        if method == "pbsid":
+            model = build_initial_estimator(method, records, delay=delay)
+    return InitialModels(lambda n: np.linalg.eigvals(dynamics(n)[0]), model)
 
 
 def stabilise_poles(model: StateSpace) -> StateSpace:
