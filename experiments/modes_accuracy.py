@@ -19,14 +19,14 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from tau_dyn.modes import Record, StateSpace, compress_subspace_data, refine
-from tau_dyn.modes.covariance_propagation import propagate_covariance
 from tau_dyn.modes.delay import choose_delay
-from tau_dyn.modes.gauss_newton import assemble_normal_equations, evaluate
+from tau_dyn.modes.fit_point import assemble_normal_equations, evaluate
 from tau_dyn.modes.methods import estimate_first_poles
 from tau_dyn.modes.modal import find_resonances
 from tau_dyn.modes.modal_form import build_modal_form, free_numbers
-from tau_dyn.modes.pbsid import pbsid
-from tau_dyn.modes.simulate import simulate, simulate_states
+from tau_dyn.modes.refinement import propagate_covariance
+from tau_dyn.modes.state_space import simulate, simulate_states
+from tau_dyn.modes.subspace import pbsid
 
 DT = 1 / 500
 FREQUENCIES = {3: (7.4, 11.5, 14.0), 4: (7.4, 11.5, 14.0, 103.0)}

@@ -26,12 +26,12 @@ from scipy.signal import butter, lfilter, sosfilt
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes import StateSpace, find_modes
-from tau_dyn.modes.contest import ACAUSALITY_SIGNIFICANCE_LEVEL, MethodCandidate, check_candidate, settle
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback_test import detect_feedback
+from tau_dyn.modes.feedback_tests import detect_feedback
+from tau_dyn.modes.find import ACAUSALITY_SIGNIFICANCE_LEVEL, MethodCandidate, check_candidate, settle
 from tau_dyn.modes.methods import build_initial_estimator
 from tau_dyn.modes.order import OrderChoice, OrderTrial, select_parts
-from tau_dyn.modes.preparation import prepare_records
+from tau_dyn.modes.record import prepare_records
 
 RATE_HZ, OVERSAMPLING = 1000, 16
 """Sampling rate of the log; the continuous world is computed 16 times finer."""

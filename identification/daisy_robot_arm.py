@@ -17,10 +17,10 @@ import pandas as pd
 
 from tau_dyn.log import Log
 from tau_dyn.modes import find_modes, save_state_space
-from tau_dyn.modes.arx import arx
-from tau_dyn.modes.checks import fit_percent
+from tau_dyn.modes.hankel import arx
 from tau_dyn.modes.record import build_records
-from tau_dyn.modes.simulate import simulate
+from tau_dyn.modes.residuals import fit_of
+from tau_dyn.modes.state_space import simulate
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(os.environ.get("TAU_DYN_DATA", HERE.parents[1] / "shared" / "data"))
@@ -42,7 +42,7 @@ def in_sample(log: Log) -> tuple[float, float]:
 def half_and_half(log: Log) -> float:
     """Return how well an ARX model of order 8 of the first half simulates the second."""
     first, second = (build_records(part, *COLUMNS)[0] for part in log.split(0.5))
-    return float(fit_percent(second.y, simulate(arx([first], 8, direct=True), second))[0])
+    return float(fit_of([second.y], [simulate(arx([first], 8, direct=True), second)])[0])
 
 
 def main(log_path: Path, out_dir: Path) -> pd.DataFrame:

@@ -36,7 +36,7 @@ def data(n_samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     A = np.block([[np.zeros((4, 4)), np.eye(4)], [-np.diag(w**2), -np.diag(2 * zeta * w)]])
     B = np.vstack([np.zeros((4, 3)), shapes[:3].T])
     held = expm(np.block([[A, B], [np.zeros((3, 11))]]) * DT)
-    from tau_dyn.modes.simulate import simulate_states
+    from tau_dyn.modes.state_space import simulate_states
 
     u = rng.normal(size=(n_samples, 3))
     y = simulate_states(held[:8, :8], u @ held[:8, 8:].T, np.zeros(8))[:, :4] @ shapes[:3].T

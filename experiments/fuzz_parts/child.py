@@ -39,7 +39,7 @@ _MODULES = (
     "kinematics.workspace.study",
     "scale.journal",
     "kinematics.accuracy.error_bounds",
-    "modes.model_file",
+    "modes.state_space",
     "modes.record",
     "simulate.effects_file",
     "view.results",

@@ -110,7 +110,7 @@ ROBOTS = (
     Reader("errors", ".yaml", of(seeds.ERRORS), YAML,
            by_name("kinematics.accuracy.error_bounds", "read_errors_file", ("axis",), ("rod1", "rod2"))),
     Reader("cameras", ".yaml", of(seeds.CAMERAS), YAML, by_name("vision.cameras", "read_cameras")),
-    Reader("state_space", ".yaml", of(seeds.STATE_SPACE), YAML, by_name("modes.model_file", "load_state_space")),
+    Reader("state_space", ".yaml", of(seeds.STATE_SPACE), YAML, by_name("modes.state_space", "load_state_space")),
     Reader("compensation", ".yaml", lambda f: [seeds.compensation_file(f)], YAML,
            by_name("calibrate.compensation_file", "load_compensation")),
     Reader("calibrated_robot", ".yaml", lambda f: [seeds.calibrated(f)], YAML, _calibration),

@@ -11,7 +11,7 @@ from thesis_6_3_parts.robots import kinematics, with_wrist
 from tau_dyn.control.iterative import Reference
 from tau_dyn.mechanism import L1_DRIVES
 from tau_dyn.modes import Actuator, Record, StateSpace, compress_subspace_data, refine
-from tau_dyn.modes.simulate import simulate
+from tau_dyn.modes.state_space import simulate
 from tau_dyn.simulate import LearningPlant, Trial, square_path
 
 DT = 0.004  # s

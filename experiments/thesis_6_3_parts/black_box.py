@@ -13,7 +13,7 @@ import numpy as np
 from tau_dyn.log import Log
 from tau_dyn.mechanism import L1_DRIVES
 from tau_dyn.modes import Mode, ModelFile, StateSpace, compress_subspace_data, refine, save_state_space
-from tau_dyn.modes.simulate import simulate
+from tau_dyn.modes.state_space import simulate
 from tau_dyn.simulate import VibrationSensors, simulate_binary_log, simulate_vibration_log
 from thesis_6_3_parts.printed import DRIVE_SAMPLES, ORDER_KINEMATICS, ORDER_REFERENCE
 from thesis_6_3_parts.robots import CARTS, fit_percent, kinematics, record, with_tool_side, with_wrist

@@ -7,7 +7,7 @@ import numpy as np
 from tau_dyn.log import Log
 from tau_dyn.mechanism import L1_DRIVES
 from tau_dyn.modes import Record
-from tau_dyn.modes.actuator_fit import ActuatorFit, fit_actuators
+from tau_dyn.modes.actuators import ActuatorFit, fit_actuators
 from tau_dyn.simulate import VibrationSensors, simulate_vibration_log
 from thesis_6_3_parts.printed import STEPS
 from thesis_6_3_parts.robots import CARTS, fit_percent, with_wrist

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from tau_dyn.modes.poles import list_zeros
+from tau_dyn.modes.modal import list_zeros
 from thesis_6_3_parts.black_box import BlackBox, held, true_response
 from thesis_6_3_parts.drives import DriveStudy
 from thesis_6_3_parts.pushes import PushStudy

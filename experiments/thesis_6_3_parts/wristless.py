@@ -5,11 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.modes import Mode, Record, RefinedModel, compress_subspace_data, refine
-from tau_dyn.modes.era import realise_pulse_tests
-from tau_dyn.modes.mechanical import Mechanical, fit_mechanical
-from tau_dyn.modes.second_order import SecondOrder
-from tau_dyn.modes.simulate import simulate
-from tau_dyn.modes.thesis_route import PRINTED, Character, judge_character, solve_unconstrained
+from tau_dyn.modes.mechanical.mass_damping_stiffness import (
+    PRINTED,
+    Character,
+    Mechanical,
+    fit_mechanical,
+    judge_character,
+    solve_unconstrained,
+)
+from tau_dyn.modes.mechanical.structure import SecondOrder
+from tau_dyn.modes.methods import realise_pulse_tests
+from tau_dyn.modes.state_space import simulate
 from tau_dyn.simulate import VibrationSensors, push_log, simulate_vibration_log
 from thesis_6_3_parts.printed import ORDER_TRACKER, ORDER_VISION
 from thesis_6_3_parts.robots import AXES, fit_percent, record, without_wrist

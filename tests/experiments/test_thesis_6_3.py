@@ -10,7 +10,7 @@ import pytest
 
 from tau_dyn.modes import Record, load_state_space
 from tau_dyn.modes.modal import find_resonances
-from tau_dyn.modes.simulate import simulate
+from tau_dyn.modes.state_space import simulate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
 from thesis_6_3_parts import black_box, wristless

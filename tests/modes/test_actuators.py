@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.modes import Actuator, Record
-from tau_dyn.modes.actuator_fit import fit_actuator, fit_actuators
+from tau_dyn.modes.actuators import fit_actuator, fit_actuators
 
 DT = 0.004
 PRINTED = [(0.03527, 0.9647), (0.03425, 0.9656), (0.02748, 0.9728)]  # (6.11), all with q^-5

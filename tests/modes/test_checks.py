@@ -13,16 +13,16 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import recorded, response, structure
 
-from tau_dyn.modes.checks import Z99, check_independence, check_whiteness, fit_percent
+from tau_dyn.modes.residuals import Z99, check_independence, check_whiteness, fit_of
 
 
 def test_fit_is_that_of_the_contract(rng):
     """A perfect simulation fits 100 %, the mean 0 %, and a tenth of the movement missed leaves 90 %."""
     y = rng.normal(size=(500, 2)) + 7
     moved = y - y.mean(axis=0)
-    assert_allclose(fit_percent(y, y), 100)
-    assert_allclose(fit_percent(y, np.broadcast_to(y.mean(axis=0), y.shape)), 0, atol=1e-9)
-    assert_allclose(fit_percent(y, y - 0.1 * moved), 90)
+    assert_allclose(fit_of([y], [y]), 100)
+    assert_allclose(fit_of([y], [np.broadcast_to(y.mean(axis=0), y.shape)]), 0, atol=1e-9)
+    assert_allclose(fit_of([y], [y - 0.1 * moved]), 90)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.9])

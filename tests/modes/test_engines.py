@@ -8,14 +8,12 @@ from raising import raises_code
 from scipy.linalg import expm
 
 from tau_dyn.modes import Record, StateSpace, compress_subspace_data, refine
-from tau_dyn.modes.arx import arx
-from tau_dyn.modes.era import era, realise_pulse_tests
-from tau_dyn.modes.hankel import compress
+from tau_dyn.modes.hankel import arx, compress
+from tau_dyn.modes.methods import compute_hankel_values, era, realise_pulse_tests, reduce_order
 from tau_dyn.modes.modal import find_resonances
-from tau_dyn.modes.pbsid import pbsid
 from tau_dyn.modes.record import Scales
-from tau_dyn.modes.reduce import compute_hankel_values, reduce_order
-from tau_dyn.modes.simulate import estimate_initial_state, predict, simulate, simulate_states
+from tau_dyn.modes.state_space import estimate_initial_state, predict, simulate, simulate_states
+from tau_dyn.modes.subspace import pbsid
 
 DT = 1 / 200
 FREQUENCIES, DAMPINGS = (7.4, 11.5, 14.0), (0.01, 0.02, 0.03)

@@ -13,7 +13,7 @@ from scipy.signal import butter, chirp, sosfilt
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import binary, in_loop, recorded, structure
 
-from tau_dyn.modes.feedback_test import detect_feedback
+from tau_dyn.modes.feedback_tests import detect_feedback
 
 
 def _input(kind: str, n: int) -> np.ndarray:

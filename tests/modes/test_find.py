@@ -20,7 +20,7 @@ from tau_dyn.cli.execute import format_json
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.modes import Modes, find_modes
-from tau_dyn.modes.contest import choose_error_kind
+from tau_dyn.modes.find import choose_error_kind
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 
 IN, OUT = ("force1", "force2"), ("place1", "place2")

@@ -14,8 +14,7 @@ from raising import raises_code
 sys.path.insert(0, str(Path(__file__).parent))
 from structures import DT, chain, refined
 
-from tau_dyn.modes.mechanical_evidence import build_evidence, convert_to_continuous
-from tau_dyn.modes.second_order import OUTPUTS
+from tau_dyn.modes.mechanical.structure import OUTPUTS, build_evidence, convert_to_continuous
 
 HZ = (7.4, 11.5, 14.0)
 

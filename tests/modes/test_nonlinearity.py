@@ -10,9 +10,10 @@ import pytest
 
 from tau_dyn.modes import find_modes
 from tau_dyn.modes.methods import build_initial_estimator
-from tau_dyn.modes.nonlinearity import Nonlinearity, detect_nonlinearity
-from tau_dyn.modes.preparation import prepare_records
+from tau_dyn.modes.record import prepare_records
 from tau_dyn.modes.residuals import compute_residuals
+from tau_dyn.modes.result import Nonlinearity
+from tau_dyn.modes.validation import detect_nonlinearity
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments"))
 from operational_modes import record_spring

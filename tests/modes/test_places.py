@@ -13,8 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from structures import DT, chain
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.mechanical_evidence import convert_to_continuous
-from tau_dyn.modes.places import Places, find_places
+from tau_dyn.modes.mechanical.structure import Places, convert_to_continuous, find_places
 
 
 def test_inputs_and_outputs_pair_in_order_when_as_many() -> None:

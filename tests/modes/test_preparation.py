@@ -15,7 +15,7 @@ from recordings import log_of, pulses, recorded, structure
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
-from tau_dyn.modes.preparation import prepare_records
+from tau_dyn.modes.record import prepare_records
 
 IN, OUT = ("force1", "force2"), ("place1", "place2")
 

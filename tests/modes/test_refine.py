@@ -8,10 +8,10 @@ from raising import raises_code
 from scipy.signal import lfilter
 
 from tau_dyn.modes import Record, StateSpace, refine
-from tau_dyn.modes.basis import build_columns, compute_derivative_maps
-from tau_dyn.modes.error_covariance import compute_spectrum, fit_autoregression
-from tau_dyn.modes.innovation import build_innovation_model, build_predictor
+from tau_dyn.modes.fit_point import build_columns, compute_derivative_maps
+from tau_dyn.modes.hankel import compute_spectrum, fit_autoregression
 from tau_dyn.modes.modal import compute_frequency_and_damping, find_resonances
+from tau_dyn.modes.modal_descent import balance_model
 from tau_dyn.modes.modal_form import (
     build_layout,
     build_modal_form,
@@ -19,8 +19,8 @@ from tau_dyn.modes.modal_form import (
     flatten_form,
     step_form,
 )
-from tau_dyn.modes.simulate import simulate, simulate_states
-from tau_dyn.modes.tangent import balance_model
+from tau_dyn.modes.refinement import build_innovation_model, build_predictor
+from tau_dyn.modes.state_space import simulate, simulate_states
 
 DT = 0.01
 

@@ -11,11 +11,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import log_of, pulses, recorded, structure
 
-from tau_dyn.modes.delay import choose_delay
-from tau_dyn.modes.era import decompose_pulse_tests
-from tau_dyn.modes.methods import estimate_first_poles
-from tau_dyn.modes.preparation import prepare_records
-from tau_dyn.modes.response_onset import find_response_onset
+from tau_dyn.modes.delay import choose_delay, find_response_onset
+from tau_dyn.modes.methods import decompose_pulse_tests, estimate_first_poles
+from tau_dyn.modes.record import prepare_records
 
 IN, OUT = ("force1", "force2"), ("place1", "place2")
 

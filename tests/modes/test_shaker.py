@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from tau_dyn.modes import Mode, Modes, find_modes
-from tau_dyn.modes.acausality import find_acausality
-from tau_dyn.modes.feedback_test import detect_feedback
+from tau_dyn.modes.feedback_tests import detect_feedback, find_acausality
 from tau_dyn.modes.methods import build_initial_estimator
+from tau_dyn.modes.modal import widen_modes
 from tau_dyn.modes.order import choose_order
-from tau_dyn.modes.preparation import prepare_records
+from tau_dyn.modes.record import prepare_records
 from tau_dyn.modes.residuals import compute_residuals
-from tau_dyn.modes.widen import widen_modes
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments"))

@@ -15,10 +15,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from recordings import DAMPING, DT, HZ, structure
 
 from tau_dyn.modes import Mode, ModelFile, StateSpace, load_state_space, save_state_space
-from tau_dyn.modes.modal import find_resonances
-from tau_dyn.modes.noise import fit_noise_model
-from tau_dyn.modes.poles import list_poles, list_zeros
-from tau_dyn.modes.stabilisation import build_stabilisation_diagram
+from tau_dyn.modes.modal import build_stabilisation_diagram, find_resonances, list_poles, list_zeros
+from tau_dyn.modes.residuals import fit_noise_model
 
 
 def _mode(hz: float, damping: float = 0.02, stderr: float = 0.01) -> Mode:

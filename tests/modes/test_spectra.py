@@ -11,8 +11,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from recordings import in_loop, pulses, recorded, structure
 
-from tau_dyn.modes.preparation import cut_pulses
-from tau_dyn.modes.spectra import estimate_empirical_response
+from tau_dyn.modes.record import cut_pulses
+from tau_dyn.modes.responses import estimate_empirical_response
 
 
 def _error(seen, plant) -> np.ndarray:

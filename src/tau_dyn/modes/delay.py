@@ -1,15 +1,19 @@
-r"""By how many whole samples the inputs act late.
+"""By how many whole samples the inputs act late.
 
-A delay that a model does not know costs it one state for each sample and input; a delay too long makes it miss the
-response's first samples. So for every delay and several orders n the poles are taken from a first model, the rest is
-fitted by linear least squares,
+A delay that a model does not know costs it one state for each sample and input; a delay too long makes it miss the response's
+first samples. So for every delay and several orders n the poles are taken from a first model, the rest is fitted by linear
+least squares,
 
     y_t = sum_k Re( R_k xi_{k,t} ) [+ D u_{t-d}] + free decay,   xi_{k,t+1} = lambda_k xi_{k,t} + u_{t-d},
 
 with and without D, and the pair (d, n) with the best BIC is taken. Delays that come close are compared by refined models,
-because the error of a first model's poles can hide what one sample makes. A sampled strictly proper plant has delay 0: sampling's
-own sample is part of the model; where outputs answer within the sample (accelerometers), D tells, and refinement
+because the error of a first model's poles can hide what one sample makes. A sampled strictly proper plant has delay 0:
+sampling's own sample is part of the model; where outputs answer within the sample (accelerometers), D tells, and refinement
 decides. All inputs get the same delay.
+
+Pulse tests bound it from above. Before a pulse the structure at most rings on, y_t = C A^t x_0; that is fitted to the samples
+of rest and followed into the pulse, and the first sample at which an output leaves it by more than noise and rounding is the
+answer. A model that lacks modes would trade them for a delay; this bound has none to lack.
 """
 
 from __future__ import annotations
@@ -22,27 +26,21 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tau_dyn.exceptions import CannotAnswer, TauDynError
-from tau_dyn.modes.methods import InitialModels
+from tau_dyn.modes.methods import EraFactors, InitialModels
 from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
 
-MAX_SAMPLES = 6_000
-"""Samples that the delays are compared on."""
-MAX_DELAY_SAMPLES = 20
-"""The longest delay that is tried."""
-ORDERS = (2, 4, 6, 8, 12, 20, 28)
-"""Orders tried for every delay: modes that all of them lack would look like a delay."""
+MAX_SAMPLES = 6_000  # samples that the delays are compared on
+MAX_DELAY_SAMPLES = 20  # the longest delay that is tried
+ORDERS = (2, 4, 6, 8, 12, 20, 28)  # orders tried for every delay: modes that all of them lack would look like a delay
 MAX_REFINED_ORDER = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
-COARSE = 4
-"""Step of the first look."""
-CLOSE_BIC_DIFFERENCE = 100.0
-"""BIC within which two delays are compared by refined models."""
+COARSE = 4  # step of the first look
+CLOSE_BIC_DIFFERENCE = 100.0  # BIC within which two delays are compared by refined models
 RIVALS = 3  # delays refined at most; a scan over first models tells the others apart
 MAX_ITERATIONS = 8  # Gauss-Newton steps for a rival; enough to rank it
-DECISIVE_BIC_DIFFERENCE = 10.0
-"""BIC beyond which a rival is out of the question (Kass & Raftery 1995)."""
+DECISIVE_BIC_DIFFERENCE = 10.0  # BIC beyond which a rival is out of the question (Kass & Raftery 1995)
 
 
 @dataclass(frozen=True)
@@ -94,87 +92,81 @@ def choose_delay(
     """
     few = truncate_records(records, MAX_SAMPLES)
     most = min(most, min(r.n_samples for r in few) // 20)
-    found: dict[int, tuple[float, int]] = {}
-    firsts: dict[int, InitialModels] = {}
-    wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
-    while wanted:  # a coarse look first, then the neighbours of the best until it stays the best
-        tried.update(wanted)  # those that give no model, too, or they would be tried for ever
-        for d in wanted:
-            if progress is not None:
-                progress(f"delay {d}")
-            try:
-                firsts[d] = first(few, d)
-            except TauDynError:
-                continue
-            _scan(few, firsts[d], d, orders, most, found)
-        best = min(found, key=lambda d: found[d], default=0)
-        wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in tried and found]
+    found, firsts = _scan(few, first, orders, most, progress or (lambda step: None))
     if not found:
         raise CannotAnswer(
             "no_solution", "no model follows from these data", "a longer log, with more excitation against the noise"
         )
-    lowest = min(bic for bic, _ in found.values())
-    close = sorted((bic, d) for d, (bic, _) in found.items() if bic < lowest + CLOSE_BIC_DIFFERENCE)[:RIVALS]
-    refined = {}
-    if least_gain and found[best][1] >= found.get(0, (0.0, max(orders) + 1))[1]:
+
+    def refined(d: int, order: int) -> float:
+        return _refined(few, firsts[d], d, order, kind, most)
+
+    ranked = sorted((bic, d) for d, (bic, _) in found.items())
+    lowest, best = ranked[0]
+    gaps, order = {d: bic - lowest for bic, d in ranked}, found[best][1]
+    if least_gain and order >= found.get(0, (0.0, max(orders) + 1))[1]:
         n = sum(max(0, r.n_samples - most) for r in few) * few[0].y.shape[1]
-        room, order = -2 * n * float(np.log1p(-least_gain)), found[best][1]
-        after = _refined(few, firsts[best], best, order, kind, most)
-        for d in sorted(d for d, (bic, _) in found.items() if d < best and bic <= lowest + room):
-            if _refined(few, firsts[d], d, order, kind, most) <= after + room:
-                return _enough(found, d)
-    order = found[close[0][1]][1]
+        room, after = -2 * n * float(np.log1p(-least_gain)), refined(best, order)
+        for d in sorted(d for d, gap in gaps.items() if d < best and gap <= room):
+            if refined(d, order) <= after + room:
+                scan, sure = _summarise(d, found, gaps)
+                what = f"{_samples(d)} of delay are enough" if d else "no delay is needed"
+                why = f"{what}: a longer one would spare no states and lower the errors by little"
+                return DelayChoice(d, scan, sure, why)
+    close = [d for bic, d in ranked if bic < lowest + CLOSE_BIC_DIFFERENCE][:RIVALS]
     if len(close) > 1 and order <= MAX_REFINED_ORDER:
-        refined = {d: _refined(few, firsts[d], d, order, kind, most) for _, d in close}
-    return _chosen(found, {d: bic for d, bic in refined.items() if np.isfinite(bic)})
+        after = {d: bic for d in close if np.isfinite(bic := refined(d, order))}
+        if after:
+            best = min(after, key=lambda d: (after[d], d))
+            gaps |= {d: bic - after[best] for d, bic in after.items()}
+    scan, sure = _summarise(best, found, gaps)
+    what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
+    behind = f"the next is only {sure:.1f} behind in BIC"
+    how = "any other is out of the question" if sure > DECISIVE_BIC_DIFFERENCE else behind
+    return DelayChoice(best, scan, sure, f"{what}; {how}")
 
 
-def _enough(found: dict[int, tuple[float, int]], best: int) -> DelayChoice:
-    """Return a delay that is not the best by BIC, but enough."""
-    lowest = min(bic for bic, _ in found.values())
-    scan = tuple((d, found[d][1], found[d][0] - lowest) for d in sorted(found))
-    sure = min((gap for d, _, gap in scan if d != best), default=float("inf"))
-    what = f"{_samples(best)} of delay are enough" if best else "no delay is needed"
-    return DelayChoice(best, scan, sure, f"{what}: a longer one would spare no states and lower the errors by little")
+def _summarise(
+    best: int, found: dict[int, tuple[float, int]], gaps: dict[int, float]
+) -> tuple[tuple[tuple[int, int, float], ...], float]:
+    """Return the scan, and by how much the next best delay is behind."""
+    scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
+    return scan, min((gap for d, _, gap in scan if d != best), default=float("inf"))
 
 
 def _samples(delay: int) -> str:
     return f"{delay} sample{'' if delay == 1 else 's'}"
 
 
-def _chosen(found: dict[int, tuple[float, int]], refined: dict[int, float]) -> DelayChoice:
-    top = min((bic, d) for d, (bic, _) in found.items())
-    gaps = {d: bic - top[0] for d, (bic, _) in found.items()}
-    best = top[1]
-    if refined:
-        best = min(refined, key=lambda d: (refined[d], d))
-        gaps |= {d: bic - refined[best] for d, bic in refined.items()}
-    scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
-    sure = min((gap for d, _, gap in scan if d != best), default=float("inf"))
-    what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
-    how = (
-        "any other is out of the question"
-        if sure > DECISIVE_BIC_DIFFERENCE
-        else f"the next is only {sure:.1f} behind in BIC"
-    )
-    return DelayChoice(best, scan, sure, f"{what}; {how}")
-
-
 def _scan(
     records: Sequence[Record],
-    first: InitialModels,
-    delay: int,
+    first: Callable[[Sequence[Record], int], InitialModels],
     orders: Sequence[int],
-    skip: int,
-    found: dict[int, tuple[float, int]],
-) -> None:
-    for order in orders:
-        try:
-            bic = _linear_bic(first.poles(order), records, delay, skip)
-        except (TauDynError, np.linalg.LinAlgError):
-            continue
-        if np.isfinite(bic) and (delay not in found or bic < found[delay][0]):
-            found[delay] = (bic, order)
+    most: int,
+    say: Callable[[str], None],
+) -> tuple[dict[int, tuple[float, int]], dict[int, InitialModels]]:
+    """Return by delay the best BIC and its order, and the first models: a coarse look, then the neighbours of the best."""
+    found: dict[int, tuple[float, int]] = {}
+    firsts: dict[int, InitialModels] = {}
+    wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
+    while wanted:
+        tried.update(wanted)  # those that give no model, too, or they would be tried for ever
+        for d in wanted:
+            say(f"delay {d}")
+            try:
+                firsts[d] = first(records, d)
+            except TauDynError:
+                continue
+            for order in orders:
+                try:
+                    bic = _linear_bic(firsts[d].poles(order), records, d, most)
+                except (TauDynError, np.linalg.LinAlgError):
+                    continue
+                if np.isfinite(bic) and (d not in found or bic < found[d][0]):
+                    found[d] = (bic, order)
+        best = min(found, key=lambda d: found[d], default=0)
+        wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in tried and found]
+    return found, firsts
 
 
 def _linear_bic(values: np.ndarray, records: Sequence[Record], delay: int, skip: int) -> float:
@@ -235,3 +227,42 @@ def _refined(records: Sequence[Record], first: InitialModels, delay: int, order:
     p, m = model.D.shape
     k = count_free_parameters(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
     return compute_aic_bic(compute_log_det_loss(errors), sum(len(e) for e in errors), k)[1]
+
+
+ONSET_ORDER = 12  # states that ring on, at most
+MIN_ONSET_SNR = 8.0  # times the noise before the pulse that an answer differs from ringing on
+OF_PEAK = 2e-4  # part of the output's peak that it must reach at least
+STARTED = 0.005  # part of the peak of the force at which the pulse has begun
+
+
+def find_response_onset(records: Sequence[Record], decays: EraFactors, most: int) -> int:
+    """Return how many samples after a pulse's first one an output moves; `most` where none does earlier.
+
+    Args:
+        records: Pulses with some samples of rest before them.
+        decays: Their decays, for how the structure rings on.
+        most: Samples to look at.
+    """
+    found = [_answer(r, decays, most) for r in records]
+    return min([k for k in found if k is not None], default=most)
+
+
+def _answer(record: Record, decays: EraFactors, most: int) -> int | None:
+    size = np.abs(record.u / np.maximum(np.abs(record.u).max(axis=0), 1e-300)).max(axis=1)
+    hit = int(np.argmax(size))
+    noise = np.quantile(size[: max(hit - 5, 1)], 0.9)
+    start = int(np.flatnonzero(size > max(STARTED, 4 * noise))[0])
+    order = min(ONSET_ORDER, start * record.y.shape[1] // 3)
+    if start < 10 or order < 1:
+        return None
+    A, C = decays.dynamics(order)
+    y = record.y[: start + most] / decays.scales.y
+    gamma = np.array([C @ np.linalg.matrix_power(A, t) for t in range(len(y))])
+    x0 = np.linalg.lstsq(gamma[:start].reshape(-1, order), y[:start].ravel(), rcond=1e-8)[0]
+    off = np.abs(y - gamma @ x0)
+    limit = np.maximum(
+        MIN_ONSET_SNR * np.sqrt(np.mean(off[:start] ** 2, axis=0)),
+        OF_PEAK * np.abs(record.y).max(axis=0) / decays.scales.y,
+    )
+    moved = np.flatnonzero((off[start:] > limit).any(axis=1))
+    return int(moved[0]) if len(moved) else None

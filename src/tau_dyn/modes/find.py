@@ -1,43 +1,55 @@
-"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
+r"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
 
-The steps, each in its own file: `preparation.py` (what is used), `feedback.py` (which methods are valid), `delay.py`,
-`order.py`, `methods.py` (a first model), `refine.py` (the most likely one), `judge.py` (fit, tests, spectra). Each
-leaves a sentence in `why`.
+The way, from top to bottom: records are prepared (`record.py`); a method is tried, for which a delay (`delay.py`) and an order
+(`order.py`) are chosen from first models (`methods.py`); its residuals tell whether a loop was closed (`feedback_tests.py`), and
+where that, an older trace of feedback or a named reference says so, `pbsid`, which bears feedback, is tried too; the winner is
+refined (`refinement.py`), fitted to all data, its standard errors widened for what other models say, and judged
+(`validation.py`). Each step leaves a sentence in `why`.
+
+Under feedback the error of a simulation favours the open-loop method, which fits the disturbance too; so `pbsid` may lose a
+little, but not much: a model that cannot simulate is no answer, whatever the reason for trying it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
-from tau_dyn.modes.contest import MethodCandidate, choose_error_kind, settle
-from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay
-from tau_dyn.modes.era import decompose_pulse_tests
-from tau_dyn.modes.feedback_test import Feedback, detect_feedback
-from tau_dyn.modes.methods import METHODS, build_initial_estimator, estimate_first_poles
-from tau_dyn.modes.model_validation import validate_model
-from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order
-from tau_dyn.modes.preparation import PreparedRecords, prepare_records
-from tau_dyn.modes.refinement import RefinedModel, refine
-from tau_dyn.modes.residuals import PREDICTED, SIMULATED
-from tau_dyn.modes.response_onset import find_response_onset
+from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay, find_response_onset
+from tau_dyn.modes.feedback_tests import Acausality, Feedback, detect_feedback, find_acausality
+from tau_dyn.modes.methods import METHODS, build_initial_estimator, decompose_pulse_tests, estimate_first_poles
+from tau_dyn.modes.modal import widen_modes
+from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order, read_whole_number, select_parts
+from tau_dyn.modes.record import PreparedRecords, prepare_records
+from tau_dyn.modes.refinement import RefinedModel, refine, refine_predictor
+from tau_dyn.modes.residuals import PREDICTED, SIMULATED, compute_mean_squares, compute_residuals
 from tau_dyn.modes.result import Modes
-from tau_dyn.modes.widen import refine_predictor, widen_modes
+from tau_dyn.modes.state_space import StateSpace, delay_inputs
+from tau_dyn.modes.validation import validate_model
 
 MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
-PULSE_GAIN = 0.1
-"""Share by which a delay must lower what pulse tests leave, to be believed."""
-MAX_LARGE_MODEL_ITERATIONS = 15
-"""Rounds of refinement for models of many free numbers; they begin at a trial that was refined."""
+MAX_REQUESTED_DELAY = 10_000  # samples
+PULSE_GAIN = 0.1  # share by which a delay must lower what pulse tests leave, to be believed
+MAX_ROUNDS, FEW_ROUNDS = 40, 15
+"""Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which can
+hold more modes than a model and then creep."""
 NEIGHBOURS = 4
 """States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
-PULSE_ROUNDS = 15
-"""Rounds of refinement for pulse tests, which can hold more modes than a model and then creep."""
+ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
+"""p-value of the acausality test below which a loop was closed: one false alarm in a thousand open-loop tests by design."""
+POSSIBLE = 0.2  # p-value below which feedback cannot be excluded, and standard errors allow for it
+WORST_RATIO = 1.15
+"""Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
+a disturbance that comes back through the input. A judgement, not calibrated by a study."""
+MIN_RELATIVE_ERROR = 0.1
+"""Simulation error over the outputs' size below which disturbances are too small for prediction errors to do better."""
+MAX_ERROR_RATIO = 0.98
+"""Simulation error of a fit of prediction errors over that of simulation errors up to which it is taken."""
 Progress = Callable[[str], None]
 
 
@@ -78,99 +90,50 @@ def find_modes(
         CannotAnswer: The data are sound but too few, or no stable model follows from them.
     """
     say = progress or (lambda step: None)
-    asked, fixed = _order(order), _delay(delay)
+    asked = read_whole_number("order", order, 1, MAX_REQUESTED_ORDER, f"states from 1 to {MAX_REQUESTED_ORDER}")
+    fixed = read_whole_number("delay", delay, 0, MAX_REQUESTED_DELAY, "samples from 0 up")
     if method not in ("auto", *METHODS):
         raise InputError("bad_option", f"--method {method}: there are auto, {', '.join(METHODS)}")
     places = _places(collocated, inputs, outputs)
-    data = prepare_records(
-        _several(logs), tuple(inputs), tuple(outputs), holdout=_several(holdout), references=tuple(references)
-    )
+    several, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
+    data = prepare_records(several, tuple(inputs), tuple(outputs), holdout=held, references=tuple(references))
     _refuse_costly(asked, data)
-    say("looking for feedback")
-    feedback = _feedback(data)
-    chosen, why = _method(method, data, feedback)
 
-    def candidate(name: str, kind: str = "") -> MethodCandidate:
-        kind = kind or (PREDICTED if name == "pbsid" else SIMULATED)
-        late = _late(data, name, kind, asked, fixed, sensor, say)
+    say("looking for feedback")
+    pulses = data.kind == "impulse"
+    feedback = Feedback(False, 1.0, 0.0, "pulses answer to nothing") if pulses else detect_feedback(data.train)
+    first, why = _choose_first_method(method, data, feedback)
+
+    def attempt(name: str, kind: str) -> MethodCandidate:
+        late = _choose_delay(data, name, kind, asked, fixed, sensor, say)
         start = partial(build_initial_estimator, name, delay=late.delay, highest=max(20, asked or 0))
-        pulses = data.kind == "impulse"
         states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
         return MethodCandidate(name, kind, late, states)
 
-    def trial(name: str) -> MethodCandidate | None:
+    def attempt_predicted(name: str) -> MethodCandidate | None:
         say(f"trying {name} with prediction errors")
         try:
-            return candidate(name, PREDICTED)
+            return attempt(name, PREDICTED)
         except (TauDynError, np.linalg.LinAlgError):
             return None
 
-    best = candidate(chosen)
-    if method == "auto" and data.kind != "impulse":
-        best, feedback, why = settle(data, feedback, best, lambda: trial("pbsid"))
-        best, more = choose_error_kind(best, data, lambda: trial("n4sid"))
+    best = attempt(first, PREDICTED if first == "pbsid" else SIMULATED)
+    if method == "auto" and not pulses:
+        best, feedback, why = settle(data, feedback, best, lambda: attempt_predicted("pbsid"))
+        best, more = choose_error_kind(best, data, lambda: attempt_predicted("n4sid"))
         why += more
-    late, states = best.late, best.states
-    say(f"refining order {states.order}")
-    refined, how = _refined(data, best.method, best.kind, late.delay, states, alone=method != "auto")
+
+    say(f"refining order {best.states.order}")
+    refined, how = _refine_best(data, best, alone=method != "auto")
     say("fitting all data")
-    final, whole = _refitted(refined, data, best, how)
-    final = _widened(final, refined, data, best, feedback)
+    final, whole = _refit(refined, data, best)
+    final = _widen(final, refined, data, best, feedback)
     say("judging")
-    found = validate_model(refined, data, feedback, late, states, final=final, sensor=sensor, collocated=places)
-    reasons = {"method": why, "delay": late.why, "order": states.why, "refinement": f"{how}; {whole}"}
-    return replace(found, method=best.method, why=reasons, seed=seed)
-
-
-def _refitted(
-    refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, how: str
-) -> tuple[RefinedModel, str]:
-    """Return the model fitted to all data, held-out ones included, and what was done; the one given where that fails."""
-    if not data.whole or not data.holdout:
-        return refined, "nothing was left to add"
-    rounds = 0 if best.states.taken is not None and best.states.taken.plain else _rounds(data, refined.model.order)
-    try:
-        final = refine(refined.model, data.whole, kind=best.kind, maximum_rounds=rounds)
-    except (TauDynError, np.linalg.LinAlgError):
-        return refined, "a fit to all data failed"
-    if final.model.spectral_radius() >= 1 or not np.isfinite(final.loss):
-        return refined, "a fit to all data failed"
-    return final, "the model was then fitted to all data; the held-out fit is that of the model of the training data"
-
-
-def _widened(
-    final: RefinedModel, refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, feedback: Feedback
-) -> RefinedModel:
-    """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
-    taken = best.states.taken
-    pairs = []
-    if taken is not None:
-        others = [
-            t for t in best.states.refined if 0 < abs(t.order - taken.order) <= NEIGHBOURS and t.behind <= TOLERANCE
-        ]
-        pairs = [(taken.modes, t.modes) for t in others]
-    if feedback.possible and best.kind == SIMULATED:
-        try:
-            other = refine_predictor(refined, data.train)
-            pairs.append((refined.modes, other.modes))
-        except (TauDynError, np.linalg.LinAlgError):
-            pass
-    return replace(final, modes=widen_modes(final.modes, pairs))
-
-
-def _rounds(data: PreparedRecords, order: int) -> int:
-    """Return how many rounds of refinement a model is given."""
-    if data.kind == "impulse":
-        return PULSE_ROUNDS
-    return (
-        MAX_LARGE_MODEL_ITERATIONS
-        if order * sum(data.train[0].u.shape[1:] + data.train[0].y.shape[1:]) > MANY_NUMBERS
-        else 40
+    found = validate_model(
+        refined, data, feedback, best.late, best.states, final=final, sensor=sensor, collocated=places
     )
-
-
-def _several(logs: Log | Sequence[Log]) -> list[Log]:
-    return [logs] if isinstance(logs, Log) else list(logs)
+    reasons = {"method": why, "delay": best.late.why, "order": best.states.why, "refinement": f"{how}; {whole}"}
+    return replace(found, method=best.method, why=reasons, seed=seed)
 
 
 def _places(
@@ -186,21 +149,6 @@ def _places(
     return [(list(inputs).index(a), list(outputs).index(b)) for a, b in pairs] or None
 
 
-def _order(order: str | int) -> int | None:
-    """Return the order asked for, None for `auto`."""
-    if order == "auto":
-        return None
-    try:
-        value = int(order)
-    except ValueError:
-        value = 0
-    if not 1 <= value <= MAX_REQUESTED_ORDER:
-        raise InputError(
-            "bad_option", f"--order {order}: write auto, or a number of states from 1 to {MAX_REQUESTED_ORDER}"
-        )
-    return value
-
-
 def _refuse_costly(order: int | None, data: PreparedRecords) -> None:
     """Refuse an order whose free numbers have fewer than four samples each."""
     p, m = data.train[0].y.shape[1], data.train[0].u.shape[1]
@@ -213,26 +161,7 @@ def _refuse_costly(order: int | None, data: PreparedRecords) -> None:
         )
 
 
-def _delay(delay: str | int) -> int | None:
-    """Return the delay asked for, None for `auto`."""
-    if delay == "auto":
-        return None
-    try:
-        value = int(delay)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= 10_000:
-        raise InputError("bad_option", f"--delay {delay}: write auto, or a number of samples from 0 up")
-    return value
-
-
-def _feedback(data: PreparedRecords) -> Feedback:
-    if data.kind == "impulse":
-        return Feedback(False, 1.0, 0.0, "pulses answer to nothing")
-    return detect_feedback(data.train)
-
-
-def _method(method: str, data: PreparedRecords, feedback: Feedback) -> tuple[str, str]:
+def _choose_first_method(method: str, data: PreparedRecords, feedback: Feedback) -> tuple[str, str]:
     """Return the method to begin with, and why."""
     if method == "era" and data.kind != "impulse":
         raise CannotAnswer(
@@ -241,18 +170,16 @@ def _method(method: str, data: PreparedRecords, feedback: Feedback) -> tuple[str
             "a hammer's blow and its decay, or another method for these data",
         )
     if method != "auto":
-        bears = (
-            ""
-            if method == "pbsid" or not feedback.suspected
-            else f", although {feedback.why}; its damping may be biased"
+        biased = feedback.suspected and method != "pbsid"
+        return method, f"{method} was asked for" + (
+            f", although {feedback.why}; its damping may be biased" if biased else ""
         )
-        return method, f"{method} was asked for{bears}"
     if data.kind == "impulse":
         return "era", "the inputs are short pulses followed by free decay, so era"
     return "n4sid", f"{feedback.why}, so n4sid"
 
 
-def _late(
+def _choose_delay(
     data: PreparedRecords, method: str, kind: str, asked: int | None, fixed: int | None, sensor: str, say: Progress
 ) -> DelayChoice:
     if fixed is not None:
@@ -273,33 +200,136 @@ def _late(
     )
 
 
-def _refined(
-    data: PreparedRecords, method: str, kind: str, delay: int, states: OrderChoice, *, alone: bool
-) -> tuple[RefinedModel, str]:
+@dataclass(frozen=True, eq=False)
+class MethodCandidate:
+    """What one method made of the training data.
+
+    Attributes:
+        method: `n4sid` or `pbsid`.
+        kind: What its refinement minimises.
+        late: Its delay.
+        states: Its order, with the models of the trials.
+    """
+
+    method: str
+    kind: str
+    late: DelayChoice
+    states: OrderChoice
+
+    def simulation_errors(self, data: PreparedRecords) -> float:
+        """Return the geometric mean over outputs of simulation errors on the quarter kept apart; infinite without a model."""
+        if self.states.taken is None:
+            return float("inf")
+        return _mean_size(compute_residuals(self.states.taken.model, select_parts(data.train)[1], SIMULATED))
+
+    def relative_error(self, data: PreparedRecords) -> float:
+        """Return the same over the geometric mean of the outputs' standard deviations."""
+        return self.simulation_errors(data) / _mean_size([r.y - r.y.mean(axis=0) for r in select_parts(data.train)[1]])
+
+
+def _mean_size(errors: Sequence[np.ndarray]) -> float:
+    """Return the geometric mean over columns of root mean squares; infinite where one ran away."""
+    power = compute_mean_squares(errors)
+    return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
+
+
+def check_candidate(candidate: MethodCandidate, data: PreparedRecords) -> Acausality:
+    """Return whether the inputs follow what a candidate leaves of the training data."""
+    trial = candidate.states.taken
+    if trial is None:
+        return Acausality(1.0, 0.0)
+    errors = compute_residuals(trial.model, data.train, SIMULATED)
+    return find_acausality(errors, [delay_inputs(trial.model, r)[trial.model.delay :] for r in data.train])
+
+
+def settle(
+    data: PreparedRecords, before: Feedback, plain: MethodCandidate, make: Callable[[], MethodCandidate | None]
+) -> tuple[MethodCandidate, Feedback, str]:
+    """Return the candidate to go on with, what is known of feedback, and why.
+
+    Args:
+        data: Training data.
+        before: What the innovations say of feedback, or a reference that was named.
+        plain: The open-loop candidate.
+        make: Makes the candidate that bears feedback; None where the method gives no model.
+    """
+    found = check_candidate(plain, data)
+    follows = found.p_value < ACAUSALITY_SIGNIFICANCE_LEVEL
+    named = any(r.reference is not None for r in data.train)
+    calm = replace(before, possible=found.p_value < POSSIBLE, p_value=found.p_value, share=found.share)
+    if not (named or follows or before.suspected):
+        return plain, calm, f"{calm.why}, so n4sid"
+    other = make()
+    ratio = np.inf if other is None else other.simulation_errors(data) / plain.simulation_errors(data)
+    first = data.train[0]
+    why = before.why
+    if follows and not named:
+        why = (
+            f"input '{first.inputs[found.input]}' follows what a causal model leaves of '{first.outputs[found.output]}' "
+            f"(p = {found.p_value:.1g})"
+        )
+    closed = replace(before, suspected=True, possible=True, p_value=min(found.p_value, before.p_value), why=why)
+    if other is not None and ratio <= WORST_RATIO:
+        who = closed.input or ("" if named else first.inputs[found.input])
+        closed = replace(closed, share=max(found.share, before.share), input=who)
+        return other, closed, f"{why}, so pbsid, which bears feedback"
+    lost = (
+        "pbsid gives no model" if other is None else f"pbsid leaves {ratio:.3g} times the error of n4sid in simulation"
+    )
+    if named or follows:
+        return plain, closed, f"{why}, but {lost}, so n4sid; standard errors allow for the loop"
+    text = "no input follows what a causal model leaves of the outputs"
+    return plain, replace(calm, suspected=False, input="", why=text), f"{text}, and {lost}, so n4sid"
+
+
+def choose_error_kind(
+    plain: MethodCandidate, data: PreparedRecords, make: Callable[[], MethodCandidate | None]
+) -> tuple[MethodCandidate, str]:
+    """Return the candidate whose model simulates the quarter kept apart better, and why where it is not the given one.
+
+    Where disturbances are large and coloured, a model that minimises one-step prediction errors, which has a model of them, may
+    simulate better than one that minimises simulation errors (Ljung 1999, 8.5).
+
+    Args:
+        plain: The candidate that minimises simulation errors.
+        data: Training data.
+        make: Makes one that minimises prediction errors; None where there is no model.
+    """
+    if plain.kind != SIMULATED or data.kind == "impulse" or plain.relative_error(data) < MIN_RELATIVE_ERROR:
+        return plain, ""
+    other = make()
+    ratio = np.inf if other is None else other.simulation_errors(data) / plain.simulation_errors(data)
+    if other is None or ratio > MAX_ERROR_RATIO:
+        return plain, ""
+    return other, f"; minimising prediction errors leaves {ratio:.2g} times the error in simulation, so it is minimised"
+
+
+def _refine_best(data: PreparedRecords, best: MethodCandidate, *, alone: bool) -> tuple[RefinedModel, str]:
     """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
-    order, taken = states.order, states.taken
-    rounds = _rounds(data, order)
+    method, delay, order, taken = best.method, best.late.delay, best.states.order, best.states.taken
+
+    def begin(name: str) -> StateSpace:
+        return build_initial_estimator(name, data.train, delay=delay, highest=order)(order)
+
     if taken is not None and taken.plain:
-        first = build_initial_estimator(method, data.train, delay=delay, highest=order)(order)
-        made = refine(first, data.train, kind=kind, maximum_rounds=0)
-        if made.model.spectral_radius() < 1 and np.isfinite(made.loss):
+        made = refine(begin(method), data.train, kind=best.kind, maximum_rounds=0)
+        if _is_sound(made):
             return made, f"{method} alone: refinement made the simulation of other data worse"
-    starts = [(method, lambda: taken.model)] if taken is not None else []
-    alone = alone or kind == PREDICTED or data.kind == "impulse" or rounds == MAX_LARGE_MODEL_ITERATIONS
-    names = (method,) if alone else tuple(dict.fromkeys((method, "n4sid", "arx")))
-    if not (taken is not None and (data.kind == "impulse" or rounds == MAX_LARGE_MODEL_ITERATIONS)):
-        starts += [
-            (n, lambda n=n: build_initial_estimator(n, data.train, delay=delay, highest=order)(order)) for n in names
-        ]
+    rounds = _count_rounds(data, order)
+    starts = [] if taken is None else [(method, lambda: taken.model)]
+    if taken is None or rounds > FEW_ROUNDS:
+        alone = alone or best.kind == PREDICTED or rounds == FEW_ROUNDS
+        names = (method,) if alone else dict.fromkeys((method, "n4sid", "arx"))
+        starts += [(name, partial(begin, name)) for name in names]
     found: list[tuple[float, str, RefinedModel]] = []
     fault: Exception | None = None
-    for name, first in starts:
+    for name, start in starts:
         try:
-            made = refine(first(), data.train, kind=kind, maximum_rounds=rounds)
+            made = refine(start(), data.train, kind=best.kind, maximum_rounds=rounds)
         except (TauDynError, np.linalg.LinAlgError) as failed:
             fault = failed
             continue
-        if made.model.spectral_radius() < 1 and np.isfinite(made.loss):
+        if _is_sound(made):
             found.append((made.loss, name, made))
             if made.converged:
                 break
@@ -311,7 +341,50 @@ def _refined(
             f"no stable model of order {order} follows from these data",
             "a longer log, or a lower --order",
         )
-    _, name, best = min(found, key=lambda row: row[0])
-    what = "simulation" if kind == SIMULATED else "one-step predictions"
-    ended = "converged" if best.converged else "stopped before it converged"
-    return best, f"the error of {what} was minimised from {name}; it {ended} after {best.rounds} rounds"
+    _, name, made = min(found, key=lambda row: row[0])
+    what = "simulation" if best.kind == SIMULATED else "one-step predictions"
+    ended = "converged" if made.converged else "stopped before it converged"
+    return made, f"the error of {what} was minimised from {name}; it {ended} after {made.rounds} rounds"
+
+
+def _is_sound(made: RefinedModel) -> bool:
+    return made.model.spectral_radius() < 1 and bool(np.isfinite(made.loss))
+
+
+def _count_rounds(data: PreparedRecords, order: int) -> int:
+    """Return how many rounds of refinement a model is given."""
+    width = data.train[0].u.shape[1] + data.train[0].y.shape[1]
+    return FEW_ROUNDS if data.kind == "impulse" or order * width > MANY_NUMBERS else MAX_ROUNDS
+
+
+def _refit(refined: RefinedModel, data: PreparedRecords, best: MethodCandidate) -> tuple[RefinedModel, str]:
+    """Return the model fitted to all data, held-out ones included, and what was done; the one given where that fails."""
+    if not data.whole or not data.holdout:
+        return refined, "nothing was left to add"
+    plain = best.states.taken is not None and best.states.taken.plain
+    rounds = 0 if plain else _count_rounds(data, refined.model.order)
+    try:
+        final = refine(refined.model, data.whole, kind=best.kind, maximum_rounds=rounds)
+    except (TauDynError, np.linalg.LinAlgError):
+        final = None
+    if final is None or not _is_sound(final):
+        return refined, "a fit to all data failed"
+    return final, "the model was then fitted to all data; the held-out fit is that of the model of the training data"
+
+
+def _widen(
+    final: RefinedModel, refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, feedback: Feedback
+) -> RefinedModel:
+    """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
+    pairs, taken = [], best.states.taken
+    if taken is not None:
+        others = [
+            t for t in best.states.refined if 0 < abs(t.order - taken.order) <= NEIGHBOURS and t.behind <= TOLERANCE
+        ]
+        pairs = [(taken.modes, t.modes) for t in others]
+    if feedback.possible and best.kind == SIMULATED:
+        try:
+            pairs.append((refined.modes, refine_predictor(refined, data.train).modes))
+        except (TauDynError, np.linalg.LinAlgError):
+            pass
+    return replace(final, modes=widen_modes(final.modes, pairs))

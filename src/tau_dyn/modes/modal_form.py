@@ -1,11 +1,12 @@
-r"""A model as a sum of modes: the coordinates in which it is refined and its uncertainty stated.
+"""A model as a sum of modes: the coordinates in which it is refined and its uncertainty stated.
 
     y_t = sum_i Re(c_i xi_i,t) + D u_t,   xi_i,t+1 = lambda_i xi_i,t + b_i u_t,
 
 one complex state for each complex pair (a real 2x2 block), one real state for each real pole (1x1). In every mode the
 largest entry of c_i is 1, which fixes the free factor between b_i and c_i. The free numbers are, in this order for mode
 after mode, Re and Im of lambda, of c (without the fixed entry) and of b; then D row by row. Imaginary parts of real
-modes are left out. Reference: McKelvey & Helmersson 2004 on why any other freedom must be taken out.
+modes are left out. Their covariance goes to the frequency response by first-order propagation. Reference: McKelvey & Helmersson
+2004 on why any other freedom must be taken out.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tau_dyn.modes.record import Scales
 from tau_dyn.modes.state_space import StateSpace
 
 
@@ -97,91 +99,142 @@ def build_modal_form_with_coordinates(model: StateSpace) -> tuple[ModalForm, np.
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModalLayout:
-    """Where each free number of a modal form stands in the full vector.
+    """Where each number of a modal form stands in the full vector.
 
-    The full vector holds for every mode Re, Im of lambda; Re (p), Im (p) of c; Re (m), Im (m) of b; then D (p m).
+    The full vector holds for every mode Re, Im of lambda; Re (p), Im (p) of c; Re (m), Im (m) of b; then D row by row.
 
     Attributes:
-        n_modes: k.
-        n_outputs: p.
-        n_inputs: m.
+        modes: All numbers of each mode (k, 2 + 2 p + 2 m).
+        pole: Re, Im of lambda (k, 2).
+        c: Re, Im of the output shapes (k, 2, p).
+        b: Re, Im of the input shapes (k, 2, m).
+        D: (p, m).
     """
 
-    n_modes: int
-    n_outputs: int
-    n_inputs: int
-
-    @property
-    def width(self) -> int:
-        """Numbers of one mode."""
-        return 2 + 2 * self.n_outputs + 2 * self.n_inputs
+    modes: np.ndarray
+    pole: np.ndarray
+    c: np.ndarray
+    b: np.ndarray
+    D: np.ndarray
 
     @property
     def size(self) -> int:
         """Numbers in all."""
-        return self.n_modes * self.width + self.n_outputs * self.n_inputs
-
-    def pole(self, mode: int) -> slice:
-        """Re, Im of lambda."""
-        return slice(mode * self.width, mode * self.width + 2)
-
-    def c(self, mode: int) -> slice:
-        """Re (p), then Im (p) of c."""
-        first = mode * self.width + 2
-        return slice(first, first + 2 * self.n_outputs)
-
-    def b(self, mode: int) -> slice:
-        """Re (m), then Im (m) of b."""
-        first = mode * self.width + 2 + 2 * self.n_outputs
-        return slice(first, first + 2 * self.n_inputs)
+        return self.modes.size + self.D.size
 
     @property
-    def D(self) -> slice:
-        """D row by row."""
-        return slice(self.n_modes * self.width, self.size)
+    def n_modes(self) -> int:
+        """K."""
+        return len(self.modes)
 
 
 def build_layout(form: ModalForm) -> ModalLayout:
     """Return the layout of a modal form."""
-    return ModalLayout(len(form.poles), *form.D.shape)
+    k, (p, m) = len(form.poles), form.D.shape
+    modes = np.arange(k * (2 + 2 * p + 2 * m)).reshape(k, -1)
+    c, b = modes[:, 2 : 2 + 2 * p].reshape(k, 2, p), modes[:, 2 + 2 * p :].reshape(k, 2, m)
+    return ModalLayout(modes, modes[:, :2], c, b, modes.size + np.arange(p * m).reshape(p, m))
 
 
 def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:
     """Say which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
     layout = build_layout(form)
     free = np.ones(layout.size, dtype=bool)
-    p, m = form.D.shape
-    for k, (pair, pivot) in enumerate(zip(form.oscillates, form.pivots, strict=True)):
-        free[layout.pole(k)] = (True, pair)
-        free[layout.c(k)] = np.r_[np.ones(p, bool), np.full(p, pair)]
-        free[layout.b(k)] = np.r_[np.ones(m, bool), np.full(m, pair)]
-        free[layout.c(k).start + np.array([pivot, p + pivot])] = False
-    free[layout.D] = np.broadcast_to(direct, (p, m)).ravel()
+    for imaginary in (layout.pole[:, 1:], layout.c[:, 1], layout.b[:, 1]):
+        free[imaginary] = form.oscillates[:, None]
+    free[layout.c[np.arange(layout.n_modes), :, form.pivots]] = False
+    free[layout.D] = direct
     return free
 
 
 def step_form(form: ModalForm, step: np.ndarray) -> ModalForm:
     """Return the form moved by a full vector (size,)."""
     layout = build_layout(form)
-    p, m = form.D.shape
-    poles, c, b = form.poles.copy(), form.c.astype(complex), form.b.astype(complex)
-    for k in range(len(poles)):
-        dl, dc, db = step[layout.pole(k)], step[layout.c(k)], step[layout.b(k)]
-        poles[k] += complex(*dl)
-        c[:, k] += dc[:p] + 1j * dc[p:]
-        b[k] += db[:m] + 1j * db[m:]
-    return replace(form, poles=poles, c=c, b=b, D=form.D + step[layout.D].reshape(p, m))
+    poles, c, b = (step[where[:, 0]] + 1j * step[where[:, 1]] for where in (layout.pole, layout.c, layout.b))
+    return replace(form, poles=form.poles + poles, c=form.c + c.T, b=form.b + b, D=form.D + step[layout.D])
 
 
 def flatten_form(form: ModalForm) -> np.ndarray:
     """Return all numbers of a form (size,)."""
     layout = build_layout(form)
     out = np.empty(layout.size)
-    for k, pole in enumerate(form.poles):
-        out[layout.pole(k)] = pole.real, pole.imag
-        out[layout.c(k)] = np.r_[form.c[:, k].real, form.c[:, k].imag]
-        out[layout.b(k)] = np.r_[form.b[k].real, form.b[k].imag]
-    out[layout.D] = form.D.ravel()
+    for where, value in ((layout.pole, form.poles), (layout.c, form.c.T), (layout.b, form.b)):
+        out[where[:, 0]], out[where[:, 1]] = value.real, value.imag
+    out[layout.D] = form.D
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseEstimate:
+    """An estimated modal form, seen as a frequency response.
+
+    Attributes:
+        form: The form, in scaled units: of the model, or of its predictor with inputs (u, y). Its delay acts on u only.
+        covariance: Of its full vector (size, size).
+        scales: The units.
+        predictor: Whether the form is a predictor's; with its response [P_u, P_y] the model's is G = (I - P_y)^-1 P_u.
+    """
+
+    form: ModalForm
+    covariance: np.ndarray
+    scales: Scales
+    predictor: bool
+
+    def covariance_at(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the covariance (F, p, m, 2, 2) of Re and Im of the response in own units at frequencies (F,) [Hz]."""
+        form, scale = replace(self.form, delay=0), self.scales.y[:, None] / self.scales.u
+        z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.form.dt)
+        late = (z**-self.form.delay)[:, None, None, None]
+        if self.predictor:
+            slopes = self._through_feedback(compute_response_slopes(form, frequency), frequency)
+            return _propagate(slopes * scale[None, :, :, None] * late, self.covariance)
+        parts, layout = [], build_layout(form)
+        for o in range(len(form.D)):  # an output's response depends on its own entries of c and D only
+            alone = replace(form, c=form.c[[o]], D=form.D[[o]])
+            own = np.hstack([layout.pole, layout.c[:, :, o], layout.b.reshape(layout.n_modes, -1)])
+            at = np.concatenate([own.ravel(), layout.D[o]])
+            slopes = compute_response_slopes(alone, frequency) * scale[None, [o], :, None] * late
+            parts.append(_propagate(slopes, self.covariance[np.ix_(at, at)]))
+        return np.concatenate(parts, axis=1)
+
+    def _through_feedback(self, slopes: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        """DG = (I - P_y)^-1 (dP_u + dP_y G)."""
+        p = self.form.D.shape[0]
+        m = self.form.D.shape[1] - p
+        P = replace(self.form, delay=0).state_space().frequency_response(frequency)
+        inverse = np.linalg.inv(np.eye(p) - P[:, :, m:])
+        G = inverse @ P[:, :, :m]
+        through = slopes[:, :, :m] + np.einsum("foqs,fqm->foms", slopes[:, :, m:], G)
+        return np.einsum("fop,fpms->foms", inverse, through)
+
+
+def _propagate(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the covariance (F, p, m, 2, 2) of Re and Im from slopes (F, p, m, size)."""
+    both = np.stack([slopes.real, slopes.imag], axis=3)
+    return both @ covariance @ both.swapaxes(-1, -2)
+
+
+def compute_response_slopes(form: ModalForm, frequency: np.ndarray) -> np.ndarray:
+    """Return the derivatives (F, p, m, size) of the response with respect to the full vector."""
+    z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * form.dt)
+    layout, (p, m) = build_layout(form), form.D.shape
+    out = np.zeros((len(z), p, m, layout.size), dtype=complex)
+    for k, (pole, pair) in enumerate(zip(form.poles, form.oscillates, strict=True)):
+        ones = _mode_slopes(z, pole, form.c[:, k], form.b[k])
+        # Re and Im of a number x act through x and its conjugate: G = (g(x) + g*(x*)) / 2 for a pair
+        others = _mode_slopes(z, np.conj(pole), form.c[:, k].conj(), form.b[k].conj()) if pair else ones
+        for where, one, other in zip((layout.pole[k, :, None], layout.c[k], layout.b[k]), ones, others, strict=True):
+            out[..., where[0]], out[..., where[1]] = (one + other) / 2, 1j * (one - other) / 2
+    out[:, np.arange(p)[:, None], np.arange(m), layout.D] = 1.0
+    return out * (z**-form.delay)[:, None, None, None]
+
+
+def _mode_slopes(
+    z: np.ndarray, pole: complex, c: np.ndarray, b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Derivatives of c b / (z - pole) with respect to pole (F, p, m, 1), c (F, p, m, p), b (F, p, m, m)."""
+    gain = (1 / (z - pole))[:, None, None, None]
+    by_c, by_b = np.eye(len(c))[:, None] * b[:, None], c[:, None, None] * np.eye(len(b))
+    return gain**2 * np.outer(c, b)[:, :, None], gain * by_c, gain * by_b

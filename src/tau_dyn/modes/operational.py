@@ -20,26 +20,21 @@ import numpy as np
 from tau_dyn.coded_warning import CodedWarning
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
-from tau_dyn.modes.modal import Mode, compute_frequency_and_damping
-from tau_dyn.modes.operational_result import OperationalModes
+from tau_dyn.modes.modal import FREQUENCY_TOLERANCE, Mode, build_stabilisation_diagram, compute_frequency_and_damping
+from tau_dyn.modes.order import read_whole_number
 from tau_dyn.modes.record import Record, build_records
-from tau_dyn.modes.stabilisation import FREQUENCY_TOLERANCE, build_stabilisation_diagram
+from tau_dyn.modes.result import OperationalModes
 
 MAX_HANKEL_ROWS = 240
 """Rows of the block-Hankel matrix: enough for the highest order, and cheap to decompose thirty times."""
 MIN_BLOCK_ROWS, MAX_BLOCK_ROWS = 10, 50
 MAX_ORDER = 40  # states of the largest model
-N_BLOCKS = 30
-"""Blocks of the jackknife: a standard error is then known to 13 %."""
-MIN_BLOCK_PERIODS = 10
-"""Periods of a mode that a block must hold, so that blocks are independent."""
+N_BLOCKS = 30  # blocks of the jackknife: a standard error is then known to 13 %
+MIN_BLOCK_PERIODS = 10  # periods of a mode that a block must hold, so that blocks are independent
 MIN_MAC = 0.9  # modal assurance criterion above which two shapes are the same
-STABLE_SHARE = 0.7
-"""Share of orders, from its first on, in which a mode of the structure appears."""
-MAX_DAMPING = 0.2
-"""Damping ratio above which forces that are not white cannot be told from a mode."""
-MAX_FREQUENCY_STDERR = 0.02
-"""Relative standard error above which a frequency is not known."""
+STABLE_SHARE = 0.7  # share of orders, from its first on, in which a mode of the structure appears
+MAX_DAMPING = 0.2  # damping ratio above which forces that are not white cannot be told from a mode
+MAX_FREQUENCY_STDERR = 0.02  # relative standard error above which a frequency is not known
 MAX_DAMPING_STDERR = 0.3  # relative standard error above which a damping ratio is hardly known
 
 
@@ -73,7 +68,9 @@ def find_operational_modes(
             "a longer log, of some thousand periods of the slowest mode",
         )
     blocks, scale = _correlate_blocks(records, 2 * rows)
-    highest = _highest(order, (rows - 1) * p)
+    carried = (rows - 1) * p
+    asked = read_whole_number("order", order, 2, carried, f"states from 2 to {carried}")
+    highest = min(MAX_ORDER, carried) if asked is None else asked
     found = _find_modes_by_order(blocks, range(2, highest + 1, 2), records[0].dt, scale)
     modes = _select_stable_modes(found)
     if not modes:
@@ -85,19 +82,6 @@ def find_operational_modes(
     warnings = _warn(modes, n * records[0].dt / len(blocks))
     diagram = build_stabilisation_diagram(found)
     return OperationalModes(tuple(outputs), records[0].dt, highest, modes, diagram, n, warnings, seed)
-
-
-def _highest(order: str | int, carried: int) -> int:
-    """Return the highest order of model to look at."""
-    if order == "auto":
-        return min(MAX_ORDER, carried)
-    try:
-        value = int(order)
-    except ValueError:
-        value = 0
-    if not 2 <= value <= carried:
-        raise InputError("bad_option", f"--order {order}: write auto, or a number of states from 2 to {carried}")
-    return value
 
 
 def _correlate_blocks(records: Sequence[Record], lags: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,52 +13,47 @@ Hannan & Deistler 1988 on what the criteria can and cannot tell.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
-from tau_dyn.modes.checks import check_whiteness, fit_of
 from tau_dyn.modes.methods import Start
 from tau_dyn.modes.modal import Mode, find_resonances
 from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import (
     SIMULATED,
+    check_whiteness,
     compare_errors_paired,
     compute_aic_bic,
     compute_log_det_loss,
     compute_residuals,
     count_free_parameters,
+    fit_of,
     measure_spread,
 )
 from tau_dyn.modes.state_space import StateSpace
 
 SELECT_SHARE = 0.25  # of the training data on which orders are compared
-MAX_SAMPLES = 6_000
-"""Samples that the orders are compared on."""
-PULSE = 500
-"""Samples of each pulse that are kept in any case."""
-MAX_ORDER = 60
-"""Highest order that is looked at unless one is asked for: thirty modes in the band of one test."""
+MAX_SAMPLES = 6_000  # samples that the orders are compared on
+PULSE = 500  # samples of each pulse that are kept in any case
+MAX_ORDER = 60  # highest order that is looked at unless one is asked for: thirty modes in the band of one test
 MAX_PREDICTED_ORDER = 24
 """The same where one-step predictions are compared, whose first models cost a factorisation each."""
-SMALL = 8
-"""Up to this order all even ones below are refined, which costs little and fills the stabilisation diagram."""
-BEYOND = 4
-"""Orders that are refined above the leading one: a diagram needs them, a choice does not."""
+SMALL = 8  # up to this order all even ones below are refined, which costs little and fills the stabilisation diagram
+BEYOND = 4  # orders that are refined above the leading one: a diagram needs them, a choice does not
 MAX_REFINED_MODELS = 14
 """Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
 MANY_NUMBERS = 100
 """Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
 MAX_ITERATIONS = 4  # Gauss-Newton steps for a candidate order; enough to rank it
 TOLERANCE = 2.0  # standard errors of the paired difference within which the smaller order is as good
-PATIENCE = 16
-"""Orders without any gain after which the scan stops, once it has explained most of what moves."""
-GOOD_FIT_PERCENT = 80.0
-"""Fit from which on patience counts: modes that come in late show only when most of them are in."""
+PATIENCE = 16  # orders without any gain after which the scan stops, once it has explained most of what moves
+MIN_WHITE_P_VALUE = 0.001  # over all outputs, from which on what is left counts as white
+GOOD_FIT_PERCENT = 80.0  # fit from which on patience counts: modes that come in late show only when most of them are in
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,192 +155,147 @@ def choose_order(
         CannotAnswer: No order gives a stable model.
     """
     fitted, kept = select_pulses(records) if pulses else select_parts(records)
-    make, apart = start(fitted), kept is not fitted
-    search = _Search(fitted, kept, make, kind, apart, progress)
+    search = _Search(fitted, kept, start(fitted), kind, progress or (lambda step: None))
     scanned: list[_Row] = []
     if orders is not None:
         for order in _affordable(fitted, orders):
             search.refine(order)
     else:
-        wanted = _affordable(
-            fitted,
-            [1, 2, 3, *range(4, max(MAX_ORDER if kind == SIMULATED else MAX_PREDICTED_ORDER, asked or 0) + 1, 2)],
-        )
-        scanned = _scan(search, wanted)
-        _refine_near(search, scanned, asked)
-    rows = sorted(search.rows, key=lambda row: row.order)
-    if not rows:
+        highest = max(MAX_ORDER if kind == SIMULATED else MAX_PREDICTED_ORDER, asked or 0)
+        scanned = search.scan(_affordable(fitted, [1, 2, 3, *range(4, highest + 1, 2)]))
+        search.refine_near(scanned, asked)
+    if not search.rows:
         raise CannotAnswer(
             "no_solution", "no order gave a stable model", "a longer log, with more excitation against the noise"
         )
-    best = min(rows, key=lambda row: row.lost)
-    done = {row.order for row in rows}
-    rows = sorted([*rows, *(r for r in scanned if r.order not in done)], key=lambda row: row.order)
-    trials = tuple(_trial(row, best) for row in rows)
+    done = {row.trial.order for row in search.rows}
+    trials = search.compare(row for row in scanned if row.trial.order not in done)
     if asked is not None:
         return OrderChoice(asked, trials, _by(trials), f"order {asked} was asked for", chosen=False)
-    choice = _chosen(trials, apart)
-    highest = max((t.order for t in trials), default=0)
-    if orders is None and search.at_limit(choice.order, highest):
+    choice = _chosen(trials, search.apart)
+    highest = max(t.order for t in trials)
+    if (
+        orders is None and choice.order >= highest - 1 and len(search.rows) > 1
+    ):  # neither BIC nor the data asked to stop
         why = f"{choice.why}; {highest} is the highest that was looked at, and more may help"
         return replace(choice, why=why, limit=highest)
     return choice
 
 
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """A trial, with the errors (N, p) that it leaves of what it was not fitted to, and their spread."""
+
+    trial: OrderTrial
+    kept: list[np.ndarray]
+    lost: float
+
+
 @dataclass(eq=False)
 class _Search:
-    """What refines orders, and what it has found so far."""
+    """What tries orders, and what it has refined so far."""
 
     fitted: Sequence[Record]
     kept: Sequence[Record]
     make: Start
     kind: str
-    apart: bool
-    progress: Callable[[str], None] | None
+    say: Callable[[str], None]
 
     def __post_init__(self) -> None:
         self.rows: list[_Row] = []
         self.tried: set[int] = set()
         self.affordable = set(_affordable(self.fitted, range(1, 401), strict=False))
+        self.apart = self.kept is not self.fitted
+
+    def compare(self, others: Iterable[_Row] = ()) -> tuple[OrderTrial, ...]:
+        """Return the refined trials and others, lowest order first, beside the best refined one."""
+        best = min(self.rows, key=lambda row: row.lost)
+        trials = [
+            row.trial if row is best else replace(row.trial, behind=compare_errors_paired(row.kept, best.kept))
+            for row in (*self.rows, *others)
+        ]
+        return tuple(sorted(trials, key=lambda trial: trial.order))
+
+    def scan(self, orders: Sequence[int]) -> list[_Row]:
+        """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
+        self.say("scanning orders")
+        rows: list[_Row] = []
+        for order in orders:
+            try:
+                row = self._judge(self.make(order))
+            except (TauDynError, np.linalg.LinAlgError):
+                continue
+            if row is None:
+                continue
+            rows.append(row)
+            best = min(rows, key=lambda r: r.lost).trial
+            if best.fit_percent > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
+                break
+        return rows
+
+    def refine_near(self, scanned: Sequence[_Row], asked: int | None) -> None:
+        """Refine the neighbourhood of the order that first models favour, until the leading order's neighbours are known."""
+        first = asked or 4
+        if scanned and not asked:
+            best = min(scanned, key=lambda row: row.lost)
+            good = [r for r in scanned if r is best or compare_errors_paired(r.kept, best.kept) <= TOLERANCE]
+            first = min(row.trial.order for row in good)
+        for order in (*range(2, first + 1 if first <= SMALL else 0, 2), first):
+            self.refine(order)
+        while self.rows:
+            before = len(self.tried)
+            leading = asked or _chosen(self.compare(), self.apart).order
+            around = (leading - 2, leading + 2)
+            if leading <= SMALL:
+                around = (*around, leading + BEYOND, leading - 1, leading + 1)
+            for order in around:
+                self.refine(order)
+            if len(self.tried) == before:
+                return
 
     def refine(self, order: int) -> None:
-        """Add a refined model of an order, once, where the data can pay for it."""
+        """Add a refined model of an order, once, where the data can pay for it and there is one.
+
+        Where refinement makes the simulation of other data worse, the first model stands: likelihood under white errors and
+        correlated outputs is not what a simulation is asked for.
+        """
         if order < 1 or order in self.tried or order not in self.affordable or len(self.tried) >= MAX_REFINED_MODELS:
             return
         self.tried.add(order)
-        if self.progress is not None:
-            self.progress(f"order {order}")
-        row = _try(self.fitted, self.kept, self.make, order, self.kind)
-        if row is not None:
-            self.rows.append(row)
-
-    def leading(self) -> int:
-        """Return the order that would be taken so far."""
-        best = min(self.rows, key=lambda row: row.lost)
-        return _chosen([_trial(row, best) for row in self.rows], self.apart).order
-
-    def at_limit(self, order: int, highest: int) -> bool:
-        """Tell whether an order is the highest there was, though neither BIC nor the data asked to stop."""
-        return order >= highest - 1 and len(self.rows) > 1
-
-
-def _scan(search: _Search, orders: Sequence[int]) -> list[_Row]:
-    """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
-    if search.progress is not None:
-        search.progress("scanning orders")
-    rows: list[_Row] = []
-    for order in orders:
+        self.say(f"order {order}")
         try:
-            row = _judge(search.make(order), search.fitted, search.kept, search.kind)
+            first = self.make(order)
+            cheap = order * sum(first.D.shape) <= MANY_NUMBERS
+            refined = refine(first, self.fitted, kind=self.kind, maximum_rounds=MAX_ITERATIONS, covariance=cheap)
         except (TauDynError, np.linalg.LinAlgError):
-            continue
-        if row is None:
-            continue
-        rows.append(row)
-        best = min(rows, key=lambda r: r.lost)
-        if best.fit > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
-            break
-    return rows
-
-
-def _refine_near(search: _Search, scanned: Sequence[_Row], asked: int | None) -> None:
-    """Refine the neighbourhood of the order that first models favour, until the leading order's neighbours are known."""
-    first = asked or 4
-    if scanned:
-        best = min(scanned, key=lambda row: row.lost)
-        first = min(
-            row.order for row in scanned if row is best or compare_errors_paired(row.kept, best.kept) <= TOLERANCE
-        )
-        first = asked or first
-    if first <= SMALL:
-        for order in range(2, first + 1, 2):
-            search.refine(order)
-    search.refine(first)
-    while search.rows:
-        before = len(search.tried)
-        leading = search.leading() if asked is None else asked
-        around = (leading - 2, leading + 2)
-        if leading <= SMALL:
-            around = (*around, leading + BEYOND, leading - 1, leading + 1)
-        for order in around:
-            search.refine(order)
-        if len(search.tried) == before:
             return
+        row, changed = self._judge(refined.model), {"modes": tuple(refined.modes)}
+        if self.kind == SIMULATED and self.apart:
+            plain = self._judge(first)
+            if plain is not None and (row is None or compare_errors_paired(row.kept, plain.kept) > TOLERANCE):
+                row, changed = plain, {"plain": True}
+        if row is not None:
+            self.rows.append(replace(row, trial=replace(row.trial, refined=True, **changed)))
 
-
-@dataclass(frozen=True, eq=False)
-class _Row:
-    order: int
-    k: int
-    n: int
-    loss: float
-    lost: float
-    kept: list[np.ndarray]
-    fit: float
-    white: bool
-    model: StateSpace
-    modes: tuple[Mode, ...]
-    refined: bool = False
-    plain: bool = False
-
-
-def _try(fitted: Sequence[Record], kept: Sequence[Record], make: Start, order: int, kind: str) -> _Row | None:
-    """Return a refined model of an order, or None where the method or the refinement finds none.
-
-    Where refinement makes the simulation of other data worse, the first model stands: likelihood under white errors and
-    correlated outputs is not what a simulation is asked for.
-    """
-    try:
-        first = make(order)
-        p, m = first.D.shape
-        refined = refine(
-            first, fitted, kind=kind, maximum_rounds=MAX_ITERATIONS, covariance=order * (p + m) <= MANY_NUMBERS
+    def _judge(self, model: StateSpace) -> _Row | None:
+        """Return how a model does on what it was fitted to and on what it was not; None where it is not stable."""
+        if model.spectral_radius() >= 1:
+            return None
+        if self.kind != SIMULATED and np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max(initial=0) >= 1:
+            return None  # its predictor runs away
+        errors, others = (compute_residuals(model, records, self.kind) for records in (self.fitted, self.kept))
+        if not all(np.isfinite(e).all() for e in (*errors, *others)):
+            return None
+        p, m = model.D.shape
+        k = count_free_parameters(model.order, p, m, direct=bool(np.any(model.D)), predicts=self.kind != SIMULATED)
+        loss, n = compute_log_det_loss(errors), sum(len(e) for e in errors)
+        white = min(t.p_value for t in check_whiteness(errors, [""] * p)) * p > MIN_WHITE_P_VALUE
+        measured = [r.y[model.delay :] for r in self.kept]
+        fit = float(np.mean(fit_of(measured, [y - e for y, e in zip(measured, others, strict=True)])))
+        trial = OrderTrial(
+            model.order, loss, *compute_aic_bic(loss, n, k), fit, 0.0, True, white, find_resonances(model), model, False
         )
-    except (TauDynError, np.linalg.LinAlgError):
-        return None
-    row = _judge(refined.model, fitted, kept, kind)
-    if kind == SIMULATED and kept is not fitted:
-        plain = _judge(first, fitted, kept, kind)
-        if plain is not None and (row is None or compare_errors_paired(row.kept, plain.kept) > TOLERANCE):
-            return replace(plain, refined=True, plain=True)
-    return None if row is None else replace(row, modes=tuple(refined.modes), refined=True)
-
-
-def _judge(model: StateSpace, fitted: Sequence[Record], kept: Sequence[Record], kind: str) -> _Row | None:
-    """Return how a model does on what it was fitted to and on what it was not; None where it is not stable."""
-    if model.spectral_radius() >= 1:
-        return None
-    if kind != SIMULATED and np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max(initial=0) >= 1:
-        return None  # its predictor runs away
-    errors, others = compute_residuals(model, fitted, kind), compute_residuals(model, kept, kind)
-    if not all(np.isfinite(e).all() for e in (*errors, *others)):
-        return None
-    p, m = model.D.shape
-    k = count_free_parameters(model.order, p, m, direct=bool(np.any(model.D)), predicts=kind != SIMULATED)
-    white = min(t.p_value for t in check_whiteness(errors, [""] * p)) * p > 0.001
-    measured = [r.y[model.delay :] for r in kept]
-    fit = float(np.mean(fit_of(measured, [y - e for y, e in zip(measured, others, strict=True)])))
-    n = sum(len(e) for e in errors)
-    return _Row(
-        model.order,
-        k,
-        n,
-        compute_log_det_loss(errors),
-        measure_spread(others),
-        others,
-        fit,
-        white,
-        model,
-        find_resonances(model),
-    )
-
-
-def _trial(row: _Row, best: _Row) -> OrderTrial:
-    aic, bic = compute_aic_bic(row.loss, row.n, row.k)
-    behind = 0.0 if row is best else compare_errors_paired(row.kept, best.kept)
-    return OrderTrial(
-        row.order, row.loss, aic, bic, row.fit, behind, True, row.white, row.modes, row.model, row.refined, row.plain
-    )
+        return _Row(trial, others, measure_spread(others))
 
 
 def _by(trials: Sequence[OrderTrial]) -> dict[str, int]:
@@ -403,3 +353,20 @@ def _affordable(records: Sequence[Record], orders: Sequence[int], *, strict: boo
             "invalid_value", f"{n} samples cannot pay for order {min(orders)} with {m} inputs and {p} outputs"
         )
     return kept
+
+
+def read_whole_number(option: str, value: str | int, least: int, most: int, what: str) -> int | None:
+    """Return the number that an option asks for, None for `auto`.
+
+    Raises:
+        InputError: It is no whole number between `least` and `most`.
+    """
+    if value == "auto":
+        return None
+    try:
+        number = int(value)
+    except ValueError:
+        number = least - 1
+    if not least <= number <= most:
+        raise InputError("bad_option", f"--{option} {value}: write auto, or a number of {what}")
+    return number

@@ -1,17 +1,20 @@
-"""What a vibration test recorded: inputs and outputs on one even clock.
+"""What went in: records from logs, pulses recognised, the operating point taken off, a part held out; the rest is refused.
 
-A `Record` is one unbroken stretch of one log; records are never joined across their ends. Inputs and outputs are plain columns
-of the log, in the log's own units.
+A linear model speaks of deviations. Their origin is the mean of the training part of each record (the same for its
+held-out part), a held-out log's own mean, and of an impulse test the level to which it decays. Held out are the last
+30 % of every record, the last 30 % of the pulses where there are several, or logs that are given; they serve for
+judging and for nothing else.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log, describe_missing_column, resample_segments
 
 
@@ -95,6 +98,11 @@ def truncate_records(records: Sequence[Record], longest: int, least: int = 40) -
     return [r.window(slice(0, max(least, round(share * r.n_samples)))) for r in records]
 
 
+def stack_lags(x: np.ndarray, lags: int, first: int = 1) -> np.ndarray:
+    """Return x_{t-first}, .., x_{t-lags} (N - lags, .) side by side for t = lags .. N-1."""
+    return np.hstack([x[lags - k : len(x) - k] for k in range(first, lags + 1)])
+
+
 def check_alike(records: Sequence[Record]) -> None:
     """Refuse records that one model cannot explain together.
 
@@ -145,15 +153,243 @@ def build_records(
     def stacked(piece: Log, columns: Iterable[str]) -> np.ndarray:
         return np.column_stack([np.zeros((piece.n_samples, 0)), *(piece.channels[name] for name in columns)])
 
-    return [
-        Record(
-            stacked(piece, inputs),
-            stacked(piece, outputs),
-            piece.dt,
-            tuple(inputs),
-            tuple(outputs),
-            piece.name,
-            stacked(piece, references) if references else None,
+    records = []
+    for piece in resample_segments(log):
+        u, y, asked = (stacked(piece, columns) for columns in (inputs, outputs, references))
+        reference = asked if references else None
+        records.append(Record(u, y, piece.dt, tuple(inputs), tuple(outputs), piece.name, reference))
+    return records
+
+
+TRAIN_SHARE = 0.7  # of each record; the rest is held out
+STEADY_STATE_SHARE = 0.2  # last share of a pulse's record, whose mean is the level that it decays to
+PULSE_SHARE = 0.03  # inputs that are away from rest for a smaller share of the time than this are pulses
+PULSE_LEAD = 30  # samples of rest kept before a pulse: more than any delay that is tried
+PULSE_ROOM = 100  # samples that a pulse's response needs, at least
+SAMPLES_PER_CHANNEL = 40  # training samples for each input and output; with fewer there is nothing to choose from
+PULSES = 10_000  # samples of all pulses together that are fitted to: the ends of long decays say little more
+MAX_REST_SAMPLES = 20_000  # samples in which rest is looked for at a record's begin
+STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRecords:
+    """Records ready for identification.
+
+    Attributes:
+        train: To fit on.
+        holdout: To judge on; empty where nothing could be kept.
+        kind: `driven`, or `impulse` where each record is a short pulse and its decay.
+        how_held: What was held out, in words.
+        warnings: Sentences.
+        whole: What the final model is fitted to: all data, but for logs that were given to judge on; empty means `train`.
+    """
+
+    train: tuple[Record, ...]
+    holdout: tuple[Record, ...]
+    kind: str
+    how_held: str
+    warnings: tuple[str, ...] = ()
+    whole: tuple[Record, ...] = ()
+
+    @property
+    def n_train(self) -> int:
+        """Samples to fit on."""
+        return sum(r.n_samples for r in self.train)
+
+
+def prepare_records(
+    logs: Sequence[Log],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    holdout: Sequence[Log] = (),
+    references: Sequence[str] = (),
+) -> PreparedRecords:
+    """Return training and held-out records.
+
+    Args:
+        logs: Logs to fit on.
+        inputs: Columns that excite.
+        outputs: Columns that respond.
+        holdout: Logs to judge on.
+        references: Columns that a feedback loop was asked to follow.
+
+    Raises:
+        InputError: Columns are missing, constant, equal or hold no numbers, or the logs' steps differ.
+        CannotAnswer: The logs are too short.
+    """
+    _refuse_names(inputs, outputs, references)
+    train, held = ([r for log in some for r in _records(log, inputs, outputs, references)] for some in (logs, holdout))
+    _refuse_records(train, held, len(inputs) + len(outputs))
+    known = {log.sha256 for log in logs if log.sha256}
+    both = [log.name for log in holdout if log.sha256 in known or any(log is other for other in logs)]
+    pieces = [piece for log in (*logs, *holdout) for piece in resample_segments(log)]
+    warnings = (
+        *dict.fromkeys(w for piece in pieces for w in piece.warnings),
+        *(f"{name} is both trained on and held out; its errors are not held-out errors" for name in both),
+    )
+    if all(_is_pulses(r) for r in train):
+        return _pulses(train, held, warnings)
+    if held:
+        parts, kept = (tuple(_centred(r, _origin(r)) for r in some) for some in (train, held))
+        return PreparedRecords(parts, kept, "driven", "the logs given", warnings)
+    cuts = [round(TRAIN_SHARE * r.n_samples) for r in train]
+    origins = [_origin(r.window(slice(0, cut))) for r, cut in zip(train, cuts, strict=True)]
+    whole = tuple(_centred(r, origin) for r, origin in zip(train, origins, strict=True))
+    parts, kept = (
+        tuple(r.window(slice(*span(cut))) for r, cut in zip(whole, cuts, strict=True))
+        for span in (lambda cut: (0, cut), lambda cut: (cut, None))
+    )
+    return PreparedRecords(parts, tuple(r for r in kept if r.n_samples), "driven", "the last 30 %", warnings, whole)
+
+
+def cut_pulses(record: Record) -> list[Record]:
+    """Return a record of pulses cut before each of them, from rest on."""
+    away = np.flatnonzero(_away(record))
+    first = away[np.flatnonzero(np.diff(away, prepend=-record.n_samples) > PULSE_ROOM // 2)]
+    edges = [*(max(0, int(k) - PULSE_LEAD) for k in first), record.n_samples]
+    spans = [(a, b) for a, b in pairwise(edges) if b - a >= PULSE_ROOM]
+    return [record.window(slice(a, b)) for a, b in spans]
+
+
+def _away(record: Record) -> np.ndarray:
+    """Return where an input is away from rest (N,) bool: by a twentieth of its peak, and more than its noise."""
+    off = np.abs(record.u - np.median(record.u, axis=0))
+    noise = 1.4826 * np.median(off, axis=0)
+    return np.any(off > np.maximum(0.05 * off.max(axis=0), 6 * noise), axis=1)
+
+
+def _is_pulses(record: Record) -> bool:
+    return (
+        record.n_samples >= 2 * PULSE_ROOM and bool(np.mean(_away(record)) < PULSE_SHARE) and bool(cut_pulses(record))
+    )
+
+
+def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) -> PreparedRecords:
+    pulses = [_settled(p) for r in train for p in cut_pulses(r)]
+    kept = [_settled(p) for r in held for p in (cut_pulses(r) if _is_pulses(r) else [r])]
+    how, everything = "the logs given", pulses
+    if not kept and len(pulses) > 1:
+        n = max(1, round((1 - TRAIN_SHARE) * len(pulses)))
+        if _spans_inputs(pulses[:-n]):
+            pulses, kept, how = pulses[:-n], pulses[-n:], f"the last {n} of {len(pulses)} pulses"
+    if not kept:
+        how = "nothing"
+        few = "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice"
+        warnings = (*warnings, few)
+    parts, whole = (tuple(truncate_records(some, PULSES, 5 * PULSE_ROOM)) for some in (pulses, everything))
+    return PreparedRecords(parts, tuple(kept), "impulse", how, warnings, whole)
+
+
+def _spans_inputs(pulses: list[Record]) -> bool:
+    """Tell whether every input is hit on its own somewhere among the pulses."""
+    peaks = np.array([np.abs(p.u).max(axis=0) for p in pulses])
+    strongest = peaks.max(axis=0)
+    return bool(np.all(strongest > 0)) and np.linalg.matrix_rank(peaks / strongest, tol=0.05) == peaks.shape[1]
+
+
+def _records(log: Log, inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str]) -> list[Record]:
+    for name in (*inputs, *outputs, *references):
+        bad = np.flatnonzero(~np.isfinite(log.channels.get(name, np.zeros(1))))
+        if len(bad):
+            raise InputError(
+                "bad_sample",
+                f"{log.name}: column '{name}' holds no number in {len(bad)} sample(s), first at t = {log.t[bad[0]]:.6g} s; "
+                "mend them, or cut the log there",
+            )
+    records = build_records(log, inputs, outputs, references)
+    for i, one in enumerate(inputs):
+        for j, other in enumerate(outputs):
+            if all(_alike(r.u[:, i], r.y[:, j]) for r in records):
+                raise InputError(
+                    "mismatch",
+                    f"{log.name}: output '{other}' is input '{one}' again, but for scale; name the measured response",
+                )
+    return records
+
+
+def _alike(a: np.ndarray, b: np.ndarray) -> bool:
+    a, b = a - a.mean(), b - b.mean()
+    return bool(abs(a @ b) ** 2 > (1 - 1e-12) * (a @ a) * (b @ b))
+
+
+def _refuse_names(inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str]) -> None:
+    if not outputs:
+        raise InputError("bad_option", "no outputs are named; name the columns that respond with --outputs")
+    if not inputs:
+        raise InputError(
+            "bad_option",
+            "no inputs are named; resonances are identified from what excites the structure and what responds. "
+            "Name the columns that excite with --inputs; responses alone go to find_operational_modes",
         )
-        for piece in resample_segments(log)
-    ]
+    twice = [n for n in references if n in (*inputs, *outputs)]
+    if twice:
+        raise InputError(
+            "duplicate_name",
+            f"column '{twice[0]}' is a reference and also an input or output; a reference is what the loop was asked for",
+        )
+
+
+def _refuse_records(train: Sequence[Record], held: Sequence[Record], channels: int) -> None:
+    """Refuse records that differ in their rate, or are too short."""
+    if not (train or held):
+        raise InputError("too_little_data", "every stretch between gaps is shorter than 10 samples; no record is left")
+    first = [*train, *held][0]
+    for r in (*train, *held):
+        if abs(r.dt / first.dt - 1) > STEP_TOLERANCE:
+            raise InputError(
+                "time_stamps",
+                f"{r.name} is sampled at {1 / r.dt:.6g} Hz and {first.name} at {1 / first.dt:.6g} Hz; "
+                "one model needs one sampling rate",
+            )
+    n, needed = sum(r.n_samples for r in train), int(SAMPLES_PER_CHANNEL * channels / TRAIN_SHARE)
+    if n < needed:
+        raise CannotAnswer(
+            "too_little_data",
+            f"{n} samples are too few for {channels} channels",
+            f"record at least {needed} samples, better ten times as many",
+        )
+
+
+def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Return inputs (m,) and outputs (p,) at rest: the inputs' mean, and the outputs that go with it.
+
+    Means of both do not belong together, because outputs still ring at a record's ends; what that leaves would be taken
+    for a slow pole. A long ARX model with a constant gives the outputs at rest: y_t = c + sum A_k y_{t-k} + sum B_k u_{t-k}.
+    """
+    u, y = record.u[:MAX_REST_SAMPLES], record.y[:MAX_REST_SAMPLES]
+    mean_u, mean_y, spread = record.u.mean(axis=0), record.y.mean(axis=0), record.y.std(axis=0)
+    (n, m), p = u.shape, y.shape[1]
+    lags = min(20, n // (20 * (m + p)))
+    if lags < 2:
+        return mean_u, mean_y
+    du, dy = u - mean_u, (y - mean_y) / spread
+    known = np.hstack([np.ones((n - lags, 1)), stack_lags(dy, lags), stack_lags(du, lags, 0)])
+    theta = np.linalg.lstsq(known, dy[lags:], rcond=1e-9)[0]
+    stiff = np.eye(p) - theta[1 : 1 + lags * p].reshape(lags, p, p).sum(axis=0).T
+    if np.linalg.cond(stiff) > 1e6:
+        return mean_u, mean_y
+    rest = np.linalg.solve(stiff, theta[0])
+    return mean_u, mean_y + np.where(np.abs(rest) < 1, rest, 0.0) * spread
+
+
+def _origin(record: Record) -> Record:
+    """Return a record's operating point as a record of one sample."""
+    u, y = estimate_operating_point(record)
+    reference = None if record.reference is None else record.reference.mean(axis=0)[None]
+    return replace(record, u=u[None], y=y[None], reference=reference)
+
+
+def _centred(record: Record, origin: Record) -> Record:
+    """Return a record as deviations from an operating point."""
+    reference = record.reference
+    if reference is not None and origin.reference is not None:
+        reference = reference - origin.reference
+    return replace(record, u=record.u - origin.u, y=record.y - origin.y, reference=reference)
+
+
+def _settled(record: Record) -> Record:
+    """Return a pulse and its decay as deviations from rest."""
+    tail = record.y[-max(10, int(STEADY_STATE_SHARE * record.n_samples)) :]
+    return replace(record, u=record.u - np.median(record.u, axis=0), y=record.y - tail.mean(axis=0))

@@ -1,9 +1,18 @@
-r"""Refinement of a model to the most likely one, in modal coordinates, with the covariance of the outcome.
+"""Refinement of a model to the most likely one, in modal coordinates, with the covariance of the outcome.
 
-Output errors: y = G u + v; v may be coloured, the estimate stays consistent and its covariance accounts for it.
-Prediction errors: the innovation form; its predictor is an output-error model with inputs (u, y) and the poles of A - K
-C, which is refined in its own modal coordinates. Every record has its own initial state, estimated along. References:
-Ljung 1999, 7.2-7.5, 10.2.
+Output errors: y = G u + v; v may be coloured, the estimate stays consistent and its covariance accounts for it,
+
+    cov = H^-1 (sum_{t,s} J_t' W R_{t-s} W J_s) H^-1,    H = sum_t J_t' W J_t,
+
+with R the autocovariance of the errors, from a vector autoregression fitted to the residuals; with white residuals it is H^-1.
+The double sum is taken in the frequency domain, chunk by chunk. Prediction errors: the innovation form, whose one-step
+predictor is an output-error model with inputs (u, y),
+
+    x+ = (A - K C) x + [B - K D, K] (u, y),    yhat = C x + [D, 0] (u, y),
+
+refined in its own modal coordinates. Every record has its own initial state, estimated along. Another modal form of the same
+model (other units; the model of a predictor) gets its covariance by central differences. References: Ljung 1999, (4.91)-(4.95),
+7.2-7.5, 9.4, 10.2; Söderström & Stoica 1989, (7.59).
 """
 
 from __future__ import annotations
@@ -12,22 +21,196 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import qr
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.covariance_propagation import propagate_covariance
-from tau_dyn.modes.error_covariance import compute_residuals, estimate_error_covariance
-from tau_dyn.modes.gauss_newton import FitPoint, evaluate
-from tau_dyn.modes.innovation import build_innovation_model, build_predictor, build_predictor_record
-from tau_dyn.modes.input_matrices import mirror_unstable_poles, solve_input_matrices
-from tau_dyn.modes.levenberg_marquardt import minimise, normalise_shapes
+from tau_dyn.modes.fit_point import (
+    DerivativeMaps,
+    FitPoint,
+    assemble_normal_equations,
+    build_columns,
+    compute_derivative_maps,
+    evaluate,
+    mirror_unstable_poles,
+    solve_input_matrices,
+)
+from tau_dyn.modes.hankel import compute_spectrum, fit_autoregression
 from tau_dyn.modes.modal import Mode, find_resonances
-from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form, flatten_form, free_numbers, step_form
+from tau_dyn.modes.modal_descent import minimise, normalise_shapes
+from tau_dyn.modes.modal_form import (
+    ModalForm,
+    ResponseEstimate,
+    build_layout,
+    build_modal_form,
+    flatten_form,
+    free_numbers,
+    step_form,
+)
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
-from tau_dyn.modes.response import ResponseEstimate
 from tau_dyn.modes.state_space import StateSpace
 
+
+def build_predictor(model: StateSpace) -> StateSpace:
+    """Return the one-step predictor as a model from (u, y) to the predicted y."""
+    B = np.hstack([model.B - model.K @ model.D, model.K])
+    D = np.hstack([model.D, np.zeros((len(model.C), len(model.C)))])
+    return replace(model, A=model.A - model.K @ model.C, B=B, D=D, K=np.zeros_like(model.K))
+
+
+def build_innovation_model(form: ModalForm) -> StateSpace:
+    """Return the innovation form whose predictor has this modal form."""
+    predictor = form.state_space()
+    m = form.D.shape[1] - form.D.shape[0]
+    K, D = predictor.B[:, m:], predictor.D[:, :m]
+    return replace(predictor, A=predictor.A + K @ predictor.C, B=predictor.B[:, :m] + K @ D, D=D, K=K)
+
+
+def build_predictor_record(record: Record) -> Record:
+    """Return a record whose inputs are (u, y)."""
+    return replace(record, u=np.hstack([record.u, record.y]), inputs=record.inputs + record.outputs)
+
+
+OF_STDERR = 1e-3  # step of the derivative, as a part of the standard error ...
+OF_VALUE = 1e-6  # ... and at least this part of the number, where rounding would drown it
+
+
+def propagate_covariance(
+    form: ModalForm, covariance: np.ndarray, direct: np.ndarray, change: Callable[[ModalForm], StateSpace]
+) -> np.ndarray:
+    """Return the covariance (size, size) of the full vector of `build_modal_form(change(form))`.
+
+    Rows of a mode that cannot be followed (two poles about to meet on the real axis) are nan.
+
+    Args:
+        form: The form that was estimated.
+        covariance: Of its free numbers (f, f).
+        direct: Which entries of its D are free.
+        change: Makes the wanted model of a form.
+    """
+    reference = build_modal_form(change(form))
+    free = np.flatnonzero(free_numbers(form, direct))
+    values = flatten_form(form)[free]
+    steps = np.maximum(
+        OF_STDERR * np.sqrt(np.maximum(np.diag(covariance), 0)), OF_VALUE * np.maximum(abs(values), 1e-3)
+    )
+    jacobian = np.zeros((build_layout(reference).size, len(free)))
+    for column, (index, h) in enumerate(zip(free, steps, strict=True)):
+        step = np.zeros(build_layout(form).size)
+        step[index] = h
+        with np.errstate(all="ignore"):  # a mode that is lost on the way may divide by zero; it is nan in the end
+            ahead, behind = (_followed(build_modal_form(change(step_form(form, s))), reference) for s in (step, -step))
+        jacobian[:, column] = (ahead - behind) / (2 * h)
+    lost = ~np.isfinite(jacobian).all(axis=1)
+    jacobian[lost] = 0.0
+    out = jacobian @ covariance @ jacobian.T
+    out[lost], out[:, lost] = np.nan, np.nan
+    return out
+
+
+def _followed(form: ModalForm, reference: ModalForm) -> np.ndarray:
+    """The full vector of a form with its modes ordered and normalised like those of a neighbour; nan where one is lost."""
+    order = [int(np.argmin(np.abs(form.poles - pole))) for pole in reference.poles]
+    lost = [
+        order.count(k) > 1 or form.oscillates[k] != pair for k, pair in zip(order, reference.oscillates, strict=True)
+    ]
+    c, b = form.c[:, order], form.b[order]
+    factor = c[reference.pivots, np.arange(len(order))]
+    factor = np.where((factor == 0) | np.array(lost, bool), 1.0, factor)
+    alike = replace(form, poles=form.poles[order], c=c / factor, b=b * factor[:, None], oscillates=reference.oscillates)
+    out = flatten_form(alike)
+    out[build_layout(alike).modes[np.array(lost, bool)]] = np.nan
+    return out
+
+
+FREQUENCIES = 512  # treated at once; bounds the memory
+CHUNK = 16384  # errors further apart than a chunk count as independent
+
+
+def estimate_error_covariance(
+    point: FitPoint, records: Sequence[Record], free: np.ndarray
+) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Return the covariance of the model's free numbers (f, f) and the residuals record by record.
+
+    Args:
+        point: The minimum.
+        records: Aligned and scaled.
+        free: Which numbers of the model's full vector are free (size,).
+    """
+    weight = np.linalg.inv(point.covariance)
+    root = np.linalg.cholesky((weight + weight.T) / 2).T
+    normal = assemble_normal_equations(point, free, weight)
+    inverse = _inverse(normal.H)
+    errors = compute_errors(point, records)
+    coefficients, noise = fit_autoregression([e @ root.T for e in errors])
+    n = normal.n_model
+    if len(coefficients) == 0:
+        return inverse[:n, :n], errors
+    middle = _middle(point, records, root, coefficients, noise)[np.ix_(normal.free, normal.free)]
+    return (inverse @ middle @ inverse)[:n, :n], errors
+
+
+def compute_errors(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    """Return measured minus modelled outputs, record by record."""
+    out = []
+    for record, x0 in zip(records, point.x0, strict=True):
+        out.append(np.vstack([record.y[c.part] - c.predicted for c in build_columns(point.form, x0, record)]))
+    return tuple(out)
+
+
+def _middle(
+    point: FitPoint, records: Sequence[Record], root: np.ndarray, coefficients: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """The double sum over the full vector and all records' initial states."""
+    size, k = build_layout(point.form).size, len(point.form.poles)
+    total = size + 2 * k * len(records)
+    middle = np.zeros((total, total))
+    for r, (record, x0) in enumerate(zip(records, point.x0, strict=True)):
+        n = 1 << (2 * min(CHUNK, record.n_samples) - 1).bit_length()
+        density = compute_spectrum(coefficients, noise, n)
+        weight = np.where((np.arange(n // 2 + 1) == 0) | (2 * np.arange(n // 2 + 1) == n), 1.0, 2.0) / n
+        weighted = (root.T @ density @ root) * weight[:, None, None]
+        maps = compute_derivative_maps(point.form, x0)
+        where = np.r_[np.arange(size), size + 2 * k * r + np.arange(2 * k)]
+        inner = np.zeros((size + 2 * k, size + 2 * k))
+        for columns in build_columns(point.form, x0, record, min(CHUNK, record.n_samples)):
+            inner += _correlate(np.fft.rfft(columns.real, n, axis=0), weighted, maps)
+        middle[np.ix_(where, where)] += inner
+    return middle
+
+
+def _correlate(columns: np.ndarray, weighted: np.ndarray, maps: DerivativeMaps) -> np.ndarray:
+    """Return the sum over outputs o, o' and frequencies of J_o^H S_oo' J_o' (size, size), from columns (F, q) and S (F, p, p)."""
+    out = np.zeros((maps.size, maps.size))
+    own, (p, w) = maps.own.ravel(), maps.own.shape
+    s = len(maps.shared)
+    square, both, alone = np.zeros((s, s)), np.zeros((p, w, s)), np.zeros((p, w, p, w))
+    for first in range(0, len(columns), FREQUENCIES):
+        x, S = columns[first : first + FREQUENCIES], weighted[first : first + FREQUENCIES]
+        moved = x[:, None, maps.re] * maps.real + x[:, None, maps.im] * maps.imaginary  # (F, p, s)
+        passed = S @ moved
+        square += (moved.reshape(-1, s).conj().T @ passed.reshape(-1, s)).real
+        z = x @ maps.own_map
+        both += (z.conj().T @ passed.reshape(len(x), -1)).real.reshape(w, p, s).swapaxes(0, 1)
+        products = (z.conj()[:, :, None] * z[:, None, :]).reshape(len(x), -1)
+        alone += (S.reshape(len(x), -1).T @ products).real.reshape(p, p, w, w).swapaxes(1, 2)
+    flat = both.reshape(p * w, s)
+    out[np.ix_(maps.shared, maps.shared)] = square
+    out[np.ix_(own, maps.shared)], out[np.ix_(maps.shared, own)] = flat, flat.T
+    out[np.ix_(own, own)] = alone.reshape(p * w, p * w)
+    return (out + out.T) / 2
+
+
+def _inverse(H: np.ndarray) -> np.ndarray:
+    """Inverse of a Gauss-Newton matrix whose numbers have unlike units."""
+    scale = np.sqrt(np.diag(H))
+    scale[scale == 0] = 1.0
+    return np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-14, hermitian=True) / np.outer(scale, scale)
+
+
 KINDS = (SIMULATED, PREDICTED)
+MAX_PREDICTOR_OUTPUTS = 6  # outputs of a predictor, whose inputs they are too: its free numbers grow with their square
+PREDICTOR_ROUNDS = 15  # steps of its refinement, which begins near its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +296,7 @@ def refine(
     if covariance:
         found, errors = estimate_error_covariance(point, wide, numbers)
     else:
-        found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), compute_residuals(point, wide)
+        found, errors = np.full((numbers.sum(), numbers.sum()), np.nan), compute_errors(point, wide)
     estimated = np.zeros((len(numbers), len(numbers)))
     estimated[np.ix_(numbers, numbers)] = found
 
@@ -171,3 +354,21 @@ def _prediction_errors(start: StateSpace, records: list[Record], direct: bool) -
 def _at(model: StateSpace, records: Sequence[Record]) -> FitPoint:
     form = mirror_unstable_poles(build_modal_form(model))
     return evaluate(form, np.zeros((len(records), len(form.poles)), dtype=complex), records)
+
+
+def refine_predictor(refined: RefinedModel, records: Sequence[Record]) -> RefinedModel:
+    """Return the model that minimises one-step prediction errors, which holds under feedback; of the outputs that show the modes.
+
+    Args:
+        refined: Where to start.
+        records: Training records.
+    """
+    sizes = np.std(np.vstack(refined.residuals), axis=0)
+    seen = np.array([m.shape / sizes for m in refined.modes]).reshape(-1, len(sizes))
+    pivots = np.asarray(qr(np.vstack([seen.real, seen.imag]), mode="r", pivoting=True)[-1])
+    some = sorted(int(o) for o in pivots[:MAX_PREDICTOR_OUTPUTS])
+    whole = refined.model
+    noise = None if whole.noise is None else whole.noise[np.ix_(some, some)]
+    model = replace(whole, C=whole.C[some], D=whole.D[some], K=whole.K[:, some], noise=noise)
+    fewer = [replace(r, y=r.y[:, some], outputs=tuple(r.outputs[o] for o in some)) for r in records]
+    return refine(model, fewer, kind=PREDICTED, maximum_rounds=PREDICTOR_ROUNDS)

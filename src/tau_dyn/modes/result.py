@@ -1,28 +1,69 @@
-"""What `find_modes` found: the model, its modes with uncertainty, and everything that says how far to trust them."""
+"""What `find_modes` and `find_operational_modes` found: models, modes with uncertainty, and what says how far to trust them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from tau_dyn.modes.checks import CorrelationTest
 from tau_dyn.modes.delay import DelayChoice
-from tau_dyn.modes.feedback_test import Feedback
-from tau_dyn.modes.fit_quality import FitQuality, ImpulseResponses, Response, Trace
+from tau_dyn.modes.feedback_tests import Feedback
 from tau_dyn.modes.mechanical import Mechanical
-from tau_dyn.modes.modal import Mode
-from tau_dyn.modes.model_file import ModelFile
-from tau_dyn.modes.nonlinearity import Nonlinearity
+from tau_dyn.modes.modal import Mode, Pole, StabilityPoint
 from tau_dyn.modes.order import OrderChoice
-from tau_dyn.modes.poles import Pole
-from tau_dyn.modes.spectra import EmpiricalResponse
-from tau_dyn.modes.stabilisation import StabilityPoint
-from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes.residuals import CorrelationTest, FitQuality
+from tau_dyn.modes.responses import EmpiricalResponse, ImpulseResponses, Response
+from tau_dyn.modes.state_space import ModelFile, StateSpace
 from tau_dyn.shown import Shown
 from tau_dyn.version import __version__
+
+NOT_IDENTIFIED: dict[str, Any] = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One record, measured and simulated.
+
+    Attributes:
+        log: The log's name.
+        t: (N,) [s] from the record's start.
+        u: (N, m).
+        measured: (N, p).
+        simulated: (N, p).
+        held_out: Whether the model was not fitted to it.
+    """
+
+    log: str
+    t: np.ndarray
+    u: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class Nonlinearity:
+    """Whether a structure responds nonlinearly.
+
+    Attributes:
+        suspected: Whether a power is significant and explains enough.
+        p_value: How often a linear structure would look more nonlinear, over all outputs and powers.
+        share: Share of the residual's variance that the power explains.
+        output: The output concerned.
+        power: 2 where the response depends on its sign, 3 where on its size.
+    """
+
+    suspected: bool
+    p_value: float
+    share: float
+    output: str
+    power: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for the JSON result."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +143,9 @@ class Modes(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON result."""
+        mdk: dict[str, Any] = {"why": self.mechanical_why}
+        if self.mechanical is not None:
+            mdk = self.mechanical.to_dict() | {"units": "of the inputs per those of the outputs"}
         return {
             "order": self.order,
             "delay_samples": self.delay,
@@ -132,7 +176,7 @@ class Modes(Shown):
                 "input_correlation": [t.to_dict() for t in self.independence],
             },
             "nonlinearity": None if self.nonlinearity is None else self.nonlinearity.to_dict(),
-            "mdk": self._mdk(),
+            "mdk": NOT_IDENTIFIED | mdk,
             "feedback": self.feedback.to_dict(),
             "delay_scan": self.delay_choice.to_dict(),
             "order_scan": self.order_choice.to_dict(),
@@ -169,11 +213,51 @@ class Modes(Shown):
     def _per_output(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         return {name: float(v) for name, v in zip(self.outputs, values, strict=True)}
 
-    def _mdk(self) -> dict[str, Any]:
-        found = self.mechanical
-        empty = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
-        if found is None:
-            return empty | {"why": self.mechanical_why}
-        stderr = found.stderr
-        spread = None if stderr is None else {name: getattr(stderr, name) for name in "MDK"}
-        return empty | found.to_dict() | {"stderr": spread, "units": "of the inputs per those of the outputs"}
+
+REASON_WITHOUT_SCALE = (
+    "the forces were not measured, so responses have no scale: modal masses, M, D, K and a model from input to output "
+    "do not follow"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class OperationalModes(Shown):
+    """The answer of `find_operational_modes`.
+
+    Attributes:
+        outputs: Columns that respond.
+        dt: Sampling step [s].
+        order: Highest order of model.
+        modes: Modes of the structure, slowest first; shapes are relative to their largest output.
+        stabilisation: Modes of all orders.
+        n_samples: Samples used.
+        warnings: What is doubtful, one sentence each.
+        seed: Kept with the result; nothing here is random.
+    """
+
+    outputs: tuple[str, ...]
+    dt: float
+    order: int
+    modes: tuple[Mode, ...]
+    stabilisation: tuple[StabilityPoint, ...]
+    n_samples: int
+    warnings: tuple[str, ...] = ()
+    seed: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON result; what responses alone cannot give is null, with the reason."""
+        return {
+            "order": self.order,
+            "delay_samples": None,
+            "method": "ssi-cov",
+            "dt": self.dt,
+            "inputs_used": [],
+            "outputs_used": list(self.outputs),
+            "kind": "operational",
+            "modes": [mode.to_dict(self.outputs) for mode in self.modes],
+            "fit_percent": {"train": None, "holdout": None},
+            "residual_tests": None,
+            "mdk": NOT_IDENTIFIED | {"why": REASON_WITHOUT_SCALE},
+            "stabilisation": [p.to_dict() for p in self.stabilisation],
+            "n_samples": self.n_samples,
+        }

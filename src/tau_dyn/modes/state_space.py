@@ -1,18 +1,27 @@
-r"""A sampled linear model in innovation form, and what it says.
+"""A sampled linear model in innovation form: what it says of records, its Gramians, and its file.
 
     x_{k+1} = A x_k + B u_{k-d} + K e_k,   y_k = C x_k + D u_{k-d} + e_k
 
 `d` whole samples of delay act on every input before the model sees it. Matrix entries depend on the choice of states; poles,
-Markov parameters and responses do not, and only they are to be compared. Reference: Ljung 1999, System Identification, 4.3.
+Markov parameters and responses do not, and only they are to be compared. Simulations take the complex Schur form A = Q T Q':
+one first-order filter for each state, last state first, which costs n filters whatever the poles and needs no eigenvectors.
+References: Ljung 1999, 3.2 (k-step prediction), 4.3; Moore 1981 (Gramians).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
+from scipy.linalg import schur, solve_discrete_lyapunov
+from scipy.signal import lfilter
 
-from tau_dyn.modes.record import Scales
+from tau_dyn.exceptions import InputError
+from tau_dyn.files import read_yaml, write_whole
+from tau_dyn.modes.record import Record, Scales
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,3 +91,190 @@ class StateSpace:
         eye = np.eye(self.order)
         solved = np.linalg.solve(z[:, None, None] * eye - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape)))
         return (self.C @ solved + self.D) * (z**-self.delay)[:, None, None]
+
+
+def compute_gramians(model: StateSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Return the controllability and the observability Gramian, each (n, n)."""
+    controllable = solve_discrete_lyapunov(model.A, model.B @ model.B.T)
+    return controllable, solve_discrete_lyapunov(model.A.T, model.C.T @ model.C)
+
+
+def compute_root(gramian: np.ndarray, least: float = 0.0) -> np.ndarray:
+    """Return `S` (n, n) with `S S'` a Gramian, eigenvalues raised to `least` of the largest."""
+    values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    return vectors * np.sqrt(np.maximum(values, least * values[-1]))
+
+
+CHUNK = 16384  # samples at a time; arrays stay in the processor's cache
+MAX_DECAY_SAMPLES = 50_000  # samples of free response that an initial state is sought in
+
+
+def simulate(model: StateSpace, record: Record, x0: np.ndarray | None = None) -> np.ndarray:
+    """Return the simulated outputs (N, p).
+
+    Args:
+        model: The model.
+        record: Its inputs are used; before its first sample they are taken to have been what they are there.
+        x0: State at the first sample (n,); None takes the one that fits the record's outputs best.
+    """
+    u = delay_inputs(model, record)
+    x0 = estimate_initial_state(model, record) if x0 is None else np.asarray(x0, dtype=float)
+    return simulate_states(model.A, u @ model.B.T, x0) @ model.C.T + u @ model.D.T
+
+
+def estimate_initial_state(model: StateSpace, record: Record, predictor: bool = False) -> np.ndarray:
+    """Return the state (n,) at the first sample with which the simulation, or the one-step predictor, fits best."""
+    u = delay_inputs(model, record)
+    n = min(record.n_samples, MAX_DECAY_SAMPLES)
+    A, drive = (model.A, u @ model.B.T) if not predictor else _predictor(model, u, record.y)
+    rest = record.y - simulate_states(A, drive, np.zeros(model.order)) @ model.C.T - u @ model.D.T
+    scale = np.sqrt(np.mean(rest**2, axis=0))
+    scale[scale == 0] = 1.0
+    gamma = _free_responses(A, model.C / scale[:, None], n)
+    known = model.delay if n > 2 * (model.delay + model.order) else 0  # what acted before is not in the record
+    return np.linalg.lstsq(gamma[known:].reshape(-1, model.order), (rest[known:n] / scale).ravel(), rcond=1e-10)[0]
+
+
+def predict(model: StateSpace, record: Record, k: int = 1) -> np.ndarray:
+    """Return the outputs (N, p) predicted from measured outputs up to `k` samples before, and all inputs.
+
+    The first k rows rest on the initial state alone.
+    """
+    if k < 1:
+        raise InputError("invalid_value", f"predictions look at least one sample ahead, not {k}")
+    u = delay_inputs(model, record)
+    A, drive = _predictor(model, u, record.y)
+    first = estimate_initial_state(model, record, predictor=True)
+    x = simulate_states(A, drive, first)
+    for _ in range(min(k, len(x)) - 1):  # one sample further without the measured output
+        x[1:] = x[:-1] @ model.A.T + u[:-1] @ model.B.T
+        x[0] = first
+    return x @ model.C.T + u @ model.D.T
+
+
+def simulate_states(A: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> np.ndarray:
+    """Return x (N, n) of x+ = A x + drive, from x0 at the first sample."""
+    T, Q = schur(A, output="complex")[:2]
+    out, first = np.empty(drive.shape), np.asarray(x0, dtype=complex)
+    for start in range(0, len(drive), CHUNK):
+        forced = drive[start : start + CHUNK] @ Q.conj()
+        part, last = _triangular(T, forced, Q.conj().T @ first)
+        out[start : start + CHUNK], first = (part @ Q.T).real, Q @ last
+    return out
+
+
+def _triangular(T: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States of x+ = T x + drive with upper triangular T, and the state after the last sample."""
+    n = len(T)
+    out = np.zeros((len(drive) + 1, n), dtype=complex, order="F")
+    out[0] = x0
+    for i in range(n - 1, -1, -1):
+        pushed = drive[:, i] + out[:-1, i + 1 :] @ T[i, i + 1 :]
+        out[1:, i] = lfilter([1.0], [1.0, -T[i, i]], pushed, zi=T[i, i] * x0[i : i + 1])[0]
+    return out[:-1], out[-1]
+
+
+def delay_inputs(model: StateSpace, record: Record) -> np.ndarray:
+    """Return the inputs as the model sees them (N, m): late by its delay, the first one held before the record."""
+    if record.u.shape[1] != model.B.shape[1] or record.y.shape[1] != len(model.C):
+        raise InputError("mismatch", "the record's inputs or outputs are not those of the model")
+    if model.delay == 0 or record.n_samples == 0:
+        return record.u
+    late = min(model.delay, record.n_samples)
+    return np.vstack([np.repeat(record.u[:1], late, axis=0), record.u[: record.n_samples - late]])
+
+
+def _predictor(model: StateSpace, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A - K C and what drives it."""
+    return model.A - model.K @ model.C, u @ (model.B - model.K @ model.D).T + y @ model.K.T
+
+
+def _free_responses(A: np.ndarray, C: np.ndarray, n: int) -> np.ndarray:
+    """C A^t for t < n (n, p, states), by doubling; stops early where all has decayed."""
+    out, power = C[None], A
+    size = np.abs(C).max(initial=0.0)
+    while len(out) < n and np.abs(out[-1]).max(initial=0.0) > 1e-9 * size:
+        out = np.concatenate([out, out @ power])
+        power = power @ power
+    whole = np.zeros((n, *C.shape))
+    whole[: len(out)] = out[:n]
+    return whole
+
+
+_FORMAT = 1  # version of the model file's layout
+_MATRICES = ("A", "B", "C", "D", "K")
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """A model, and the columns that it goes between.
+
+    Attributes:
+        model: The model; it speaks of deviations from the operating point.
+        inputs: Names of the inputs.
+        outputs: Names of the outputs.
+        provenance: Where it comes from.
+    """
+
+    model: StateSpace
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    provenance: dict[str, Any]
+
+
+def save_state_space(path: str | Path, content: ModelFile) -> None:
+    """Write a model as YAML, the whole file or none."""
+    m = content.model
+    rows = {name: getattr(m, name).tolist() for name in _MATRICES}
+    entries = {
+        "tau_dyn_state_space": _FORMAT,
+        "equation": "x[k+1] = A x[k] + B u[k - delay] + K e[k],  y[k] = C x[k] + D u[k - delay] + e[k]",
+        "dt": float(m.dt),
+        "delay": int(m.delay),
+        "inputs": list(content.inputs),
+        "outputs": list(content.outputs),
+        **rows,
+        "noise": None if m.noise is None else m.noise.tolist(),
+        "provenance": content.provenance,
+    }
+    write_whole(path, yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=110, default_flow_style=None))
+
+
+def load_state_space(path: str | Path) -> ModelFile:
+    """Read a model that `save_state_space` wrote.
+
+    Raises:
+        InputError: The file is missing, not YAML, or not such a model; the message names the entry.
+    """
+    entries = read_yaml(path)
+    if not isinstance(entries, dict) or entries.get("tau_dyn_state_space") != _FORMAT:
+        raise InputError(
+            "file_format", f"{path}: not a state space model (its first key is 'tau_dyn_state_space: {_FORMAT}')"
+        )
+    for key, kind in (("inputs", list), ("outputs", list), ("A", list), ("provenance", dict)):
+        if not isinstance(entries.get(key) or kind(), kind):
+            raise InputError("file_format", f"{path}: '{key}' has to be a {kind.__name__}")
+    inputs, outputs = (tuple(map(str, entries.get(k) or ())) for k in ("inputs", "outputs"))
+    n, m, p = len(entries.get("A") or ()), len(inputs), len(outputs)
+    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "K": (n, p)}
+    matrices = {name: _matrix(path, entries, name, shape) for name, shape in shapes.items()}
+    noise = None if entries.get("noise") is None else _matrix(path, entries, "noise", (p, p))
+    dt, delay = entries.get("dt"), entries.get("delay")
+    if not isinstance(dt, int | float) or not 0 < dt < 1e9 or not isinstance(delay, int) or not 0 <= delay < 1e9:
+        raise InputError(
+            "file_format", f"{path}: 'dt' has to be a positive number and 'delay' a whole number from 0 up"
+        )
+    model = StateSpace(**matrices, dt=float(dt), delay=delay, noise=noise)
+    return ModelFile(model, inputs, outputs, dict(entries.get("provenance") or {}))
+
+
+def _matrix(path: str | Path, entries: dict[str, Any], name: str, shape: tuple[int, int]) -> np.ndarray:
+    try:
+        matrix = np.array(entries.get(name), dtype=float).reshape(shape)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(
+            "file_format", f"{path}: '{name}' has to be a matrix of {shape[0]} by {shape[1]} numbers"
+        ) from None
+    if not np.all(np.isfinite(matrix)):
+        raise InputError("file_format", f"{path}: '{name}' holds a number that is not finite")
+    return matrix

@@ -1,12 +1,19 @@
-r"""Subspace identification: from the block-Hankel data's projections to A, C, then B, D, K.
+"""Subspace identification: states from the past, for open loop by projections and under feedback by a predictor.
 
 With past and future block rows U_p, Y_p, U_f, Y_f and the data compressed to L, ordered [U_f; U_p; Y_p; Y_f],
 
     Y_f given the past, orthogonal to U_f:  L32 Q2;      the rest: L33 Q3,
 
-the singular vectors of W L32 span W Gamma with Gamma the extended observability matrix. The weighting W is (L32 L32' +
-L33 L33')^-1/2 for CVA and the identity for MOESP; N4SID takes the oblique projection L32 L22^-1 [L21 L22]. References:
-Van Overschee & De Moor 1996, tables 4.7, 4.8; Verhaegen & Verdult 2007, 9.5-9.6; Larimore 1990.
+the singular vectors of W L32 span W Gamma with Gamma the extended observability matrix. The weighting W is (L32 L32' + L33
+L33')^-1/2 for CVA and the identity for MOESP; N4SID takes the oblique projection L32 L22^-1 [L21 L22]. B and D follow from the
+records, given A and C.
+
+PBSID: the one-step predictor from past inputs and outputs (a long ARX model) needs no independence of input and disturbance, so
+it is consistent under feedback. Its coefficients C Atilde^{l-1} [B, K] fill Gamma-tilde K-tilde, whose product with the past is
+the state, up to a choice of coordinates. With the state a known function of the past, the matrices and the innovations'
+covariance follow from two regressions: y on (x, u), then x one sample later on (x, u, e). References: Van Overschee & De Moor
+1996, tables 4.7, 4.8; Verhaegen & Verdult 2007, 9.5-9.6; Larimore 1990; Chiuso 2007; van der Veen, van Wingerden, Bergamasco,
+Lovera, Verhaegen 2013 (PBSIDopt, (21)-(24)).
 """
 
 from __future__ import annotations
@@ -19,12 +26,61 @@ import numpy as np
 from scipy.linalg import eigh
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.modes.hankel import HankelFactor, compress, reorder_lower_factor
-from tau_dyn.modes.input_matrices import fit_input_matrices
+from tau_dyn.modes.fit_point import fit_input_matrices
+from tau_dyn.modes.hankel import (
+    MAX_LAGS,
+    HankelFactor,
+    compress,
+    fit_predictor,
+    reorder_lower_factor,
+    select_length,
+    solve_least_squares,
+)
 from tau_dyn.modes.modal_form import build_modal_form_with_coordinates
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.modes.states import estimate_innovation_gain
+
+
+def estimate_matrices_from_states(
+    T: np.ndarray, factor: HankelFactor, past: int, direct: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, B, C, D, K and the innovations' covariance.
+
+    Args:
+        T: (n, past w), states from the past, oldest first.
+        factor: Compressed data of at least `past` + 1 block rows.
+        past: Block rows of past.
+        direct: Whether D may differ from zero.
+    """
+    n, m = len(T), factor.n_inputs
+    x, later = T @ factor.past(0, past), T @ factor.past(1, past + 1)
+    u, y = factor.inputs(past, past + 1), factor.outputs(past, past + 1)
+    seen = np.vstack([x, u]) if direct else x
+    CD = solve_least_squares(y, seen)
+    e = y - CD @ seen
+    ABK = solve_least_squares(later, np.vstack([x, u, e]))
+    D = CD[:, n:] if direct else np.zeros((len(y), m))
+    return ABK[:, :n], ABK[:, n : n + m], CD[:, :n], D, ABK[:, n + m :], e @ e.T
+
+
+def estimate_innovation_gain(
+    A: np.ndarray, C: np.ndarray, T: np.ndarray, factor: HankelFactor, past: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return K and the innovations' covariance for given A and C, states T of the past.
+
+    K is drawn back towards zero until A - K C is stable.
+    """
+    x, later = T @ factor.past(0, past), T @ factor.past(1, past + 1)
+    u, y = factor.inputs(past, past + 1), factor.outputs(past, past + 1)
+    rest = y - C @ x
+    e = rest - solve_least_squares(rest, u) @ u if len(u) else rest
+    K = solve_least_squares(later - A @ x, np.vstack([u, e]))[:, len(u) :]
+    for _ in range(40):
+        if np.abs(np.linalg.eigvals(A - K @ C)).max(initial=0) < 1:
+            return K, e @ e.T
+        K = K * 0.8
+    return np.zeros_like(K), e @ e.T
+
 
 WEIGHTINGS = ("cva", "moesp", "n4sid")
 MAX_BLOCK_ROWS = 60  # block rows taken where the horizon is not given
@@ -159,3 +215,57 @@ def choose_default_horizon(records: Sequence[Record]) -> int:
     w = records[0].u.shape[1] + records[0].y.shape[1]
     samples, longest = sum(r.n_samples for r in records), max(r.n_samples for r in records)
     return int(np.clip(min(samples / (20 * w), longest / 4), 2, MAX_BLOCK_ROWS))
+
+
+def pbsid(
+    records: Sequence[Record], order: int, *, past: int | None = None, delay: int = 0, direct: bool = False
+) -> StateSpace:
+    """Return a model in innovation form.
+
+    Args:
+        records: Unbroken stretches of inputs and outputs.
+        order: States of plant and disturbance together: a coloured disturbance needs states of its own.
+        past: Lags of the predictor; None takes Akaike's choice up to 60.
+        delay: Whole samples by which the inputs act late.
+        direct: Whether the present input enters too (D). Under feedback only where the controller has a delay.
+
+    Raises:
+        InputError: The order does not fit the past, or the records are too short.
+    """
+    scales = Scales.of(records)
+    ready = [record.aligned(delay).scaled(scales) for record in records]
+    factor = compress_predictor_data(ready, past, least=-(-2 * order // records[0].y.shape[1]))
+    past = factor.rows - 1
+    if not 1 <= order <= past * factor.n_outputs:
+        raise InputError(
+            "invalid_value", f"order {order} is not between 1 and {past * factor.n_outputs}; take a longer past"
+        )
+    T, _ = estimate_states_of_past(factor, order, direct)
+    A, B, C, D, K, noise = estimate_matrices_from_states(T, factor, past, direct)
+    return StateSpace(A, B, C, D, K, records[0].dt, delay, noise).unscaled(scales)
+
+
+def compress_predictor_data(records: Sequence[Record], past: int | None, least: int = 1) -> HankelFactor:
+    """Return compressed data with past + 1 block rows; where it is None the data choose, but at least `least`."""
+    if past is not None:
+        return compress(records, past + 1)
+    w = records[0].u.shape[1] + records[0].y.shape[1]
+    samples, longest = sum(r.n_samples for r in records), max(r.n_samples for r in records)
+    most = max(least, int(np.clip(min(samples / (10 * w), longest / 4), 2, MAX_LAGS)))
+    factor = compress(records, most + 1)
+    chosen = max(least, select_length(factor))
+    return factor if chosen == most else compress(records, chosen + 1)
+
+
+def estimate_states_of_past(factor: HankelFactor, order: int, direct: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return T (n, past w), the states as a function of the past (oldest first), and all singular values."""
+    past, w, p = factor.rows - 1, factor.n_inputs + factor.n_outputs, factor.n_outputs
+    lags, _, noise = fit_predictor(factor, past, direct)
+    white = np.linalg.inv(np.linalg.cholesky(noise + 1e-14 * np.eye(p)))
+    oldest_first = lags[::-1].transpose(1, 0, 2).reshape(p, past * w)
+    rows = np.zeros((past, p, past * w))
+    for i in range(past):  # C Atilde^i times the state: lags move i blocks towards the present
+        rows[i, :, i * w :] = oldest_first[:, : (past - i) * w]
+    product = (white @ rows).reshape(past * p, past * w)
+    U, values, _ = np.linalg.svd(product @ factor.past(0, past), full_matrices=False)
+    return (U[:, :order] / np.sqrt(values[:order])).T @ product, values

@@ -1,0 +1,232 @@
+"""The responses that the data show, in frequency and in time, and the model's beside them.
+
+    H(f) = S_yu S_uu^-1,      coherence(f) = S_yu S_uu^-1 S_uy / S_yy,      h = F^-1 [ Y U^H (U U^H + floor)^-1 ]
+
+Spectra are averaged over windowed stretches. With several inputs the coherence is the multiple one: the share of an output's
+power that all inputs explain together. Under feedback `S_yu` mixes plant and controller; with the loop's reference r known, `H
+= S_yr S_ur^-1` does not (Pintelon & Schoukens 2012, 2.6). Of pulse tests, whose response dies within the record, each record is
+one stretch and no window is needed. Noise in the inputs pulls H towards zero.
+
+For the response to a unit pulse h, a driven record is divided by its inputs in the frequency domain, with a floor where they
+hold little power. The model's simulation of the same inputs goes through the same division, so that the floor, the inputs' band
+and the record's ends do the same to both and only the difference between data and model is left to see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.fft import irfft, rfft
+from scipy.fft import next_fast_len
+from scipy.signal import get_window
+
+from tau_dyn.modes.modal import Mode
+from tau_dyn.modes.record import Record
+from tau_dyn.modes.state_space import StateSpace, simulate
+
+STRETCHES = 5
+"""Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
+MAX_WINDOW_SAMPLES = 32_768  # of a window; finer lines than its are not drawn
+RESOLUTION = 6.0  # lines within the width of the narrowest resonance
+
+
+@dataclass(frozen=True, eq=False)
+class EmpiricalResponse:
+    """Response and coherence seen in the data.
+
+    Attributes:
+        frequency: (F,) [Hz].
+        response: (F, p, m), nan where the inputs hold no power.
+        coherence: Share of each output's power that the inputs explain together (F, p), 0 to 1; nan where it means nothing.
+        excited: Frequencies at which the inputs hold power (F,) bool.
+        n_averages: Stretches averaged.
+        how: What was done, in words.
+    """
+
+    frequency: np.ndarray
+    response: np.ndarray
+    coherence: np.ndarray
+    excited: np.ndarray
+    n_averages: int
+    how: str
+
+
+def estimate_empirical_response(
+    records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0
+) -> EmpiricalResponse:
+    """Return what spectra alone say of the response from inputs to outputs.
+
+    Args:
+        records: Inputs and outputs on one step; their references are used where there are as many as inputs.
+        impulses: Whether each record holds one short pulse and its decay.
+        resolve: Width of the narrowest resonance [Hz]; stretches are no longer than it takes to resolve it. 0 where unknown.
+    """
+    m, references = records[0].u.shape[1], [r.reference for r in records if r.reference is not None]
+    looped = len(references) == len(records) and references[0].shape[1] == m and not impulses
+    drives = references if looped else [r.u[:, :0] for r in records]  # without a reference the inputs drive themselves
+    columns = [np.column_stack([x, r.u, r.y]) for x, r in zip(drives, records, strict=True)]
+    f, s, n = _spectra(columns, records[0].dt, _size(records, impulses, resolve), impulses)
+    u, y = (slice(m, 2 * m), slice(2 * m, None)) if looped else (slice(0, m), slice(m, None))
+    drive = slice(0, m)
+    srr, sur, syr, syy = s[:, drive, drive], s[:, u, drive], s[:, y, drive], s[:, y, y]
+    excited = _excited(srr)
+    response = _divide(syr, sur, excited)
+    explained = np.real(np.einsum("fij,fij->fi", _divide(syr, srr, excited) if looped else response, syr.conj()))
+    power = np.real(np.einsum("fii->fi", syy))
+    coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
+    if n <= 2 * m and not looped:
+        coherence = np.full_like(coherence, np.nan)  # one stretch explains itself
+    how = "one Fourier transform a pulse" if impulses else f"{n} half-overlapping stretches, Hann window"
+    how += ", through the reference" if looped else ""
+    return EmpiricalResponse(f, response, np.clip(coherence, 0, 1), excited, n, how)
+
+
+def _spectra(columns: Sequence[np.ndarray], dt: float, size: int, whole: bool) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return frequencies, the cross-spectral matrix S_ij = a_i conj(a_j) (F, c, c), and how many stretches were averaged."""
+    total, n = np.zeros((size // 2 + 1, columns[0].shape[1], columns[0].shape[1]), complex), 0
+    for x in columns:
+        for stretch in [x[:size]] if whole else _stretches(x, size):
+            a = np.fft.rfft(stretch, size, axis=0)
+            total += np.einsum("fi,fj->fij", a, a.conj())
+            n += 1
+    return np.fft.rfftfreq(size, dt)[1:], total[1:] / n, n
+
+
+def _stretches(x: np.ndarray, size: int) -> Iterator[np.ndarray]:
+    """Yield half-overlapping stretches (size, c), their means taken off, under a Hann window."""
+    window = np.asarray(get_window("hann", size))[:, None]
+    for start in range(0, len(x) - size + 1, size - size // 2):
+        part = x[start : start + size]
+        yield window * (part - part.mean(axis=0))
+
+
+def _size(records: Sequence[Record], impulses: bool, resolve: float) -> int:
+    """Return the length of a stretch."""
+    lengths, m = [r.n_samples for r in records], records[0].u.shape[1]
+    if impulses:
+        return min(lengths)
+    most = min(min(lengths), MAX_WINDOW_SAMPLES, max(64, 2 * sum(lengths) // (STRETCHES + m + 1)))
+    wanted = RESOLUTION / (resolve * records[0].dt) if resolve > 0 else most
+    return 2 * int(min(most, max(256, wanted)) // 2)
+
+
+def _excited(suu: np.ndarray) -> np.ndarray:
+    """Return where the inputs hold power in every direction (F,): 60 dB below the strongest is as good as none."""
+    weakest = np.linalg.eigvalsh(suu / _scale(suu))[:, 0]
+    return weakest > 1e-6 * float(np.max(weakest, initial=0.0))
+
+
+def _scale(s: np.ndarray) -> np.ndarray:
+    size = np.sqrt(np.maximum(np.real(np.einsum("fii->i", s)), 1e-300))
+    return np.outer(size, size)
+
+
+def _divide(top: np.ndarray, bottom: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return `top @ bottom^-1` at the frequencies where it makes sense, NaN elsewhere."""
+    out = np.full(top.shape, np.nan + 0j)
+    out[where] = np.swapaxes(np.linalg.solve(np.swapaxes(bottom[where], 1, 2), np.swapaxes(top[where], 1, 2)), 1, 2)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The model's frequency response with its uncertainty, on a grid of frequencies.
+
+    Attributes:
+        frequency: (F,) [Hz].
+        value: (F, p, m) complex.
+        deviation: Standard error of real and imaginary part together, as a radius in the complex plane (F, p, m).
+    """
+
+    frequency: np.ndarray
+    value: np.ndarray
+    deviation: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulseResponses:
+    """Response to a unit pulse, measured and of the model, both seen through the same band of the inputs.
+
+    Attributes:
+        t: (T,) [s].
+        measured: (T, p, m).
+        model: (T, p, m).
+        how: How the measured one was had, in words.
+        held_out: Whether from data that the model was not fitted to.
+    """
+
+    t: np.ndarray
+    measured: np.ndarray
+    model: np.ndarray
+    how: str
+    held_out: bool
+
+
+FLOOR = 1e-2  # floor as a share of the inputs' mean power
+TIME_CONSTANTS = 2.5  # of the slowest decaying mode, as many as are shown
+PERIODS = 12  # of the lowest mode, as many as are shown at most
+MAX_SAMPLES = 200_000  # samples used; a response of some hundred lags is known by then
+
+
+def compute_impulse_responses(
+    model: StateSpace, records: Sequence[Record], modes: Sequence[Mode], *, kind: str, held_out: bool
+) -> ImpulseResponses | None:
+    """Return the response to a unit pulse, measured and of the model.
+
+    Args:
+        model: The model.
+        records: What to compare on.
+        modes: Its modes; they tell how long a response lasts.
+        kind: `driven` or `impulse`.
+        held_out: Whether the model was not fitted to these records.
+    """
+    if not records:
+        return None
+    if kind == "impulse":
+        return _of_pulses(model, records, held_out)
+    length = _length(model, modes, min(r.n_samples for r in records))
+    few = [r.window(slice(0, MAX_SAMPLES)) for r in records]
+    pairs = [(r.u, np.hstack([r.y, simulate(model, r)])) for r in few]
+    h = _divided(pairs, length)
+    p = model.D.shape[0]
+    how = "outputs divided by inputs in the frequency domain, alike for data and model"
+    return ImpulseResponses(np.arange(length) * model.dt, h[:, :p], h[:, p:], how, held_out)
+
+
+def _divided(pairs: Sequence[tuple[np.ndarray, np.ndarray]], length: int) -> np.ndarray:
+    """Return responses (length, outputs, m) of all records together."""
+    size = int(next_fast_len(max(len(u) for u, _ in pairs) + length, real=True) or 0)
+    m, c = pairs[0][0].shape[1], pairs[0][1].shape[1]
+    suu, syu = np.zeros((size // 2 + 1, m, m), complex), np.zeros((size // 2 + 1, c, m), complex)
+    for u, y in pairs:
+        a, b = rfft(u, size, axis=0), rfft(y, size, axis=0)
+        suu += a[:, :, None] * a[:, None, :].conj()
+        syu += b[:, :, None] * a[:, None, :].conj()
+    power = np.real(np.einsum("fii->i", suu)) / len(suu)
+    floor = FLOOR * np.diag(power)
+    h = np.swapaxes(np.linalg.solve(np.swapaxes(suu + floor, 1, 2), np.swapaxes(syu, 1, 2)), 1, 2)
+    return irfft(h, size, axis=0)[:length]
+
+
+def _of_pulses(model: StateSpace, records: Sequence[Record], held_out: bool) -> ImpulseResponses:
+    """Return each input's strongest pulse, per unit of its area over one sample."""
+    m = model.D.shape[1]
+    best = [max(records, key=lambda r: float(np.abs(r.u[:, j]).max())) for j in range(m)]
+    length = min(r.n_samples for r in best)
+    area = np.array([float(r.u[:, j].sum()) or 1.0 for j, r in enumerate(best)])
+    measured = np.stack([r.y[:length] / a for r, a in zip(best, area, strict=True)], axis=2)
+    followed = np.stack([simulate(model, r)[:length] / a for r, a in zip(best, area, strict=True)], axis=2)
+    return ImpulseResponses(
+        np.arange(length) * model.dt, measured, followed, "as recorded, per unit of the pulse's sum", held_out
+    )
+
+
+def _length(model: StateSpace, modes: Sequence[Mode], n: int) -> int:
+    """Return how many samples to show: until the slowest mode has decayed, and some periods of the lowest at most."""
+    if not modes:
+        return min(n // 2, 200)
+    slowest = min(2 * np.pi * m.frequency_hz * max(m.damping_ratio, 1e-4) for m in modes)
+    period = 1 / min(m.frequency_hz for m in modes)
+    return int(np.clip(min(TIME_CONSTANTS / slowest, PERIODS * period) / model.dt + model.delay, 20, n // 2))
