@@ -264,12 +264,12 @@ def _doubts(found) -> list[str]:
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_accuracy
+    from tau_dyn.render import print_result
 
-    print_accuracy(console, found, list_written_files(args))
+    print_result(console, found, list_written_files(args))
 
 
 def _page(found, files: list[tuple[str, str]]) -> str:
-    from tau_dyn.report import build_accuracy_page
+    from tau_dyn.render import build_page
 
-    return build_accuracy_page(found, files=files, command_line=format_command_line())
+    return build_page(found, files=files, command_line=format_command_line())

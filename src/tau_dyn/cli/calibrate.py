@@ -196,12 +196,12 @@ def _save(path: Path, found) -> None:
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_calibration
+    from tau_dyn.render import print_result
 
-    print_calibration(console, found, list_written_files(args, model=args.out))
+    print_result(console, found, list_written_files(args, model=args.out))
 
 
 def _page(found, read: list[tuple[str, str]]) -> str:
-    from tau_dyn.report import build_calibration_page
+    from tau_dyn.render import build_page
 
-    return build_calibration_page(found, poses=read, command_line=format_command_line())
+    return build_page(found, poses=read, command_line=format_command_line())

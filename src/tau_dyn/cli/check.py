@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> Outcome:
     with show_progress(args.quiet) as step:
         step("reading")
         from tau_dyn.log import check_log, read_log
-        from tau_dyn.report import check_page, print_check
+        from tau_dyn.render import build_page, print_result
 
         robot = load_robot_from(args) if args.robot else None
         log = read_log(args.log, args.columns)
@@ -51,6 +51,6 @@ def run(args: argparse.Namespace) -> Outcome:
             *([args.columns] if args.columns else []),
             *(get_robot_file(args) if args.robot else []),
         ],
-        show=lambda console: print_check(console, log, checked),
-        report=lambda: check_page(log, checked, robot=robot, command_line=format_command_line()),
+        show=lambda console: print_result(console, checked, log=log),
+        report=lambda: build_page(checked, log=log, robot=robot, command_line=format_command_line()),
     )

@@ -23,13 +23,13 @@ def run(args: argparse.Namespace) -> Outcome:
     with show_progress(args.quiet) as step:
         step("comparing")
         from tau_dyn.compare import compare, read_side
-        from tau_dyn.report import build_comparison_page, print_comparison
+        from tau_dyn.render import build_page, print_result
 
         found = compare(read_side(args.a), read_side(args.b))
     return Outcome(
         result=found.to_dict(),
         warnings=found.warnings,
         inputs=[found.a.path, found.b.path],
-        show=lambda console: print_comparison(console, found),
-        report=lambda: build_comparison_page(found, command_line=format_command_line()),
+        show=lambda console: print_result(console, found),
+        report=lambda: build_page(found, command_line=format_command_line()),
     )

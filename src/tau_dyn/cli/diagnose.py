@@ -113,15 +113,15 @@ def _proposed(found, logs, args: argparse.Namespace, step):
 
 
 def _show(console, found, args: argparse.Namespace, result: dict) -> None:
-    from tau_dyn.report import print_diagnosis
+    from tau_dyn.render import print_result
 
     proposed = result.get("proposal", {})
-    print_diagnosis(console, found, list_written_files(args, extended_model=args.out, motion=proposed.get("out")))
+    print_result(console, found, list_written_files(args, extended_model=args.out, motion=proposed.get("out")))
     for note in proposed.get("notes", ()):
         console.print(f"proposed: {note}", markup=False)
 
 
 def _page(found) -> str:
-    from tau_dyn.report import build_diagnosis_page
+    from tau_dyn.render import build_page
 
-    return build_diagnosis_page(found, command_line=format_command_line())
+    return build_page(found, command_line=format_command_line())

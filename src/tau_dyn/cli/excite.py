@@ -213,9 +213,7 @@ def _told(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 
 def _page(motion, model, condition: float, prediction, args: argparse.Namespace) -> str:
-    from tau_dyn.report import build_excitation_page
+    from tau_dyn.render import ExcitingMotion, build_page
 
     made = {"seed": str(args.seed), "trials": str(args.trials), "method": args.method}
-    return build_excitation_page(
-        motion, model, condition, prediction=prediction, command_line=format_command_line(), **made
-    )
+    return build_page(ExcitingMotion(motion, model, condition, prediction, made), command_line=format_command_line())

@@ -75,13 +75,13 @@ def run(args: argparse.Namespace) -> Outcome:
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_identification
+    from tau_dyn.render import print_result
 
-    print_identification(console, found, list_written_files(args, model=args.out))
+    print_result(console, found, list_written_files(args, model=args.out))
     console.print(f"estimator: {found.estimator}")
 
 
 def _page(found) -> str:
-    from tau_dyn.report import build_identification_page
+    from tau_dyn.render import build_page
 
-    return build_identification_page(found, command_line=format_command_line())
+    return build_page(found, command_line=format_command_line())

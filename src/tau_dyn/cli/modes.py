@@ -190,24 +190,24 @@ def _save(path: Path, found, read: list[tuple[str, str]]) -> None:
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_modes
+    from tau_dyn.render import print_result
 
-    print_modes(console, found, list_written_files(args, model=args.out))
+    print_result(console, found, list_written_files(args, model=args.out))
 
 
 def _show_operational(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_operational_modes
+    from tau_dyn.render import print_result
 
-    print_operational_modes(console, found, list_written_files(args))
+    print_result(console, found, list_written_files(args))
 
 
 def _operational_page(found, on_robot, read: list[tuple[str, str]]) -> str:
-    from tau_dyn.report import build_operational_modes_page
+    from tau_dyn.render import build_page
 
-    return build_operational_modes_page(found, on_robot=on_robot, logs=read, command_line=format_command_line())
+    return build_page(found, on_robot=on_robot, logs=read, command_line=format_command_line())
 
 
 def _page(found, on_robot, read: list[tuple[str, str]]) -> str:
-    from tau_dyn.report import build_modes_page
+    from tau_dyn.render import build_page
 
-    return build_modes_page(found, on_robot=on_robot, logs=read, command_line=format_command_line())
+    return build_page(found, on_robot=on_robot, logs=read, command_line=format_command_line())

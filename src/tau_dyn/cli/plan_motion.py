@@ -89,9 +89,9 @@ def run(args: argparse.Namespace) -> Outcome:
         )  # fmt: skip
 
     def show(console) -> None:
-        from tau_dyn.report import print_motion_plan
+        from tau_dyn.render import print_result
 
-        print_motion_plan(console, plan, list_written_files(args, motion=args.out))
+        print_result(console, plan, list_written_files(args, motion=args.out))
 
     return Outcome(
         result=plan.to_dict() | {"out": str(args.out)},
@@ -151,6 +151,6 @@ def _model(args: argparse.Namespace):
 
 
 def _page(plan) -> str:
-    from tau_dyn.report import build_motion_plan_page
+    from tau_dyn.render import build_page
 
-    return build_motion_plan_page(plan, command_line=format_command_line())
+    return build_page(plan, command_line=format_command_line())

@@ -200,6 +200,6 @@ def _safety(args: argparse.Namespace):
 
 
 def _show(console, plan, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_pose_plan
+    from tau_dyn.render import print_result
 
-    print_pose_plan(console, plan, list_written_files(args, places=args.out, RAPID=args.rapid, progress=args.resume))
+    print_result(console, plan, list_written_files(args, places=args.out, RAPID=args.rapid, progress=args.resume))

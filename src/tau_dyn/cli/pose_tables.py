@@ -35,13 +35,13 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 
 def build_outcome(table, args: argparse.Namespace) -> Outcome:
     """Return what to print and write."""
-    from tau_dyn.report import build_kinematics_page, print_poses
+    from tau_dyn.render import build_page, print_result
 
     return Outcome(
         result=table.to_dict(),
         warnings=[*table.robot.warnings, *table.warnings],
         inputs=[*get_robot_file(args), *([args.poses] if args.poses else [])],
-        show=lambda console: print_poses(console, table, list_written_files(args, table=args.out)),
+        show=lambda console: print_result(console, table, list_written_files(args, table=args.out)),
         files={args.out: table.to_csv()} if args.out else {},
-        report=lambda: build_kinematics_page(table, command_line=format_command_line()),
+        report=lambda: build_page(table, command_line=format_command_line()),
     )

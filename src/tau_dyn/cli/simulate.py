@@ -128,7 +128,7 @@ def _model(args: argparse.Namespace):
 
 
 def _page(log, model, sensors, args: argparse.Namespace) -> str:
-    from tau_dyn.report import build_simulation_page
+    from tau_dyn.render import SimulatedLog, build_page
 
     made = {"motion": args.motion, "seed": str(args.seed)}
-    return build_simulation_page(log, model, sensors=sensors, command_line=format_command_line(), **made)
+    return build_page(SimulatedLog(log, model, sensors, made), command_line=format_command_line())

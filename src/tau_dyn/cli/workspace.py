@@ -152,12 +152,12 @@ def _save(path: Path, found) -> None:
 
 
 def _show(console, found, args: argparse.Namespace) -> None:
-    from tau_dyn.report import print_workspace
+    from tau_dyn.render import print_result
 
-    print_workspace(console, found, list_written_files(args, points=args.out))
+    print_result(console, found, list_written_files(args, points=args.out))
 
 
 def _page(found) -> str:
-    from tau_dyn.report import build_workspace_page
+    from tau_dyn.render import build_page
 
-    return build_workspace_page(found, command_line=format_command_line())
+    return build_page(found, command_line=format_command_line())

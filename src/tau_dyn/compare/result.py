@@ -10,7 +10,7 @@ from scipy.stats import norm
 from tau_dyn.coded_warning import format_warnings
 from tau_dyn.compare.circumstances import CircumstanceDifference, InputChange
 from tau_dyn.compare.read import ComparedSide
-from tau_dyn.shown import Shown
+from tau_dyn.results import Shown
 
 Determined = Literal["both", "first", "second", "neither"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from tau_dyn.modes.modal import Mode
 from tau_dyn.modes.stabilisation import StabilityPoint
-from tau_dyn.shown import Shown
+from tau_dyn.results import Shown
 
 REASON_WITHOUT_SCALE = (
     "the forces were not measured, so responses have no scale: modal masses, M, D, K and a model from input to output "

@@ -21,7 +21,7 @@ from tau_dyn.modes.poles import Pole
 from tau_dyn.modes.spectra import EmpiricalResponse
 from tau_dyn.modes.stabilisation import StabilityPoint
 from tau_dyn.modes.state_space import StateSpace
-from tau_dyn.shown import Shown
+from tau_dyn.results import Shown
 from tau_dyn.version import __version__
 
 
