@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from tau_dyn.mechanism import FlexibleModel
 from tau_dyn.modes import Mode, ShapesOnRobot, project_shapes_on_robot
 from tau_dyn.modes.on_robot import compute_mac, find_sensed_places
-from tau_dyn.render.modes import draw_on_robot
-from tau_dyn.render.swings import draw_swing
+from tau_dyn.render.kinds.modes import draw_on_robot
+from tau_dyn.render.pictures import draw_swing
 from tau_dyn.robot import Robot, load_robot
 
 AXES = ("x_tool", "y_tool", "z_tool")

@@ -17,14 +17,14 @@ from rich.console import Console
 from tau_dyn.diagnose import Unexplained
 from tau_dyn.render import build_page, print_result, write_report
 from tau_dyn.render.chart import draw_figure
-from tau_dyn.render.diagnosis_words import (
+from tau_dyn.render.kinds.diagnosis_words import (
     build_signature_figures,
     describe_confirmation,
     describe_unexplained,
     format_p_value,
     format_value,
 )
-from tau_dyn.render.waterfall import build_output_series, build_total_series, find_step_finding
+from tau_dyn.render.kinds.waterfall import build_output_series, build_total_series, find_step_finding
 from tau_dyn.results import format_estimate, format_quantity
 
 

@@ -7,12 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from tau_dyn.render.chart import Chart
-from tau_dyn.render.fit_quality import build_friction_curves
-from tau_dyn.render.identification import describe_headline, describe_verdict, name_mass_group
-from tau_dyn.render.parameter_rows import ParameterRow, group_rows
+from tau_dyn.render.chart import Chart, choose_power, label
+from tau_dyn.render.kinds.fit_quality import build_friction_curves
+from tau_dyn.render.kinds.identification import describe_headline, describe_verdict, name_mass_group
+from tau_dyn.render.kinds.parameter_rows import ParameterRow, group_rows
 from tau_dyn.render.sketch import draw_robot
-from tau_dyn.render.svg import choose_power, label
 from tau_dyn.render.time_view import decimate_min_max, encode_int16, find_gaps
 from tau_dyn.results import RobotPicture, format_list, format_percent, format_with_uncertainty
 from tau_dyn.robot import load_robot_from_urdf

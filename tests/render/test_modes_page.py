@@ -15,10 +15,9 @@ from scipy.signal import lfilter
 from tau_dyn.log import Log
 from tau_dyn.modes import Modes, find_modes
 from tau_dyn.render import build_page, print_result
-from tau_dyn.render.chart import Chart
-from tau_dyn.render.modes_words import describe_headline, describe_verdict, format_frequency, format_mode_interval
-from tau_dyn.render.svg import choose_log_ticks
-from tau_dyn.render.swings import draw_shape, find_space_axes
+from tau_dyn.render.chart import Chart, choose_log_ticks
+from tau_dyn.render.kinds.modes_words import describe_headline, describe_verdict, format_frequency, format_mode_interval
+from tau_dyn.render.pictures import draw_shape, find_space_axes
 from tau_dyn.results import Ribbon, ShapePicture
 
 

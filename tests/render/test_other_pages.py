@@ -15,8 +15,8 @@ from rich.console import Console
 
 from tau_dyn.log import Log, check_log
 from tau_dyn.render import ExcitingMotion, SimulatedLog, build_page, print_result
-from tau_dyn.render.identification import describe_headline, describe_verdict
-from tau_dyn.render.recording import resample_evenly
+from tau_dyn.render.kinds.identification import describe_headline, describe_verdict
+from tau_dyn.render.kinds.recording import resample_evenly
 from tau_dyn.simulate import Sensors, Trajectory
 
 COMMAND = "tau-dyn check 'a & <b>.csv'"

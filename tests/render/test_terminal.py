@@ -9,7 +9,7 @@ from rich.console import Console
 
 from tau_dyn.log import check_log
 from tau_dyn.render import print_result
-from tau_dyn.render.parameter_rows import ParameterRow, build_parameter_table
+from tau_dyn.render.kinds.parameter_rows import ParameterRow, build_parameter_table
 from tau_dyn.render.terminal import build_grids, put
 from tau_dyn.results import On, format_with_uncertainty
 

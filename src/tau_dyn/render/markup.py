@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from tau_dyn.render.chart import draw_colour_scale, draw_figure
+from tau_dyn.render.chart import draw_colour_scale, draw_figure, format_tag
 from tau_dyn.render.sketch import draw_robot, draw_vectors
-from tau_dyn.render.svg import format_tag
-from tau_dyn.render.swings import draw_shape, draw_swing
 from tau_dyn.results import (
     Bar,
     Cell,
@@ -35,6 +33,9 @@ from tau_dyn.results import (
 LONG = 44
 """Characters of a cell above which it breaks into lines in a notebook."""
 
+MAX_SIGMAS = 3.0
+"""Standard errors off the truth from which a number stands out, in a column of style `far`."""
+
 
 def draw(drawing: Drawing) -> Markup:
     """Return any drawing as SVG."""
@@ -45,16 +46,12 @@ def draw(drawing: Drawing) -> Markup:
             return draw_colour_scale(drawing)
         case RobotPicture():
             return draw_robot(drawing)
-        case SwingPicture():
-            return draw_swing(drawing)
-        case ShapePicture():
-            return draw_shape(drawing)
         case VectorPicture():
             return draw_vectors(drawing)
-        case SpacePicture() | PolarPicture():
-            from tau_dyn.render.space import draw_polar, draw_space
+        case SwingPicture() | ShapePicture() | SpacePicture() | PolarPicture():
+            from tau_dyn.render import pictures  # loads the kinematics, which most results do without
 
-            return draw_polar(drawing) if isinstance(drawing, PolarPicture) else draw_space(drawing)
+            return pictures.draw_picture(drawing)
     raise TypeError(f"{type(drawing).__name__} is no drawing")
 
 
@@ -81,9 +78,10 @@ def _build_head(column: Column) -> Markup:
     return format_tag("th", quiet, class_=_name_class(column) or None)
 
 
-def _name_class(column: Column) -> str:
+def _name_class(column: Column, cell: Cell = "") -> str:
     kind = {"number": "num", "unit": "unit", "interval": "bar-cell", "step": "fall"}.get(column.kind, "")
-    return f"{kind} {column.style}".strip()
+    far = column.style == "far" and isinstance(cell, str) and float(cell or 0) > MAX_SIGMAS
+    return f"{kind} {'' if column.style == 'far' and not far else column.style}".strip()
 
 
 def _build_row(row: Row, columns: Sequence[Column], shown: Sequence[int], on: On) -> Markup:
@@ -95,7 +93,7 @@ def _build_row(row: Row, columns: Sequence[Column], shown: Sequence[int], on: On
         content = build_cell(cell, on)
         if head and row.link and on is On.PAGE:
             content = format_tag("a", content, href=f"#{row.link}")
-        classes = [_name_class(column), "long" if isinstance(cell, str) and len(cell) > LONG else ""]
+        classes = [_name_class(column, cell), "long" if isinstance(cell, str) and len(cell) > LONG else ""]
         class_ = " ".join(c for c in classes if c and not (head and c == "num")) or None
         cells.append(format_tag("th" if head else "td", content, class_=class_))
         head = False

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
+from tau_dyn.render.chart import format_tag
 from tau_dyn.render.markup import build_table, draw
 from tau_dyn.render.present import present
-from tau_dyn.render.svg import format_tag
 from tau_dyn.results import Figures, Listing, On, Table, Text
 
 if TYPE_CHECKING:

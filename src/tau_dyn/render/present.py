@@ -50,7 +50,7 @@ def present(result: Any, **options: Any) -> Presentation:
         parts = owner.__module__.split(".")[1:]
         name = _KINDS.get(".".join(parts[:2])) or _KINDS.get(parts[0] if parts else "")
         if owner.__module__.startswith("tau_dyn.") and name:
-            import_module(f"tau_dyn.render.{name}")
+            import_module(f"tau_dyn.render.kinds.{name}")
     return present_kind(result, **options)
 
 

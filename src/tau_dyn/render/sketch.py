@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from tau_dyn.exceptions import TauDynError
 from tau_dyn.mechanism import LoopSolver
-from tau_dyn.render.svg import format_path, format_tag
+from tau_dyn.render.chart import format_path, format_tag
 from tau_dyn.results import RobotPicture, VectorPicture
 from tau_dyn.robot import Robot
 

@@ -23,8 +23,8 @@ from tau_dyn.results import Bar, Block, Cell, Column, Listing, On, Presentation,
 
 MARGIN = (0, 0, 0, 2)
 GAP = 3  # columns between two of a table: two of padding, one of the box
-MIN_BAR, MAX_BAR = 4, 24
-"""Shortest and longest bar [columns]."""
+MIN_BAR, MAX_BAR = 4, {90: 24, 0: 16}
+"""Shortest bar, and the longest by the columns that there are at least; words take the rest."""
 LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
 ROW_STYLE = {"weak": "dim", "unseen": "dim", "quiet": "dim", "changed": "bold", "start": "", "cause": "", "floor": ""}
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -151,7 +151,8 @@ def _build_grid(table: Table, rows: Sequence[Row], shown: Sequence[int], wide: M
         justify = "right" if column.kind == "number" else "left"
         grid.add_column(head, justify=justify, no_wrap=not words, overflow="fold")
     left = room - _sum(wide, shown)
-    bar = int(np.clip(MIN_BAR + left, MIN_BAR, MAX_BAR))
+    longest = next(bar for least, bar in MAX_BAR.items() if room >= least)
+    bar = int(np.clip(MIN_BAR + left, MIN_BAR, longest))
     left -= bar - MIN_BAR if any(c.kind in ("bar", "step") for c in columns) else 0
     for row in rows:
         cells = (_write(row.cells[k], c, bar, left, row) for k, c in zip(shown, columns, strict=True))

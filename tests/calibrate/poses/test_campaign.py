@@ -31,7 +31,7 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.kinematics import Surroundings
 from tau_dyn.kinematics.obstacles import build_surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, build_machine
-from tau_dyn.render.calibration_words import (
+from tau_dyn.render.kinds.calibration_words import (
     describe_plan as describe_headline,
     describe_plan_inputs as describe_inputs,
     describe_rehearsal,

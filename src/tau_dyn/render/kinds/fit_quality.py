@@ -1,4 +1,4 @@
-"""Quality of a fit: the data used and left out, the conditioning, friction curves, and what is left, in sentences and figures.
+"""Quality of a fit: forces over time, data used and left out, conditioning, friction curves, and what is left.
 
 A residual in which nothing is left looks like noise through the fit's own filter: measured forces and columns were low-passed
 together, so even pure noise is correlated over a few samples; `filter_memory` is that correlation, and what lies outside it is
@@ -7,6 +7,7 @@ something the model misses.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,15 +16,19 @@ from scipy.stats import binom
 from tau_dyn.effects import JointwiseEffect, Motion, TorqueOffset
 from tau_dyn.estimate import Regression
 from tau_dyn.identify import Identification
-from tau_dyn.render.parameter_rows import ParameterRow
+from tau_dyn.render.kinds.parameter_rows import ParameterRow
+from tau_dyn.render.present import pad_used
 from tau_dyn.results import (
     Z95,
     Axis,
+    Curve,
     Dots,
     Figure,
     Line,
     Spans,
+    Strip,
     Strokes,
+    View,
     average_in_bins,
     build_histogram,
     count,
@@ -346,3 +351,27 @@ def describe_inputs(found: Identification) -> str:
     seconds = sum(float(run.t[-1] - run.t[0]) for run in runs)
     named = format_list(logs, 3) if len(logs) <= 3 else count(len(logs), "log")
     return f"{named}, {format_number(seconds, 3)} s; evaluated on {found.holdout_how}"
+
+
+def list_views(found: Identification) -> Iterator[View]:
+    """Give every stretch and joint there is to look at: logs the fit never saw first."""
+    own_logs, train = bool(found.model.provenance.get("held_out")), found.estimate.regression
+    if own_logs and found.held is not None:
+        yield from _list_stretches(found, found.held, True, None)
+    yield from _list_stretches(found, train, False, None if own_logs else found.held)
+
+
+def _list_stretches(found: Identification, data: Regression, held_out: bool, part: Regression | None) -> Iterator[View]:
+    for i, run in enumerate(data.runs):
+        predicted = run.W @ found.estimate.theta
+        ends = run if held_out else None if part is None else part.runs[i]
+        bands = () if ends is None else ((float(ends.t[0]), float(ends.t[-1]), "held"),)
+        for k, joint in enumerate(data.outputs):
+            used, unit = run.usable[:, k], format_unit(data.units[k])
+            y, fitted = run.y[:, k], predicted[:, k]
+            left = np.abs((y - fitted)[used])
+            both = Curve("measured", "measured", y), Curve("predicted", "predicted", fitted)
+            above = Strip(f"force [{unit}]", both, pad_used(np.concatenate([y[used], fitted[used]])), 290)
+            rest = (Curve("residual", "residual", y - fitted),)
+            below = Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.25), 180, masked=True)
+            yield View(run.name, joint, run.t, (above, below), held_out, bands, used)

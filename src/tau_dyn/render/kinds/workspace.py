@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn.kinematics.workspace import QUANTITIES, Study, build_points_table
-from tau_dyn.render import workspace_figures as figures
+from tau_dyn.render.kinds import workspace_figures as figures
+from tau_dyn.render.kinds.workspace_figures import SHOWN_UNITS
 from tau_dyn.render.present import present_kind, warn
-from tau_dyn.render.workspace_figures import SHOWN_UNITS
 from tau_dyn.results import (
     Bar,
     Beside,

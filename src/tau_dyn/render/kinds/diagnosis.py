@@ -11,16 +11,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from tau_dyn.diagnose import Diagnosis, Finding, TimeTrace, Unexplained
-from tau_dyn.render import diagnosis_words as words
-from tau_dyn.render.parameter_rows import build_extended_rows, build_parameter_table
-from tau_dyn.render.present import ZOOM, list_logs_used, pad_used, present_kind, warn
-from tau_dyn.render.waterfall import (
+from tau_dyn.render.kinds import diagnosis_words as words
+from tau_dyn.render.kinds.parameter_rows import build_extended_rows, build_parameter_table
+from tau_dyn.render.kinds.waterfall import (
     build_output_series,
     build_output_tables,
     build_total_series,
     build_total_table,
     format_finding,
 )
+from tau_dyn.render.present import ZOOM, list_logs_used, pad_used, present_kind, warn
 from tau_dyn.results import (
     Beside,
     Block,
@@ -149,7 +149,7 @@ def _build_card(found: Diagnosis, finding: Finding, k: int) -> Section:
         charts = [] if finding.signature is None else words.build_signature_figures(finding.signature)
         evidence = list(_list_evidence(found, finding))
         if not charts:
-            yield Group(evidence, "solo")
+            yield Group(evidence, "evidence solo")
             return
         yield Beside(evidence, [Figures(charts, "pair", on=pictured)], "evidence")
         yield _build_key("residual with all other causes in the model", "the fitted effect.",

@@ -238,6 +238,7 @@ def build_output_tables(parts: list[WaterfallSeries]) -> list[Block]:
                 Row(
                     [r.label.replace(" parameters", ""), part.draw(r), format_share(r.left), r.rms],
                     f"{r.kind} acts" if part.output in r.joints else r.kind,
+                    f"finding-{r.finding}" if r.finding else "",
                 )
                 for r in part.rungs
             ],

@@ -17,10 +17,10 @@ from tau_dyn.calibrate import (
     list_correlated_pairs,
 )
 from tau_dyn.calibrate.poses import CalibrationCampaign
-from tau_dyn.render import calibration_words as words
-from tau_dyn.render.calibration_words import format_angle, format_length
+from tau_dyn.render.kinds import calibration_words as words
+from tau_dyn.render.kinds.calibration_words import format_angle, format_length
+from tau_dyn.render.kinds.waterfall import WaterfallSeries, WaterfallStep
 from tau_dyn.render.present import flatten_rows, present_kind, warn
-from tau_dyn.render.waterfall import WaterfallSeries, WaterfallStep
 from tau_dyn.results import (
     Axis,
     Bar,
@@ -76,16 +76,17 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
         ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
     ]
     facts = [("model", found.chosen.name), ("seed", str(found.seed)), ("residual", found.fit.kind)]
-    findings = [Section("findings", "Errors of the robot file", lambda: _list_findings(found), On.PAGE | On.TERMINAL)]
+    both = On.PAGE | On.TERMINAL
+    findings = [Section("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
     sections = [
         *warn([end_sentence(capitalise(text)) for text in found.warnings]),
         Section("error", "Error before and after", lambda: _build_errors(found), On.PAGE | On.NOTEBOOK),
-        Section("gain", "Error by model", lambda: _build_gain(found), On.PAGE | On.TERMINAL),
+        Section("gain", "Error by model", lambda: _build_gain(found), both),
         *(findings if found.findings else []),
         Section("space", "Errors in space", lambda: _build_space(found)),
         Section("left", "Residuals by joint", lambda: _build_residuals(found)),
         Section("geometry", "Geometry", lambda: _build_geometry(found), On.PAGE | On.NOTEBOOK),
-        Section("blind", "Not identifiable", lambda: _build_blind(found), On.PAGE | On.TERMINAL),
+        Section("blind", "Not identifiable", lambda: _build_blind(found), both),
         Section("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
     ]
     return Presentation(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tau_dyn.modes import Mode, Modes, OperationalModes
-from tau_dyn.render.modes_figures import select_known_resonances
+from tau_dyn.render.kinds.modes_figures import select_known_resonances
 from tau_dyn.results import (
     Z95,
     Level,
@@ -171,3 +171,23 @@ def describe_tests(found: Modes) -> str:
             f"{said} One-step errors of {', '.join(coloured)} keep some memory ({share} of the lags outside the band)."
         )
     return f"{said} One-step errors are white."
+
+
+def tabulate_modes(found: Modes | OperationalModes) -> list[dict[str, float]]:
+    """Return one row a resonance, slowest first."""
+    rows = []
+    for m in found.modes:
+        row = {n: getattr(m, n) for n in ("frequency_hz", "frequency_stderr", "damping_ratio", "damping_stderr")}
+        for quantity, value in (("frequency", "frequency_hz"), ("damping", "damping_ratio")):
+            for end, sign in (("low", -1), ("high", 1)):
+                row[f"{quantity}_{end}"] = row[value] + sign * Z95 * row[f"{quantity}_stderr"]
+        rows.append(row)
+    return rows
+
+
+def format_entry(values: np.ndarray, spread: np.ndarray | None, i: int, j: int) -> str:
+    """Return an entry of a matrix with its standard error, where that is known."""
+    value, sigma = float(values[i, j]), 0.0 if spread is None else float(spread[i, j])
+    if not np.isfinite(sigma) or sigma <= 0:
+        return format_number(value, 4)
+    return f"{round_to_stderr(value, sigma)} ± {round_to_stderr(sigma, sigma)}"

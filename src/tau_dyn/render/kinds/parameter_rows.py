@@ -111,7 +111,7 @@ def build_parameter_table(
         Column("unit", "unit"),
         *([] if before else [Column("95 % interval", "number", on=both)]),
         Column("", "interval", on=both, scale=scale),
-        *([Column("true", "number"), Column("error / standard error", "number", on=page)] if truth else []),
+        *([Column("true", "number"), Column("error / standard error", "number", "far", on=page)] if truth else []),
         Column("remark", style="remark", on=both),
     ]
     groups = [(title, [_build_row(r, truth, before) for r in members]) for title, members in group_rows(rows)]

@@ -8,20 +8,22 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.modes import REASON_WITHOUT_SCALE, CorrelationTest, Mode, Modes, OperationalModes, ShapesOnRobot
-from tau_dyn.render import modes_figures as figures
-from tau_dyn.render.modes_words import (
+from tau_dyn.render.kinds import modes_figures as figures
+from tau_dyn.render.kinds.modes_words import (
     describe_headline,
     describe_inputs,
     describe_mechanical,
     describe_tests,
     describe_verdict,
     format_damping,
+    format_entry,
     format_fit,
     format_frequency,
     format_mode_interval,
+    tabulate_modes,
 )
+from tau_dyn.render.pictures import find_space_axes
 from tau_dyn.render.present import present_kind, warn
-from tau_dyn.render.swings import find_space_axes
 from tau_dyn.results import (
     Z95,
     Bar,
@@ -48,7 +50,6 @@ from tau_dyn.results import (
     capitalise,
     end_sentence,
     format_number,
-    round_to_stderr,
 )
 
 SHAPES = 8
@@ -101,7 +102,7 @@ def present_modes(
     return Presentation(
         "Resonances of", ", ".join(names) or "log", f"{names[0] if names else 'log'}: resonances", describe_headline(found),
         describe_verdict(found), describe_inputs(found), sections, found.warnings,
-        provenance=_trace_back(logs, found.why.get("refinement", found.method)), data=lambda: _tabulate(found), result=found,
+        provenance=_trace_back(logs, found.why.get("refinement", found.method)), data=lambda: tabulate_modes(found), result=found,
     )  # fmt: skip
 
 
@@ -120,7 +121,7 @@ def present_operational_modes(
     return Presentation(
         "Operational modal analysis of", name, f"{name}: resonances", describe_headline(found), describe_verdict(found),
         describe_inputs(found), sections, found.warnings, provenance=_trace_back(logs, "ssi-cov"),
-        data=lambda: _tabulate(found), result=found,
+        data=lambda: tabulate_modes(found), result=found,
     )  # fmt: skip
 
 
@@ -130,18 +131,6 @@ def _tidy(text: str) -> str:
 
 def _trace_back(logs: Sequence[tuple[str, str]], method: str) -> Provenance:
     return Provenance([("method", method)], [("log", name, sha256 or "not a file") for name, sha256 in logs])
-
-
-def _tabulate(found: Modes | OperationalModes) -> list[dict[str, float]]:
-    """Return one row a resonance, slowest first."""
-    rows = []
-    for m in found.modes:
-        row = {n: getattr(m, n) for n in ("frequency_hz", "frequency_stderr", "damping_ratio", "damping_stderr")}
-        for quantity, value in (("frequency", "frequency_hz"), ("damping", "damping_ratio")):
-            for end, sign in (("low", -1), ("high", 1)):
-                row[f"{quantity}_{end}"] = row[value] + sign * Z95 * row[f"{quantity}_stderr"]
-        rows.append(row)
-    return rows
 
 
 def _list_modes(
@@ -388,7 +377,7 @@ def _build_mechanical(found: Modes) -> Iterator[Block]:
     for letter, meaning, values, stderr in zip(
         "MDK", ("mass", "damping", "stiffness"), (m.M, m.D, m.K), spread, strict=True
     ):
-        rows = [Row([_format_entry(values, stderr, i, j) for j in range(len(values))]) for i in range(len(values))]
+        rows = [Row([format_entry(values, stderr, i, j) for j in range(len(values))]) for i in range(len(values))]
         columns = [Column(kind="number") for _ in values]
         matrices.append(Table(columns, rows, style="matrix", caption=f"{letter}, {meaning}"))
     yield Group(matrices, "matrices")
@@ -398,13 +387,6 @@ def _build_mechanical(found: Modes) -> Iterator[Block]:
         f"{', '.join(found.inputs)}. All three are symmetric, mass and stiffness positive definite, damping takes energy only.",
         "note",
     )
-
-
-def _format_entry(values: np.ndarray, spread: np.ndarray | None, i: int, j: int) -> str:
-    value, sigma = float(values[i, j]), 0.0 if spread is None else float(spread[i, j])
-    if not np.isfinite(sigma) or sigma <= 0:
-        return format_number(value, 4)
-    return f"{round_to_stderr(value, sigma)} ± {round_to_stderr(sigma, sigma)}"
 
 
 def _build_reasons(found: Modes) -> Iterator[Block]:

@@ -6,19 +6,20 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from tau_dyn.estimate import Regression
 from tau_dyn.identify import ForceErrors, Identification
-from tau_dyn.render import fit_quality
-from tau_dyn.render.parameter_rows import ParameterRow, build_parameter_rows, build_parameter_table, compute_bar_scale
-from tau_dyn.render.present import ZOOM, flatten_rows, list_logs_used, pad_used, present_kind, warn
+from tau_dyn.render.kinds import fit_quality
+from tau_dyn.render.kinds.parameter_rows import (
+    ParameterRow,
+    build_parameter_rows,
+    build_parameter_table,
+    compute_bar_scale,
+)
+from tau_dyn.render.present import ZOOM, flatten_rows, list_logs_used, present_kind, warn
 from tau_dyn.results import (
     Bar,
     Beside,
     Block,
     Column,
-    Curve,
     Facts,
     Figures,
     Folded,
@@ -31,12 +32,10 @@ from tau_dyn.results import (
     RobotPicture,
     Row,
     Section,
-    Strip,
     Table,
     Text,
     TimeView,
     Verdict,
-    View,
     count,
     format_list,
     format_number,
@@ -153,7 +152,7 @@ def _build_errors(found: Identification) -> Table:
 def _build_forces(found: Identification) -> Iterator[Block]:
     key = [Key("measured", "measured"), Key("predicted", "predicted"), Key("residual", "residual"), Key("held", "held out"),
            Key("masked", "not used")]  # fmt: skip
-    yield TimeView("measured and predicted force over time, and the residual", list(_list_views(found)), key)
+    yield TimeView("measured and predicted force over time, and the residual", list(fit_quality.list_views(found)), key)
     yield Text(
         f"{ZOOM}Both curves are low-pass filtered like the fit. Good: the lines coincide and the residual is a "
         "thin band without a "
@@ -167,30 +166,6 @@ def _build_forces(found: Identification) -> Iterator[Block]:
         ),
         "note",
     )
-
-
-def _list_views(found: Identification) -> Iterator[View]:
-    """Give every stretch and joint there is to look at: logs the fit never saw first."""
-    own_logs, train = bool(found.model.provenance.get("held_out")), found.estimate.regression
-    if own_logs and found.held is not None:
-        yield from _list_stretches(found, found.held, True, None)
-    yield from _list_stretches(found, train, False, None if own_logs else found.held)
-
-
-def _list_stretches(found: Identification, data: Regression, held_out: bool, part: Regression | None) -> Iterator[View]:
-    for i, run in enumerate(data.runs):
-        predicted = run.W @ found.estimate.theta
-        ends = run if held_out else None if part is None else part.runs[i]
-        bands = () if ends is None else ((float(ends.t[0]), float(ends.t[-1]), "held"),)
-        for k, joint in enumerate(data.outputs):
-            used, unit = run.usable[:, k], format_unit(data.units[k])
-            y, fitted = run.y[:, k], predicted[:, k]
-            left = np.abs((y - fitted)[used])
-            both = Curve("measured", "measured", y), Curve("predicted", "predicted", fitted)
-            above = Strip(f"force [{unit}]", both, pad_used(np.concatenate([y[used], fitted[used]])), 290)
-            rest = (Curve("residual", "residual", y - fitted),)
-            below = Strip(f"residual [{unit}]", rest, pad_used(np.concatenate([left, -left]), 0.25), 180, masked=True)
-            yield View(run.name, joint, run.t, (above, below), held_out, bands, used)
 
 
 def _list_friction(found: Identification, equations: Sequence[str]) -> list[Section]:

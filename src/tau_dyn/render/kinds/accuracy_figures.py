@@ -7,9 +7,8 @@ import pinocchio as pin
 
 from tau_dyn.kinematics.accuracy import AccuracyResult, Body
 from tau_dyn.kinematics.assumptions import Guideway, Orientation
-from tau_dyn.render.levels import LEGEND
+from tau_dyn.render.chart import LEGEND, choose_ticks
 from tau_dyn.render.sketch import compute_hull
-from tau_dyn.render.svg import choose_ticks
 from tau_dyn.results import (
     HALF,
     WHOLE,
