@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from tau_dyn.compare import ComparedSide, compare
+from tau_dyn.compare.read import MeasuredQuantity
 from tau_dyn.diagnose import (
     Diagnosis,
     Finding,
@@ -19,10 +24,17 @@ from tau_dyn.diagnose import (
 from tau_dyn.diagnose.result import Step
 from tau_dyn.effects import Stribeck, build_friction_model
 from tau_dyn.identify import Identification, identify
-from tau_dyn.log import Log
+from tau_dyn.kinematics import build_forward_table
+from tau_dyn.kinematics.accuracy import AccuracyResult, Measured
+from tau_dyn.kinematics.workspace import study_workspace
+from tau_dyn.log import Log, check_log
 from tau_dyn.model import Model
+from tau_dyn.modes import find_modes
 from tau_dyn.parameters import Parameter
-from tau_dyn.robot import Robot, load_robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "calibrate"))
+from calibration_rigs import measured, rods_of  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 HOSTILE = "<script>alert('log')</script>\x1b[31m.csv"
 TRUTH = {
@@ -215,3 +227,66 @@ def diagnosed(plant, hostile) -> Diagnosis:
 def undecided(plant) -> Diagnosis:
     """The data cannot tell."""
     return diagnosis_by_hand(plant, ("a.csv", "b.csv"), "cannot_tell")
+
+
+def resonance(name: str) -> Log:
+    """Return a mass on a spring, 5 Hz, pushed by a binary force."""
+    rng, t = np.random.default_rng(0), np.arange(600) * 0.02
+    force = np.repeat(rng.choice([-1.0, 1.0], 300), 2)
+    pole = np.exp(0.02 * 2 * np.pi * 5.0 * (-0.03 + 1j))
+    y = np.zeros(600)
+    for k in range(2, 600):
+        y[k] = 2 * pole.real * y[k - 1] - abs(pole) ** 2 * y[k - 2] + force[k - 1]
+    return Log(t, {"<b>f": force, "x_tool": y + 0.02 * y.std() * rng.normal(size=600)}, name)
+
+
+def calibrated():
+    """Return a calibration of an L1 whose guideways are skew."""
+    from tau_dyn.calibrate import calibrate
+
+    rods = rods_of()
+    poses, _ = measured(rods, "nonparallel", 60, 5)
+    every = np.arange(poses.n)
+    return calibrate(rods.robot, poses.take(every[::2]), poses.take(every[1::2]), "nonparallel")
+
+
+def compared(hostile):
+    """Return two results that differ in a mass."""
+    sides = [
+        ComparedSide(
+            Path(f"{hostile}{k}"), str(k), "identify", {"<i>mass": MeasuredQuantity(x, 0.1, "kg")}, {}, {}, frozenset()
+        )
+        for k, x in enumerate((9.1, 9.9))
+    ]
+    return compare(*sides)
+
+
+@pytest.fixture(scope="session")
+def results(found, diagnosed, robot, plant, hostile) -> dict[str, object]:
+    """One of each, with hostile names where names come from files."""
+    log = resonance(hostile)
+    axis = load_robot("linear_axis")
+    return {
+        "robot": robot,
+        "model": plant,
+        "parameters": plant.parameters,
+        "log": log,
+        "identification": found,
+        "diagnosis": diagnosed,
+        "check": check_log(log, robot),
+        "modes": find_modes(log, ["<b>f"], ["x_tool"], order=2, delay=0),
+        "calibration": calibrated(),
+        "workspace": study_workspace(axis, resolution=0.1),
+        "accuracy": AccuracyResult(robot, None, None, None, (), Measured()),
+        "poses": build_forward_table(axis, np.array([[0.1], [0.2]])),
+        "comparison": compared(hostile),
+    }
+
+
+KINDS = "robot model parameters log identification diagnosis check modes calibration workspace accuracy poses comparison".split()
+
+
+@pytest.fixture(params=KINDS)
+def kind(request) -> str:
+    """Each kind of result in turn."""
+    return request.param

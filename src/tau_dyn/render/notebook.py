@@ -17,7 +17,7 @@ from markupsafe import Markup
 from tau_dyn.render.chart import format_tag
 from tau_dyn.render.markup import build_table, draw
 from tau_dyn.render.present import present
-from tau_dyn.results import Figures, Listing, On, Table, Text
+from tau_dyn.results import Figures, Listing, On, Presentation, Table, Text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,9 +72,14 @@ def tabulate(result: Any) -> pd.DataFrame:
     Raises:
         TypeError: It has none.
     """
+    return build_frame(present(result))
+
+
+def build_frame(shown: Presentation) -> pd.DataFrame:
+    """Return a presentation's data as a pandas frame."""
     import pandas as pd
 
-    rows = present(result).data()
+    rows = shown.data()
     return rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(rows)
 
 

@@ -244,9 +244,10 @@ def _build_response(found: Modes) -> Iterator[Block]:
     key = [Key("data", "data alone"), Key("predicted", "model"), Key("sure", "95 % band"), _RESONANCE]
     bode = [figures.build_bode_figure(found, i, j) for i, j in pairs]
     yield Figures(bode[:_MAX_RESPONSES], on=On.NOTEBOOK)
+    if len(pairs) <= _MAX_RESPONSES:  # each row of magnitudes above its phases
+        n, phases = figures.count_chart_columns(found), [figures.build_phase_figure(found, i, j) for i, j in pairs]
+        bode = [f for k in range(0, len(pairs), n) for f in (*bode[k : k + n], *phases[k : k + n])]
     yield Figures(bode, layout, key)
-    if len(pairs) <= _MAX_RESPONSES:
-        yield Figures([figures.build_phase_figure(found, i, j) for i, j in pairs], layout)
     if np.isfinite(found.empirical.coherence).any():
         yield Text("Coherence: how much of each output the inputs explain", "heading")
         yield Figures([figures.build_coherence_figure(found, i) for i in range(len(found.outputs))], layout)

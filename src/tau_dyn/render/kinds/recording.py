@@ -184,6 +184,9 @@ def _list_signals(log: Log, joints: Sequence[str], robot: Robot | None) -> list[
 
     def build() -> Iterator[Block]:
         yield TimeView("position and force over time", views, key if joints else [])
+        if not joints:
+            yield Text(f"{ZOOM}As recorded, unfiltered{resampled}.", "note")
+            return
         yield Text(
             f"{ZOOM}As recorded, unfiltered{resampled}. Good: motion in both directions at several speeds. The "
             "force steps by twice "

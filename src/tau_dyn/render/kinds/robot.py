@@ -40,7 +40,8 @@ def present_robot(robot: Robot) -> Presentation:
     ]
     return Presentation(
         "Robot", robot.name, f"{robot.name}: robot", f"{robot.name}: {count(robot.na, 'actuated joint')}{loops}.", None,
-        str(robot.source), sections, robot.warnings, RobotPicture(robot), Provenance(robot=robot),
+        f"{'file' if robot.sha256 else 'robot'} {robot.source}", sections, robot.warnings, RobotPicture(robot),
+        Provenance(robot=robot),
         lambda: _tabulate_joints(robot), robot,
     )  # fmt: skip
 
@@ -118,14 +119,14 @@ def _tabulate(parameters: Parameters) -> Any:
 
 
 def _build_table(parameters: Parameters, on: On) -> Table:
-    columns = [
-        Column("parameter"),
-        Column("value", "number", "strong"),
-        Column("95 % interval", "number", spare=True),
-        Column("from"),
-    ]
+    """Return one row a parameter; intervals only where there are some."""
+    estimated = any(p.stderr for p in parameters)
+    between = [Column("95 % interval", "number", spare=True)] if estimated else []
     rows = [
-        Row([p.name, format_estimate(p), format_estimate_interval(p), p.origin], "" if p.free else "quiet")
+        Row(
+            [p.name, format_estimate(p), *([format_estimate_interval(p)] if estimated else []), p.origin],
+            "" if p.free else "quiet",
+        )
         for p in parameters
     ]
-    return Table(columns, rows, on=on)
+    return Table([Column("parameter"), Column("value", "number", "strong"), *between, Column("from")], rows, on=on)
