@@ -19,9 +19,20 @@ PREFIXED = ("m", "m/s", "rad", "rad/s", "s")
 class Estimated(Protocol):
     """A number with its unit and, where it was estimated, its standard error: a `Parameter`."""
 
-    value: float
-    stderr: float | None
-    unit: str
+    @property
+    def value(self) -> float:
+        """The number [unit]."""
+        ...
+
+    @property
+    def stderr(self) -> float | None:
+        """Its standard error [unit]; None for none."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        ...
 
 
 def format_number(value: float, digits: int = 4) -> str:
@@ -138,12 +149,12 @@ def format_estimate_interval(p: Estimated) -> str:
     if p.stderr is None or not p.stderr > 0:
         return ""
     factor, _ = choose_unit(p.unit, p.value)
-    return format_interval(*(factor * (p.value + side * Z95 * p.stderr) for side in (-1, 1)), factor * p.stderr)
+    return format_interval([factor * (p.value + side * Z95 * p.stderr) for side in (-1, 1)], factor * p.stderr)
 
 
-def format_interval(low: float, high: float, stderr: float) -> str:
+def format_interval(ends: Iterable[float], stderr: float) -> str:
     """Return an interval's ends to the digits that the standard error leaves."""
-    return f"{round_to_stderr(low, stderr)} … {round_to_stderr(high, stderr)}"
+    return " … ".join(round_to_stderr(end, stderr) for end in ends)
 
 
 def end_sentence(text: str) -> str:

@@ -6,7 +6,6 @@ A `Window` is what a panel needs of the viewer, so that panels do not import it.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import numpy as np
@@ -131,7 +130,7 @@ class Window(Protocol):
     placer: Placer
     figure: RobotFigure
     size: float
-    lock: AbstractContextManager[Any]
+    lock: Any
     names: dict[str, int]
 
     def show(self, q: np.ndarray) -> bool:

@@ -327,7 +327,7 @@ def _choose_unit(unit: str, size: float) -> tuple[float, str]:
 
 def _build_estimate(row: dict[str, Any]) -> Row:
     stderr, ends = row["stderr"], row["ci95"]
-    between = format_interval(*ends, stderr) if stderr and ends else ""
+    between = format_interval(ends, stderr) if stderr and ends else ""
     nominal = "" if row["nominal"] is None else format_number(row["nominal"], 6)
     value = format_with_uncertainty(row["value"], stderr)
     return Row([row["name"], value, format_unit(row["unit"]), between, nominal], "" if row["determined"] else "care")

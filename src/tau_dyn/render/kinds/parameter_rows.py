@@ -153,7 +153,7 @@ def describe_row(r: dict[str, Any], scale: float, group: str, note: str) -> Para
         group=group,
         state="known" if r["determined"] else "weak" if seen else "unseen",
         estimate=format_with_uncertainty(r["value"], sigma) if seen else format_number(r["value"]),
-        interval=format_interval(*r["ci95"], sigma) if seen else "",
+        interval=format_interval(r["ci95"], sigma) if seen else "",
         unit=format_unit(r["unit"]),
         nominal="" if r["nominal"] is None else format_number(r["nominal"]),
         note=note,

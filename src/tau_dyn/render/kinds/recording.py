@@ -21,6 +21,7 @@ from tau_dyn.results import (
     Figure,
     Figures,
     Key,
+    Level,
     Line,
     On,
     Presentation,
@@ -49,7 +50,7 @@ MAX_STEP_RATIO = 5.0
 STEP_DOTS = 1500  # time steps drawn at most, half of them the worst
 _MAX_TRACES = 4  # channels that a notebook draws
 _MAX_VIEWS = 12  # channels of a log without joints that a page draws
-_LEVELS = {"fault": "poor", "warning": "care", "ok": "good"}
+_LEVELS: dict[str, Level] = {"fault": "poor", "warning": "care", "ok": "good"}
 _ORDER = ("fault", "warning", "ok")
 
 

@@ -80,11 +80,9 @@ class WaterfallSeries:
 
     def draw(self, step: WaterfallStep) -> StepBar:
         """Return a step's bar on this axis."""
-        shares = (
-            x / self.end if self.end > 0 else float("nan")
-            for x in (step.left, step.low, step.high, step.previous, self.floor)
-        )
-        return StepBar(*shares, step.kind)
+        unit = self.end if self.end > 0 else float("nan")
+        ends = step.low / unit, step.high / unit
+        return StepBar(step.left / unit, *ends, step.previous / unit, self.floor / unit, step.kind)
 
 
 @dataclass(frozen=True, eq=False)
