@@ -16,8 +16,9 @@ import numpy as np
 def to_plain(value: Any, *, leave_out: Iterable[str] = ()) -> Any:
     """Return a value as dicts, lists, strings, numbers and None.
 
-    A dataclass becomes a dict of its fields, an array nested lists, NaN and infinity None, a complex number `re` and `im`, an
-    enum its value, a path and a date their text, a set a sorted list. A value with a `to_dict` of its own says itself what it is.
+    A dataclass or a named tuple becomes a dict of its fields, an array nested lists, NaN and infinity None, a complex number
+    `re` and `im`, an enum its value, a path and a date their text, a set a sorted list. A value with a `to_dict` of its own says
+    itself what it is.
 
     Args:
         value: What to turn into data.
@@ -39,6 +40,8 @@ def _inner(value: Any) -> Any:
         return _inner(value.to_dict())
     if is_dataclass(value) and not isinstance(value, type):
         return to_plain(value)
+    if hasattr(value, "_asdict"):  # a named tuple
+        return _inner(value._asdict())
     if isinstance(value, Mapping):
         return {str(key): _inner(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

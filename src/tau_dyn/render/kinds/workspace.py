@@ -61,7 +61,11 @@ def present_workspace(found: Study) -> Presentation:
         *warn([end_sentence(capitalise(text)) for text in (*robot.warnings, *found.warnings)]),
         Section("glance", "", lambda: [Facts(_list_facts(found), "three")]),
         *([Section("space", "In space", lambda: _build_space(found))] if found.workspace.dimension == 3 else []),
-        *([Section("sections", "Cross-sections", lambda: _build_sections(found), On.ALL)] if found.sections else []),
+        *(
+            [Section("sections", "Cross-sections", lambda: _build_sections(found), On.PAGE | On.NOTEBOOK)]
+            if found.sections
+            else []
+        ),
         Section("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], On.ALL),
         Section("catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), On.PAGE | On.TERMINAL),
         *([Section("maps", "Maps", lambda: _build_maps(found))] if found.sections and found.maps else []),
@@ -111,7 +115,6 @@ def _build_sections(found: Study) -> Iterator[Block]:
         f"{', '.join(areas)}.",
         "note",
     )
-    yield Text(f"Cross-sections {format_list(areas)}.", on=On.TERMINAL)
 
 
 def _build_reasons(found: Study) -> Table:
@@ -159,6 +162,9 @@ def _build_catalogue(found: Study) -> Iterator[Block]:
         right = [Text("How far the tool leans", "heading"), Figures([picture], "whole"),
                  Text(_describe_tilt(found), "note", on=On.PAGE | On.TERMINAL)]  # fmt: skip
     demands = Table([Column(), Column()], [Row(row) for row in _list_demands(found)], style="plain")
+    areas = [f"{replace_minus_signs(s.name)}: {format_number(s.area, 3)} m²" for s in found.sections]
+    if areas:
+        left.append(Text(f"Cross-sections {format_list(areas)}.", on=On.TERMINAL))
     yield Beside(left, [*right, Text("What a pose must satisfy", "heading"), demands], "two")
 
 
