@@ -112,3 +112,8 @@ def test_a_narrow_terminal_keeps_numbers_and_bars_whole():
     parts = [x for x in lines(many, 40) if x.strip().startswith("7")]
     assert len(parts) > 1 and max(map(len, lines(many, 40))) <= 40
     assert sum(x.count(".123456") for x in parts) == 9
+
+
+def test_a_robot_is_drawn_in_a_notebook(results):
+    """What a robot is, one sees."""
+    assert 'class="robot"' in results["robot"]._repr_html_()

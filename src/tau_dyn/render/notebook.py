@@ -17,7 +17,7 @@ from markupsafe import Markup
 from tau_dyn.render.chart import format_tag
 from tau_dyn.render.markup import build_table, draw
 from tau_dyn.render.present import present
-from tau_dyn.results import Figures, Listing, On, Presentation, Table, Text
+from tau_dyn.results import Figures, Listing, On, Presentation, Table, Text, replace_plus_minus
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +62,9 @@ def render_notebook(result: Any) -> str:
             pieces += [format_tag("p", item) for item in block.items]
     pieces += [format_tag("div", *pictures, class_="pictures")] if pictures else []
     sentence = [shown.verdict.sentence] if shown.verdict is not None and shown.verdict.sentence else []
-    pieces += [format_tag("p", note, class_="note") for note in (*sentence, *shown.notes, *shown.warnings)]
+    pieces += [
+        format_tag("p", replace_plus_minus(note), class_="note") for note in (*sentence, *shown.notes, *shown.warnings)
+    ]
     return _CONTROL.sub("\ufffd", format_tag("div", *pieces, class_="tau-dyn"))
 
 

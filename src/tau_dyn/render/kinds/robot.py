@@ -12,6 +12,7 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.render.present import list_assumptions, present_kind, warn
 from tau_dyn.results import (
     Column,
+    Figures,
     Listing,
     On,
     Presentation,
@@ -34,7 +35,12 @@ def present_robot(robot: Robot) -> Presentation:
     loops = f", {count(len(robot.loops), 'closed loop')}" if robot.loops else ""
     sections = [
         *warn(robot.warnings),
-        Section("joints", "Actuated joints", lambda: [_build_joints(robot)], On.ALL),
+        Section(
+            "joints",
+            "Actuated joints",
+            lambda: [_build_joints(robot), Figures([RobotPicture(robot)], on=On.NOTEBOOK)],
+            On.ALL,
+        ),
         Section("parameters", "Nominal parameters", lambda: [_build_table(robot.parameters, On.PAGE)]),
         *list_assumptions(robot.assumed),
     ]
