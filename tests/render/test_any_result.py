@@ -14,7 +14,7 @@ import tau_dyn as td
 from tau_dyn.log import Log
 from tau_dyn.render import build_page, present, print_result, render_json
 from tau_dyn.render.terminal import build_grids, put
-from tau_dyn.results import Bar, Column, On, Presentation, Row, Section, Table, Text, Verdict
+from tau_dyn.results import Bar, Chapter, Column, On, Presentation, ResultTable, Row, Text, Verdict
 
 
 def _markup(page: str) -> str:
@@ -84,7 +84,7 @@ def test_sections_are_made_when_somebody_looks():
 
     shown = Presentation(
         "Test", "me", "t", "A sentence.", Verdict("good", "Fine."),
-        sections=[Section("a", "", build, On.PAGE | On.TERMINAL), Section("b", "", lambda: 1 / 0, On.PAGE)],
+        sections=[Chapter("a", "", build, On.PAGE | On.TERMINAL), Chapter("b", "", lambda: 1 / 0, On.PAGE)],
     )  # fmt: skip
     assert not made
     text = _printed(shown)
@@ -98,16 +98,16 @@ def test_a_narrow_terminal_keeps_numbers_and_bars_whole():
     rows = [Row(["shoulder_lift_joint", Bar(0.5), "12.345 ± 0.012 N m", "a remark that is long enough to wrap"])]
     columns = [Column("joint"), Column("", "bar"), Column("value", "number"), Column("remark", spare=True)]
 
-    def lines(table: Table, width: int) -> list[str]:
+    def lines(table: ResultTable, width: int) -> list[str]:
         stream = io.StringIO()
         for grid in build_grids(table, width):
             put(Console(file=stream, width=width, highlight=False), grid)
         return stream.getvalue().splitlines()
 
-    narrow, wide = lines(Table(columns, rows), 52), lines(Table(columns, rows), 100)
+    narrow, wide = lines(ResultTable(columns, rows), 52), lines(ResultTable(columns, rows), 100)
     assert "remark" not in "".join(narrow) and "remark" in "".join(wide)
     assert any("shoulder_lift_joint" in x and "█" in x and "12.345 ± 0.012 N m" in x for x in narrow)
-    many = Table([Column("row", kept=True), *(Column(f"q{k}", "number") for k in range(9))],
+    many = ResultTable([Column("row", kept=True), *(Column(f"q{k}", "number") for k in range(9))],
                  [Row(["7", *(f"{k}.123456" for k in range(9))])])  # fmt: skip
     parts = [x for x in lines(many, 40) if x.strip().startswith("7")]
     assert len(parts) > 1 and max(map(len, lines(many, 40))) <= 40

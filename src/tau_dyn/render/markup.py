@@ -19,13 +19,13 @@ from tau_dyn.results import (
     IntervalBar,
     On,
     PolarPicture,
+    ResultTable,
     RobotPicture,
     Row,
     ShapePicture,
     SpacePicture,
     StepBar,
     SwingPicture,
-    Table,
     VectorPicture,
     Verdict,
 )
@@ -55,7 +55,7 @@ def draw(drawing: Drawing) -> Markup:
     raise TypeError(f"{type(drawing).__name__} is no drawing")
 
 
-def build_table(table: Table, on: On) -> Markup:
+def build_table(table: ResultTable, on: On) -> Markup:
     """Return a table as it stands on a page or in a notebook."""
     shown = [k for k, c in enumerate(table.columns) if c.on & on]
     columns = [table.columns[k] for k in shown]

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from tau_dyn.render.chart import format_tag
 from tau_dyn.render.markup import build_table, draw
 from tau_dyn.render.present import present
-from tau_dyn.results import Figures, Listing, On, Presentation, Table, Text, replace_plus_minus
+from tau_dyn.results import Figures, Listing, On, Presentation, ResultTable, Text, replace_plus_minus
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,7 +52,7 @@ def render_notebook(result: Any) -> str:
         pieces.append(format_tag("p", said, " ", shown.headline, class_=f"headline {level}"))
     pictures: list[Markup] = []
     for block in shown.list_blocks(On.NOTEBOOK):
-        if isinstance(block, Table):
+        if isinstance(block, ResultTable):
             pieces += _build_tables(block)
         elif isinstance(block, Figures):
             pictures += map(_size, filter(None, map(draw, block.drawings)))
@@ -85,7 +85,7 @@ def build_frame(shown: Presentation) -> pd.DataFrame:
     return rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(rows)
 
 
-def _build_tables(table: Table) -> list[Markup]:
+def _build_tables(table: ResultTable) -> list[Markup]:
     """Return a table; what is beyond the first rows is folded away."""
     rows = [row for row in table.all_rows if row.on & On.NOTEBOOK]
     if len(rows) <= MAX_ROWS + 2:

@@ -25,7 +25,7 @@ from tau_dyn.render.markup import build_table, draw
 from tau_dyn.render.present import present
 from tau_dyn.render.sketch import build_joint_labels
 from tau_dyn.render.time_view import build_payload, select_printed
-from tau_dyn.results import Beside, Block, Folded, Group, On, Presentation, Provenance, RobotPicture, TimeView
+from tau_dyn.results import Beside, Element, Folded, Group, On, Presentation, Provenance, RobotPicture, TimeView
 from tau_dyn.version import __version__
 
 
@@ -63,7 +63,7 @@ def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
     )  # fmt: skip
 
 
-def _spread(blocks: Iterable[Block]) -> Iterable[TimeView]:
+def _spread(blocks: Iterable[Element]) -> Iterable[TimeView]:
     """Give the time views among blocks, wherever they stand."""
     for block in blocks:
         if isinstance(block, TimeView):

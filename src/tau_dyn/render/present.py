@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.results import Folded, Listing, On, Presentation, Section, count, replace_plus_minus
+from tau_dyn.results import Chapter, Folded, Listing, On, Presentation, count, replace_plus_minus
 
 _KINDS = {
     "calibrate": "calibration",
@@ -60,7 +60,7 @@ def present_kind(result: Any, **options: Any) -> Presentation:
     raise TypeError(f"{type(result).__name__} has no presentation")
 
 
-def warn(warnings: tuple[str, ...] | list[str], title: str = "Warnings") -> list[Section]:
+def warn(warnings: tuple[str, ...] | list[str], title: str = "Warnings") -> list[Chapter]:
     """Return a page's section of warnings, those after the third folded away; none where there are none."""
     texts = [replace_plus_minus(text) for text in warnings]
     if not texts:
@@ -68,14 +68,14 @@ def warn(warnings: tuple[str, ...] | list[str], title: str = "Warnings") -> list
     blocks: list[Any] = [Listing(texts[:3])]
     if len(texts) > 3:
         blocks.append(Folded(count(len(texts) - 3, "more warning"), [Listing(texts[3:])]))
-    return [Section("warnings", title, lambda: blocks, On.PAGE, "warnings")]
+    return [Chapter("warnings", title, lambda: blocks, On.PAGE, "warnings")]
 
 
-def list_assumptions(assumed: tuple[str, ...] | list[str]) -> list[Section]:
+def list_assumptions(assumed: tuple[str, ...] | list[str]) -> list[Chapter]:
     """Return a page's folded section of what the robot file assumes; none where it assumes nothing."""
     if not assumed:
         return []
-    return [Section("assumed", "What the robot file assumes", lambda: [Listing(list(assumed))], On.PAGE, folded=True)]
+    return [Chapter("assumed", "What the robot file assumes", lambda: [Listing(list(assumed))], On.PAGE, folded=True)]
 
 
 def list_logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:

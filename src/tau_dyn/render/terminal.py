@@ -19,7 +19,20 @@ from rich.table import Table as Grid
 from rich.text import Text as Said
 
 from tau_dyn.render.present import present
-from tau_dyn.results import Bar, Block, Cell, Column, Listing, On, Presentation, Row, StepBar, Table, Text, Verdict
+from tau_dyn.results import (
+    Bar,
+    Cell,
+    Column,
+    Element,
+    Listing,
+    On,
+    Presentation,
+    ResultTable,
+    Row,
+    StepBar,
+    Text,
+    Verdict,
+)
 
 MARGIN = (0, 0, 0, 2)
 GAP = 3  # columns between two of a table: two of padding, one of the box
@@ -83,8 +96,8 @@ def draw_meter(share: float, width: int) -> str:
     return "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
 
 
-def _print_block(console: Console, block: Block) -> None:
-    if isinstance(block, Table):
+def _print_block(console: Console, block: Element) -> None:
+    if isinstance(block, ResultTable):
         for grid in build_grids(block, measure_columns(console)):
             put(console, grid)
         more = len([row for row in block.all_rows if row.on & On.TERMINAL]) - block.most
@@ -109,7 +122,7 @@ def _build_listing(block: Listing) -> Said | Grid:
     return table
 
 
-def build_grids(table: Table, columns: int) -> list[Grid]:
+def build_grids(table: ResultTable, columns: int) -> list[Grid]:
     """Return a table as one or more that fit into so many columns."""
     rows = [row for row in table.all_rows if row.on & On.TERMINAL]
     rows = rows[: table.most] if table.most else rows
@@ -141,7 +154,9 @@ def _measure(column: Column, cells: Sequence[Cell]) -> int:
     return max((len(line) for text in (column.title, *words) for line in text.split("\n")), default=0)
 
 
-def _build_grid(table: Table, rows: Sequence[Row], shown: Sequence[int], wide: Mapping[int, int], room: int) -> Grid:
+def _build_grid(
+    table: ResultTable, rows: Sequence[Row], shown: Sequence[int], wide: Mapping[int, int], room: int
+) -> Grid:
     grid = Grid(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False, header_style="dim")
     columns = [table.columns[k] for k in shown]
     grid.show_header = any(c.title for c in columns)

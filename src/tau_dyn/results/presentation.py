@@ -145,14 +145,14 @@ class Row:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
+class Element:
     """A part of a section."""
 
     on: On = On.PAGE
 
 
 @dataclass(frozen=True)
-class Table(Block):
+class ResultTable(Element):
     """Rows under headings.
 
     Attributes:
@@ -180,7 +180,7 @@ class Table(Block):
 
 
 @dataclass(frozen=True)
-class Text(Block):
+class Text(Element):
     """A paragraph: plain, a `note`, the `lead` of a card, a `law` (formula), or `dim` on a terminal; a heading if `heading`."""
 
     text: str
@@ -188,7 +188,7 @@ class Text(Block):
 
 
 @dataclass(frozen=True)
-class Listing(Block):
+class Listing(Element):
     """Sentences under a title; a terminal writes a single one behind it. `code` if they are formulas."""
 
     items: Sequence[str]
@@ -197,7 +197,7 @@ class Listing(Block):
 
 
 @dataclass(frozen=True)
-class Facts(Block):
+class Facts(Element):
     """Figures in large type: words, number, unit."""
 
     rows: Sequence[tuple[str, str, str]]
@@ -205,14 +205,14 @@ class Facts(Block):
 
 
 @dataclass(frozen=True)
-class Definitions(Block):
+class Definitions(Element):
     """Terms and what there is to say of them."""
 
     rows: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class Figures(Block):
+class Figures(Element):
     """Drawings beside each other.
 
     Attributes:
@@ -229,14 +229,14 @@ class Figures(Block):
 
 
 @dataclass(frozen=True)
-class Division(Block):
+class Division(Element):
     """A bar that is divided into named parts: ink, words, share from 0 to 1."""
 
     parts: Sequence[tuple[str, str, float]]
 
 
 @dataclass(frozen=True)
-class TimeView(Block):
+class TimeView(Element):
     """The zoomable time view.
 
     Attributes:
@@ -251,33 +251,33 @@ class TimeView(Block):
 
 
 @dataclass(frozen=True)
-class Beside(Block):
+class Beside(Element):
     """Two groups of blocks side by side: `columns`, `glance`, `evidence`, `two` or `beside`."""
 
-    left: Sequence[Block]
-    right: Sequence[Block]
+    left: Sequence[Element]
+    right: Sequence[Element]
     style: str = "columns"
 
 
 @dataclass(frozen=True)
-class Group(Block):
+class Group(Element):
     """Blocks in a box of their own, such as `multiples`."""
 
-    blocks: Sequence[Block]
+    blocks: Sequence[Element]
     style: str
 
 
 @dataclass(frozen=True)
-class Folded(Block):
+class Folded(Element):
     """Blocks that are folded away under a summary."""
 
     summary: str
-    blocks: Sequence[Block]
+    blocks: Sequence[Element]
     open: bool = False
 
 
 @dataclass(frozen=True)
-class Section:
+class Chapter:
     """A part of a presentation.
 
     Attributes:
@@ -294,7 +294,7 @@ class Section:
 
     name: str
     title: str
-    make: Callable[[], Iterable[Block]]
+    make: Callable[[], Iterable[Element]]
     on: On = On.PAGE
     style: str = ""
     badge: Verdict | None = None
@@ -302,12 +302,12 @@ class Section:
     folded: bool = False
     open: bool = False
 
-    def list_blocks(self, on: On) -> list[Block]:
+    def list_blocks(self, on: On) -> list[Element]:
         """Return the blocks that stand there."""
         return [block for block in _spread(self.make(), on) if block.on & on] if self.on & on else []
 
 
-def _spread(blocks: Iterable[Block], on: On) -> Iterable[Block]:
+def _spread(blocks: Iterable[Element], on: On) -> Iterable[Element]:
     """Give blocks one after the other; only a page has them side by side or folded."""
     for block in blocks:
         if on is On.PAGE or not isinstance(block, Beside | Folded | Group):
@@ -357,7 +357,7 @@ class Presentation:
     headline: str = ""
     verdict: Verdict | None = None
     summary: str = ""
-    sections: Sequence[Section] = ()
+    sections: Sequence[Chapter] = ()
     warnings: Sequence[str] = ()
     picture: Drawing | None = None
     provenance: Provenance = field(default_factory=Provenance)
@@ -365,6 +365,6 @@ class Presentation:
     result: Any = None
     notes: Sequence[str] = ()
 
-    def list_blocks(self, on: On) -> list[Block]:
+    def list_blocks(self, on: On) -> list[Element]:
         """Return all blocks that stand there, in order."""
         return [block for section in self.sections for block in section.list_blocks(on)]

@@ -13,8 +13,9 @@ from tau_dyn.render.kinds.accuracy_figures import format_size
 from tau_dyn.render.present import present_kind
 from tau_dyn.results import (
     Beside,
-    Block,
+    Chapter,
     Column,
+    Element,
     Figures,
     Group,
     Key,
@@ -22,10 +23,9 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
-    Table,
     Text,
     Verdict,
     count,
@@ -63,17 +63,17 @@ def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] 
         files: Name and hash of every measured file.
     """
     a, grid, robot = found.accuracy, found.grid, found.robot
-    sections: list[Section] = []
+    sections: list[Chapter] = []
     if a is not None and grid is not None:
         where = replace_minus_signs(grid.section.words)
-        sections.append(Section("map", f"Over the section {where}", lambda: _build_maps(found), On.PAGE | On.NOTEBOOK))
+        sections.append(Chapter("map", f"Over the section {where}", lambda: _build_maps(found), On.PAGE | On.NOTEBOOK))
     if a is not None:
-        sections.append(Section("methods", "Every method on the same errors", lambda: _build_methods(found), On.ALL))
-        sections.append(Section("linear", "Where the simple bounds fail", lambda: _build_failures(found)))
+        sections.append(Chapter("methods", "Every method on the same errors", lambda: _build_methods(found), On.ALL))
+        sections.append(Chapter("linear", "Where the simple bounds fail", lambda: _build_failures(found)))
     if found.bodies:
-        sections.append(Section("bodies", "Where the tool may be", lambda: _build_bodies(found)))
+        sections.append(Chapter("bodies", "Where the tool may be", lambda: _build_bodies(found)))
     if found.measured.sentences:
-        sections.append(Section("measured", "What the measured points say", lambda: _build_measured(found), On.ALL))
+        sections.append(Chapter("measured", "What the measured points say", lambda: _build_measured(found), On.ALL))
     return Presentation(
         "Accuracy of", robot.name, f"{robot.name}: accuracy", end_sentence(describe_headline(found)), describe_verdict(found),
         describe_inputs(found), sections, (), RobotPicture(robot),
@@ -91,7 +91,7 @@ def _tabulate(found: AccuracyResult) -> dict[str, np.ndarray]:
     return columns | {f"largest_{m}": x for m, x in a.largest.items()}
 
 
-def _build_maps(found: AccuracyResult) -> Iterator[Block]:
+def _build_maps(found: AccuracyResult) -> Iterator[Element]:
     a = found.accuracy
     assert a is not None
     maps = [figures.build_error_map(found, a.best_method)]
@@ -107,7 +107,7 @@ def _build_maps(found: AccuracyResult) -> Iterator[Block]:
     )
 
 
-def _build_methods(found: AccuracyResult) -> Iterator[Block]:
+def _build_methods(found: AccuracyResult) -> Iterator[Element]:
     a = found.accuracy
     assert a is not None
     columns = [
@@ -117,7 +117,7 @@ def _build_methods(found: AccuracyResult) -> Iterator[Block]:
         Column("off from exact", "number", on=On.TERMINAL), Column("poses without", "number", on=On.PAGE),
         Column("largest at", "unit", "quiet", on=On.PAGE | On.TERMINAL, spare=True),
     ]  # fmt: skip
-    yield Table(columns, [_build_method(found, m) for m in a.largest], style="methods", on=On.ALL)
+    yield ResultTable(columns, [_build_method(found, m) for m in a.largest], style="methods", on=On.ALL)
     for method, why in a.left_out.items():
         yield Text(f"{method} is left out: {why}.", "note", on=On.PAGE | On.TERMINAL)
     drawn = (
@@ -135,12 +135,12 @@ def _build_methods(found: AccuracyResult) -> Iterator[Block]:
     if a.turned:
         yield Text("Change of orientation", "heading")
         rows = [Row([m, _milli(np.nanmedian(x)), _milli(np.nanmax(x))]) for m, x in a.turned.items()]
-        yield Table(
+        yield ResultTable(
             [Column("method"), Column("median", "number"), Column("largest", "number", "strong")], rows, style="fitted"
         )
     measured = ", from the measured points (95 % of them)" if found.from_measured else ""
     yield Text(f"Assumed errors{measured}", "heading")
-    yield Table([Column(), Column()], [Row(row) for row in _list_assumed(found)], style="plain")
+    yield ResultTable([Column(), Column()], [Row(row) for row in _list_assumed(found)], style="plain")
 
 
 def _build_method(found: AccuracyResult, method: str) -> Row:
@@ -184,7 +184,7 @@ def _list_assumed(found: AccuracyResult) -> list[tuple[str, str]]:
     return rows
 
 
-def _build_failures(found: AccuracyResult) -> Iterator[Block]:
+def _build_failures(found: AccuracyResult) -> Iterator[Element]:
     a, g = found.accuracy, found.growth
     assert a is not None
     linear = [m for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest]
@@ -216,7 +216,9 @@ def _build_failures(found: AccuracyResult) -> Iterator[Block]:
         "nothing is proved."
     )
     yield Beside(
-        [Figures([figure], "wide-chart", key)], [Table(columns, rows, style="fitted"), Text(said, "note")], "pairs"
+        [Figures([figure], "wide-chart", key)],
+        [ResultTable(columns, rows, style="fitted"), Text(said, "note")],
+        "pairs",
     )
 
 
@@ -224,7 +226,7 @@ def _times(factor: float) -> str:
     return f"× {format_number(factor, 4)}" if np.isfinite(factor) else "never"
 
 
-def _build_bodies(found: AccuracyResult) -> Iterator[Block]:
+def _build_bodies(found: AccuracyResult) -> Iterator[Element]:
     a = found.accuracy
     assert a is not None
     boxed = [Key("box", "parallelepiped")] if len(found.bodies[0].corners) else []
@@ -242,7 +244,7 @@ def _build_bodies(found: AccuracyResult) -> Iterator[Block]:
     )
 
 
-def _build_measured(found: AccuracyResult) -> Iterator[Block]:
+def _build_measured(found: AccuracyResult) -> Iterator[Element]:
     seen = found.measured
     said = [format_sentence(s) for s in seen.sentences]
     yield Listing(said)
@@ -262,7 +264,7 @@ def _build_measured(found: AccuracyResult) -> Iterator[Block]:
             "backlash",
         )
         columns = [Column("guideway"), *(Column(title, "number") for title in titles)]
-        yield Table(columns, [_build_guideway(line) for line in seen.guideways])
+        yield ResultTable(columns, [_build_guideway(line) for line in seen.guideways])
         yield Group(
             [Figures([f for line in seen.guideways for f in figures.build_guideway_figures(line)], "pairs")], ""
         )

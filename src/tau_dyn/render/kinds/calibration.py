@@ -24,10 +24,11 @@ from tau_dyn.render.present import flatten_rows, present_kind, warn
 from tau_dyn.results import (
     Axis,
     Bar,
-    Block,
+    Chapter,
     Column,
     Dots,
     Drawing,
+    Element,
     Figure,
     Figures,
     Folded,
@@ -37,10 +38,9 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
-    Table,
     Text,
     VectorPicture,
     Verdict,
@@ -66,28 +66,23 @@ _ARROW = 0.13
 
 @present_kind.register
 def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] = ()) -> Presentation:
-    """Return how a calibration is presented.
-
-    Args:
-        found: The result.
-        poses: Name and hash of every file of poses.
-    """
+    """Return how a calibration is presented; `poses` are name and hash of every file of measured poses."""
     uses = [
         ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
     ]
     facts = [("model", found.chosen.name), ("seed", str(found.seed)), ("residual", found.fit.kind)]
     both = On.PAGE | On.TERMINAL
-    findings = [Section("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
+    findings = [Chapter("findings", "Errors of the robot file", lambda: _list_findings(found), both)]
     sections = [
         *warn([end_sentence(capitalise(text)) for text in found.warnings]),
-        Section("error", "Error before and after", lambda: _build_errors(found), On.PAGE | On.NOTEBOOK),
-        Section("gain", "Error by model", lambda: _build_gain(found), both),
+        Chapter("error", "Error before and after", lambda: _build_errors(found), On.PAGE | On.NOTEBOOK),
+        Chapter("gain", "Error by model", lambda: _build_gain(found), both),
         *(findings if found.findings else []),
-        Section("space", "Errors in space", lambda: _build_space(found)),
-        Section("left", "Residuals by joint", lambda: _build_residuals(found)),
-        Section("geometry", "Geometry", lambda: _build_geometry(found), On.PAGE | On.NOTEBOOK),
-        Section("blind", "Not identifiable", lambda: _build_blind(found), both),
-        Section("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
+        Chapter("space", "Errors in space", lambda: _build_space(found)),
+        Chapter("left", "Residuals by joint", lambda: _build_residuals(found)),
+        Chapter("geometry", "Geometry", lambda: _build_geometry(found), On.PAGE | On.NOTEBOOK),
+        Chapter("blind", "Not identifiable", lambda: _build_blind(found), both),
+        Chapter("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
     ]
     return Presentation(
         "Calibration from", found.poses.source, f"{found.robot.name}: calibration", words.describe_headline(found),
@@ -96,7 +91,7 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
     )  # fmt: skip
 
 
-def _build_errors(found: Calibration) -> Iterator[Block]:
+def _build_errors(found: Calibration) -> Iterator[Element]:
     before, after = (found.errors(m) for m in (found.models[0], found.chosen))
     key = [Key("measured", "robot file, device and target placed"), Key("predicted", "calibrated")]
     position = _draw_errors(before.distance, after.distance, "position error", "mm")
@@ -126,10 +121,10 @@ def _name(found: Calibration, k: int) -> tuple[str, str]:
     return words.describe_model(found.models[k], found.models[k - 1] if k else None)
 
 
-def _build_gain(found: Calibration) -> Iterator[Block]:
+def _build_gain(found: Calibration) -> Iterator[Element]:
     series = _build_steps(found)
     columns = [Column(), Column(kind="step"), Column(kind="number", style="strong"), Column(style="about quiet")]
-    yield Table(
+    yield ResultTable(
         columns, [Row([r.label, series.draw(r), r.rms, r.about[0]], r.kind) for r in series.rungs], style="waterfall"
     )
     yield Text(
@@ -152,10 +147,10 @@ def _build_gain(found: Calibration) -> Iterator[Block]:
             "Cross-validation within the fitted poses. A larger model is selected if a paired test shows a smaller held-out "
             "error."
         )
-        yield Folded("All models tested", [Table(columns, rows), Text(said, "note")])
+        yield Folded("All models tested", [ResultTable(columns, rows), Text(said, "note")])
 
 
-def _build_sizes(found: Calibration) -> Table:
+def _build_sizes(found: Calibration) -> ResultTable:
     """Return one line a model: how far the tool is off."""
     turned = found.errors(found.chosen).orientation_size is not None
     columns = [
@@ -185,7 +180,7 @@ def _build_sizes(found: Calibration) -> Table:
         ]
         cells += ([format_angle(turn.mean), format_angle(turn.max)] if turn is not None else ["", ""]) if turned else []
         rows.append(Row([*cells, Bar(size.mean / worst)]))
-    return Table(columns, rows, on=On.PAGE | On.TERMINAL)
+    return ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
 
 
 def _build_steps(found: Calibration) -> WaterfallSeries:
@@ -208,7 +203,7 @@ def _build_steps(found: Calibration) -> WaterfallSeries:
     return WaterfallSeries("", tuple(rungs), floor, end)
 
 
-def _list_findings(found: Calibration) -> Iterator[Block]:
+def _list_findings(found: Calibration) -> Iterator[Element]:
     rows = [
         Row(
             [
@@ -221,11 +216,11 @@ def _list_findings(found: Calibration) -> Iterator[Block]:
         for f in found.findings
     ]
     columns = [Column(), Column(on=On.PAGE), Column(), Column(on=On.PAGE)]
-    yield Table(columns, rows, style="findings", on=On.PAGE | On.TERMINAL)
+    yield ResultTable(columns, rows, style="findings", on=On.PAGE | On.TERMINAL)
     yield Text("Each cause is removed from the model alone, and the rest is refitted.", "note")
 
 
-def _build_space(found: Calibration) -> Iterator[Block]:
+def _build_space(found: Calibration) -> Iterator[Element]:
     drawn = [(t, _draw_vectors(found, m)) for t, m in (("robot file", found.models[0]), ("calibrated", found.chosen))]
     pictures = [(title, picture) for title, picture in drawn if picture is not None]
     pictures = pictures[-1:] if len(found.models) == 1 else pictures
@@ -259,7 +254,7 @@ def _round_down(x: float) -> float:
     return float(power * max(m for m in (1, 2, 5) if m * power <= x * (1 + 1e-9)))
 
 
-def _build_residuals(found: Calibration) -> Iterator[Block]:
+def _build_residuals(found: Calibration) -> Iterator[Element]:
     """Give, joint by joint, what is left over that joint's position: what is still cyclic or crooked would show."""
     poses, error = found.at(), 1e6 * (found.errors(found.chosen).position @ found.fit.frames.device[0].rotation)
     axis = int(np.nanargmax(np.nanstd(error, axis=0))) if np.isfinite(error).any() else 0
@@ -277,7 +272,7 @@ def _build_residuals(found: Calibration) -> Iterator[Block]:
     )
 
 
-def _build_geometry(found: Calibration) -> Iterator[Block]:
+def _build_geometry(found: Calibration) -> Iterator[Element]:
     columns = [
         Column("parameter"), Column("nominal", "number", "quiet"), Column("calibrated", "number"), Column("", "unit"),
         Column("change ± standard error", "number", "strong"), Column("", "unit"), Column("", "interval"),
@@ -288,7 +283,7 @@ def _build_geometry(found: Calibration) -> Iterator[Block]:
         if not owner.startswith(("device", "tool")) and row["stderr"] is not None:
             groups.setdefault(owner, []).append(row)
     shown = [(owner, [_build_dimension(row, rows) for row in rows]) for owner, rows in groups.items()]
-    yield Table(columns, groups=shown, style="geometry")
+    yield ResultTable(columns, groups=shown, style="geometry")
     yield Text(
         "± is one standard error (1 σ). The bar shows the change from nominal with its 95 % interval, each group "
         "on its own scale. "
@@ -296,12 +291,12 @@ def _build_geometry(found: Calibration) -> Iterator[Block]:
         "note",
     )
     yield Text("Device and target", "heading")
-    yield Table(
+    yield ResultTable(
         [Column(), Column(), Column()], [_build_frame(row) for row in build_frame_rows(found.fit)], style="plain"
     )
     heads = [Column("dimension"), Column("value", "number"), Column("unit"), Column("95 % interval", "number"),
              Column("nominal", "number")]  # fmt: skip
-    yield Table(heads, [_build_estimate(row) for row in found.parameter_rows()], on=On.NOTEBOOK)
+    yield ResultTable(heads, [_build_estimate(row) for row in found.parameter_rows()], on=On.NOTEBOOK)
 
 
 def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> Row:
@@ -340,7 +335,7 @@ def _build_frame(row: dict[str, Any]) -> Row:
     return Row([name, f"{replace_minus_signs(place)} m", f"quaternion {replace_minus_signs(turn)}"])
 
 
-def _build_blind(found: Calibration) -> Iterator[Block]:
+def _build_blind(found: Calibration) -> Iterator[Element]:
     identified = found.fit.identifiability
     blind: Any = identified.to_dict()["not_identifiable"]
     if blind:
@@ -349,7 +344,7 @@ def _build_blind(found: Calibration) -> Iterator[Block]:
                  else "no effect on the tool"])
             for row in blind
         ]  # fmt: skip
-        yield Table([Column(), Column()], rows, style="plain")
+        yield ResultTable([Column(), Column()], rows, style="plain")
         said = "These keep their nominal value. Another value, with the named parameters adjusted, describes the same robot."
         yield Text(said, "note")
     else:
@@ -358,7 +353,7 @@ def _build_blind(found: Calibration) -> Iterator[Block]:
     if pairs:
         yield Text("Strongly correlated", "heading")
         rows = [Row([*c["parameters"], f"correlation {format_number(float(c['correlation']), 3)}"]) for c in pairs]
-        yield Table([Column(), Column(), Column()], rows, style="plain")
+        yield ResultTable([Column(), Column(), Column()], rows, style="plain")
     if len(identified.dropped):
         yield _list_blind([identified.names[k] for k in identified.dropped])
 
@@ -367,7 +362,7 @@ def _list_blind(names: Sequence[str]) -> Text:
     return Text(f"not identifiable, nominal value kept: {format_list(names, 8)}", "dim", on=On.TERMINAL)
 
 
-def _build_sensitivity(found: Calibration) -> Iterator[Block]:
+def _build_sensitivity(found: Calibration) -> Iterator[Element]:
     each = 2 * max(int(found.fit.state.ok.sum()), 1)
     largest = sorted(compute_sensitivities(found.fit), key=lambda s: -s.position)[:_MAX_SENSITIVE]
     rows = [
@@ -377,7 +372,7 @@ def _build_sensitivity(found: Calibration) -> Iterator[Block]:
     ]
     head = f"parameter error of {1e6 * CHANGE:.0f} µm, µrad or 10⁻⁶"
     columns = [Column(head), Column("moves the tool by", "number", "strong"), Column("turns it by", "number")]
-    yield Table(columns, rows)
+    yield ResultTable(columns, rows)
     yield Text("On average over the fitted poses, with all loops closed.", "note")
 
 
@@ -386,17 +381,19 @@ def present_campaign(plan: CalibrationCampaign) -> Presentation:
     """Return how the plan of a calibration is presented."""
     return Presentation(
         "Calibration plan", "", "calibration plan", words.describe_plan(plan), None, words.describe_plan_inputs(plan),
-        [Section("curve", "Accuracy by number of poses", lambda: _build_curve(plan), On.ALL)],
+        [Chapter("curve", "Accuracy by number of poses", lambda: _build_curve(plan), On.ALL)],
         data=lambda: [{"poses": row.poses, "rms": row.rms, "held_out": row.held_out} for row in plan.choice.curve], result=plan,
     )  # fmt: skip
 
 
-def _build_curve(plan: CalibrationCampaign) -> Iterator[Block]:
+def _build_curve(plan: CalibrationCampaign) -> Iterator[Element]:
     yield Text(words.describe_rehearsal(plan), on=On.ALL)
     curve = plan.choice.curve
     step = max(1, -(-len(curve) // _MAX_PLANS))
     rows = [Row([str(r.poses), format_length(r.rms), format_length(r.held_out)]) for r in [*curve[:-1:step], curve[-1]]]
-    yield Table([Column("poses", "number"), Column("tool", "number"), Column("held out", "number")], rows, on=On.ALL)
+    yield ResultTable(
+        [Column("poses", "number"), Column("tool", "number"), Column("held out", "number")], rows, on=On.ALL
+    )
     blind = list(plan.choice.not_identifiable)
     if blind:
         yield _list_blind(blind)

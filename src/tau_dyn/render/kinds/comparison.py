@@ -9,15 +9,15 @@ from tau_dyn.compare import Change, CircumstanceDifference, Comparison, ErrorCha
 from tau_dyn.render.present import flatten_rows, present_kind
 from tau_dyn.results import (
     Bar,
-    Block,
+    Chapter,
     Column,
+    Element,
     Listing,
     On,
     Presentation,
     Provenance,
+    ResultTable,
     Row,
-    Section,
-    Table,
     Text,
     Verdict,
     count,
@@ -40,11 +40,11 @@ def present_comparison(found: Comparison) -> Presentation:
     said = "A change is significant at a family-wise level of 5 % (Holm)."
     more = [*list_findings(found), *(line for line in _list_only(found)), *found.warnings]
     sections = [
-        *([Section("circumstances", "What was different", lambda: _build_circumstances(found), On.ALL)]
+        *([Chapter("circumstances", "What was different", lambda: _build_circumstances(found), On.ALL)]
           if list_circumstances(found) else []),
-        *([Section("quantities", "Quantities", lambda: _build_quantities(found), On.ALL)] if found.changes else []),
-        *([Section("errors", "Errors", lambda: _build_errors(found), On.PAGE | On.TERMINAL)] if found.errors else []),
-        *([Section("more", "Findings and the rest", lambda: _build_rest(found), On.ALL)] if more else []),
+        *([Chapter("quantities", "Quantities", lambda: _build_quantities(found), On.ALL)] if found.changes else []),
+        *([Chapter("errors", "Errors", lambda: _build_errors(found), On.PAGE | On.TERMINAL)] if found.errors else []),
+        *([Chapter("more", "Findings and the rest", lambda: _build_rest(found), On.ALL)] if more else []),
     ]  # fmt: skip
     logs = [("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)]
     return Presentation(
@@ -54,13 +54,13 @@ def present_comparison(found: Comparison) -> Presentation:
     )  # fmt: skip
 
 
-def _build_circumstances(found: Comparison) -> Iterator[Block]:
+def _build_circumstances(found: Comparison) -> Iterator[Element]:
     groups = list_circumstances(found)
-    yield Table([Column(), Column()], [Row([title, "; ".join(lines)]) for title, lines in groups], style="plain")
+    yield ResultTable([Column(), Column()], [Row([title, "; ".join(lines)]) for title, lines in groups], style="plain")
     yield Listing([f"{title}: {'; '.join(lines)}." for title, lines in groups], on=On.SCREENS)
 
 
-def _build_quantities(found: Comparison) -> Iterator[Block]:
+def _build_quantities(found: Comparison) -> Iterator[Element]:
     rows = [_build_change(change) for change in order_changes(found)]
     columns = [
         Column(""), Column("first", "number"), Column("second", "number"), Column("difference ±\nstandard error", "number"),
@@ -68,7 +68,7 @@ def _build_quantities(found: Comparison) -> Iterator[Block]:
         Column("", on=On.PAGE),
     ]  # fmt: skip
     if rows:
-        yield Table(columns, rows, most=_MAX_ROWS, on=On.ALL)
+        yield ResultTable(columns, rows, most=_MAX_ROWS, on=On.ALL)
         yield Text(
             "± is one standard error (1 σ) of the difference; the two results are taken as independent. A sum is "
             "a combination of "
@@ -92,13 +92,13 @@ def _build_change(change: Change) -> Row:
     return Row(cells, "changed" if change.changed else "quiet")
 
 
-def _build_errors(found: Comparison) -> Iterator[Block]:
+def _build_errors(found: Comparison) -> Iterator[Element]:
     rows = [Row([error.name, *_error_cells(error), error.unit]) for error in found.errors]
     columns = [Column(), Column("first", "number"), Column("second", "number"), Column("unit", "unit")]
-    yield Table(columns, rows, on=On.PAGE | On.TERMINAL)
+    yield ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
 
 
-def _build_rest(found: Comparison) -> Iterator[Block]:
+def _build_rest(found: Comparison) -> Iterator[Element]:
     findings, only = list_findings(found), _list_only(found)
     yield Listing([*findings, *only, *found.warnings])
     if findings or only:

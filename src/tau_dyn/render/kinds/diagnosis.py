@@ -23,11 +23,12 @@ from tau_dyn.render.kinds.waterfall import (
 from tau_dyn.render.present import ZOOM, list_logs_used, pad_used, present_kind, warn
 from tau_dyn.results import (
     Beside,
-    Block,
+    Chapter,
     Column,
     Curve,
     Definitions,
     Division,
+    Element,
     Figures,
     Folded,
     Group,
@@ -36,11 +37,10 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
     Strip,
-    Table,
     Text,
     TimeView,
     Verdict,
@@ -67,18 +67,18 @@ def present_diagnosis(found: Diagnosis) -> Presentation:
     robot, (level, badge) = found.model.robot, words.describe_badge(found)
     cards = [_build_card(found, finding, k) for k, finding in enumerate(found.findings)]
     sections = [
-        Section(
+        Chapter(
             "waterfall", f"Residual as a share of the {words.describe_error_reference(found)}, by model",
             lambda: _build_waterfall(found), On.ALL,
         ),
         *warn(found.warnings),
         *cards,
         *(_build_open_end(item, k) for k, item in enumerate(found.unexplained)),
-        *([Section("time", "Measured, before and after", lambda: _build_time(found))] if found.traces else []),
-        Section("limits", "Not detected; detection limit (95 % power)", lambda: _build_limits(found)),
-        Section("parameters", "Parameters of the extended model", lambda: _build_parameters(found)),
-        Section("trust", "Quality of fit", lambda: _build_quality(found)),
-        Section("uncertain", "", lambda: _list_uncertain(found), On.TERMINAL),
+        *([Chapter("time", "Measured, before and after", lambda: _build_time(found))] if found.traces else []),
+        Chapter("limits", "Not detected; detection limit (95 % power)", lambda: _build_limits(found)),
+        Chapter("parameters", "Parameters of the extended model", lambda: _build_parameters(found)),
+        Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
+        Chapter("uncertain", "", lambda: _list_uncertain(found), On.TERMINAL),
     ]  # fmt: skip
     return Presentation(
         "Diagnosis", robot.name, f"{robot.name}: diagnosis", found.sentence,
@@ -111,7 +111,7 @@ def _list_joints(found: Diagnosis) -> tuple[str, ...]:
     return tuple(dict.fromkeys(named or [u.joint for u in found.unexplained]))
 
 
-def _build_waterfall(found: Diagnosis) -> Iterator[Block]:
+def _build_waterfall(found: Diagnosis) -> Iterator[Element]:
     whole, parts = build_total_series(found), build_output_series(found)
     reference = words.describe_error_reference(found)
     yield build_total_table(whole)
@@ -134,15 +134,15 @@ def _build_waterfall(found: Diagnosis) -> Iterator[Block]:
     if simulated:
         yield Text("Simulated with its controller, compared with the log", "heading")
         columns = [Column(), Column("before", "number"), Column("after", "number", "strong")]
-        yield Table(columns, [Row(row) for row in simulated], style="plain fitted")
+        yield ResultTable(columns, [Row(row) for row in simulated], style="plain fitted")
 
 
-def _build_card(found: Diagnosis, finding: Finding, k: int) -> Section:
+def _build_card(found: Diagnosis, finding: Finding, k: int) -> Chapter:
     pictured = (
         On.PAGE | On.NOTEBOOK if sum(f.signature is not None for f in found.findings[:k]) < _MAX_PICTURED else On.PAGE
     )
 
-    def build() -> Iterator[Block]:
+    def build() -> Iterator[Element]:
         yield Text(end_sentence(replace_plus_minus(finding.sentence)), "lead")
         if finding.equation:
             yield Text(finding.equation, "law")
@@ -158,16 +158,16 @@ def _build_card(found: Diagnosis, finding: Finding, k: int) -> Section:
     said = "differs from the robot file" if finding.status == "parameter" else finding.status
     badge = Verdict(words.STATUS_LEVEL[finding.status], "", said)
     title = words.format_title(finding)
-    return Section(f"finding-{k + 1}", title, build, On.PAGE | On.NOTEBOOK, "card", badge, k + 1)
+    return Chapter(f"finding-{k + 1}", title, build, On.PAGE | On.NOTEBOOK, "card", badge, k + 1)
 
 
-def _build_key(cloud: str, fitted: str, reading: str) -> Block:
+def _build_key(cloud: str, fitted: str, reading: str) -> Element:
     return Figures(
         [], "none", [Key("cloud", cloud), Key("mean", "its mean"), Key("predicted", fitted), Key("", reading)]
     )
 
 
-def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[Block]:
+def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[Element]:
     if finding.parameters:
         columns = [
             Column(),
@@ -175,7 +175,7 @@ def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[Block]:
             Column("95 % interval", "number"),
         ]
         rows = [Row([p.name, format_estimate(p), format_estimate_interval(p)]) for p in finding.parameters]
-        yield Table(columns, rows, style="plain")
+        yield ResultTable(columns, rows, style="plain")
     rows = [("Not confirmed", finding.why_not_confirmed)] if finding.why_not_confirmed else []
     rows.append(("Gain", words.describe_gain(finding.gain, _get_unit(found, finding))))
     if finding.confirmation:
@@ -195,8 +195,8 @@ def _get_unit(found: Diagnosis, finding: Finding) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
-def _build_open_end(item: Unexplained, k: int) -> Section:
-    def build() -> Iterator[Block]:
+def _build_open_end(item: Unexplained, k: int) -> Chapter:
+    def build() -> Iterator[Element]:
         yield Text(words.describe_unexplained(item), "lead")
         rows = [
             ("Depends on", format_list(item.depends_on)),
@@ -212,10 +212,10 @@ def _build_open_end(item: Unexplained, k: int) -> Section:
 
     badge = Verdict(words.STATUS_LEVEL[item.status], "", item.status)
     title = f"Unexplained · {item.joint}"
-    return Section(f"unexplained-{k + 1}", title, build, On.PAGE, "card unexplained", badge)
+    return Chapter(f"unexplained-{k + 1}", title, build, On.PAGE, "card unexplained", badge)
 
 
-def _build_time(found: Diagnosis) -> Iterator[Block]:
+def _build_time(found: Diagnosis) -> Iterator[Element]:
     key = [Key("measured", "measured"), Key("residual", "before (refitted)"), Key("predicted", "after (extended)"),
            Key("confirm", "validation"), Key("held", "test"), Key("masked", "not used")]  # fmt: skip
     views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
@@ -258,7 +258,7 @@ def _list_bands(trace: TimeTrace) -> tuple[tuple[float, float, str], ...]:
     return tuple((float(start), float(stop), ink) for start, stop, ink in stretches if ink)
 
 
-def _build_limits(found: Diagnosis) -> Iterator[Block]:
+def _build_limits(found: Diagnosis) -> Iterator[Element]:
     if found.limits:
         yield Listing(words.list_limits(found.limits), style="limits")
         yield Text(
@@ -271,15 +271,15 @@ def _build_limits(found: Diagnosis) -> Iterator[Block]:
     if found.untestable:
         yield Text("Not testable with these logs", "heading")
         rows = [Row([words.format_cause_name(u.cause), u.why, u.experiment]) for u in found.untestable]
-        yield Table([Column("cause"), Column("why"), Column("experiment")], rows, style="plain")
+        yield ResultTable([Column("cause"), Column("why"), Column("experiment")], rows, style="plain")
 
 
-def _build_parameters(found: Diagnosis) -> list[Block]:
+def _build_parameters(found: Diagnosis) -> list[Element]:
     rows, scale = build_extended_rows(found.extended_model, found.model.parameters)
     return build_parameter_table(rows, format_percent(100 * scale), before=True)
 
 
-def _build_quality(found: Diagnosis) -> Iterator[Block]:
+def _build_quality(found: Diagnosis) -> Iterator[Element]:
     whole, names = sum(found.n_parts) or 1.0, ("training", "validation", "test")
     parts = [
         (ink, f"{name} {format_number(s, 3)} s", s / whole)
@@ -290,10 +290,10 @@ def _build_quality(found: Diagnosis) -> Iterator[Block]:
         "cause. The test data "
         "measure its gain."
     )
-    data: list[Block] = [Text("Training, validation and test data", "heading"), Division(parts), Text(said)]
+    data: list[Element] = [Text("Training, validation and test data", "heading"), Division(parts), Text(said)]
     settings = [Row(row) for row in words.list_settings(found.settings)]
-    right: list[Block] = (
-        [Text("Settings", "heading"), Table([Column(), Column()], settings, style="plain")] if settings else []
+    right: list[Element] = (
+        [Text("Settings", "heading"), ResultTable([Column(), Column()], settings, style="plain")] if settings else []
     )
     yield Beside(data, right)
     assumed = found.model.robot.assumed
@@ -301,7 +301,7 @@ def _build_quality(found: Diagnosis) -> Iterator[Block]:
         yield Folded("Assumed in the robot file", [Listing(list(assumed))])
 
 
-def _list_uncertain(found: Diagnosis) -> Iterator[Block]:
+def _list_uncertain(found: Diagnosis) -> Iterator[Element]:
     """Give what a terminal says below the bars."""
     twins = [
         f"{words.format_title(f)} from {format_list(map(words.format_cause_name, f.indistinguishable_from))}"

@@ -18,8 +18,9 @@ from tau_dyn.render.present import ZOOM, flatten_rows, list_logs_used, present_k
 from tau_dyn.results import (
     Bar,
     Beside,
-    Block,
+    Chapter,
     Column,
+    Element,
     Facts,
     Figures,
     Folded,
@@ -29,10 +30,9 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
-    Table,
     Text,
     TimeView,
     Verdict,
@@ -70,13 +70,13 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
     robot, rows = found.model.robot, build_parameter_rows(found, truth)
     fits = [effect.equation for effect in found.model.effects]
     sections = [
-        Section("errors", "", lambda: _build_glance(found, rows), On.PAGE | On.TERMINAL),
+        Chapter("errors", "", lambda: _build_glance(found, rows), On.PAGE | On.TERMINAL),
         *warn(found.warnings),
-        Section("force", "Measured and predicted force", lambda: _build_forces(found)),
+        Chapter("force", "Measured and predicted force", lambda: _build_forces(found)),
         *_list_friction(found, list(dict.fromkeys(fits))),
-        Section("parameters", "Parameters", lambda: _build_parameters(found, rows, truth), On.ALL),
-        Section("uncertain", "", lambda: _list_uncertain(found), On.TERMINAL),
-        Section("trust", "Quality of fit", lambda: _build_quality(found)),
+        Chapter("parameters", "Parameters", lambda: _build_parameters(found, rows, truth), On.ALL),
+        Chapter("uncertain", "", lambda: _list_uncertain(found), On.TERMINAL),
+        Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
     ]
     facts = [("friction model", found.friction or "as the model file says"), ("seed", str(found.seed))]
     return Presentation(
@@ -86,7 +86,7 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
     )  # fmt: skip
 
 
-def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterator[Block]:
+def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterator[Element]:
     judged = found.holdout or found.train
     known = sum(r.state == "known" for r in rows)
     title = "Held-out error" if found.holdout else "Error of the fit, no held-out data"
@@ -98,7 +98,7 @@ def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterat
         ("Samples used", format_percent(100 * found.train.used_share), ""),
         ("Condition number", format_number(found.estimate.cond, 3), ""),
     ]
-    left: list[Block] = [Text("Error by joint", "title"), _build_errors(found)]
+    left: list[Element] = [Text("Error by joint", "title"), _build_errors(found)]
     if found.holdout:
         left.append(
             Text(
@@ -116,7 +116,7 @@ def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterat
         yield Text(said, on=On.TERMINAL)
 
 
-def _build_errors(found: Identification) -> Table:
+def _build_errors(found: Identification) -> ResultTable:
     """Return one line a joint: errors held out and in training, of all samples, and how many are used."""
     judged, train, units = found.holdout or found.train, found.train, found.model.robot.force_units
     held, every = found.holdout is not None, judged.all_samples
@@ -146,10 +146,10 @@ def _build_errors(found: Identification) -> Table:
             used = judged.used_shares[k] if judged.used_shares else judged.used_share
             cells += [format_percent(float(every.per_joint_percent[k])), format_percent(100 * used)]
         rows.append(Row(cells))
-    return Table(columns, rows, on=On.PAGE | On.TERMINAL)
+    return ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
 
 
-def _build_forces(found: Identification) -> Iterator[Block]:
+def _build_forces(found: Identification) -> Iterator[Element]:
     key = [Key("measured", "measured"), Key("predicted", "predicted"), Key("residual", "residual"), Key("held", "held out"),
            Key("masked", "not used")]  # fmt: skip
     yield TimeView("measured and predicted force over time, and the residual", list(fit_quality.list_views(found)), key)
@@ -168,13 +168,13 @@ def _build_forces(found: Identification) -> Iterator[Block]:
     )
 
 
-def _list_friction(found: Identification, equations: Sequence[str]) -> list[Section]:
+def _list_friction(found: Identification, equations: Sequence[str]) -> list[Chapter]:
     curves = fit_quality.build_friction_curves(found)
     if not curves:
         return []
     offsets = [text for text in map(fit_quality.describe_offset, curves) if text]
 
-    def build() -> Iterator[Block]:
+    def build() -> Iterator[Element]:
         drawn = [fit_quality.build_friction_figure(curve) for curve in curves]
         means = "mean and standard deviation of the samples, by speed"
         key = [Key("cloud", "samples"), Key("mean", means), Key("predicted", "identified law")]
@@ -192,12 +192,12 @@ def _list_friction(found: Identification, equations: Sequence[str]) -> list[Sect
             "note",
         )
 
-    return [Section("friction", "Friction", build, On.PAGE | On.NOTEBOOK, "beside" if len(curves) == 1 else "")]
+    return [Chapter("friction", "Friction", build, On.PAGE | On.NOTEBOOK, "beside" if len(curves) == 1 else "")]
 
 
 def _build_parameters(
     found: Identification, rows: Sequence[ParameterRow], truth: Mapping[str, float] | None
-) -> Iterator[Block]:
+) -> Iterator[Element]:
     scale = format_percent(100 * compute_bar_scale(found.rows()))
     yield from build_parameter_table(rows, scale, truth=truth is not None, on=On.ALL)
     said = fit_quality.describe_truth_errors(list(rows))
@@ -208,7 +208,7 @@ def _build_parameters(
         yield Text(f"Fixed: {'; '.join(fixed)}.", "note")
 
 
-def _list_uncertain(found: Identification) -> Iterator[Block]:
+def _list_uncertain(found: Identification) -> Iterator[Element]:
     """Give what a terminal says below the table."""
     rows = found.rows()
     weak = [r["name"] for r in rows if r["stderr"] is not None and not r["determined"]]
@@ -224,16 +224,18 @@ def _list_uncertain(found: Identification) -> Iterator[Block]:
             yield Text(f"{title}: {'; '.join(items)}.", on=On.TERMINAL)
 
 
-def _build_quality(found: Identification) -> Iterator[Block]:
+def _build_quality(found: Identification) -> Iterator[Element]:
     used = [Text("Data used", "heading"), Text(fit_quality.describe_used_data(found)),
             Listing(fit_quality.describe_preparation(found))]  # fmt: skip
-    separation: list[Block] = [
+    separation: list[Element] = [
         Text("Conditioning", "heading"),
         Text(fit_quality.describe_conditioning(found.estimate.cond)),
     ]
     pairs = fit_quality.list_correlations(found)
     if pairs:
-        table = Table([Column(kind="number"), Column(), Column()], [Row((c, a, b)) for a, b, c in pairs], style="plain")
+        table = ResultTable(
+            [Column(kind="number"), Column(), Column()], [Row((c, a, b)) for a, b, c in pairs], style="plain"
+        )
         title = f"{count(len(pairs), 'strong correlation')}; use only the combinations"
         separation.append(Folded(title, [table], len(pairs) <= 3))
     else:

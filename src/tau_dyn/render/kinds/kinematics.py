@@ -10,15 +10,15 @@ import numpy as np
 from tau_dyn.kinematics import PoseTable
 from tau_dyn.render.present import list_assumptions, present_kind, warn
 from tau_dyn.results import (
-    Block,
+    Chapter,
     Column,
+    Element,
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
-    Table,
     Text,
     Verdict,
     end_sentence,
@@ -40,7 +40,7 @@ def present_poses(table: PoseTable) -> Presentation:
     verdict = Verdict("good" if answered == rows else "care", "", badge)
     sections = [
         *warn([end_sentence(text) for text in table.warnings]),
-        Section("poses", "Positions and poses", lambda: _build_poses(table), On.ALL),
+        Chapter("poses", "Positions and poses", lambda: _build_poses(table), On.ALL),
         *list_assumptions(table.robot.assumed),
     ]
     return Presentation(
@@ -49,10 +49,12 @@ def present_poses(table: PoseTable) -> Presentation:
     )  # fmt: skip
 
 
-def _build_poses(table: PoseTable) -> Iterator[Block]:
+def _build_poses(table: PoseTable) -> Iterator[Element]:
     if len(table.q) == 1:
         columns = [Column(), Column("value", "number"), Column("", "unit"), Column("joint limits", on=On.PAGE)]
-        yield Table(columns, [Row(row) for row in _list_single(table)], style="plain fitted", on=On.PAGE | On.TERMINAL)
+        yield ResultTable(
+            columns, [Row(row) for row in _list_single(table)], style="plain fitted", on=On.PAGE | On.TERMINAL
+        )
     else:
         yield _build_table(table, On.PAGE)
         yield _build_table(table, On.TERMINAL)
@@ -66,14 +68,14 @@ def _build_poses(table: PoseTable) -> Iterator[Block]:
     )
     frame = table.columns()
     rows = [Row([_tell(x) for x in row], "" if row[-1] == "" else "poor") for row in zip(*frame.values(), strict=True)]
-    yield Table([Column(name) for name in frame], rows, on=On.NOTEBOOK)
+    yield ResultTable([Column(name) for name in frame], rows, on=On.NOTEBOOK)
 
 
 def _tell(x: Any) -> str:
     return str(x) if isinstance(x, str) else format_number(float(x), 6) if np.isfinite(x) else ""
 
 
-def _build_table(table: PoseTable, on: On) -> Table:
+def _build_table(table: PoseTable, on: On) -> ResultTable:
     """Return the rows; what tells a row is repeated where a terminal splits the table."""
     heads = _heads(table)
     kept = [k for k, head in enumerate(heads) if head in _KEPT]
@@ -82,7 +84,7 @@ def _build_table(table: PoseTable, on: On) -> Table:
     rows = [_cells(table, k, digits) for k in range(min(len(table.q), _MAX_ROWS))]
     columns = [Column(heads[k], "text" if heads[k] == "why not" else "number", kept=k in kept) for k in shown]
     rest = "rows more; --out FILE.csv writes them all"
-    return Table(
+    return ResultTable(
         columns, [Row([row[k] for k in shown]) for row in rows], style="poses", most=_MAX_PRINTED, rest=rest, on=on
     )
 

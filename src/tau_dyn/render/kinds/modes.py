@@ -27,10 +27,11 @@ from tau_dyn.render.present import present_kind, warn
 from tau_dyn.results import (
     Z95,
     Bar,
-    Block,
     Cell,
+    Chapter,
     Column,
     Curve,
+    Element,
     Figures,
     Group,
     IntervalBar,
@@ -38,11 +39,10 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     Row,
-    Section,
     ShapePicture,
     SwingPicture,
-    Table,
     Text,
     TimeView,
     View,
@@ -80,24 +80,24 @@ def present_modes(
         *_list_modes(
             found, on_robot, [t.order for t in found.order_choice.trials if t.order >= found.order] or [found.order]
         ),
-        Section(
+        Chapter(
             "response", "The response, with and without a model", lambda: _build_response(found), On.PAGE | On.NOTEBOOK
         ),
-        Section("time", "Measured and simulated", lambda: _build_time(found), On.PAGE | On.TERMINAL),
-        *([Section("impulse", "Response to a pulse", lambda: _build_impulse(found))] if found.impulse else []),
-        *([Section("order", "How many states", lambda: _build_order(found))] if found.stabilisation else []),
+        Chapter("time", "Measured and simulated", lambda: _build_time(found), On.PAGE | On.TERMINAL),
+        *([Chapter("impulse", "Response to a pulse", lambda: _build_impulse(found))] if found.impulse else []),
+        *([Chapter("order", "How many states", lambda: _build_order(found))] if found.stabilisation else []),
         *(
-            [Section("poles", "Poles and zeros", lambda: _build_poles(found))]
+            [Chapter("poles", "Poles and zeros", lambda: _build_poles(found))]
             if any(q.oscillates for q in found.poles)
             else []
         ),
         *(
-            [Section("tests", "Residuals", lambda: _build_tests(found))]
+            [Chapter("tests", "Residuals", lambda: _build_tests(found))]
             if found.whiteness or found.independence
             else []
         ),
-        Section("mechanical", "Mass, damping, stiffness", lambda: _build_mechanical(found), On.PAGE | On.TERMINAL),
-        Section("why", "What was decided, and why", lambda: _build_reasons(found), On.PAGE | On.TERMINAL),
+        Chapter("mechanical", "Mass, damping, stiffness", lambda: _build_mechanical(found), On.PAGE | On.TERMINAL),
+        Chapter("why", "What was decided, and why", lambda: _build_reasons(found), On.PAGE | On.TERMINAL),
     ]
     return Presentation(
         "Resonances of", ", ".join(names) or "log", f"{names[0] if names else 'log'}: resonances", describe_headline(found),
@@ -115,8 +115,8 @@ def present_operational_modes(
     sections = [
         *warn(list(map(_tidy, found.warnings))),
         *_list_modes(found, on_robot, sorted({q.order for q in found.stabilisation})),
-        Section("order", "Stabilisation", lambda: _build_stabilisation(found), On.PAGE | On.NOTEBOOK),
-        Section("mechanical", "Mass, damping, stiffness", lambda: [Text(f"Not identifiable: {REASON_WITHOUT_SCALE}.")]),
+        Chapter("order", "Stabilisation", lambda: _build_stabilisation(found), On.PAGE | On.NOTEBOOK),
+        Chapter("mechanical", "Mass, damping, stiffness", lambda: [Text(f"Not identifiable: {REASON_WITHOUT_SCALE}.")]),
     ]
     return Presentation(
         "Operational modal analysis of", name, f"{name}: resonances", describe_headline(found), describe_verdict(found),
@@ -135,15 +135,15 @@ def _trace_back(logs: Sequence[tuple[str, str]], method: str) -> Provenance:
 
 def _list_modes(
     found: Modes | OperationalModes, on_robot: ShapesOnRobot | None, orders: Sequence[int]
-) -> list[Section]:
+) -> list[Chapter]:
     if not found.modes:
         return []
-    return [Section("modes", "Resonances", lambda: _build_modes(found, on_robot, orders), On.ALL)]
+    return [Chapter("modes", "Resonances", lambda: _build_modes(found, on_robot, orders), On.ALL)]
 
 
 def _build_modes(
     found: Modes | OperationalModes, on_robot: ShapesOnRobot | None, orders: Sequence[int]
-) -> Iterator[Block]:
+) -> Iterator[Element]:
     several = len(found.outputs) > 1
     columns = [
         Column("frequency [Hz]", "number", "big"),
@@ -155,7 +155,7 @@ def _build_modes(
         *([Column("moves most", on=On.PAGE | On.TERMINAL)] if several else []),
         Column("seen in", "number", on=On.PAGE),
     ]
-    yield Table(columns, [_build_mode(found, m, orders, several) for m in found.modes], style="modes", on=On.ALL)
+    yield ResultTable(columns, [_build_mode(found, m, orders, several) for m in found.modes], style="modes", on=On.ALL)
     yield Text(
         "Undamped natural frequency and damping as a share of critical damping, ± is one standard error (1 σ). "
         "Rings for: until a "
@@ -201,14 +201,14 @@ def _build_mode(found: Modes | OperationalModes, m: Mode, orders: Sequence[int],
     return Row(cells, "" if figures.is_resonance(m) else "weak")
 
 
-def draw_on_robot(shapes: ShapesOnRobot, chosen: Sequence[bool]) -> Iterator[Block]:
+def draw_on_robot(shapes: ShapesOnRobot, chosen: Sequence[bool]) -> Iterator[Element]:
     """Give the chosen modes on the robot, measured and of the robot file's own springs side by side."""
     pairs = [pair for pair, take in zip(shapes.pairs, chosen, strict=True) if take][:SHAPES]
     if not pairs:
         return
     yield Text("How the robot moves", "heading")
     compared = any(p.model is not None for p in pairs)
-    couples: list[Block] = []
+    couples: list[Element] = []
     for p in pairs:
         drawings, captions = (
             [SwingPicture(shapes.skeleton, p.measured, "measured")],
@@ -239,7 +239,7 @@ def _lay_out(found: Modes) -> str:
     return f"bodes bodes-{figures.count_chart_columns(found)}"
 
 
-def _build_response(found: Modes) -> Iterator[Block]:
+def _build_response(found: Modes) -> Iterator[Element]:
     pairs, layout = figures.list_pairs(found), _lay_out(found)
     key = [Key("data", "data alone"), Key("predicted", "model"), Key("sure", "95 % band"), _RESONANCE]
     bode = [figures.build_bode_figure(found, i, j) for i, j in pairs]
@@ -261,7 +261,7 @@ def _build_response(found: Modes) -> Iterator[Block]:
     )
 
 
-def _build_time(found: Modes) -> Iterator[Block]:
+def _build_time(found: Modes) -> Iterator[Element]:
     views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
     key = [Key("measured", "measured"), Key("predicted", "simulated"), Key("residual", "missed")]
     if views:
@@ -283,7 +283,7 @@ def _build_time(found: Modes) -> Iterator[Block]:
         cells += [format_fit(float(found.train.percent[k]))] if held else []
         ahead = [format_fit(float(judged.ahead[n][k])) for n in (1, 10)]
         rows.append(Row([*cells, *ahead, format_number(float(judged.rms[k]), 3)]))
-    yield Table(columns, rows, on=On.PAGE | On.TERMINAL)
+    yield ResultTable(columns, rows, on=On.PAGE | On.TERMINAL)
     yield Text(
         "Fit: 100 % is all of the movement, 0 a straight line. A simulation sees the inputs only, and the state at the start; "
         "predictions also see outputs up to so many samples before. Drag across to zoom, double-click for the whole record.",
@@ -298,7 +298,7 @@ def _build_view(found: Modes, trace: Any, k: int) -> View:
     return View(trace.log, name, trace.t, (both, rest), held_out=trace.held_out)
 
 
-def _build_impulse(found: Modes) -> Iterator[Block]:
+def _build_impulse(found: Modes) -> Iterator[Element]:
     drawn = [figures.build_impulse_figure(found, i, j) for i, j in figures.list_pairs(found)]
     held = ", held out" if found.impulse and found.impulse.held_out else ""
     key = [Key("measured", f"measured{held}"), Key("predicted", "model")]
@@ -310,7 +310,7 @@ def _key_of_modes(last: str) -> list[Key]:
     return [Key("stable", "stable"), Key("ring", "frequency only"), Key("new", "new"), Key("mode", last)]
 
 
-def _build_order(found: Modes) -> Iterator[Block]:
+def _build_order(found: Modes) -> Iterator[Element]:
     yield Figures([figures.build_stabilisation_figure(found)], "wide-chart", _key_of_modes("resonance of the model"))
     choices = figures.build_choice_figures(found)
     if choices:
@@ -325,7 +325,7 @@ def _build_order(found: Modes) -> Iterator[Block]:
     )
 
 
-def _build_stabilisation(found: OperationalModes) -> Iterator[Block]:
+def _build_stabilisation(found: OperationalModes) -> Iterator[Element]:
     figure, key = figures.build_stabilisation_figure(found), _key_of_modes("mode of the structure")
     yield Figures([figure], "wide-chart", key, on=On.PAGE | On.NOTEBOOK)
     yield Text(
@@ -335,7 +335,7 @@ def _build_stabilisation(found: OperationalModes) -> Iterator[Block]:
     )
 
 
-def _build_poles(found: Modes) -> Iterator[Block]:
+def _build_poles(found: Modes) -> Iterator[Element]:
     figure = figures.build_pole_figure(found)
     yield Figures([] if figure is None else [figure], "wide-chart")
     together = " of all transfer functions together" if len(found.inputs) > 1 else ""
@@ -348,7 +348,7 @@ def _build_poles(found: Modes) -> Iterator[Block]:
     )
 
 
-def _build_tests(found: Modes) -> Iterator[Block]:
+def _build_tests(found: Modes) -> Iterator[Element]:
     yield Text(describe_tests(found))
     for title, tests in (
         ("Correlation with the inputs", _select_worst(found.independence)),
@@ -368,19 +368,19 @@ def _select_worst(tests: Sequence[CorrelationTest]) -> list[CorrelationTest]:
     return [t for t in tests if any(t is w for w in worst)]
 
 
-def _build_mechanical(found: Modes) -> Iterator[Block]:
+def _build_mechanical(found: Modes) -> Iterator[Element]:
     yield Text(describe_mechanical(found), on=On.PAGE | On.TERMINAL)
     m = found.mechanical
     if m is None or m.M is None or m.D is None or m.K is None:
         return
     spread = [None] * 3 if m.stderr is None else [m.stderr.M, m.stderr.D, m.stderr.K]
-    matrices: list[Block] = []
+    matrices: list[Element] = []
     for letter, meaning, values, stderr in zip(
         "MDK", ("mass", "damping", "stiffness"), (m.M, m.D, m.K), spread, strict=True
     ):
         rows = [Row([format_entry(values, stderr, i, j) for j in range(len(values))]) for i in range(len(values))]
         columns = [Column(kind="number") for _ in values]
-        matrices.append(Table(columns, rows, style="matrix", caption=f"{letter}, {meaning}"))
+        matrices.append(ResultTable(columns, rows, style="matrix", caption=f"{letter}, {meaning}"))
     yield Group(matrices, "matrices")
     yield Text(
         "In the units of the inputs per those of the outputs (times s² and s), ± is one standard error (1 σ); "
@@ -390,6 +390,8 @@ def _build_mechanical(found: Modes) -> Iterator[Block]:
     )
 
 
-def _build_reasons(found: Modes) -> Iterator[Block]:
-    yield Table([Column(), Column()], [Row([topic, _tidy(text)]) for topic, text in found.why.items()], style="plain")
+def _build_reasons(found: Modes) -> Iterator[Element]:
+    yield ResultTable(
+        [Column(), Column()], [Row([topic, _tidy(text)]) for topic, text in found.why.items()], style="plain"
+    )
     yield Text(" ".join(_tidy(text) for text in found.why.values()), "dim", on=On.TERMINAL)

@@ -17,9 +17,10 @@ from tau_dyn.results import (
     Axis,
     Bar,
     Beside,
-    Block,
+    Chapter,
     Column,
     Curve,
+    Element,
     Figure,
     Figures,
     Key,
@@ -29,12 +30,11 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     Ring,
     RobotPicture,
     Row,
-    Section,
     Shown,
-    Table,
     Text,
     TimeView,
     Verdict,
@@ -101,9 +101,9 @@ def present_simulation(found: SimulatedLog) -> Presentation:
     rows = [_follow(log, robot, k) for k in range(robot.na)]
     sections = [
         *warn(log.warnings),
-        Section("signals", "What the log shows", lambda: _build_signals(log, robot)),
-        Section("joints", "Joint by joint", lambda: [_build_followed(rows)], On.ALL),
-        Section("truth", "What was simulated", lambda: _build_truth(found)),
+        Chapter("signals", "What the log shows", lambda: _build_signals(log, robot)),
+        Chapter("joints", "Joint by joint", lambda: [_build_followed(rows)], On.ALL),
+        Chapter("truth", "What was simulated", lambda: _build_truth(found)),
     ]
     text = f"{format_number(log.duration, 4)} s of simulated {robot.name} at {format_number(log.rate_hz, 4)} Hz"
     errors = [r["error_share"] for r in rows if r["error_share"] is not None]
@@ -128,7 +128,7 @@ def _judge_simulation(log: Log, rows: list[dict[str, Any]]) -> Verdict:
     return Verdict("good", "No drive reached its limit of force.", "Made")
 
 
-def _build_signals(log: Log, robot: Robot) -> Iterator[Block]:
+def _build_signals(log: Log, robot: Robot) -> Iterator[Element]:
     key = [Key("measured", "reference"), Key("predicted", "position"), Key("residual", "force"), Key("limit", "limit")]
     views = [_log_view(log, robot, k) for k in range(robot.na)]
     yield TimeView("position, how far it is behind its reference, and force, over time", views, key)
@@ -140,12 +140,12 @@ def _build_signals(log: Log, robot: Robot) -> Iterator[Block]:
     )
 
 
-def _build_followed(rows: list[dict[str, Any]]) -> Table:
+def _build_followed(rows: list[dict[str, Any]]) -> ResultTable:
     titles = ("covers", "behind, rms", "at most", "force rms")
     columns = [Column("joint"), Column("unit", style="quiet"), *(Column(title, "number") for title in titles),
                Column("top force", "number", "strong"), Column("limit", "number"),
                Column("share of the limit", "bar", "share")]  # fmt: skip
-    return Table(columns, [Row([r["joint"], r["unit"], *r["cells"]]) for r in rows], on=On.ALL)
+    return ResultTable(columns, [Row([r["joint"], r["unit"], *r["cells"]]) for r in rows], on=On.ALL)
 
 
 def _follow(log: Log, robot: Robot, k: int) -> dict[str, Any]:
@@ -169,19 +169,19 @@ def _follow(log: Log, robot: Robot, k: int) -> dict[str, Any]:
     return {"joint": joint, "unit": about, "cells": cells, "error_share": share, "saturated": saturated}
 
 
-def _build_truth(found: SimulatedLog) -> Iterator[Block]:
+def _build_truth(found: SimulatedLog) -> Iterator[Element]:
     """Give the true values that are not zero, the sensors, and the forces beyond the rigid body."""
     model, robot = found.model, found.model.robot
     rows = [Row([p.name, format_number(p.value, 5), format_unit(p.unit)]) for p in model.parameters if p.value != 0.0]
-    left: list[Block] = [
+    left: list[Element] = [
         Text("True values", "heading"),
-        Table([Column(), Column(kind="number"), Column(kind="unit")], rows, style="plain"),
+        ResultTable([Column(), Column(kind="number"), Column(kind="unit")], rows, style="plain"),
         Text("Parameters not listed are zero.", "note"),
     ]
-    right: list[Block] = []
+    right: list[Element] = []
     if found.sensors is not None:
         sensors = [Row(row) for row in _list_sensors(found.sensors)]
-        right += [Text("Sensors", "heading"), Table([Column(), Column()], sensors, style="plain"),
+        right += [Text("Sensors", "heading"), ResultTable([Column(), Column()], sensors, style="plain"),
                   Text("SI units; a noise is a standard deviation.", "note")]  # fmt: skip
     equations = list(dict.fromkeys(effect.equation for effect in model.effects))
     right += [Listing(equations, "Forces beyond the rigid body", "code")] if equations else []
@@ -196,12 +196,12 @@ def present_excitation(found: ExcitingMotion) -> Presentation:
     robot, free = model.robot, int(np.sum(model.parameters.free))
     level: Level = "good" if condition < WELL else "care" if condition < FAIR else "poor"
     badge = {"good": "Tells them apart", "care": "Usable", "poor": "Too poor"}[level]
-    predicted = Section("predicted", "Predicted standard errors", lambda: _build_prediction(found), On.ALL)
+    predicted = Chapter("predicted", "Predicted standard errors", lambda: _build_prediction(found), On.ALL)
     sections = [
-        Section("joints", "Joints", lambda: _build_driven(found), On.ALL),
+        Chapter("joints", "Joints", lambda: _build_driven(found), On.ALL),
         *([predicted] if found.prediction is not None else []),
-        Section("motion", "The motion", lambda: _build_motion(motion, robot)),
-        Section("phase", "Speed over position", lambda: _build_phases(motion, robot)),
+        Chapter("motion", "The motion", lambda: _build_motion(motion, robot)),
+        Chapter("phase", "Speed over position", lambda: _build_phases(motion, robot)),
     ]
     return Presentation(
         "Exciting motion", robot.name, f"{robot.name}: exciting motion",
@@ -215,7 +215,7 @@ def present_excitation(found: ExcitingMotion) -> Presentation:
     )  # fmt: skip
 
 
-def _build_driven(found: ExcitingMotion) -> Iterator[Block]:
+def _build_driven(found: ExcitingMotion) -> Iterator[Element]:
     motion, robot = found.motion, found.model.robot
     columns = [
         Column("joint"), Column("unit", style="quiet"), Column("range", "number"), Column("of", "number", "quiet"),
@@ -223,7 +223,7 @@ def _build_driven(found: ExcitingMotion) -> Iterator[Block]:
         Column("share of the limit", "bar", "share", on=On.PAGE), Column("top acceleration", "number"),
         Column("reversals", "number"),
     ]  # fmt: skip
-    yield Table(columns, [_build_joint(motion, robot, k) for k in range(robot.na)], on=On.ALL)
+    yield ResultTable(columns, [_build_joint(motion, robot, k) for k in range(robot.na)], on=On.ALL)
     if motion.notes:
         yield Listing(list(motion.notes))
 
@@ -243,7 +243,7 @@ def _build_joint(motion: Trajectory, robot: Robot, k: int) -> Row:
     ])  # fmt: skip
 
 
-def _build_prediction(found: ExcitingMotion) -> Iterator[Block]:
+def _build_prediction(found: ExcitingMotion) -> Iterator[Element]:
     """Give name, value, error and unit of each base parameter, and the error as a share of the value."""
     prediction = found.prediction
     rows = [] if prediction is None else [
@@ -254,11 +254,11 @@ def _build_prediction(found: ExcitingMotion) -> Iterator[Block]:
     columns = [Column("parameter"), Column("assumed", "number"), Column("standard error", "number"),
     Column("unit", "unit", "quiet"),
                Column("of the value", "number")]  # fmt: skip
-    yield Table(columns, rows, on=On.ALL)
+    yield ResultTable(columns, rows, on=On.ALL)
     yield Text("Predicted from the assumed noise. Friction of another law and tracking errors add to them.", "note")
 
 
-def _build_motion(motion: Trajectory, robot: Robot) -> Iterator[Block]:
+def _build_motion(motion: Trajectory, robot: Robot) -> Iterator[Element]:
     key = [Key("predicted", "position, speed"), Key("residual", "acceleration"), Key("limit", "limit")]
     views = [_motion_view(motion, robot, k) for k in range(robot.na)]
     yield TimeView("position, speed and acceleration over time", views, key)
@@ -269,7 +269,7 @@ def _build_motion(motion: Trajectory, robot: Robot) -> Iterator[Block]:
     )
 
 
-def _build_phases(motion: Trajectory, robot: Robot) -> Iterator[Block]:
+def _build_phases(motion: Trajectory, robot: Robot) -> Iterator[Element]:
     yield Figures([_draw_phase(motion, robot, k) for k in range(robot.na)])
     yield Text(
         "The dashed frame is the limits. Good: the curve fills the frame, with both signs of speed at every "

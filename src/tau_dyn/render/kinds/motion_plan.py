@@ -13,10 +13,11 @@ from tau_dyn.results import (
     WHOLE,
     Axis,
     Bar,
-    Block,
+    Chapter,
     Column,
     Curve,
     Dots,
+    Element,
     Figure,
     Figures,
     Key,
@@ -25,10 +26,9 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
-    Table,
     Text,
     TimeView,
     Verdict,
@@ -52,10 +52,10 @@ def present_motion_plan(plan: MotionPlan) -> Presentation:
     """Return how a planned motion is presented."""
     robot = plan.model.robot
     sections = [
-        Section("forces", "Forces and their limits", lambda: _build_forces(plan), On.PAGE | On.NOTEBOOK),
-        Section("joints", "Joint by joint", lambda: _build_joints(plan), On.ALL),
-        *([Section("way", "The tool's way", lambda: _build_way(plan))] if plan.tool is not None else []),
-        Section("motion", "The motion", lambda: _build_motion(plan)),
+        Chapter("forces", "Forces and their limits", lambda: _build_forces(plan), On.PAGE | On.NOTEBOOK),
+        Chapter("joints", "Joint by joint", lambda: _build_joints(plan), On.ALL),
+        *([Chapter("way", "The tool's way", lambda: _build_way(plan))] if plan.tool is not None else []),
+        Chapter("motion", "The motion", lambda: _build_motion(plan)),
         *list_assumptions(robot.assumed),
     ]
     facts = [("solver", f"ipopt, {plan.status}, {plan.iterations} iterations in {plan.seconds:.2f} s")]
@@ -65,7 +65,7 @@ def present_motion_plan(plan: MotionPlan) -> Presentation:
     )  # fmt: skip
 
 
-def _build_forces(plan: MotionPlan) -> Iterator[Block]:
+def _build_forces(plan: MotionPlan) -> Iterator[Element]:
     yield Figures([_draw_force(plan, k) for k in range(len(plan.joints))], on=On.PAGE | On.NOTEBOOK)
     yield Text(
         "What the model needs for the motion, friction included. Dashed: the limit. In the shortest time at least "
@@ -92,7 +92,7 @@ def _draw_force(plan: MotionPlan, k: int) -> Figure:
     )
 
 
-def _build_joints(plan: MotionPlan) -> Iterator[Block]:
+def _build_joints(plan: MotionPlan) -> Iterator[Element]:
     page = On.PAGE | On.NOTEBOOK
     columns = [
         Column("joint"), Column("travel", "number", on=page), Column("top speed", "number", on=page),
@@ -108,8 +108,8 @@ def _build_joints(plan: MotionPlan) -> Iterator[Block]:
             f"{format_number(r['force'], 4)} {format_unit(r['force_unit'])}", format_limit(limit, 4),
             Bar(min(r["force"] / limit, 1.0)) if np.isfinite(limit) else None, format_percent(100 * r["at_force_limit"]),
         ]))  # fmt: skip
-    yield Table(columns, rows, on=On.ALL)
-    yield Table([Column(), Column(kind="number")], [Row(row) for row in _list_facts(plan)], style="plain fitted")
+    yield ResultTable(columns, rows, on=On.ALL)
+    yield ResultTable([Column(), Column(kind="number")], [Row(row) for row in _list_facts(plan)], style="plain fitted")
     yield Text(
         f"squared forces over time {plan.energy:.4g} {format_squares_unit(plan)} s, work {plan.work:.4g} J; ipopt: "
         f"{plan.iterations} "
@@ -129,7 +129,7 @@ def _list_facts(plan: MotionPlan) -> list[tuple[str, str]]:
     ]
 
 
-def _build_way(plan: MotionPlan) -> Iterator[Block]:
+def _build_way(plan: MotionPlan) -> Iterator[Element]:
     yield Figures([_draw_way(plan, *plane) for plane in _PLANES])
     yield Text(
         "Dashed: the straight line between both ends. What stands in the room is not known here: look before you run it.",
@@ -162,7 +162,7 @@ def _square(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], tuple[fl
     return (xm - w, xm + w), (ym - h, ym + h)
 
 
-def _build_motion(plan: MotionPlan) -> Iterator[Block]:
+def _build_motion(plan: MotionPlan) -> Iterator[Element]:
     key = [Key("predicted", "position, speed"), Key("residual", "force"), Key("limit", "limit")]
     views = [_build_view(plan, k) for k in range(len(plan.joints))]
     yield TimeView("position, speed and force over time", views, key)

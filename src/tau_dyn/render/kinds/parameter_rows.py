@@ -14,12 +14,12 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import (
     Z95,
-    Block,
     Column,
+    Element,
     IntervalBar,
     On,
+    ResultTable,
     Row,
-    Table,
     Text,
     format_interval,
     format_list,
@@ -88,7 +88,7 @@ def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRo
 
 def build_parameter_table(
     rows: Sequence[ParameterRow], scale: str, *, truth: bool = False, before: bool = False, on: On = On.PAGE
-) -> list[Block]:
+) -> list[Element]:
     """Return the table and how to read it.
 
     A terminal shows only what the data tell alone: of the others no value is an estimate.
@@ -120,7 +120,7 @@ def build_parameter_table(
         "no trusted nominal value; its line shows the relative interval alone. Pale band: 95 % interval of the nominal value. "
         "An arrow leaves the scale. Grey rows are poorly determined or not identifiable."
     )
-    return [Table(columns, groups=groups, style="parameters", on=on), Text(reading, "note")]
+    return [ResultTable(columns, groups=groups, style="parameters", on=on), Text(reading, "note")]
 
 
 def _build_row(r: ParameterRow, truth: bool, before: bool) -> Row:

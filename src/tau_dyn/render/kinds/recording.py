@@ -14,10 +14,11 @@ from tau_dyn.render.time_view import decimate_min_max
 from tau_dyn.results import (
     SMALL,
     Axis,
-    Block,
+    Chapter,
     Column,
     Curve,
     Dots,
+    Element,
     Figure,
     Figures,
     Key,
@@ -26,10 +27,9 @@ from tau_dyn.results import (
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
-    Table,
     Text,
     TimeView,
     Verdict,
@@ -66,14 +66,14 @@ def present_log(log: Log, *, robot: Robot | None = None) -> Presentation:
     sections = [
         *warn(log.warnings),
         *_list_signals(log, joints, robot),
-        Section("channels", "Channels", lambda: [_build_channels(log)], On.ALL),
-        Section(
+        Chapter("channels", "Channels", lambda: [_build_channels(log)], On.ALL),
+        Chapter(
             "traces",
             "",
             lambda: [Figures([_draw_trace(log, n) for n in _select_traced(log)], on=On.NOTEBOOK)],
             On.NOTEBOOK,
         ),
-        Section("clock", "Clock", lambda: _build_clock(log)),
+        Chapter("clock", "Clock", lambda: _build_clock(log)),
     ]
     return Presentation(
         "Log", log.name, f"{log.name}: log", "", None, _summarise(log, joints), sections, log.warnings,
@@ -95,18 +95,20 @@ def present_check(checked: LogCheck, *, log: Log | None = None, robot: Robot | N
     badge = {"good": "Usable", "care": "Usable with warnings", "poor": "Not usable"}[level]
     topics = format_list(dict.fromkeys(f.topic for f in bad))
     said = f"Problems: {topics}." if topics else "Clock, channels, units and motion meet the needs of identification."
-    sections = [Section("findings", "Problems and fixes", lambda: [_build_findings(checked)], On.ALL)] if bad else []
+    sections = [Chapter("findings", "Problems and fixes", lambda: [_build_findings(checked)], On.ALL)] if bad else []
     if not bad:
-        sections.append(Section("findings", "", lambda: [_build_findings(checked)], On.SCREENS))
+        sections.append(Chapter("findings", "", lambda: [_build_findings(checked)], On.SCREENS))
     if log is not None:
         joints = _list_joints(log)
         sections += _list_signals(log, joints, robot)
-        sections += [Section("joints", "Joints", lambda: _build_joints(log, checked, robot))] if joints else []
-        sections.append(Section("clock", "Clock", lambda: _build_clock(log)))
+        sections += [Chapter("joints", "Joints", lambda: _build_joints(log, checked, robot))] if joints else []
+        sections.append(Chapter("clock", "Clock", lambda: _build_clock(log)))
     fine = _join_alike([f for f in checked.findings if f.severity == "ok"], checked.name)
     if fine:
-        table = Table([Column(), Column()], [Row([topic, " ".join(texts)]) for topic, texts in fine], style="plain")
-        sections.append(Section("fine", "No fault found", lambda: [table], folded=True, open=not bad))
+        table = ResultTable(
+            [Column(), Column()], [Row([topic, " ".join(texts)]) for topic, texts in fine], style="plain"
+        )
+        sections.append(Chapter("fine", "No fault found", lambda: [table], folded=True, open=not bad))
     names = ("severity", "topic", "sentence", "remedy")
     return Presentation(
         "Check of a log", checked.name, f"{checked.name}: check", describe_headline(checked), Verdict(level, said, badge),
@@ -129,7 +131,7 @@ def _summarise(log: Log, joints: Sequence[str]) -> str:
     return f"{size}; {format_list(joints) or 'no joint'}."
 
 
-def _build_channels(log: Log) -> Table:
+def _build_channels(log: Log) -> ResultTable:
     columns = [Column("channel"), *(Column(title, "number") for title in ("least", "mean", "most", "missing"))]
     rows = []
     for name, x in log.channels.items():
@@ -137,7 +139,7 @@ def _build_channels(log: Log) -> Table:
         spread = (there.min(), there.mean(), there.max()) if there.size else ()
         missing = str(x.size - there.size) if there.size < x.size else ""
         rows.append(Row([name, *([format_number(float(v)) for v in spread] or [""] * 3), missing]))
-    return Table(columns, rows, most=40, on=On.ALL)
+    return ResultTable(columns, rows, most=40, on=On.ALL)
 
 
 def _select_traced(log: Log) -> list[str]:
@@ -150,7 +152,7 @@ def _draw_trace(log: Log, name: str) -> Figure:
     return Figure(x, y, (Line(t, columns[:, 0]),), name, SMALL)
 
 
-def _build_findings(checked: LogCheck) -> Table:
+def _build_findings(checked: LogCheck) -> ResultTable:
     """Return what was found, worst first; of what is fine, a terminal shows each topic once."""
     fine = Counter(f.topic for f in checked.findings if f.severity == "ok")
     columns = [Column(), Column("topic", style="quiet"), Column("problem"), Column("fix", on=On.PAGE | On.NOTEBOOK)]
@@ -166,10 +168,10 @@ def _build_findings(checked: LogCheck) -> Table:
             more = f" ({fine[f.topic] - 1} more alike)" if fine[f.topic] > 1 else ""
             rows.append(Row([badge, f.topic, text + more, ""], on=On.TERMINAL))
         seen.add(f.topic)
-    return Table(columns, rows, style="findings", on=On.ALL)
+    return ResultTable(columns, rows, style="findings", on=On.ALL)
 
 
-def _list_signals(log: Log, joints: Sequence[str], robot: Robot | None) -> list[Section]:
+def _list_signals(log: Log, joints: Sequence[str], robot: Robot | None) -> list[Chapter]:
     views = _list_views(log, list(joints), _list_units(list(joints), robot)) if joints else _list_other_views(log)
     if not views:
         return []
@@ -183,7 +185,7 @@ def _list_signals(log: Log, joints: Sequence[str], robot: Robot | None) -> list[
     ]
     resampled = "; uneven samples are resampled to a uniform clock" if uneven else ""
 
-    def build() -> Iterator[Block]:
+    def build() -> Iterator[Element]:
         yield TimeView("position and force over time", views, key if joints else [])
         if not joints:
             yield Text(f"{ZOOM}As recorded, unfiltered{resampled}.", "note")
@@ -195,7 +197,7 @@ def _list_signals(log: Log, joints: Sequence[str], robot: Robot | None) -> list[
             "note",
         )
 
-    return [Section("signals", "Recorded signals", build)]
+    return [Chapter("signals", "Recorded signals", build)]
 
 
 def _list_other_views(log: Log) -> list[View]:
@@ -233,13 +235,13 @@ def _list_views(log: Log, joints: list[str], units: dict[str, tuple[str, str]]) 
     return views
 
 
-def _build_joints(log: Log, checked: LogCheck, robot: Robot | None) -> Iterator[Block]:
+def _build_joints(log: Log, checked: LogCheck, robot: Robot | None) -> Iterator[Element]:
     joints = _list_joints(log)
     units = _list_units(joints, robot)
     titles = ("range", "top speed", "reversals", "forwards", "acceleration above its noise", "encoder noise", "encoder step",
               "lag", "top force", "force rms")  # fmt: skip
     columns = [Column("joint"), Column("unit", style="quiet"), *(Column(title, "number") for title in titles)]
-    yield Table(columns, [_build_joint(log, checked, j, ", ".join(units[j])) for j in joints], style="plainly")
+    yield ResultTable(columns, [_build_joint(log, checked, j, ", ".join(units[j])) for j in joints], style="plainly")
     yield Text(
         "SI units: positions, encoder noise and step in the joint's unit, speed in that unit a second. Good: at "
         "least four reversals, "
@@ -270,7 +272,7 @@ def _build_joint(log: Log, checked: LogCheck, joint: str, unit: str) -> Row:
     return Row([joint, unit, *motion, *force])
 
 
-def _build_clock(log: Log) -> Iterator[Block]:
+def _build_clock(log: Log) -> Iterator[Element]:
     yield Text(_describe_clock(log))
     clock = examine_clock(log)
     if clock.even and not clock.rounded:

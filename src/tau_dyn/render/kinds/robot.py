@@ -11,16 +11,16 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.render.present import list_assumptions, present_kind, warn
 from tau_dyn.results import (
+    Chapter,
     Column,
     Figures,
     Listing,
     On,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
-    Table,
     count,
     format_estimate,
     format_estimate_interval,
@@ -35,13 +35,13 @@ def present_robot(robot: Robot) -> Presentation:
     loops = f", {count(len(robot.loops), 'closed loop')}" if robot.loops else ""
     sections = [
         *warn(robot.warnings),
-        Section(
+        Chapter(
             "joints",
             "Actuated joints",
             lambda: [_build_joints(robot), Figures([RobotPicture(robot)], on=On.NOTEBOOK)],
             On.ALL,
         ),
-        Section("parameters", "Nominal parameters", lambda: [_build_table(robot.parameters, On.PAGE)]),
+        Chapter("parameters", "Nominal parameters", lambda: [_build_table(robot.parameters, On.PAGE)]),
         *list_assumptions(robot.assumed),
     ]
     return Presentation(
@@ -62,14 +62,14 @@ def _tabulate_joints(robot: Robot) -> list[dict[str, Any]]:
     return [dict(zip(names, row, strict=True)) for row in rows]
 
 
-def _build_joints(robot: Robot) -> Table:
+def _build_joints(robot: Robot) -> ResultTable:
     columns = [Column("actuated joint"), Column(), Column("travel"), Column("speed"), Column("force")]
     rows = [
         Row([r["joint"], r["kind"], f"{_limit(r['lower'])} … {_limit(r['upper'])} {r['position_unit']}",
              _up_to(r["velocity_limit"], f"{r['position_unit']}/s"), _up_to(r["effort_limit"], r["force_unit"])])
         for r in _tabulate_joints(robot)
     ]  # fmt: skip
-    return Table(columns, rows, on=On.ALL)
+    return ResultTable(columns, rows, on=On.ALL)
 
 
 def _limit(x: float) -> str:
@@ -84,9 +84,9 @@ def _up_to(x: float, unit: str) -> str:
 def present_model(model: Model) -> Presentation:
     """Return how a model is presented: its parameters, and the forces beyond the rigid body."""
     robot, equations = model.robot, list(dict.fromkeys(f"{e.name}: {e.equation}" for e in model.effects))
-    beyond = Section("effects", "Forces beyond the rigid body", lambda: [Listing(equations, style="code")])
+    beyond = Chapter("effects", "Forces beyond the rigid body", lambda: [Listing(equations, style="code")])
     sections = [
-        Section("parameters", "Parameters", lambda: [_build_table(model.parameters, On.ALL)], On.ALL),
+        Chapter("parameters", "Parameters", lambda: [_build_table(model.parameters, On.ALL)], On.ALL),
         *([beyond] if equations else []),
     ]
     facts = [(str(key), str(value)) for key, value in model.provenance.items() if not isinstance(value, list | Mapping)]
@@ -100,7 +100,7 @@ def present_model(model: Model) -> Presentation:
 @present_kind.register
 def present_parameters(parameters: Parameters) -> Presentation:
     """Return how parameters are presented."""
-    sections = [Section("parameters", "Parameters", lambda: [_build_table(parameters, On.ALL)], On.ALL)]
+    sections = [Chapter("parameters", "Parameters", lambda: [_build_table(parameters, On.ALL)], On.ALL)]
     return Presentation(
         "Parameters",
         _count(parameters),
@@ -124,7 +124,7 @@ def _tabulate(parameters: Parameters) -> Any:
     return pd.DataFrame(rows, columns=list(keys)).astype({"stderr": float})
 
 
-def _build_table(parameters: Parameters, on: On) -> Table:
+def _build_table(parameters: Parameters, on: On) -> ResultTable:
     """Return one row a parameter; intervals only where there are some."""
     estimated = any(p.stderr for p in parameters)
     between = [Column("95 % interval", "number", spare=True)] if estimated else []
@@ -135,4 +135,6 @@ def _build_table(parameters: Parameters, on: On) -> Table:
         )
         for p in parameters
     ]
-    return Table([Column("parameter"), Column("value", "number", "strong"), *between, Column("from")], rows, on=on)
+    return ResultTable(
+        [Column("parameter"), Column("value", "number", "strong"), *between, Column("from")], rows, on=on
+    )

@@ -15,12 +15,12 @@ import numpy as np
 
 from tau_dyn.diagnose import Diagnosis, Finding, OutputErrors
 from tau_dyn.results import (
-    Block,
     Column,
+    Element,
     On,
+    ResultTable,
     Row,
     StepBar,
-    Table,
     format_estimate,
     format_list,
     format_percent,
@@ -199,7 +199,7 @@ def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
     return (*joints, *parts, *([f"{more} more"] if more > 0 else []))
 
 
-def build_total_table(series: WaterfallSeries) -> Table:
+def build_total_table(series: WaterfallSeries) -> ResultTable:
     """Return the steps over all outputs as a table."""
     both, page = On.PAGE | On.TERMINAL, On.PAGE
     columns = [
@@ -218,10 +218,10 @@ def build_total_table(series: WaterfallSeries) -> Table:
         )
         for r in series.rungs
     ]
-    return Table(columns, rows, style="waterfall", on=On.ALL)
+    return ResultTable(columns, rows, style="waterfall", on=On.ALL)
 
 
-def build_output_tables(parts: list[WaterfallSeries]) -> list[Block]:
+def build_output_tables(parts: list[WaterfallSeries]) -> list[Element]:
     """Return the steps of every output as small tables; the steps of an output's own causes stand out."""
     columns = [
         Column(),
@@ -230,7 +230,7 @@ def build_output_tables(parts: list[WaterfallSeries]) -> list[Block]:
         Column(kind="number", style="quiet"),
     ]
     return [
-        Table(
+        ResultTable(
             columns,
             [
                 Row(

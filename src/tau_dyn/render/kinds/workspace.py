@@ -13,8 +13,9 @@ from tau_dyn.render.present import present_kind, warn
 from tau_dyn.results import (
     Bar,
     Beside,
-    Block,
+    Chapter,
     Column,
+    Element,
     Facts,
     Figures,
     Key,
@@ -23,11 +24,10 @@ from tau_dyn.results import (
     PolarPicture,
     Presentation,
     Provenance,
+    ResultTable,
     RobotPicture,
     Row,
-    Section,
     SpacePicture,
-    Table,
     Text,
     Verdict,
     capitalise,
@@ -59,16 +59,16 @@ def present_workspace(found: Study) -> Presentation:
     robot = found.workspace.machine.robot
     sections = [
         *warn([end_sentence(capitalise(text)) for text in (*robot.warnings, *found.warnings)]),
-        Section("glance", "", lambda: [Facts(_list_facts(found), "three")]),
-        *([Section("space", "In space", lambda: _build_space(found))] if found.workspace.dimension == 3 else []),
+        Chapter("glance", "", lambda: [Facts(_list_facts(found), "three")]),
+        *([Chapter("space", "In space", lambda: _build_space(found))] if found.workspace.dimension == 3 else []),
         *(
-            [Section("sections", "Cross-sections", lambda: _build_sections(found), On.PAGE | On.NOTEBOOK)]
+            [Chapter("sections", "Cross-sections", lambda: _build_sections(found), On.PAGE | On.NOTEBOOK)]
             if found.sections
             else []
         ),
-        Section("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], On.ALL),
-        Section("catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), On.PAGE | On.TERMINAL),
-        *([Section("maps", "Maps", lambda: _build_maps(found))] if found.sections and found.maps else []),
+        Chapter("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], On.ALL),
+        Chapter("catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), On.PAGE | On.TERMINAL),
+        *([Chapter("maps", "Maps", lambda: _build_maps(found))] if found.sections and found.maps else []),
     ]
     return Presentation(
         "Workspace of", robot.name, f"{robot.name}: workspace", describe_headline(found), describe_verdict(found),
@@ -95,14 +95,14 @@ def _list_facts(found: Study) -> list[tuple[str, str, str]]:
     return rows[:6]
 
 
-def _build_space(found: Study) -> Iterator[Block]:
+def _build_space(found: Study) -> Iterator[Element]:
     yield Figures([SpacePicture(found)], "whole")
     walls = [o.name for o in found.workspace.judge.demands.surroundings.obstacles]
     named = f" Outlined in colour: {', '.join(walls)} (walls without end are not drawn)." if walls else ""
     yield Text(f"The border of the workspace with the robot at home in it; dashed: the box around it.{named}", "note")
 
 
-def _build_sections(found: Study) -> Iterator[Block]:
+def _build_sections(found: Study) -> Iterator[Element]:
     drawn = [figures.build_section_figure(found, s) for s in found.sections]
     cart = "rods' joints on carts, at home" if found.workspace.machine.rods is not None else "base"
     reasons = [Key(figures.get_reason_ink(kind), kind) for kind in figures.list_reasons(found)]
@@ -117,7 +117,7 @@ def _build_sections(found: Study) -> Iterator[Block]:
     )
 
 
-def _build_reasons(found: Study) -> Table:
+def _build_reasons(found: Study) -> ResultTable:
     """Return the demands that are first not met, over the box that was looked at."""
     columns = [
         Column("first demand not met"), Column("", "bar"),
@@ -130,10 +130,10 @@ def _build_reasons(found: Study) -> Table:
         by = [f"{name} ({format_percent(100 * n / r['points'])})" for name, n in list(r["culprits"].items())[:4]]
         bar = Bar(r["share"], ink=figures.get_reason_ink(r["reason"]))
         rows.append(Row([r["reason"], bar, share, share, ", ".join(by)]))
-    return Table(columns, rows, style="reasons", on=On.ALL)
+    return ResultTable(columns, rows, style="reasons", on=On.ALL)
 
 
-def _build_catalogue(found: Study) -> Iterator[Block]:
+def _build_catalogue(found: Study) -> Iterator[Element]:
     catalogue = found.catalogue
     titles = (("least", ""), ("median", "strong"), ("largest", ""), ("at home", ""))
     columns = [Column("over the workspace"), *(Column(title, "number", style) for title, style in titles)]
@@ -142,8 +142,8 @@ def _build_catalogue(found: Study) -> Iterator[Block]:
         for name, (spread, home) in catalogue.rows.items()
     ]
     length = f" Turns count as lengths at {catalogue.length:.3g} m." if catalogue.length else ""
-    left: list[Block] = [
-        Table(columns, rows, on=On.PAGE | On.TERMINAL),
+    left: list[Element] = [
+        ResultTable(columns, rows, on=On.PAGE | On.TERMINAL),
         Text(f"Stiffness: {catalogue.elasticity}.{length}", "note", on=On.PAGE | On.TERMINAL),
     ]
     if catalogue.stiffness_at_home is not None:
@@ -153,15 +153,15 @@ def _build_catalogue(found: Study) -> Iterator[Block]:
             for name, value, axis in zip(("softest", "between", "stiffest"), values, axes.T, strict=True)
         ]
         left.append(Text("Stiffness at home, by direction", "heading"))
-        left.append(Table([Column(), Column(kind="number", style="strong"), Column(kind="number")], main))
-    right: list[Block] = []
+        left.append(ResultTable([Column(), Column(kind="number", style="strong"), Column(kind="number")], main))
+    right: list[Element] = []
     if found.tilt is not None:
         picture = PolarPicture(
             found.tilt.towards, np.rad2deg(found.tilt.angle), "how far the tool leans towards each side"
         )
         right = [Text("How far the tool leans", "heading"), Figures([picture], "whole"),
                  Text(_describe_tilt(found), "note", on=On.PAGE | On.TERMINAL)]  # fmt: skip
-    demands = Table([Column(), Column()], [Row(row) for row in _list_demands(found)], style="plain")
+    demands = ResultTable([Column(), Column()], [Row(row) for row in _list_demands(found)], style="plain")
     areas = [f"{replace_minus_signs(s.name)}: {format_number(s.area, 3)} m²" for s in found.sections]
     if areas:
         left.append(Text(f"Cross-sections {format_list(areas)}.", on=On.TERMINAL))
@@ -172,7 +172,7 @@ def _format_axis(axis: np.ndarray) -> str:
     return ", ".join(replace_minus_signs(f"{c:+.2f}") for c in axis)
 
 
-def _build_maps(found: Study) -> Iterator[Block]:
+def _build_maps(found: Study) -> Iterator[Element]:
     for name in found.maps:
         quantity = QUANTITIES[name]
         unit = SHOWN_UNITS[quantity.unit][1]
